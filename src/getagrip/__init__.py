@@ -1,0 +1,1 @@
+"""Hand-object stable grasp reconstruction."""

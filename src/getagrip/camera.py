@@ -1,0 +1,82 @@
+"""Pinhole cameras and square crops. Pixel (row i, column j) has its centre at (u, v) = (j + 0.5, i + 0.5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+from numpy import ndarray
+
+
+def project(K: Float[ndarray, "*#batch 3 3"], X_cam: Float[ndarray, "*#batch points 3"]) -> Float[ndarray, "*batch points 2"]:
+    """Pixel coordinates (u, v) of points in the camera frame [m]."""
+    uvw = X_cam @ np.swapaxes(K, -1, -2)
+    return uvw[..., :2] / uvw[..., 2:]
+
+
+def backproject(
+    K: Float[ndarray, "*#batch 3 3"], uv: Float[ndarray, "*#batch points 2"]
+) -> Float[ndarray, "*batch points 3"]:
+    """Points at depth 1 on the rays through pixel coordinates; multiply by the depth [m]."""
+    uv1 = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], axis=-1)
+    return uv1 @ np.swapaxes(np.linalg.inv(K), -1, -2)
+
+
+@dataclass(frozen=True)
+class Crops:
+    """One square window per frame, all of the same side, resampled to ``size`` x ``size`` pixels."""
+
+    corner: Float[ndarray, "T 2"]
+    """Top left corners (u, v) in the image [px]; windows may leave the image."""
+    side: float
+    """Side of the windows in the image [px]."""
+    size: int
+    """Side of the resampled crop [px]."""
+
+    @property
+    def zoom(self) -> float:
+        """Crop pixels per image pixel."""
+        return self.size / self.side
+
+    def intrinsics(self, K: Float[ndarray, "T 3 3"]) -> Float[ndarray, "T 3 3"]:
+        """Intrinsics of the crops, from those of the images."""
+        M = np.zeros((len(self.corner), 3, 3))
+        M[:, 0, 0] = M[:, 1, 1] = self.zoom
+        M[:, :2, 2] = -self.corner * self.zoom
+        M[:, 2, 2] = 1.0
+        return M @ K
+
+    def resample(self, images: Shaped[ndarray, "T H W"], outside: int | bool) -> Shaped[ndarray, "T size size"]:
+        """Nearest-neighbour crops of label images; pixels beyond the image become ``outside``."""
+        T, H, W = images.shape
+        centres = (np.arange(self.size) + 0.5) / self.zoom
+        out = np.full((T, self.size, self.size), outside, dtype=images.dtype)
+        for n in range(T):
+            cols = np.floor(self.corner[n, 0] + centres).astype(int)
+            rows = np.floor(self.corner[n, 1] + centres).astype(int)
+            in_u, in_v = (cols >= 0) & (cols < W), (rows >= 0) & (rows < H)
+            out[n][np.ix_(in_v, in_u)] = images[n][np.ix_(rows[in_v], cols[in_u])]
+        return out
+
+
+def bounding_boxes(masks: Shaped[ndarray, "T H W"]) -> Int[ndarray, "T 4"]:
+    """(u0, v0, u1, v1), the end exclusive, of the non-zero pixels of each mask; all zeros where a mask is empty."""
+    boxes = np.zeros((len(masks), 4), dtype=int)
+    for n, mask in enumerate(masks):
+        rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        if rows.size:
+            boxes[n] = cols[0], rows[0], cols[-1] + 1, rows[-1] + 1
+    return boxes
+
+
+def crops_around(masks: Shaped[ndarray, "T H W"], expand: float = 1.8, size: int = 256) -> Crops:
+    """Square crops centred on each frame's mask, all ``expand`` times as large as the largest mask.
+
+    One side for all frames, so that a pixel of energy means the same in each; one centre per frame, so that an object
+    that crosses the image keeps its resolution. Every mask must have a pixel.
+    """
+    boxes = bounding_boxes(masks).astype(float)
+    side = expand * float((boxes[:, 2:] - boxes[:, :2]).max())
+    centre = (boxes[:, :2] + boxes[:, 2:]) / 2.0
+    return Crops(corner=centre - side / 2.0, side=side, size=size)

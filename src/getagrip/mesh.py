@@ -1,0 +1,206 @@
+"""Triangle meshes: reading, checking, normals, and the tables that silhouettes need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.errors import InputError
+
+SUFFIXES = (".obj", ".ply", ".stl", ".glb")
+LARGEST, SMALLEST = 2.0, 0.005
+"""Plausible sizes of hands and objects [m]."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh, faces counter-clockwise seen from outside."""
+
+    vertices: Float[ndarray, "V 3"]
+    faces: Int[ndarray, "F 3"]
+
+    @cached_property
+    def diameter(self) -> float:
+        """Largest distance between two vertices [m]."""
+        return diameter(self.vertices)
+
+    @cached_property
+    def centre(self) -> Float[ndarray, "3"]:
+        """Middle of the bounding box, in the mesh's own frame."""
+        return (self.vertices.min(axis=0) + self.vertices.max(axis=0)) / 2.0
+
+    @cached_property
+    def normals(self) -> Float[ndarray, "V 3"]:
+        """Unit vertex normals, faces weighted by their angle at the vertex."""
+        return vertex_normals(self.vertices, self.faces)
+
+    @cached_property
+    def planes(self) -> Float[ndarray, "F 4"]:
+        """Plane (n, d) of each face, n unit length: ``n . x + d > 0`` outside."""
+        corners = self.vertices[self.faces]
+        n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300)
+        return np.concatenate([n, -np.sum(n * corners[:, 0], axis=1, keepdims=True)], axis=1)
+
+    @cached_property
+    def edges(self) -> Int[ndarray, "E 4"]:
+        """Rows (v0, v1, f1, f2): face f1 runs from v0 to v1, face f2 from v1 to v0; f2 = F where there is none.
+
+        Each half-edge stands in exactly one row. Edges of three or more faces, or of faces wound the same way, give
+        several rows, so that any triangle soup is covered (see ``kernels.silhouette``).
+        """
+        return edge_table(self.faces)
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether every half-edge has its opposite."""
+        return bool(np.all(self.edges[:, 3] < len(self.faces)))
+
+    @cached_property
+    def vertex_areas(self) -> Float[ndarray, "V"]:
+        """A third of the area of the faces around each vertex [m2]."""
+        corners = self.vertices[self.faces]
+        areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        return np.bincount(self.faces.ravel(), np.repeat(areas / 3.0, 3), minlength=len(self.vertices))
+
+    @cached_property
+    def volume(self) -> float:
+        """Signed volume [m3]; positive for a closed mesh wound outward."""
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        return float(np.sum(a * np.cross(b, c)) / 6.0)
+
+
+def vertex_normals(vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "F 3"]) -> Float[ndarray, "*batch V 3"]:
+    """Unit vertex normals, faces weighted by their angle at the vertex; zero for vertices without faces."""
+    corners = vertices[..., faces, :]
+    along = np.roll(corners, -1, axis=-2) - corners
+    lengths = np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-300)
+    unit = along / lengths
+    cosine = -np.sum(unit * np.roll(unit, 1, axis=-2), axis=-1)
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    face_normal = np.cross(along[..., 0, :], along[..., 1, :])
+    face_normal /= np.maximum(np.linalg.norm(face_normal, axis=-1, keepdims=True), 1e-300)
+    weighted = angle[..., None] * face_normal[..., None, :]
+    flat = weighted.reshape(-1, faces.size, 3)
+    out = np.zeros((len(flat), vertices.shape[-2], 3))
+    for sums, rows in zip(out, flat, strict=True):
+        for k in range(3):
+            sums[:, k] = np.bincount(faces.ravel(), rows[:, k], minlength=vertices.shape[-2])
+    out = out.reshape(vertices.shape)
+    return out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-300)
+
+
+def edge_table(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
+    """Pair the half-edges of a mesh; see ``Mesh.edges``."""
+    start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    face = np.repeat(np.arange(len(faces)), 3)
+    forward = (start < end).astype(np.int64)
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    # The k-th forward half-edge of an edge is paired with its k-th backward one.
+    order = np.lexsort((forward, high, low))
+    key = np.stack([low, high, forward])[:, order]
+    first = np.concatenate([[True], np.any(key[:, 1:] != key[:, :-1], axis=0)])
+    position = np.arange(len(order))
+    rank = np.empty_like(position)
+    rank[order] = position - np.maximum.accumulate(np.where(first, position, 0))
+    _, pair = np.unique(np.stack([low, high, rank]), axis=1, return_inverse=True)
+    halves = np.full((pair.max() + 1, 2), -1)
+    halves[pair.ravel(), forward] = position
+    head = np.where(halves[:, 1] >= 0, halves[:, 1], halves[:, 0])
+    both = halves.min(axis=1) >= 0
+    f2 = np.where(both, face[halves[:, 0]], len(faces))
+    return np.stack([start[head], end[head], face[head], f2], axis=1)
+
+
+def diameter(points: Float[ndarray, "V 3"]) -> float:
+    """Largest distance between two points [m]."""
+    from scipy.spatial import ConvexHull, QhullError
+    from scipy.spatial.distance import pdist
+
+    try:
+        points = points[ConvexHull(points).vertices]
+    except QhullError:  # flat or tiny sets have no hull; the direct way is fine for them
+        points = points[np.unique(np.linspace(0, len(points) - 1, 2000).astype(int))]
+    return float(pdist(points).max()) if len(points) > 1 else 0.0
+
+
+def read_mesh(path: Path) -> Mesh:
+    """Read and check a triangle mesh in metres.
+
+    Closed meshes that are wound inward are turned outward. Raises ``InputError`` for an unreadable file, no faces,
+    degenerate faces, non-finite vertices or an absurd size.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(path, "mesh", f"the suffix {path.suffix!r}", f"one of {', '.join(SUFFIXES)}")
+    if not path.is_file():
+        raise InputError(path, "mesh", "no such file", "a triangle mesh")
+    import trimesh
+
+    try:
+        loaded = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+    except Exception as error:  # trimesh's readers raise whatever their parsers meet
+        raise InputError(path, "mesh", f"a file that does not parse ({error})", "a triangle mesh") from error
+    vertices = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=float)
+    faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
+    return checked_mesh(path, vertices, faces)
+
+
+def checked_mesh(path: Path, vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> Mesh:
+    """The mesh, vertices merged and wound outward, or an ``InputError`` that says what is wrong with it."""
+    if len(faces) == 0 or len(vertices) == 0:
+        raise InputError(path, "faces", f"{len(vertices)} vertices and {len(faces)} faces", "a mesh with faces")
+    if not np.isfinite(vertices).all():
+        raise InputError(path, "vertices", "NaN or infinite coordinates", "finite coordinates [m]")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(path, "faces", f"vertex index {faces.max()}", f"indices below {len(vertices)}")
+    faces = merged(vertices)[faces]  # formats like .stl repeat vertices
+    corners = vertices[faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    extent = float(np.ptp(vertices, axis=0).max())
+    check_size(path, "vertices", extent, "the object")
+    bad = np.flatnonzero(area < 1e-12 * extent**2)
+    if bad.size:
+        raise InputError(path, "faces", f"{bad.size} faces without area (first: {bad[0]})", "triangles with an area")
+    used = np.unique(faces)
+    remap = np.zeros(len(vertices), dtype=np.int64)
+    remap[used] = np.arange(len(used))
+    mesh = Mesh(vertices[used], remap[faces])
+    return Mesh(mesh.vertices, mesh.faces[:, ::-1].copy()) if mesh.is_closed and mesh.volume < 0 else mesh
+
+
+def merged(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
+    """For each vertex the index of the first vertex at the same place."""
+    _, first, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    return np.asarray(first[inverse.ravel()], dtype=np.int64)
+
+
+def check_size(path: Path, key: str, extent: float, what: str) -> None:
+    """Raise ``InputError`` when a hand or an object is absurdly large or small."""
+    if extent > LARGEST:
+        raise InputError(path, key, f"{what} {extent:.4g} m large", f"at most {LARGEST:g} m; are these millimetres?")
+    if extent < SMALLEST:
+        raise InputError(path, key, f"{what} {extent:.4g} m large", f"at least {SMALLEST:g} m; is the unit the metre?")
+
+
+def write_mesh(path: Path, mesh: Mesh) -> None:
+    """Write a mesh as .obj, .ply, .stl or .glb."""
+    import trimesh
+
+    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(path)
+
+
+def decimate(mesh: Mesh, faces: int) -> Mesh:
+    """A mesh of about ``faces`` faces with nearly the same outline (quadric edge collapse); the mesh itself if smaller."""
+    if len(mesh.faces) <= faces:
+        return mesh
+    import fast_simplification
+
+    v, f = fast_simplification.simplify(
+        mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), target_count=faces
+    )
+    return Mesh(np.asarray(v, dtype=float), np.asarray(f, dtype=np.int64))
