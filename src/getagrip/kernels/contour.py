@@ -1,0 +1,180 @@
+"""The contour of a silhouette: where it pulls, how strongly, and how a pose moves it.
+
+Walking the outline's edges gives points with an outward normal; those whose outside neighbour is uncovered lie on the
+true contour. The boundary integral over them is the exact gradient of E_mask, and their signed distance d to the
+observed mask gives its curvature: weight h = step / max(|d|, delta), gradient sum(h d a), Hessian sum(h a a^T), with a
+the derivative of the point along its normal by the local 7-vector (see ``se3``). For |d| > delta the gradient is that of
+E_mask, and one step is a majorise-minimise step on it. ``reference.contour_points`` and ``reference.normal_equations``
+are the readable specifications.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from getagrip.kernels.silhouette import OPTIONS
+
+U, V, Z, NX, NY, DISTANCE, WEIGHT = range(7)
+"""Rows of a table of contour points: position [px of the full crop], depth [m], outward normal, signed distance, weight."""
+
+_ONE = np.uint64(1)
+
+
+@njit(**OPTIONS)
+def walk(uvz, edges, n_edges, zoom, step, bits, care, points):
+    """Sample the visible contour every ``step`` pixels of the level into points (7, M); return how many.
+
+    ``zoom`` is level pixels per pixel of the full crop. Points in ignored pixels are dropped.
+    """
+    size, most = bits.shape[0], points.shape[1]
+    n, rest = 0, 0.5 * step
+    for k in range(n_edges):
+        a, b = edges[0, k], edges[1, k]
+        x0, y0, x1, y1 = uvz[0, a] * zoom, uvz[1, a] * zoom, uvz[0, b] * zoom, uvz[1, b] * zoom
+        dx, dy = x1 - x0, y1 - y0
+        length = np.sqrt(dx * dx + dy * dy)
+        if rest >= length:
+            rest -= length
+            continue
+        flip = 1.0 if edges[2, k] > 0 else -1.0
+        nx, ny = -flip * dy / length, flip * dx / length
+        w0, w1 = 1.0 / uvz[2, a], 1.0 / uvz[2, b]
+        while rest < length:
+            t = rest / length
+            rest += step
+            x, y = x0 + t * dx, y0 + t * dy
+            if not (0.0 <= x < size and 0.0 <= y < size):
+                continue
+            i, j = int(y), int(x)
+            if not (care[i, j >> 6] >> np.uint64(j & 63)) & _ONE:
+                continue
+            ox, oy = x + 0.75 * nx, y + 0.75 * ny
+            if 0.0 <= ox < size and 0.0 <= oy < size:
+                i, j = int(oy), int(ox)
+                if (bits[i, j >> 6] >> np.uint64(j & 63)) & _ONE:
+                    continue
+            if n == most:
+                return n
+            points[U, n], points[V, n] = x / zoom, y / zoom
+            points[Z, n] = 1.0 / (w0 + t * (w1 - w0))
+            points[NX, n], points[NY, n] = nx, ny
+            n += 1
+        rest -= length
+    return n
+
+
+@njit(**OPTIONS)
+def look_up(points, n, field, zoom, spacing, delta):
+    """Fill in distance (bilinear in the signed distance field, ``zoom`` field pixels a pixel) and weight of n points."""
+    last = field.shape[0] - 1.000001
+    for k in range(n):
+        x = min(max(points[U, k] * zoom - 0.5, 0.0), last)
+        y = min(max(points[V, k] * zoom - 0.5, 0.0), last)
+        i, j = int(y), int(x)
+        s, t = x - j, y - i
+        top = field[i, j] + s * (field[i, j + 1] - field[i, j])
+        bottom = field[i + 1, j] + s * (field[i + 1, j + 1] - field[i + 1, j])
+        d = top + t * (bottom - top)
+        points[DISTANCE, k] = d
+        points[WEIGHT, k] = spacing / max(abs(d), delta)
+
+
+@njit(**OPTIONS)
+def cover(points, n, targets, gate, strength, delta, matched):
+    """Pull the nearest contour point with a like normal to each observed boundary point (the coverage term).
+
+    targets (Q, 5) holds position, outward normal and boundary length. Writes one point per target into matched (7, Q),
+    its residual along its own normal as the distance; weight 0 where nothing is near. Returns the term's value, the
+    sum of length times distance, distances capped at the square root of the gate.
+    """
+    value = 0.0
+    for q in range(len(targets)):
+        x, y, nx, ny, length = targets[q, 0], targets[q, 1], targets[q, 2], targets[q, 3], targets[q, 4]
+        nearest, at = gate, -1
+        for k in range(n):
+            dx, dy = points[U, k] - x, points[V, k] - y
+            like = nx * points[NX, k] + ny * points[NY, k]
+            cost = dx * dx + dy * dy + gate * (1.0 - like)
+            if cost < nearest:
+                nearest, at = cost, k
+        matched[:, q] = 0.0
+        matched[Z, q] = 1.0
+        value += strength * length * np.sqrt(nearest)
+        if at >= 0:
+            for row in range(5):
+                matched[row, q] = points[row, at]
+            d = (points[U, at] - x) * points[NX, at] + (points[V, at] - y) * points[NY, at]
+            matched[DISTANCE, q] = d
+            matched[WEIGHT, q] = strength * length / max(abs(d), delta)
+    return value
+
+
+@njit(**OPTIONS)
+def accumulate(points, n, centre, K, g, H):
+    """Add n points to the normal equations: g (7,) += sum h d a, upper half of H (7, 7) += sum h a a^T."""
+    fx, fy, cx, cy = K[0], K[1], K[2], K[3]
+    c0, c1, c2 = centre[0], centre[1], centre[2]
+    g0 = g1 = g2 = g3 = g4 = g5 = g6 = 0.0
+    h00 = h01 = h02 = h03 = h04 = h05 = h06 = h11 = h12 = h13 = h14 = h15 = h16 = 0.0
+    h22 = h23 = h24 = h25 = h26 = h33 = h34 = h35 = h36 = h44 = h45 = h46 = h55 = h56 = h66 = 0.0
+    for k in range(n):
+        u, v, z, nx, ny = points[U, k] - cx, points[V, k] - cy, points[Z, k], points[NX, k], points[NY, k]
+        h = points[WEIGHT, k]
+        hd = h * points[DISTANCE, k]
+        inverse = 1.0 / z
+        a0, a1, a2 = nx * fx * inverse, ny * fy * inverse, -(nx * u + ny * v) * inverse
+        r0, r1, r2 = u * z / fx - c0, v * z / fy - c1, z - c2
+        a3, a4, a5 = r1 * a2 - r2 * a1, r2 * a0 - r0 * a2, r0 * a1 - r1 * a0
+        a6 = r0 * a0 + r1 * a1 + r2 * a2
+        g0 += hd * a0
+        g1 += hd * a1
+        g2 += hd * a2
+        g3 += hd * a3
+        g4 += hd * a4
+        g5 += hd * a5
+        g6 += hd * a6
+        b0, b1, b2, b3, b4, b5, b6 = h * a0, h * a1, h * a2, h * a3, h * a4, h * a5, h * a6
+        h00 += b0 * a0
+        h01 += b0 * a1
+        h02 += b0 * a2
+        h03 += b0 * a3
+        h04 += b0 * a4
+        h05 += b0 * a5
+        h06 += b0 * a6
+        h11 += b1 * a1
+        h12 += b1 * a2
+        h13 += b1 * a3
+        h14 += b1 * a4
+        h15 += b1 * a5
+        h16 += b1 * a6
+        h22 += b2 * a2
+        h23 += b2 * a3
+        h24 += b2 * a4
+        h25 += b2 * a5
+        h26 += b2 * a6
+        h33 += b3 * a3
+        h34 += b3 * a4
+        h35 += b3 * a5
+        h36 += b3 * a6
+        h44 += b4 * a4
+        h45 += b4 * a5
+        h46 += b4 * a6
+        h55 += b5 * a5
+        h56 += b5 * a6
+        h66 += b6 * a6
+    for i, x in enumerate((g0, g1, g2, g3, g4, g5, g6)):
+        g[i] += x
+    for i, x in enumerate((h00, h01, h02, h03, h04, h05, h06)):
+        H[0, i] += x
+    for i, x in enumerate((h11, h12, h13, h14, h15, h16)):
+        H[1, i + 1] += x
+    for i, x in enumerate((h22, h23, h24, h25, h26)):
+        H[2, i + 2] += x
+    for i, x in enumerate((h33, h34, h35, h36)):
+        H[3, i + 3] += x
+    for i, x in enumerate((h44, h45, h46)):
+        H[4, i + 4] += x
+    for i, x in enumerate((h55, h56)):
+        H[5, i + 5] += x
+    H[6, 6] += h66
