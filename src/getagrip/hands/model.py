@@ -1,0 +1,232 @@
+"""Skinned hands: ``load(side) -> with_shape -> with_pose``, each stage immutable, with any leading batch axes.
+
+    model = generic.load("right")            # HandModel: template, joints, weights, shape space
+    shaped = model.with_shape(shape)         # ShapedHand: the flat hand of one person
+    posed = shaped.with_pose(pose)           # PosedHand: vertices, joints and contact regions in the hand frame
+    track = hand_track(posed, T_cam_hand)    # HandTrack: what a clip holds
+
+All models share one hand frame and one joint tree, MANO's. The frame is MANO's template frame at zero global rotation:
+of a right hand the wrist lies towards +x, the fingers point to -x, the palm faces -y, the thumb is at +z; a left hand
+is the right one mirrored in x. The wrist is not the origin: MANO turns a hand about its root joint J0, so the pose
+(global rotation R, translation t) of a MANO-like tracker is ``T_cam_hand = [R | J0 - R J0 + t]`` (``root_transform``).
+
+Equations: linear blend skinning with linear shape and pose corrections, as in SMPL (Loper et al., "SMPL", SIGGRAPH Asia
+2015, Eq. 2-10) and MANO (Romero, Tzionas, Black, "Embodied Hands", SIGGRAPH Asia 2017).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.clip import FINGERS, HandTrack
+from getagrip.errors import UsageError
+from getagrip.mesh import vertex_normals
+
+Side = Literal["left", "right"]
+
+JOINTS = (
+    "wrist",
+    *(f"{finger}{n}" for finger in ("index", "middle", "pinky", "ring", "thumb") for n in (1, 2, 3)),
+)
+"""The 16 joints in MANO's order; the pose holds three numbers for each but the wrist."""
+PARENTS = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
+"""Parent of each of the 16 joints."""
+KNUCKLES = tuple(JOINTS.index(f"{finger}1") for finger in FINGERS)
+"""The first joint of each finger, in the order of ``FINGERS``."""
+PALM_REGIONS = ("palm_thumb", "palm_fingers", "palm_edge")
+"""Contact regions of the palm: the ball of the thumb, below the fingers' roots, the edge below the little finger."""
+MIRROR = np.array([-1.0, 1.0, 1.0])
+"""Mirrors points between right and left hands."""
+
+
+@dataclass(frozen=True)
+class PosedHand:
+    """Hands in the hand frame; every hand model, skinned here or not, ends in this."""
+
+    side: Side
+    vertices: Float[ndarray, "*batch V 3"]
+    """Vertices [m]."""
+    faces: Int[ndarray, "F 3"]
+    """Faces, outward."""
+    joints: Float[ndarray, "*batch 21 3"]
+    """Joints [m]: wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip."""
+    regions: dict[str, Int[ndarray, "_"]]
+    """Contact regions as vertex ids: the five ``FINGERS``, then ``palm_*``."""
+
+    @cached_property
+    def normals(self) -> Float[ndarray, "*batch V 3"]:
+        """Unit vertex normals, outward."""
+        return vertex_normals(self.vertices, self.faces)
+
+
+@dataclass(frozen=True)
+class HandModel:
+    """A hand that shape and pose deform."""
+
+    name: str
+    side: Side
+    template: Float[ndarray, "V 3"]
+    """Vertices of the flat mean hand [m]."""
+    faces: Int[ndarray, "F 3"]
+    """Faces, outward."""
+    joints: Float[ndarray, "16 3"]
+    """Joints of the flat mean hand [m], in the order of ``JOINTS``."""
+    weights: Float[ndarray, "V 16"]
+    """Skinning weights; rows sum to one."""
+    tips: Int[ndarray, "5"]
+    """The vertex at the tip of each of the ``FINGERS``."""
+    regions: dict[str, Int[ndarray, "_"]]
+    """Contact regions as vertex ids."""
+    shape_names: tuple[str, ...]
+    """What each shape parameter means."""
+    shape_directions: Float[ndarray, "V 3 S"]
+    """Displacement of the vertices per unit of each shape parameter [m]."""
+    joint_directions: Float[ndarray, "16 3 S"]
+    """Displacement of the joints per unit of each shape parameter [m]."""
+    pose_directions: Float[ndarray, "V 3 135"] | None = None
+    """Displacement of the vertices per unit of each entry of R - I, R the rotations of the 15 finger joints."""
+
+    def with_shape(self, shape: Float[ndarray, "*batch S"] | None = None) -> ShapedHand:
+        """The flat hand of one person, or of several; the mean hand when no shape is given.
+
+        Raises ``UsageError`` where the last axis is not as long as ``shape_names``.
+        """
+        count = len(self.shape_names)
+        shape = np.zeros(count) if shape is None else np.asarray(shape, dtype=float)
+        if shape.ndim == 0 or shape.shape[-1] != count:
+            raise UsageError(f"{self.name} hand: got a shape of size {shape.shape}, expected (..., {count})")
+        return ShapedHand(
+            model=self,
+            vertices=self.template + np.tensordot(shape, self.shape_directions, axes=(-1, 2)),
+            joints=self.joints + np.tensordot(shape, self.joint_directions, axes=(-1, 2)),
+        )
+
+    @property
+    def tip_directions(self) -> Float[ndarray, "5 3 S"]:
+        """Displacement of the fingertips per unit of each shape parameter [m]."""
+        return self.shape_directions[self.tips]
+
+
+@dataclass(frozen=True)
+class ShapedHand:
+    """A flat hand of given shape."""
+
+    model: HandModel
+    vertices: Float[ndarray, "*batch V 3"]
+    joints: Float[ndarray, "*batch 16 3"]
+
+    def with_pose(self, pose: Float[ndarray, "*batch 45"] | None = None) -> PosedHand:
+        """The hand with its fingers turned; the flat hand when no pose is given.
+
+        ``pose`` holds a rotation vector [rad] for each joint but the wrist, in MANO's order, relative to the flat hand
+        and in its axes. Raises ``UsageError`` where the last axis is not of length 45.
+        """
+        model = self.model
+        pose = np.zeros(45) if pose is None else np.asarray(pose, dtype=float)
+        if pose.ndim == 0 or pose.shape[-1] != 45:
+            raise UsageError(f"{model.name} hand: got a pose of size {pose.shape}, expected (..., 45)")
+        R = se3.exp_so3(pose.reshape(*pose.shape[:-1], 15, 3))
+        vertices = self.vertices
+        if model.pose_directions is not None:
+            bends = (R - np.eye(3)).reshape(*R.shape[:-3], 135)
+            vertices = vertices + np.tensordot(bends, model.pose_directions, axes=(-1, 2))
+        T = joint_transforms(R, self.joints)
+        moved = skin(vertices, model.weights, T, self.joints)
+        skeleton = np.concatenate([T[..., :3, 3], moved[..., model.tips, :]], axis=-2)
+        return PosedHand(model.side, moved, model.faces, skeleton[..., ORDER_21, :], model.regions)
+
+
+ORDER_21 = np.array([0] + [i for n, knuckle in enumerate(KNUCKLES) for i in (*range(knuckle, knuckle + 3), 16 + n)])
+"""Where each of the 21 joints stands among the 16 joints followed by the five fingertips."""
+
+
+def joint_transforms(
+    R: Float[ndarray, "*#batch 15 3 3"], joints: Float[ndarray, "*#batch 16 3"]
+) -> Float[ndarray, "*batch 16 4 4"]:
+    """Frames of the joints in the hand frame, ``T_hand_joint``; with R = I they differ from it by a translation only."""
+    batch = np.broadcast_shapes(R.shape[:-3], joints.shape[:-2])
+    T = np.empty((*batch, 16, 4, 4))
+    T[..., 0, :, :] = se3.rigid(None, joints[..., 0, :])
+    for child, parent in enumerate(PARENTS):
+        if parent >= 0:
+            step = se3.rigid(R[..., child - 1, :, :], joints[..., child, :] - joints[..., parent, :])
+            T[..., child, :, :] = T[..., parent, :, :] @ step
+    return T
+
+
+def skin(
+    vertices: Float[ndarray, "*#batch V 3"],
+    weights: Float[ndarray, "V joints"],
+    T: Float[ndarray, "*#batch joints 4 4"],
+    joints: Float[ndarray, "*#batch joints 3"],
+) -> Float[ndarray, "*batch V 3"]:
+    """Linear blend skinning: each vertex moves with the mean, by its weights, of the joints' motions since rest.
+
+    ``T`` maps joint frames into the hand frame; ``joints`` are their origins at rest, where their axes are the hand's.
+    """
+    motion = np.array(np.broadcast_to(T, (*np.broadcast_shapes(T.shape[:-3], joints.shape[:-2]), *T.shape[-3:])))
+    motion[..., :3, 3] -= (T[..., :3, :3] @ joints[..., None])[..., 0]
+    rows = motion[..., :3, :].reshape(*motion.shape[:-2], 12)
+    blend = (weights @ rows).reshape(*rows.shape[:-2], len(weights), 3, 4)
+    return (blend[..., :3] @ vertices[..., None])[..., 0] + blend[..., 3]
+
+
+def root_transform(
+    R: Float[ndarray, "*#batch 3 3"], t: Float[ndarray, "*#batch 3"], root: Float[ndarray, "*#batch 3"]
+) -> Float[ndarray, "*batch 4 4"]:
+    """``T_cam_hand`` of MANO's global rotation R and translation t [m], which turn the hand about its root joint J0."""
+    return se3.rigid(R, root - (R @ root[..., None])[..., 0] + t)
+
+
+def mirrored(points: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3"]:
+    """Points of a right hand in the frame of the left one, and back."""
+    return points * MIRROR
+
+
+def mirrored_pose(pose: Float[ndarray, "*batch 45"]) -> Float[ndarray, "*batch 45"]:
+    """The pose of the other hand that is its mirror image (rotation vectors are axial: y and z change sign)."""
+    return pose * np.tile([1.0, -1.0, -1.0], 15)
+
+
+def mirrored_model(model: HandModel) -> HandModel:
+    """The same hand of the other side."""
+    return HandModel(
+        name=model.name,
+        side="left" if model.side == "right" else "right",
+        template=mirrored(model.template),
+        faces=model.faces[:, ::-1].copy(),
+        joints=mirrored(model.joints),
+        weights=model.weights,
+        tips=model.tips,
+        regions=model.regions,
+        shape_names=model.shape_names,
+        shape_directions=model.shape_directions * MIRROR[:, None],
+        joint_directions=model.joint_directions * MIRROR[:, None],
+        pose_directions=None,
+    )
+
+
+def hand_track(posed: PosedHand, T_cam_hand: Float[ndarray, "T 4 4"]) -> HandTrack:
+    """A hand in every frame, as clips hold it; one posed hand serves all frames where it has no batch axis.
+
+    Raises ``UsageError`` where the hands are neither one nor as many as the frames, or ``T_cam_hand`` is not rigid.
+    """
+    T = len(T_cam_hand)
+    if posed.vertices.shape[:-2] not in {(), (1,), (T,)}:
+        raise UsageError(f"got hands of size {posed.vertices.shape} for {T} frames, expected ({T}, V, 3) or (V, 3)")
+    if T_cam_hand.shape != (T, 4, 4) or not se3.is_rigid(T_cam_hand).all():
+        raise UsageError(f"got T_cam_hand of size {T_cam_hand.shape}, expected ({T}, 4, 4) rigid motions")
+    return HandTrack(
+        vertices=np.array(np.broadcast_to(posed.vertices, (T, *posed.vertices.shape[-2:]))),
+        faces=posed.faces,
+        T_cam_hand=np.array(T_cam_hand, dtype=float),
+        regions=posed.regions,
+        joints=np.array(np.broadcast_to(posed.joints, (T, 21, 3))),
+    )
