@@ -1,0 +1,94 @@
+"""A z-buffer: the depth and the face seen at every pixel centre. For true masks and pictures, not for fitting.
+
+Triangles are rasterised in homogeneous coordinates (Olano and Greer, "Triangle Scan Conversion using 2D Homogeneous
+Coordinates", 1997). With p_i = K X_i the corners of a face, the ray through pixel q = (u, v, 1) meets its plane where
+sum_i b_i p_i = z q, sum_i b_i = 1. So a = [p_0 p_1 p_2]^-1 q is b / z: the pixel is inside the face when no a_i is
+negative, and 1 / z = sum_i a_i. Nothing is divided by the depth of a corner, so faces that reach behind the camera
+need no clipping: what lies nearer than ``NEAR`` is dropped pixel by pixel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Float32, Int, Int32
+from numba import njit
+from numpy import ndarray
+
+NEAR = 0.02
+"""Nothing nearer than this is drawn [m]."""
+
+
+def depth_and_face(
+    vertices_cam: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], K: Float[ndarray, "3 3"], size: tuple[int, int]
+) -> tuple[Float32[ndarray, "H W"], Int32[ndarray, "H W"]]:
+    """Depth z [m] of the nearest surface (infinity: nothing) and its face (-1: nothing), both sides of faces drawn.
+
+    ``vertices_cam`` are in the camera frame [m], ``size`` is (width, height) [px]. Pixels are taken at their centres;
+    of faces at the same depth the first is kept.
+    """
+    width, height = size
+    depth = np.full((height, width), np.inf, dtype=np.float32)
+    face = np.full((height, width), -1, dtype=np.int32)
+    corners = np.ascontiguousarray(vertices_cam @ K.T, dtype=np.float64)
+    _rasterise(corners, np.ascontiguousarray(faces, dtype=np.int64), depth, face)
+    return depth, face
+
+
+def barycentric(
+    vertices_cam: Float[ndarray, "V 3"],
+    faces: Int[ndarray, "F 3"],
+    K: Float[ndarray, "3 3"],
+    face: Int[ndarray, "H W"],
+) -> Float[ndarray, "n 3"]:
+    """Weights of the corners of the seen face, for every pixel with ``face >= 0`` in row-major order."""
+    rows, cols = np.nonzero(face >= 0)
+    q = np.stack([cols + 0.5, rows + 0.5, np.ones(len(rows))], axis=-1)
+    p = (vertices_cam @ K.T)[faces[face[rows, cols]]]
+    edges = np.cross(np.roll(p, -1, axis=1), np.roll(p, -2, axis=1))  # rows of the adjugate of [p_0 p_1 p_2]
+    a = np.einsum("nij,nj->ni", edges, q)
+    return np.asarray(a / a.sum(axis=1, keepdims=True))
+
+
+@njit(cache=True, nogil=True)
+def _rasterise(p: ndarray, faces: ndarray, depth: ndarray, face: ndarray) -> None:
+    height, width = depth.shape
+    for f in range(len(faces)):
+        p0, p1, p2 = p[faces[f, 0]], p[faces[f, 1]], p[faces[f, 2]]
+        nearest, farthest = min(p0[2], p1[2], p2[2]), max(p0[2], p1[2], p2[2])
+        if farthest < NEAR:
+            continue
+        left, right, top, bottom = 0, width, 0, height
+        if nearest >= NEAR:
+            u0, u1, u2 = p0[0] / p0[2], p1[0] / p1[2], p2[0] / p2[2]
+            v0, v1, v2 = p0[1] / p0[2], p1[1] / p1[2], p2[1] / p2[2]
+            # Clamped before the conversion: far outside the image a float may not fit an integer.
+            left = int(np.floor(min(max(min(u0, u1, u2) - 0.5, 0.0), float(width))))
+            right = int(np.ceil(min(max(max(u0, u1, u2) + 0.5, 0.0), float(width))))
+            top = int(np.floor(min(max(min(v0, v1, v2) - 0.5, 0.0), float(height))))
+            bottom = int(np.ceil(min(max(max(v0, v1, v2) + 0.5, 0.0), float(height))))
+        if left >= right or top >= bottom:
+            continue
+        # Row i of the adjugate: the edge opposite to corner i. Negated exactly in the face across the edge, so that no
+        # pixel falls between two faces.
+        a0x, a0y, a0z = p1[1] * p2[2] - p1[2] * p2[1], p1[2] * p2[0] - p1[0] * p2[2], p1[0] * p2[1] - p1[1] * p2[0]
+        a1x, a1y, a1z = p2[1] * p0[2] - p2[2] * p0[1], p2[2] * p0[0] - p2[0] * p0[2], p2[0] * p0[1] - p2[1] * p0[0]
+        a2x, a2y, a2z = p0[1] * p1[2] - p0[2] * p1[1], p0[2] * p1[0] - p0[0] * p1[2], p0[0] * p1[1] - p0[1] * p1[0]
+        volume = p0[0] * a0x + p0[1] * a0y + p0[2] * a0z
+        if volume == 0.0:  # seen edge-on, or no area
+            continue
+        sign = 1.0 if volume > 0.0 else -1.0
+        for i in range(top, bottom):
+            v = i + 0.5
+            r0, r1, r2 = sign * (a0y * v + a0z), sign * (a1y * v + a1z), sign * (a2y * v + a2z)
+            for j in range(left, right):
+                u = j + 0.5
+                b0, b1, b2 = sign * a0x * u + r0, sign * a1x * u + r1, sign * a2x * u + r2
+                if b0 < 0.0 or b1 < 0.0 or b2 < 0.0:
+                    continue
+                total = b0 + b1 + b2
+                if total <= 0.0:
+                    continue
+                z = sign * volume / total
+                if z >= NEAR and np.float32(z) < depth[i, j]:
+                    depth[i, j] = z
+                    face[i, j] = f

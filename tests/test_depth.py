@@ -1,0 +1,118 @@
+"""The z-buffer against a ray caster that tests every pixel against every face, and known answers."""
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from getagrip import se3
+from getagrip.kernels.depth import NEAR, barycentric, depth_and_face
+from getagrip.render import render_rgb, true_masks
+
+SIZE = (48, 36)
+K = np.array([[40.0, 0.0, 25.0], [0.0, 42.0, 17.0], [0.0, 0.0, 1.0]])
+
+
+def depth_reference(vertices_cam, faces, K, size):
+    """Moeller and Trumbore's test of every ray against every face."""
+    width, height = size
+    uv = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    rays = np.concatenate([uv, np.ones((height, width, 1))], axis=-1) @ np.linalg.inv(K).T
+    depth = np.full((height, width), np.inf)
+    face = np.full((height, width), -1)
+    for k, (a, b, c) in enumerate(vertices_cam[faces]):
+        h = np.cross(rays, c - a)
+        det = h @ (b - a)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            beta = -(h @ a) / det
+            q = np.cross(-a, b - a)
+            gamma = rays @ q / det
+            z = (c - a) @ q / det
+        hit = (beta >= 0) & (gamma >= 0) & (beta + gamma <= 1) & (z >= NEAR) & (z < depth)
+        depth[hit], face[hit] = z[hit], k
+    return depth, face
+
+
+def cube(centre, side=0.2, turn=(0.3, 0.5, 0.1)):
+    box = trimesh.creation.box(extents=[side] * 3)
+    R = se3.exp_so3(np.array(turn))
+    return box.vertices @ R.T + np.array(centre), np.asarray(box.faces)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.floats(-0.2, 1.0))
+def test_equals_the_ray_caster_also_through_the_near_plane(seed, distance):
+    rng = np.random.default_rng(seed)
+    vertices = rng.normal(size=(12, 3)) * [0.4, 0.3, 0.4] + [0.0, 0.0, distance]
+    faces = np.array([rng.choice(12, 3, replace=False) for _ in range(10)])
+    depth, face = depth_and_face(vertices, faces, K, SIZE)
+    expected, expected_face = depth_reference(vertices, faces, K, SIZE)
+    close = np.isclose(depth, expected, rtol=1e-5)
+    assert np.mean(close) > 0.995  # a pixel whose centre lies on an edge to the last digit may fall either way
+    same = face[close] == expected_face[close]
+    assert np.mean(same) > 0.995 or len(np.unique(np.sort(faces, axis=1), axis=0)) < len(faces)
+    assert np.all(np.isinf(depth[face < 0]))
+    assert np.all(depth >= np.float32(NEAR))
+
+
+def test_a_plane_has_its_depth_and_pixel_rule():
+    vertices = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0], [1.0, 1.0, 2.0], [0.0, 1.0, 2.0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    depth, face = depth_and_face(vertices, faces, np.diag([10.0, 10.0, 1.0]) , (8, 8))
+    assert np.all(depth[:5, :5] == 2.0)  # pixels with centres in [0, 5]^2
+    assert np.all(face[:5, :5] >= 0)
+    assert np.all(np.isinf(depth[5:]))
+    assert np.all(np.isinf(depth[:, 5:]))
+
+
+def test_closed_meshes_have_no_cracks():
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    size = (200, 200)
+    K = np.array([[300.0, 0.0, 100.0], [0.0, 300.0, 100.0], [0.0, 0.0, 1.0]])
+    _, face = depth_and_face(ball.vertices + np.array([0.0, 0.0, 0.4]), np.asarray(ball.faces), K, size)
+    u, v = np.meshgrid(np.arange(200) + 0.5 - 100, np.arange(200) + 0.5 - 100)
+    radius = 300.0 * 0.0995 / np.sqrt(0.4**2 - 0.0995**2)
+    assert np.all(face[u**2 + v**2 < radius**2] >= 0)
+
+
+def test_behind_the_camera_or_edge_on_draws_nothing():
+    vertices, faces = cube([0.0, 0.0, -0.5])
+    assert np.all(depth_and_face(vertices, faces, K, SIZE)[1] == -1)
+    edge_on = np.array([[0.0, 0.0, 0.5], [0.1, 0.0, 1.0], [-0.1, 0.0, 2.0]])
+    centred = np.array([[40.0, 0.0, 24.5], [0.0, 40.0, 17.5], [0.0, 0.0, 1.0]])
+    assert np.all(depth_and_face(edge_on, np.array([[0, 1, 2]]), centred, SIZE)[1] == -1)
+
+
+def test_barycentric_weights_give_back_depth():
+    vertices, faces = cube([0.05, 0.0, 0.5])
+    depth, face = depth_and_face(vertices, faces, K, SIZE)
+    weights = barycentric(vertices, faces, K, face)
+    z = np.einsum("nk,nk->n", weights, vertices[faces[face[face >= 0]], 2])
+    assert np.all(weights > -1e-9)
+    np.testing.assert_allclose(z, depth[face >= 0], rtol=1e-6)
+
+
+def test_masks_say_what_is_seen_and_what_is_hidden():
+    held, hand, wall = cube([0.0, 0.0, 0.6]), cube([0.1, 0.0, 0.4], 0.1), cube([0.0, 0.0, 2.0], 0.9)
+    seen, ignore = true_masks(held, [hand], [], K, SIZE)
+    alone = depth_and_face(*held, K, SIZE)[1] >= 0
+    assert not np.any(seen & ignore)
+    np.testing.assert_array_equal(seen, alone & ~ignore)
+    np.testing.assert_array_equal(ignore, depth_and_face(*hand, K, SIZE)[1] >= 0)
+    # A wall behind hides nothing and changes nothing; the same cube in front as an object does.
+    np.testing.assert_array_equal(true_masks(held, [hand], [wall], K, SIZE)[1], ignore)
+    np.testing.assert_array_equal(true_masks(held, [], [hand], K, SIZE)[1], ignore)
+
+
+@pytest.mark.parametrize("background", [None, (0.0, 0.5, 1.0), np.full((36, 48, 3), 7, np.uint8)])
+def test_pictures_show_mesh_and_background(background):
+    vertices, faces = cube([0.0, 0.0, 0.6])
+    picture = render_rgb([(vertices, faces, (1.0, 0.0, 0.0))], K, SIZE, background)
+    empty = render_rgb([], K, SIZE, background)
+    assert picture.shape == (36, 48, 3)
+    outline = depth_and_face(vertices, faces, K, SIZE)[1] >= 0
+    assert np.all(picture[18, 24, 1:] == 0)
+    assert picture[18, 24, 0] > 80
+    np.testing.assert_array_equal(picture[0, 0], empty[0, 0])
+    assert np.count_nonzero((picture != empty).any(axis=-1)) >= 0.95 * np.count_nonzero(outline)
