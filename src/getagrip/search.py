@@ -1,0 +1,132 @@
+"""Multi-start, coarse-to-fine search: many rotations at low resolution and few frames, fewer and fewer at higher.
+
+Pruning waits until the wanted motion model has been fitted: on the energy of a static fit the right start is often lost.
+The axis of a hinge comes from the data: after a static fit, a fit with a small free deviation per frame, whose rotation
+vectors' principal direction is the axis. (Angle zero about any axis is a dead start: the energy does not see the axis.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.energy import Term
+from getagrip.motion import Fixed, Free, Hinge, Loose, Motion, left_jacobian, tangents
+from getagrip.solve import Solution, minimise
+
+M = TypeVar("M", bound=Motion)
+
+RIDGE = (2e5 / 16, 1.2e3 / 16)
+"""Stiffness of the deviations while the axis is looked for [px^2 per m^2, px^2 per rad^2]."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One resolution: how many frames, which level, how long, and how many hypotheses go on to the next."""
+
+    level: int
+    frames: int
+    iterations: int
+    keep: int
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """The whole search."""
+
+    static_iterations: int = 4
+    loose_iterations: int = 3
+    stages: tuple[Stage, ...] = (
+        Stage(level=64, frames=8, iterations=5, keep=16),
+        Stage(level=64, frames=15, iterations=6, keep=6),
+        Stage(level=128, frames=30, iterations=8, keep=4),
+        Stage(level=256, frames=30, iterations=8, keep=4),
+    )
+
+
+TermsAt = Callable[[Stage, Int[ndarray, "n"]], Sequence[Term]]
+"""The energy of a stage at some of the frames."""
+
+
+def spread(frames: int, wanted: int) -> Int[ndarray, "n"]:
+    """Indices of ``wanted`` frames, linearly spread, the ends included; all of them if there are fewer."""
+    return np.unique(np.round(np.linspace(0, frames - 1, min(wanted, frames))).astype(int))
+
+
+def hinge_from(loose: Loose, free_location: bool, anchor: Float[ndarray, "3"]) -> Hinge:
+    """The hinge nearest to a loose fit: principal direction of its rotation vectors, angles along it.
+
+    With ``free_location`` the line passes where the deviations' translations ask for, held near the object's centre by a
+    ridge; otherwise through ``anchor`` (hand frame, m).
+    """
+    v, w = loose.deviation[..., :3], loose.deviation[..., 3:]
+    mean = w.mean(axis=1, keepdims=True)
+    _, _, Vt = np.linalg.svd(w - mean)
+    direction = Vt[:, 0]
+    angle = np.sum((w - mean) * direction[:, None], axis=-1)
+    offset = v - v.mean(axis=1, keepdims=True)
+    centre = loose.centre + v.mean(axis=1)
+    if free_location:
+        # v_n = angle_n d x (centre - point): least squares for the arm, 5 cm as likely as 5 degrees of noise.
+        arm = np.cross(np.sum(angle[..., None] * offset, axis=1), direction)
+        arm /= np.sum(angle**2, axis=1)[:, None] + v.shape[1] * np.radians(5.0) ** 2
+        reach = np.linalg.norm(arm, axis=1, keepdims=True)
+        point = centre - arm * np.minimum(1.0, 0.1 / np.maximum(reach, 1e-9))
+    else:
+        point = np.broadcast_to(anchor, centre.shape).copy()
+    R = se3.exp_so3(mean[:, 0]) @ loose.R
+    return Hinge(R, centre, loose.log_scale, point, direction, angle, loose.free_scale, free_location)
+
+
+def resampled(motion: M, old: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> M:
+    """The motion at other frames: per-frame parameters interpolated linearly, rotations to the nearest frame's."""
+    from dataclasses import replace
+
+    if isinstance(motion, Fixed):
+        return replace(motion, frames=len(new))
+    if isinstance(motion, Hinge):
+        return replace(motion, angle=np.stack([np.interp(new, old, a) for a in motion.angle]))
+    if isinstance(motion, Free):
+        nearest = np.abs(new[:, None] - old[None]).argmin(axis=1)
+        return replace(motion, R=motion.R[:, nearest], centre=motion.centre[:, nearest])
+    raise TypeError(type(motion))
+
+
+def best(solution: Solution[M], keep: int) -> ndarray:
+    """Indices of the lowest energies."""
+    return np.argsort(solution.energy, kind="stable")[:keep]
+
+
+def search(
+    starts: Fixed,
+    model: Callable[[Loose], M],
+    terms_at: TermsAt,
+    T_cam_hand: Float[ndarray, "N 4 4"],
+    schedule: Schedule,
+) -> Solution[M]:
+    """Run the stages from B starting poses; the solutions of the last stage, best first."""
+    N = len(T_cam_hand)
+    first = schedule.stages[0]
+    index = spread(N, first.frames)
+    terms = terms_at(first, index)
+    T = T_cam_hand[index]
+    static = minimise(Fixed(starts.R, starts.centre, starts.log_scale, len(index), starts.free_scale), terms, T,
+                      schedule.static_iterations)  # fmt: skip
+    m = static.motion
+    loose = Loose(m.R, m.centre, m.log_scale, np.zeros((len(m.R), len(index), 6)), RIDGE, m.free_scale)
+    motion = model(minimise(loose, terms, T, schedule.loose_iterations).motion)
+    for k, stage in enumerate(schedule.stages):
+        if k:
+            wanted = spread(N, stage.frames)
+            motion, index = resampled(motion, index, wanted), wanted
+            terms = terms_at(stage, index)
+        solution = minimise(motion, terms, T_cam_hand[index], stage.iterations)
+        order = best(solution, stage.keep)
+        motion = solution.motion.take(order)
+    return solution
