@@ -1,0 +1,166 @@
+"""The skin of the generic hand: a smooth implicit surface around its bones, and its triangulation.
+
+The surface is the zero level of a smooth union (polynomial smooth minimum: I. Quilez, "Smooth minimum", 2013) of round
+cones and ellipsoids. ``python -m getagrip.hands.generic_surface`` triangulates it and writes ``generic_hand.npz``, the
+file that ``generic.load`` reads; the result depends on nothing but this package's sources.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.hands.generic_skeleton import WRIST, metacarpal_base, rest_fingers
+from getagrip.mesh import Mesh
+
+FILE = Path(__file__).with_name("generic_hand.npz")
+GRID = 0.0016
+"""Cell size of the first triangulation [m]."""
+FACES = 1700
+"""Number of triangles aimed at."""
+WRIST_CUT = 0.010
+"""The hand ends so far behind the wrist joint [m]."""
+
+BACK = np.array([0.0, 1.0, 0.0])
+
+
+def distance(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
+    """Approximate signed distance [m] to the skin of the flat right hand; negative inside."""
+    hand = _palm(X)
+    fingers = rest_fingers()
+    for name, finger in fingers.items():
+        flesh = np.full(len(X), np.inf)
+        for k in range(3):
+            part = _round_cone(X, finger.points[k : k + 2], finger.axes[k], finger.breadth[k : k + 2],
+                               finger.depth[k : k + 2], tip=k == 2)
+            flesh = _smooth_min(flesh, part, 0.003)
+        pad = finger.points[2] + 0.62 * (finger.points[3] - finger.points[2]) - 0.0022 * finger.axes[2, 2]
+        size = np.array([0.42 * np.linalg.norm(finger.points[3] - finger.points[2]), 0.86 * finger.breadth[3], 0.0055])
+        flesh = _smooth_min(flesh, _ellipsoid(X, pad, finger.axes[2], size), 0.004)
+        hand = _smooth_min(hand, flesh, 0.016 if name == "thumb" else 0.007)
+    beyond = X[:, 0] - (WRIST[0] + WRIST_CUT)
+    return -_smooth_min(-hand, -beyond, 0.004)
+
+
+def _palm(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
+    fingers = rest_fingers()
+    palm = np.full(len(X), np.inf)
+    for name in ("index", "middle", "ring", "pinky"):
+        base, knuckle = metacarpal_base(name), fingers[name].points[0]
+        ends = np.array([base - 0.004 * BACK, knuckle - 0.0025 * BACK])
+        palm = _smooth_min(
+            palm, _round_cone(X, ends, _axes(ends), np.array([0.0115, 0.0112]), np.array([0.0150, 0.0125])), 0.010
+        )
+    thumb = fingers["thumb"]
+    # The ball of the thumb and the edge of the hand: the muscles of thumb and little finger.
+    ball = 0.45 * thumb.points[0] + 0.55 * thumb.points[1] + np.array([0.006, -0.002, -0.008])
+    palm = _smooth_min(palm, _ellipsoid(X, ball, thumb.axes[0], np.array([0.027, 0.015, 0.0135])), 0.010)
+    edge = np.array([[0.080, -0.010, -0.012], [0.040, -0.0085, -0.027]])
+    palm = _smooth_min(palm, _round_cone(X, edge, _axes(edge), np.array([0.0115, 0.0105]), np.array([0.011, 0.0095])),
+                       0.010)
+    # The fold between thumb and index finger.
+    fold = np.array([0.5 * (thumb.points[0] + thumb.points[1]), fingers["index"].points[0] + [0.020, -0.008, -0.002]])
+    palm = _smooth_min(palm, _round_cone(X, fold, _axes(fold), np.array([0.009, 0.009]), np.array([0.0075, 0.0075])),
+                       0.014)
+    wrist = WRIST + np.array([[0.03, -0.003, -0.002], [-0.012, -0.004, -0.001]])
+    return _smooth_min(palm, _round_cone(X, wrist, _axes(wrist), np.array([0.0285, 0.0275]),
+                                         np.array([0.0190, 0.0175])), 0.012)
+
+
+def _axes(ends: Float[ndarray, "2 3"]) -> Float[ndarray, "3 3"]:
+    """Directions along a segment, across it, and towards the back of the hand."""
+    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    across = np.cross(BACK, along)
+    across /= np.linalg.norm(across)
+    return np.array([along, across, np.cross(along, across)])
+
+
+def _round_cone(
+    X: Float[ndarray, "N 3"],
+    ends: Float[ndarray, "2 3"],
+    axes: Float[ndarray, "3 3"],
+    breadth: Float[ndarray, "2"],
+    depth: Float[ndarray, "2"],
+    tip: bool = False,
+) -> Float[ndarray, "N"]:
+    """Round cone with elliptic section. A ``tip`` ends at the second point; otherwise that is the end's centre."""
+    length = float(np.linalg.norm(ends[1] - ends[0]))
+    local = (X - ends[0]) @ axes.T
+    reach = length - breadth[1] if tip else length
+    t = np.clip(local[:, 0] / reach, 0.0, 1.0)
+    b, d = breadth[0] + t * (breadth[1] - breadth[0]), depth[0] + t * (depth[1] - depth[0])
+    off = np.stack([local[:, 0] - t * reach, local[:, 1], local[:, 2] * b / d], axis=-1)
+    radius = np.linalg.norm(off, axis=-1)
+    # In the squeezed space the distance along the depth is too large by b / d; give it back in proportion.
+    squeeze = np.sqrt(off[:, 0] ** 2 + local[:, 1] ** 2 + local[:, 2] ** 2) / np.maximum(radius, 1e-12)
+    return (radius - b) * np.where(radius > 1e-9, squeeze, 1.0)
+
+
+def _ellipsoid(
+    X: Float[ndarray, "N 3"], centre: Float[ndarray, "3"], axes: Float[ndarray, "3 3"], size: Float[ndarray, "3"]
+) -> Float[ndarray, "N"]:
+    local = (X - centre) @ axes.T
+    k0 = np.linalg.norm(local / size, axis=-1)
+    k1 = np.linalg.norm(local / size**2, axis=-1)
+    return k0 * (k0 - 1.0) / np.maximum(k1, 1e-9)
+
+
+def _smooth_min(a: Float[ndarray, "N"], b: Float[ndarray, "N"], k: float) -> Float[ndarray, "N"]:
+    """Minimum of a and b, rounded where they differ by less than k."""
+    h = np.maximum(k - np.abs(np.where(np.isinf(a), 1e3, a) - b), 0.0) / k
+    return np.minimum(a, b) - h * h * k / 4.0
+
+
+def triangulate() -> Mesh:
+    """The closed triangle mesh of the surface: marching cubes, decimation, then vertices slid to an even spacing."""
+    import fast_simplification
+    import igl
+
+    low, high = np.array([-0.100, -0.056, -0.072]), np.array([0.114, 0.036, 0.104])
+    counts = np.ceil((high - low) / GRID).astype(int) + 1
+    axes = [low[k] + GRID * np.arange(counts[k]) for k in range(3)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3, order="C")
+    points = points.reshape(*counts, 3).transpose(2, 1, 0, 3).reshape(-1, 3)  # x fastest, as libigl wants it
+    values = distance(points)
+    vertices, faces = igl.marching_cubes(values, points, int(counts[0]), int(counts[1]), int(counts[2]), 0.0)[:2]
+    v, f = fast_simplification.simplify(
+        vertices.astype(np.float32), faces.astype(np.int32), target_count=FACES, agg=5.0
+    )
+    v, f = np.asarray(v, dtype=float), np.asarray(f, dtype=np.int64)
+    for _ in range(25):
+        v = project(slide(v, f))
+    mesh = Mesh(v, f)
+    return mesh if mesh.volume > 0 else Mesh(v, f[:, ::-1].copy())
+
+
+def gradient(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N 3"]:
+    """Gradient of ``distance``, by central differences."""
+    h = 1e-5 * np.eye(3)
+    return np.stack([distance(X + e) - distance(X - e) for e in h], axis=-1) / 2e-5
+
+
+def project(X: Float[ndarray, "N 3"], steps: int = 3) -> Float[ndarray, "N 3"]:
+    """Points moved onto the surface by Newton steps along the gradient."""
+    for _ in range(steps):
+        g = gradient(X)
+        X = X - (distance(X) / np.sum(g * g, axis=1))[:, None] * g
+    return X
+
+
+def slide(v: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> Float[ndarray, "V 3"]:
+    """Vertices moved half way to the mean of their neighbours' face centres, weighted by area."""
+    corners = v[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    centre = corners.mean(axis=1) * area[:, None]
+    total = np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(v))
+    mean = np.stack([np.bincount(faces.ravel(), np.repeat(centre[:, k], 3), minlength=len(v)) for k in range(3)], 1)
+    return 0.5 * v + 0.5 * mean / total[:, None]
+
+
+if __name__ == "__main__":
+    mesh = triangulate()
+    np.savez_compressed(FILE, vertices=mesh.vertices.astype(np.float32), faces=mesh.faces.astype(np.int16))
+    print(f"{FILE.name}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces, closed: {mesh.is_closed}")
