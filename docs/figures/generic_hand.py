@@ -57,7 +57,7 @@ def main() -> None:
     tiles = [
         (draw(flat, (0, -1, 0), up, pads=True), "right, palm and contact regions"),
         (draw(flat, (0, 1, 0), up), "right, back"),
-        (draw(left.with_pose(), (0, -1, 0), up), "left, palm"),
+        (draw(left.with_pose(), (0, -1, 0), (1, 0, 0)), "left, palm"),
         (draw(flat, (0, 0, 1), up), "thumb side"),
         (draw(flat, (0, 0, -1), up), "edge"),
         (draw(flat, (-1, -0.1, 0), (0, 1, 0)), "from the fingertips"),

@@ -51,7 +51,7 @@ CARPUS = {"index": (27.0, 9.5), "middle": (31.0, 0.5), "ring": (31.0, -8.0), "pi
 """Bases of the metacarpals: beyond the wrist, and towards the thumb [mm]."""
 KNUCKLE = {"index": (-2.0, 24.0), "middle": (0.0, 1.5), "ring": (-1.5, -19.5), "pinky": (-5.0, -38.5)}
 """Knuckles: towards the back of the hand, and towards the thumb [mm]."""
-FAN = {"index": 5.0, "middle": -0.5, "ring": -6.5, "pinky": -14.0}
+FAN = {"index": 7.0, "middle": 0.5, "ring": -6.5, "pinky": -15.0}
 """Directions of the fingers, towards the thumb [degrees]."""
 CURL = (3.0, 6.0, 5.0)
 """How much each joint of a resting flat finger bends [degrees]."""

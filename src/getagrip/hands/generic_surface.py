@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.hands.generic_skeleton import WRIST, metacarpal_base, rest_fingers
@@ -19,10 +19,17 @@ from getagrip.mesh import Mesh
 FILE = Path(__file__).with_name("generic_hand.npz")
 GRID = 0.0016
 """Cell size of the first triangulation [m]."""
-FACES = 1700
-"""Number of triangles aimed at."""
+VERTICES = 880
+"""Number of vertices; a closed surface without holes has twice as many faces, less four."""
+NORMAL_WEIGHT = 0.008
+"""What a unit of normal counts when patches are formed [m]."""
+MAGNIFY = 1.0
+"""How much space is stretched at the fingertips."""
 WRIST_CUT = 0.010
 """The hand ends so far behind the wrist joint [m]."""
+
+WAIST = 0.05
+"""How much thinner bones are at their middle than at the joints."""
 
 BACK = np.array([0.0, 1.0, 0.0])
 
@@ -91,7 +98,8 @@ def _round_cone(
     local = (X - ends[0]) @ axes.T
     reach = length - breadth[1] if tip else length
     t = np.clip(local[:, 0] / reach, 0.0, 1.0)
-    b, d = breadth[0] + t * (breadth[1] - breadth[0]), depth[0] + t * (depth[1] - depth[0])
+    waist = 1.0 - WAIST * np.sin(np.pi * t) ** 2
+    b, d = (waist * (r[0] + t * (r[1] - r[0])) for r in (breadth, depth))
     off = np.stack([local[:, 0] - t * reach, local[:, 1], local[:, 2] * b / d], axis=-1)
     radius = np.linalg.norm(off, axis=-1)
     # In the squeezed space the distance along the depth is too large by b / d; give it back in proportion.
@@ -115,25 +123,43 @@ def _smooth_min(a: Float[ndarray, "N"], b: Float[ndarray, "N"], k: float) -> Flo
 
 
 def triangulate() -> Mesh:
-    """The closed triangle mesh of the surface: marching cubes, decimation, then vertices slid to an even spacing."""
-    import fast_simplification
-    import igl
+    """The closed triangle mesh of the surface: marching cubes, then the dual of evenly grown patches of it.
 
-    low, high = np.array([-0.100, -0.056, -0.072]), np.array([0.114, 0.036, 0.104])
+    The patches are the cells of Lloyd's algorithm on the points of the fine mesh (Valette, Chassery, "Approximated
+    Centroidal Voronoi Diagrams for Uniform Polygonal Mesh Coarsening", 2004). Space is magnified around the fingertips
+    first, so that they get smaller triangles, and normals count as well, so that thin parts keep both their sides.
+    """
+    import igl
+    from scipy.spatial import cKDTree
+
+    low, high = np.array([-0.100, -0.056, -0.072]), np.array([0.114, 0.036, 0.110])
     counts = np.ceil((high - low) / GRID).astype(int) + 1
-    axes = [low[k] + GRID * np.arange(counts[k]) for k in range(3)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3, order="C")
-    points = points.reshape(*counts, 3).transpose(2, 1, 0, 3).reshape(-1, 3)  # x fastest, as libigl wants it
-    values = distance(points)
-    vertices, faces = igl.marching_cubes(values, points, int(counts[0]), int(counts[1]), int(counts[2]), 0.0)[:2]
-    v, f = fast_simplification.simplify(
-        vertices.astype(np.float32), faces.astype(np.int32), target_count=FACES, agg=5.0
-    )
-    v, f = np.asarray(v, dtype=float), np.asarray(f, dtype=np.int64)
-    for _ in range(25):
-        v = project(slide(v, f))
-    mesh = Mesh(v, f)
-    return mesh if mesh.volume > 0 else Mesh(v, f[:, ::-1].copy())
+    z, y, x = (low[k] + GRID * np.arange(counts[k]) for k in (2, 1, 0))
+    grid = np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], axis=-1).reshape(-1, 3)  # x fastest, as libigl wants it
+    fine, triangles = igl.marching_cubes(distance(grid), grid, *(int(n) for n in counts), 0.0)[:2]
+    normals = gradient(fine)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    features = np.concatenate([magnified(fine), NORMAL_WEIGHT * normals], axis=1)
+    centres = features[np.random.default_rng(0).choice(len(fine), VERTICES, replace=False)]
+    for _ in range(60):
+        patch = cKDTree(centres).query(features)[1]
+        size = np.bincount(patch, minlength=VERTICES)[:, None]
+        centres = np.stack([np.bincount(patch, column, VERTICES) for column in features.T], axis=1) / size
+    vertices = project(np.stack([np.bincount(patch, column, VERTICES) for column in fine.T], axis=1) / size)
+    faces = patch[triangles]
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    faces = faces[np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]]
+    mesh = Mesh(vertices, faces)
+    return mesh if mesh.volume > 0 else Mesh(vertices, faces[:, ::-1].copy())
+
+
+def magnified(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N 3"]:
+    """Space stretched around the fingertips."""
+    out = X.copy()
+    for finger in rest_fingers().values():
+        arm = X - finger.points[3]
+        out += MAGNIFY * np.exp(-np.sum(arm**2, axis=1, keepdims=True) / 0.016**2) * arm
+    return out
 
 
 def gradient(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N 3"]:
@@ -148,16 +174,6 @@ def project(X: Float[ndarray, "N 3"], steps: int = 3) -> Float[ndarray, "N 3"]:
         g = gradient(X)
         X = X - (distance(X) / np.sum(g * g, axis=1))[:, None] * g
     return X
-
-
-def slide(v: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> Float[ndarray, "V 3"]:
-    """Vertices moved half way to the mean of their neighbours' face centres, weighted by area."""
-    corners = v[faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    centre = corners.mean(axis=1) * area[:, None]
-    total = np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(v))
-    mean = np.stack([np.bincount(faces.ravel(), np.repeat(centre[:, k], 3), minlength=len(v)) for k in range(3)], 1)
-    return 0.5 * v + 0.5 * mean / total[:, None]
 
 
 if __name__ == "__main__":
