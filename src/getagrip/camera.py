@@ -9,7 +9,9 @@ from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
 
-def project(K: Float[ndarray, "*#batch 3 3"], X_cam: Float[ndarray, "*#batch points 3"]) -> Float[ndarray, "*batch points 2"]:
+def project(
+    K: Float[ndarray, "*#batch 3 3"], X_cam: Float[ndarray, "*#batch points 3"]
+) -> Float[ndarray, "*batch points 2"]:
     """Pixel coordinates (u, v) of points in the camera frame [m]."""
     uvw = X_cam @ np.swapaxes(K, -1, -2)
     return uvw[..., :2] / uvw[..., 2:]

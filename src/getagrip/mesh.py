@@ -91,8 +91,8 @@ def vertex_normals(vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "
     for sums, rows in zip(out, flat, strict=True):
         for k in range(3):
             sums[:, k] = np.bincount(faces.ravel(), rows[:, k], minlength=vertices.shape[-2])
-    out = out.reshape(vertices.shape)
-    return out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-300)
+    normals = out.reshape(vertices.shape)
+    return normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-300)
 
 
 def edge_table(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:

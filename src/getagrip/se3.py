@@ -90,7 +90,9 @@ def inverse(T: Float[ndarray, "*batch 4 4"]) -> Float[ndarray, "*batch 4 4"]:
     return rigid(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
 
 
-def transform(T: Float[ndarray, "*#batch 4 4"], X: Float[ndarray, "*#batch points 3"]) -> Float[ndarray, "*batch points 3"]:
+def transform(
+    T: Float[ndarray, "*#batch 4 4"], X: Float[ndarray, "*#batch points 3"]
+) -> Float[ndarray, "*batch points 3"]:
     """Points X of frame b in frame a, for ``T = T_a_b``."""
     return X @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
 
@@ -119,9 +121,7 @@ def nearest_rotation(M: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 
     return U @ Vt
 
 
-def angle_between(
-    Ra: Float[ndarray, "*#batch 3 3"], Rb: Float[ndarray, "*#batch 3 3"]
-) -> Float[ndarray, "*batch"]:
+def angle_between(Ra: Float[ndarray, "*#batch 3 3"], Rb: Float[ndarray, "*#batch 3 3"]) -> Float[ndarray, "*batch"]:
     """Angle [rad] of the rotation that takes one rotation matrix to the other."""
     return np.asarray(np.linalg.norm(log_so3(np.swapaxes(Ra, -1, -2) @ Rb), axis=-1))
 

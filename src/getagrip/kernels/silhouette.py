@@ -26,10 +26,10 @@ _ZERO = np.uint64(0)
 
 
 @intrinsic
-def popcount(typingctx, word):  # type: ignore[no-untyped-def]  # noqa: ARG001
+def popcount(typingctx, word):
     """Number of bits set in a 64-bit word."""
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]  # noqa: ARG001
+    def codegen(context, builder, signature, args):
         return builder.ctpop(args[0])
 
     return types.uint64(types.uint64), codegen

@@ -1,0 +1,63 @@
+# Everything from a fresh clone, with Python 3.11+ (and its venv module) and make: `make demo`, `make test`.
+# Where packages come from is pip's own configuration; nothing here names an index.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+SOURCES := $(shell find src -name '*.py')
+
+.PHONY: help demo test check lint imports types lock clean
+
+help:
+	@echo "make demo    install, then reconstruct and evaluate a synthetic clip into out/demo"
+	@echo "make test    install, then run the tests"
+	@echo "make check   lint, layering and types"
+	@echo "make lock    recompile requirements.lock from pyproject.toml"
+	@echo "make clean   remove the virtual environment and all caches"
+
+demo: $(VENV)/warm
+	$(BIN)/getagrip demo --out out/demo
+
+test: $(VENV)/installed
+	$(BIN)/python -m pytest
+
+check: lint imports types
+
+lint: $(VENV)/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+imports: $(VENV)/installed
+	$(BIN)/lint-imports --no-cache
+
+types: $(VENV)/installed
+	$(BIN)/mypy
+
+# Only wheels, pinned and hash-checked; the package itself is linked, built by the locked back end.
+$(VENV)/installed: requirements.lock pyproject.toml | $(BIN)/python
+	$(PIP) install --require-hashes --only-binary :all: -r requirements.lock
+	$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "getagrip needs Python 3.11 or later; name one: make PYTHON=python3.12 ..." >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+# numba does not see that a kernel in another file changed, so compiled kernels are dropped whenever a source is newer.
+# A failure here is told but no obstacle: the kernels are then compiled when first used.
+$(VENV)/warm: $(VENV)/installed $(SOURCES)
+	@find src -name '*.nb[ci]' -delete
+	$(BIN)/getagrip doctor || echo "getagrip doctor found something wrong; see above" >&2
+	@touch $@
+
+lock:
+	@test -x $(BIN)/python || $(MAKE) $(BIN)/python
+	@test -x $(BIN)/uv || $(PIP) install uv
+	$(BIN)/uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --generate-hashes --no-build \
+		--no-header --no-annotate --no-emit-index-url --no-emit-find-links --upgrade --quiet --output-file requirements.lock
+
+clean:
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
