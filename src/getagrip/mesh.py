@@ -195,7 +195,7 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
 
 
 def decimate(mesh: Mesh, faces: int) -> Mesh:
-    """A mesh of about ``faces`` faces with nearly the same outline (quadric edge collapse); the mesh itself if smaller."""
+    """A mesh of about ``faces`` faces with nearly the same outline (quadric edge collapse), or the mesh itself."""
     if len(mesh.faces) <= faces:
         return mesh
     import fast_simplification
