@@ -137,10 +137,8 @@ def contact_regions(
     regions = {}
     for name, finger in fingers.items():
         local = (vertices - finger.points[2]) @ finger.axes[2].T
-        length = np.linalg.norm(finger.points[3] - finger.points[2])
-        across = np.abs(local[:, 1]) < 1.3 * finger.breadth[2]
-        pad = (local[:, 0] > 0.12 * length) & (normals @ finger.axes[2, 2] < -0.25) & across & (local[:, 2] > -0.02)
-        regions[name] = np.flatnonzero(pad)
+        near = _distance_to_chain(vertices, finger.points[2:]) < 1.3 * finger.breadth[2]
+        regions[name] = np.flatnonzero(near & (local[:, 0] > 0.0) & (normals @ finger.axes[2, 2] < 0.1))
     x, _, z = vertices.T
     roots = np.stack([f.points[0] for name, f in fingers.items() if name != "thumb"])
     behind = x - np.interp(z, roots[::-1, 2], roots[::-1, 0])  # behind the line of the knuckles

@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.hands.generic_skeleton import WRIST, metacarpal_base, rest_fingers
@@ -19,12 +19,12 @@ from getagrip.mesh import Mesh
 FILE = Path(__file__).with_name("generic_hand.npz")
 GRID = 0.0016
 """Cell size of the first triangulation [m]."""
-VERTICES = 880
+VERTICES = 950
 """Number of vertices; a closed surface without holes has twice as many faces, less four."""
 NORMAL_WEIGHT = 0.008
 """What a unit of normal counts when patches are formed [m]."""
-MAGNIFY = 1.0
-"""How much space is stretched at the fingertips."""
+FINER = 1.6
+"""How much shorter edges are at the fingertips."""
 WRIST_CUT = 0.010
 """The hand ends so far behind the wrist joint [m]."""
 
@@ -126,11 +126,10 @@ def triangulate() -> Mesh:
     """The closed triangle mesh of the surface: marching cubes, then the dual of evenly grown patches of it.
 
     The patches are the cells of Lloyd's algorithm on the points of the fine mesh (Valette, Chassery, "Approximated
-    Centroidal Voronoi Diagrams for Uniform Polygonal Mesh Coarsening", 2004). Space is magnified around the fingertips
-    first, so that they get smaller triangles, and normals count as well, so that thin parts keep both their sides.
+    Centroidal Voronoi Diagrams for Uniform Polygonal Mesh Coarsening", 2004): there density goes with the square root of the
+    weight. Normals count as well, so that thin parts keep both their sides.
     """
     import igl
-    from scipy.spatial import cKDTree
 
     low, high = np.array([-0.100, -0.056, -0.072]), np.array([0.114, 0.036, 0.110])
     counts = np.ceil((high - low) / GRID).astype(int) + 1
@@ -139,27 +138,51 @@ def triangulate() -> Mesh:
     fine, triangles = igl.marching_cubes(distance(grid), grid, *(int(n) for n in counts), 0.0)[:2]
     normals = gradient(fine)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    features = np.concatenate([magnified(fine), NORMAL_WEIGHT * normals], axis=1)
-    centres = features[np.random.default_rng(0).choice(len(fine), VERTICES, replace=False)]
+    features, weight = np.concatenate([fine, NORMAL_WEIGHT * normals], axis=1), fineness(fine) ** 4
+    for seed in range(20):  # a start now and then ends with a patch that is no disc, and the dual is then not closed
+        patch = _patches(features, weight, seed)
+        vertices = project(_means(fine, patch, weight))
+        for finger in rest_fingers().values():
+            vertices[np.argmin(np.linalg.norm(vertices - finger.points[3], axis=1))] = project(finger.points[3:])[0]
+        mesh = _dual(vertices, patch[triangles])
+        if mesh.is_closed and len(mesh.faces) == 2 * VERTICES - 4:
+            return mesh
+    raise RuntimeError("no start gave a closed mesh; change VERTICES")
+
+
+def _patches(features: Float[ndarray, "N 6"], weight: Float[ndarray, "N"], seed: int) -> Int[ndarray, "N"]:
+    """The patch of each point: Lloyd's algorithm from random points."""
+    from scipy.spatial import cKDTree
+
+    share = np.sqrt(weight) / np.sqrt(weight).sum()
+    centres = features[np.random.default_rng(seed).choice(len(features), VERTICES, replace=False, p=share)]
     for _ in range(60):
         patch = cKDTree(centres).query(features)[1]
-        size = np.bincount(patch, minlength=VERTICES)[:, None]
-        centres = np.stack([np.bincount(patch, column, VERTICES) for column in features.T], axis=1) / size
-    vertices = project(np.stack([np.bincount(patch, column, VERTICES) for column in fine.T], axis=1) / size)
-    faces = patch[triangles]
-    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+        centres = _means(features, patch, weight)
+    return np.asarray(patch)
+
+
+def _means(points: Float[ndarray, "N d"], patch: Int[ndarray, "N"], weight: Float[ndarray, "N"]) -> Float[ndarray, "V d"]:
+    """Weighted mean of the points of each patch."""
+    sums = np.stack([np.bincount(patch, column * weight) for column in points.T], axis=1)
+    return sums / np.bincount(patch, weight)[:, None]
+
+
+def _dual(vertices: Float[ndarray, "V 3"], corners: Int[ndarray, "F 3"]) -> Mesh:
+    """A face for every three patches that meet, wound outward."""
+    faces = corners[np.all(corners != np.roll(corners, 1, axis=1), axis=1)]
     faces = faces[np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]]
     mesh = Mesh(vertices, faces)
     return mesh if mesh.volume > 0 else Mesh(vertices, faces[:, ::-1].copy())
 
 
-def magnified(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N 3"]:
-    """Space stretched around the fingertips."""
-    out = X.copy()
+def fineness(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
+    """How much shorter edges shall be at some points: 1, but ``FINER`` at the last phalanges."""
+    near = np.zeros(len(X))
     for finger in rest_fingers().values():
-        arm = X - finger.points[3]
-        out += MAGNIFY * np.exp(-np.sum(arm**2, axis=1, keepdims=True) / 0.016**2) * arm
-    return out
+        arm = X - (0.4 * finger.points[2] + 0.6 * finger.points[3])
+        near = np.maximum(near, np.exp(-np.sum(arm**2, axis=1) / 0.018**2))
+    return 1.0 + (FINER - 1.0) * near
 
 
 def gradient(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N 3"]:
