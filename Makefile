@@ -19,7 +19,7 @@ help:
 demo: $(VENV)/warm
 	$(BIN)/getagrip demo --out out/demo
 
-test: $(VENV)/installed
+test: $(VENV)/kernels
 	$(BIN)/python -m pytest
 
 check: lint imports types
@@ -45,10 +45,13 @@ $(BIN)/python:
 		|| { echo "getagrip needs Python 3.11 or later; name one: make PYTHON=python3.12 ..." >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-# numba does not see that a kernel in another file changed, so compiled kernels are dropped whenever a source is newer.
-# A failure here is told but no obstacle: the kernels are then compiled when first used.
-$(VENV)/warm: $(VENV)/installed $(SOURCES)
+# numba does not see that a kernel called from another file changed: drop what it compiled whenever a source is newer.
+$(VENV)/kernels: $(VENV)/installed $(SOURCES)
 	@find src -name '*.nb[ci]' -delete
+	@touch $@
+
+# A failure is told but stops nothing: kernels are also compiled when first used.
+$(VENV)/warm: $(VENV)/kernels
 	$(BIN)/getagrip doctor || echo "getagrip doctor found something wrong; see above" >&2
 	@touch $@
 
