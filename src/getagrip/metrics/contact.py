@@ -1,0 +1,143 @@
+"""Where hand and object touch, how stable that stays (SCA), and how deep they sink into each other.
+
+Stable contact area: the mean, over pairs of frames i < j, of IOU(S_i, S_j), S_i the points in contact in frame i
+(paper, Sec. 5.1). A point is in contact where its signed distance to the other surface is at most a threshold; inside
+counts at any depth. Three sets of points are in use:
+
+- ``object``: the object's vertices, against the hand: the paper's;
+- ``hand``: the hand's vertices, against the object: the authors' later code's;
+- ``area``: points spread evenly over the object by area, against the hand: it does not depend on how the mesh is cut
+  into triangles (a box has eight vertices, none of them where it is held).
+
+Two empty sets have IOU 0, as in the authors' code: a hand that never touches is not a stable grasp.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.mesh import Mesh, edge_table
+from getagrip.metrics.symmetry import surface_points
+
+Side = Literal["object", "hand", "area"]
+SIDES: tuple[Side, ...] = get_args(Side)
+THRESHOLDS = (0.0, 0.005, 0.010)
+"""Contact thresholds in use [m]."""
+REACH = 0.011
+"""Signed distances are exact up to here [m]; further away they may read infinity."""
+AREA_POINTS = 2000
+
+
+@dataclass(frozen=True)
+class ContactDistances:
+    """Signed distances [m] between hand and object in each frame, negative inside; exact up to ``REACH``."""
+
+    object: Float[ndarray, "T Vo"]
+    """Object vertices to the hand."""
+    hand: Float[ndarray, "T Vh"]
+    """Hand vertices to the object."""
+    area: Float[ndarray, "T P"]
+    """Evenly spread object points to the hand."""
+
+    def contact(self, side: Side, threshold: float) -> Bool[ndarray, "T _"]:
+        """The points in contact: signed distance at most ``threshold`` [m]."""
+        distance: ndarray = getattr(self, side)
+        return distance <= threshold
+
+    def depth(self, side: Side) -> Float[ndarray, "T _"]:
+        """How deep [m] each point lies inside the other body; zero outside."""
+        distance: ndarray = getattr(self, side)
+        return np.maximum(-distance, 0.0)
+
+
+def contact_distances(
+    mesh: Mesh,
+    scale: float,
+    T_hand_obj: Float[ndarray, "T 4 4"],
+    hand_vertices: Float[ndarray, "T V 3"],
+    hand_faces: Int[ndarray, "F 3"],
+) -> ContactDistances:
+    """Distances between a posed object and a hand (in the hand frame), both ways; holes of the hand are closed first."""
+    vertices = scale * mesh.vertices
+    points = np.concatenate([vertices, scale * surface_points(mesh, AREA_POINTS)])
+    hands, faces = close_holes(hand_vertices, hand_faces)
+    to_hand = np.stack(
+        [
+            signed_distance(se3.transform(T, points), hand, faces, REACH)
+            for T, hand in zip(T_hand_obj, hands, strict=True)
+        ]
+    )
+    in_object = se3.transform(se3.inverse(T_hand_obj), hand_vertices)
+    to_object = signed_distance(in_object.reshape(-1, 3), vertices, mesh.faces, REACH)
+    to_object = to_object.reshape(in_object.shape[:2])
+    return ContactDistances(to_hand[:, : len(vertices)], to_object, to_hand[:, len(vertices) :])
+
+
+def signed_distance(
+    points: Float[ndarray, "P 3"], vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], reach: float = np.inf
+) -> Float[ndarray, "P"]:
+    """Distance [m] of points to a surface, negative inside; infinity may stand for what is beyond ``reach``.
+
+    Inside is where the winding number exceeds a half (Jacobson et al., "Robust Inside-Outside Segmentation using
+    Generalized Winding Numbers", 2013): right also for bodies of several overlapping closed parts, where the nearest
+    surface's normal misleads.
+    """
+    import igl
+
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    near = np.flatnonzero(np.all((points >= low - reach) & (points <= high + reach), axis=1))
+    distance = np.full(len(points), np.inf)
+    if near.size:
+        distance[near] = np.sqrt(igl.point_mesh_squared_distance(points[near], vertices, faces)[0])
+    boxed = np.flatnonzero(np.all((points >= low) & (points <= high), axis=1))
+    if boxed.size:
+        inside = boxed[np.abs(igl.winding_number(vertices, faces, points[boxed])) > 0.5]
+        distance[inside] *= -1.0
+    return distance
+
+
+def close_holes(
+    vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "F 3"]
+) -> tuple[Float[ndarray, "*batch W 3"], Int[ndarray, "G 3"]]:
+    """Each hole (MANO's wrist) closed by a fan of faces about the mean of its border."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    edges = edge_table(faces)
+    border = edges[edges[:, 3] == len(faces), :2]
+    if not len(border):
+        return vertices, faces
+    V = vertices.shape[-2]
+    linked = coo_array((np.ones(len(border)), (border[:, 0], border[:, 1])), shape=(V, V))
+    _, hole = np.unique(connected_components(linked, directed=False)[1][border[:, 0]], return_inverse=True)
+    tips = np.stack([vertices[..., border[hole == h, 0], :].mean(axis=-2) for h in range(hole.max() + 1)], axis=-2)
+    fan = np.stack([border[:, 1], border[:, 0], V + hole], axis=1)
+    return np.concatenate([vertices, tips], axis=-2), np.concatenate([faces, fan])
+
+
+def pairwise_iou(contact: Bool[ndarray, "T P"]) -> Float[ndarray, "T T"]:
+    """IOU of the contact sets of every pair of frames; 0 for two empty sets, and for an empty set with itself."""
+    c = contact.astype(np.float64)
+    both = c @ c.T
+    count = c.sum(axis=1)
+    either = count[:, None] + count[None, :] - both
+    return np.where(either > 0, both / np.maximum(either, 1.0), 0.0)
+
+
+def stable_contact_area(contact: Bool[ndarray, "T P"], diagonal: bool = False) -> float:
+    """Mean pairwise IOU of the contact sets over pairs i < j (the paper's), or over the full T x T matrix.
+
+    With the diagonal (the authors' code) each frame also counts with itself: never overlapping contacts then score
+    1 / T. NaN where there is no pair.
+    """
+    matrix = pairwise_iou(contact)
+    if diagonal:
+        return float(matrix.mean())
+    T = len(matrix)
+    return float(matrix[np.triu_indices(T, k=1)].mean()) if T > 1 else float("nan")

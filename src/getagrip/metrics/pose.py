@@ -1,0 +1,107 @@
+"""Errors of the object's pose in the hand frame: ADD, rotation and translation, up to the object's symmetries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.mesh import Mesh
+from getagrip.metrics.symmetry import Symmetries
+
+SUCCESS = 0.1
+"""A pose is right when its ADD is below this share of the true object's diameter."""
+STEPS = 36
+"""Sampled angles about a continuous axis; the best one is then refined."""
+BALL = 500
+"""Sampled rotations of a ball."""
+VERTICES = 500
+"""Vertices that choose among symmetries; all of them count in the error that is reported."""
+
+
+@dataclass(frozen=True)
+class ObjectTrack:
+    """Poses of an object in the hand frame and its scale, predicted or true."""
+
+    T_hand_obj: Float[ndarray, "T 4 4"]
+    scale: float
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Errors of each frame in the hand frame."""
+
+    add: Float[ndarray, "T"]
+    """Mean distance between corresponding vertices, each object at its own scale [m]."""
+    rotation: Float[ndarray, "T"]
+    """Angle between the rotations [rad]."""
+    translation: Float[ndarray, "T"]
+    """Distance between the objects' centres (middles of the bounding box) [m]."""
+    diameter: float
+    """Of the true object, at its true scale [m]."""
+
+    @property
+    def success(self) -> bool:
+        """The paper's ADD: mean over vertices and frames below 10 % of the diameter."""
+        return bool(self.add.mean() < SUCCESS * self.diameter)
+
+
+def pose_errors(
+    mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetry: Float[ndarray, "4 4"] | None = None
+) -> PoseErrors:
+    """Errors of a prediction; ``symmetry``, a map of the unscaled object onto itself, is applied to the truth first."""
+    S = np.eye(4) if symmetry is None else symmetry
+    A, b = _difference(predicted, true, S)
+    add = np.stack([np.linalg.norm(mesh.vertices @ M.T + c, axis=1).mean() for M, c in zip(A, b, strict=True)])
+    return PoseErrors(
+        add=add,
+        rotation=se3.angle_between(predicted.T_hand_obj[:, :3, :3], true.T_hand_obj[:, :3, :3] @ S[:3, :3]),
+        translation=np.linalg.norm(A @ mesh.centre + b, axis=1),
+        diameter=mesh.diameter * true.scale,
+    )
+
+
+def best_symmetry(
+    mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetries: Symmetries
+) -> Float[ndarray, "4 4"]:
+    """The symmetry with the smallest ADD over the whole sequence: one for all frames, as BOP and HOT3D score videos.
+
+    Continuous turns are sampled (36 angles; 500 rotations of a ball) and the best sample is refined by a simplex
+    search, so that the sampling leaves no error behind.
+    """
+    vertices = mesh.vertices[:: max(1, len(mesh.vertices) // VERTICES)]
+
+    def cost(S: Float[ndarray, "4 4"]) -> float:
+        A, b = _difference(predicted, true, S)
+        return float(np.linalg.norm(vertices @ np.swapaxes(A, 1, 2) + b[:, None], axis=2).mean())
+
+    free = len(symmetries.axes)
+    if free == 0:
+        angles = np.zeros((1, 0))
+    elif free == 1:
+        angles = np.arange(STEPS)[:, None] * 2.0 * np.pi / STEPS
+    else:
+        angles = se3.log_so3(se3.super_fibonacci(BALL))
+    turns = symmetries.about(angles)
+    samples = [(cost(turn @ S), k, S) for k, turn in enumerate(turns) for S in symmetries.elements]
+    _, k, S = min(samples, key=lambda sample: sample[0])
+    if free == 0:
+        return S
+    from scipy.optimize import minimize
+
+    start = angles[k] + np.vstack([np.zeros(free), np.radians(8.0) * np.eye(free)])
+    options = {"initial_simplex": start, "xatol": 1e-6, "fatol": 1e-9}
+    found = minimize(lambda x: cost(symmetries.about(x) @ S), angles[k], method="Nelder-Mead", options=options)
+    return symmetries.about(found.x) @ S
+
+
+def _difference(
+    predicted: ObjectTrack, true: ObjectTrack, S: Float[ndarray, "4 4"]
+) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, "T 3"]]:
+    """(A, b) with A x + b the displacement [m], in the hand frame, of the unscaled object point x."""
+    P, Q = predicted.T_hand_obj, true.T_hand_obj
+    A = predicted.scale * P[:, :3, :3] - true.scale * Q[:, :3, :3] @ S[:3, :3]
+    return A, P[:, :3, 3] - Q[:, :3, 3] - true.scale * Q[:, :3, :3] @ S[:3, 3]

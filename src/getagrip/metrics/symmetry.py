@@ -1,0 +1,194 @@
+"""The turns that map an object onto itself, found from its surface. Rotations only: a mirrored object is another one.
+
+A turn T is a symmetry when points spread evenly over the surface, turned by T, lie on the surface again: at most
+``MEAN`` of the diameter away in the mean and ``WORST`` at the worst. The second bound keeps a handle or a spout, a
+few per cent of the area, from passing unseen. Candidates are turns about the principal axes of the surface (and about
+more axes where those are not unique), each moved to its best fit by a few steps of point-to-plane ICP.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.mesh import Mesh, decimate
+
+MEAN, WORST = 0.015, 0.06
+"""Largest mean and largest single distance between the turned and the resting surface [diameters]."""
+ORDERS = (2, 3, 4, 5, 6)
+"""Orders of the discrete turns that are tried: 180, 120, 90, 72 and 60 degrees."""
+PROBES = np.radians([17.0, 40.0, 73.0, 101.0, 139.0, 180.0])
+"""An axis about which all these turns are symmetries is continuous [rad]."""
+UNIQUE = 1.25
+"""Principal axes whose second moments are within this factor of each other are not unique."""
+SAME = np.radians(10.0)
+"""Turns closer than this are the same symmetry; none is fitted further away from its candidate [rad]."""
+POINTS, FACES = 600, 2000
+"""Points that are turned, and faces of the mesh they are compared with."""
+
+
+@dataclass(frozen=True)
+class Symmetries:
+    """All symmetries of an object: ``about(angles) @ elements[i]``, maps of its own frame (before scaling)."""
+
+    elements: Float[ndarray, "S 4 4"]
+    """Discrete turns, the identity first."""
+    axes: Float[ndarray, "k 3"]
+    """Unit axes of continuous turns: none, one, or three for a ball."""
+    centre: Float[ndarray, "3"]
+    """A point on all axes [m]."""
+
+    def about(self, angles: Float[ndarray, "*batch k"]) -> Float[ndarray, "*batch 4 4"]:
+        """The continuous turn by the rotation vector ``angles`` [rad] in the axes' span."""
+        R = se3.exp_so3(angles @ self.axes)
+        return se3.rigid(R, self.centre - R @ self.centre)
+
+    def describe(self) -> str:
+        """In words, for tables."""
+        if len(self.axes) == 3:
+            return "ball"
+        if len(self.axes) == 1:
+            return "continuous" if len(self.elements) == 1 else "continuous, flips"
+        turns = np.degrees(se3.angle_between(np.eye(3), self.elements[1:, :3, :3]))
+        return "none" if not turns.size else ", ".join(f"{t:.0f}" for t in sorted(turns.round())) + " degrees"
+
+
+def find_symmetries(mesh: Mesh) -> Symmetries:
+    """The symmetries of a mesh; at least the identity."""
+    surface = _Surface(decimate(mesh, FACES))
+    centre, second_moment = _moments(mesh)
+    moments, axes = np.linalg.eigh(second_moment)
+    lines = _candidate_axes(moments, axes.T)
+
+    halves = [surface.settled(T) for T in surface.promising(_turns(centre, lines, np.pi))]
+    continuous = [line for half in halves if half is not None and (line := _continuous(surface, centre, half))]
+    if continuous:
+        directions = np.stack([direction for _, direction in continuous])
+        if np.abs(directions @ directions[0]).min() < np.cos(np.radians(30.0)):
+            return Symmetries(np.eye(4)[None], np.eye(3), centre)
+        point, axis = continuous[0]
+        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        flip = surface.settled(_turns(centre, across / np.linalg.norm(across), np.pi))
+        return Symmetries(np.stack([np.eye(4)] if flip is None else [np.eye(4), flip]), axis[None], point)
+
+    elements = [np.eye(4)]
+    for order in ORDERS:
+        for T in surface.promising(_turns(centre, lines, 2.0 * np.pi / order)):
+            _add(elements, T, surface)
+    for a in elements:  # grows while it runs: what two symmetries make together is one, if it passes
+        for b in elements[: len(elements)]:
+            _add(elements, a @ b, surface)
+    return Symmetries(np.stack(elements), np.zeros((0, 3)), centre)
+
+
+class _Surface:
+    """A mesh's surface: points spread over it, and how far others are from it."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        import igl
+        from scipy.spatial import cKDTree
+
+        self.mesh, self.points = mesh, surface_points(mesh, POINTS)
+        self.tree = igl.AABB()
+        self.tree.init(mesh.vertices, mesh.faces)
+        self.dense = cKDTree(surface_points(mesh, 5000))
+
+    def promising(self, turns: Float[ndarray, "n 4 4"]) -> Float[ndarray, "m 4 4"]:
+        """The turns that deserve a closer look, by a coarse test of all of them at once."""
+        distance = self.dense.query(se3.transform(turns, self.points[::5]))[0]
+        return turns[distance.mean(axis=1) < 3.0 * MEAN * self.mesh.diameter]
+
+    def nearest(self, X: Float[ndarray, "P 3"]) -> tuple[ndarray, ndarray, ndarray]:
+        """Distances [m], nearest points and the normals there."""
+        squared, face, nearest = self.tree.squared_distance(self.mesh.vertices, self.mesh.faces, X)
+        return np.sqrt(squared), nearest, self.mesh.planes[face, :3]
+
+    def fits(self, T: Float[ndarray, "4 4"]) -> bool:
+        """Whether the turned surface lies on the resting one."""
+        distance = self.nearest(se3.transform(T, self.points))[0] / self.mesh.diameter
+        return bool(distance.mean() < MEAN and distance.max() < WORST)
+
+    def settled(self, turn: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"] | None:
+        """The turn moved to its best fit nearby (point-to-plane ICP), or None where that is no symmetry."""
+        T, size = turn, self.mesh.diameter
+        for _ in range(6):
+            X = se3.transform(T, self.points)
+            _, nearest, n = self.nearest(X)
+            middle = X.mean(axis=0)
+            J = np.concatenate([n, np.cross(X - middle, n) / size], axis=1)
+            # The damping holds still what the surface leaves free: a can's turn about its axis.
+            step = np.linalg.solve(J.T @ J + 1e-3 * len(J) * np.eye(6), J.T @ np.sum(n * (nearest - X), axis=1))
+            R = se3.exp_so3(step[3:] / size)
+            T = se3.rigid(R, middle - R @ middle + step[:3]) @ T
+        moved = se3.angle_between(turn[:3, :3], T[:3, :3])
+        return T if moved < SAME and self.fits(T) else None
+
+
+def surface_points(mesh: Mesh, count: int) -> Float[ndarray, "count 3"]:
+    """Points spread evenly over a surface by area; the same ones every time."""
+    corners = mesh.vertices[mesh.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    filled = np.cumsum(area)
+    face = np.searchsorted(filled, (np.arange(count) + 0.5) / count * filled[-1])
+    # The plastic number's low-discrepancy sequence, folded into the triangle.
+    u = (0.5 + np.outer(np.arange(count), [0.7548776662466927, 0.5698402909980532])) % 1.0
+    u = np.where(u.sum(axis=1, keepdims=True) > 1.0, 1.0 - u, u)
+    a, b, c = np.moveaxis(corners[face], 1, 0)
+    return np.asarray(a + u[:, :1] * (b - a) + u[:, 1:] * (c - a))
+
+
+def _moments(mesh: Mesh) -> tuple[Float[ndarray, "3"], Float[ndarray, "3 3"]]:
+    """Centre [m] and second moment [m2] of a surface, exactly."""
+    corners = mesh.vertices[mesh.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    centre = np.average(corners.mean(axis=1), axis=0, weights=area)
+    # Over a triangle the mean of x x^T is (a a^T + b b^T + c c^T + s s^T) / 12, s = a + b + c.
+    x = corners - centre
+    x = np.concatenate([x, x.sum(axis=1, keepdims=True)], axis=1)
+    return centre, np.einsum("fki,fkj,f->ij", x, x, area / (12.0 * area.sum()))
+
+
+def _candidate_axes(moments: Float[ndarray, "3"], axes: Float[ndarray, "3 3"]) -> Float[ndarray, "n 3"]:
+    """Principal axes (moments ascending), and axes between those that are not unique."""
+    low, high = moments[1] < UNIQUE * moments[0], moments[2] < UNIQUE * moments[1]
+    if low and high:
+        z = (np.arange(150) + 0.5) / 150  # Fibonacci points on the half sphere
+        angle = np.arange(150) * np.pi * (3.0 - np.sqrt(5.0))
+        around = np.stack([np.cos(angle) * np.sqrt(1 - z**2), np.sin(angle) * np.sqrt(1 - z**2), z], axis=1)
+        return np.concatenate([axes, around])
+    if not (low or high):
+        return axes
+    i, j = (0, 1) if low else (1, 2)
+    angle = np.radians(np.arange(0.0, 180.0, 7.5))[:, None]
+    return np.concatenate([axes, np.cos(angle) * axes[i] + np.sin(angle) * axes[j]])
+
+
+def _turns(point: Float[ndarray, "3"], axis: Float[ndarray, "*batch 3"], angle: float) -> Float[ndarray, "*batch 4 4"]:
+    return se3.rotation_about_line(point, axis, np.full(axis.shape[:-1], angle))
+
+
+def _continuous(
+    surface: _Surface, centre: Float[ndarray, "3"], half: Float[ndarray, "4 4"]
+) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]] | None:
+    """The line (point, direction) of a half turn, if any turn about it is a symmetry."""
+    w = se3.log_so3(half[:3, :3])
+    axis = w / np.linalg.norm(w)
+    point = (centre + se3.transform(half, centre[None])[0]) / 2.0  # halfway between a point and its image
+    return (point, axis) if all(surface.fits(_turns(point, axis, angle)) for angle in PROBES) else None
+
+
+def _add(elements: list[ndarray], T: Float[ndarray, "4 4"], surface: _Surface) -> None:
+    """Add the symmetry nearest to T, unless there is none or it is known."""
+    if _known(elements, T):
+        return
+    settled = surface.settled(T)
+    if settled is not None and not _known(elements, settled):
+        elements.append(settled)
+
+
+def _known(elements: list[ndarray], T: Float[ndarray, "4 4"]) -> bool:
+    return bool(np.any(se3.angle_between(np.stack(elements)[:, :3, :3], T[:3, :3]) < SAME))
