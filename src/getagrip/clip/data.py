@@ -1,4 +1,4 @@
-"""A clip: one stable grasp, with its hands, masks, camera and object. The folder format is fixed (see docs/formats.md)."""
+"""A clip: one stable grasp, with its hands, masks, camera and object."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from getagrip.errors import InputError
 from getagrip.mesh import Mesh
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
@@ -92,16 +93,16 @@ class Clip:
         return replace(self, frames=frames, K=self.K[index], hand=hand, truth=truth)
 
 
-def read_clip(folder: str | Path) -> Clip:
-    """Read and check everything of a clip but its masks and images."""
-    raise NotImplementedError
+def seen_frames(clip: Clip, masks: Masks) -> tuple[Clip, Masks, tuple[str, ...]]:
+    """The clip and its masks without the frames in which nothing of the object is seen, and their names.
 
-
-def read_masks(clip: Clip) -> Masks:
-    """Read and check the masks of a clip."""
-    raise NotImplementedError
-
-
-def write_clip(clip: Clip, masks: Masks | None, folder: str | Path, images: list[Any] | None = None) -> Path:
-    """Write a clip (mesh as ``object.obj``) into a new folder, complete or not at all."""
-    raise NotImplementedError
+    Raises ``InputError`` when fewer than two frames are left: one silhouette says nothing about a motion.
+    """
+    seen = np.flatnonzero((masks.object & ~masks.ignore).any(axis=(1, 2)))
+    if len(seen) == len(clip):
+        return clip, masks, ()
+    if len(seen) < 2:
+        given = f"{len(seen)} of {len(clip)} masks with a pixel that is not ignored"
+        raise InputError(clip.folder / "masks" / "object", "", given, "at least 2")
+    dropped = tuple(name for n, name in enumerate(clip.frames) if n not in set(seen))
+    return clip.take(seen), Masks(masks.object[seen], masks.ignore[seen]), dropped

@@ -1,0 +1,18 @@
+"""Clips: what they hold, and their folders, whose format is fixed (docs/formats.md)."""
+
+from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth, seen_frames
+from getagrip.clip.reading import input_sha256, read_clip, read_masks
+from getagrip.clip.writing import write_clip
+
+__all__ = [
+    "FINGERS",
+    "Clip",
+    "HandTrack",
+    "Masks",
+    "Truth",
+    "input_sha256",
+    "read_clip",
+    "read_masks",
+    "seen_frames",
+    "write_clip",
+]

@@ -1,0 +1,250 @@
+"""Clips from their folders, every number checked. The format is in docs/formats.md."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip import arrays, files, se3
+from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth
+from getagrip.errors import InputError
+from getagrip.mesh import check_size, read_mesh
+
+VERSION = 1
+REQUIRED = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")
+FARTHEST = 20.0
+"""Plausible distance of a hand from the camera [m]."""
+LARGEST_IMAGE = 16384
+"""Plausible side of an image [px]."""
+
+
+def read_clip(folder: str | Path) -> Clip:
+    """Read and check everything of a clip but its masks and images.
+
+    ``folder`` is the clip's folder or its ``clip.json``. Raises ``InputError``, which names the file, the key, what
+    was given and what is expected.
+    """
+    folder = Path(folder)
+    if folder.name == "clip.json":
+        folder = folder.parent
+    path = folder / "clip.json"
+    fields = _fields(folder)
+    frames = _frame_names(path, fields["frames"])
+    size = _size(path, fields["size"])
+    mesh = read_mesh(files.inside(folder, fields["mesh"], "mesh", "a triangle mesh", given_in=path))
+    hand = _read_hand(folder, len(frames))
+    has_truth = (folder / "truth.npz").exists() or (folder / "truth.npz").is_symlink()
+    return Clip(
+        folder=folder,
+        name=fields["name"],
+        category=fields["category"],
+        side=fields["side"],
+        fps=float(fields["fps"]),
+        frames=frames,
+        size=size,
+        K=_intrinsics(path, fields["camera"], len(frames), size),
+        mesh=mesh,
+        scale=fields["scale"],
+        hand=hand,
+        truth=_read_truth(folder, hand, fields["scale"], mesh.diameter) if has_truth else None,
+        provenance=fields["provenance"],
+    )
+
+
+def read_masks(clip: Clip) -> Masks:
+    """Read and check the masks of a clip's frames.
+
+    Raises ``InputError`` for a missing or unsuitable image, and where no frame shows the object. The folder
+    ``masks/ignore`` may be absent; where it is there, it has an image for each frame.
+    """
+    width, height = clip.size
+    seen = np.zeros((len(clip), height, width), dtype=bool)
+    ignore = np.zeros_like(seen)
+    for n, name in enumerate(clip.frames):
+        seen[n] = files.read_png(_mask(clip.folder, "object", name), clip.size) != 0
+    if not seen.any():
+        folder = clip.folder / "masks" / "object"
+        raise InputError(folder, "", f"{len(clip)} masks without a pixel", "masks that show the object")
+    if (clip.folder / "masks" / "ignore").exists():
+        for n, name in enumerate(clip.frames):
+            ignore[n] = files.read_png(_mask(clip.folder, "ignore", name), clip.size) != 0
+    return Masks(seen, ignore)
+
+
+def input_sha256(folder: str | Path) -> str:
+    """Checksum of what a reconstruction depends on: ``clip.json``, hands, mesh and masks; not images, not truth."""
+    folder = Path(folder)
+    fields = _fields(folder)
+    names = ["clip.json", "hand.npz", fields["mesh"]]
+    for kind in ("object", "ignore"):
+        if (folder / "masks" / kind).exists():
+            names += [f"masks/{kind}/{frame}.png" for frame in _frame_names(folder / "clip.json", fields["frames"])]
+    return files.sha256(folder, names)
+
+
+def _mask(folder: Path, kind: str, frame: str) -> Path:
+    """The path of a mask, checked."""
+    return files.inside(folder, f"masks/{kind}/{frame}.png", "", "a mask for each frame of clip.json")
+
+
+def _fields(folder: Path) -> dict[str, Any]:
+    """The fields of ``clip.json``, none missing or unknown, those of one text or number checked."""
+    if not folder.is_dir():
+        raise InputError(folder, "", "no such folder", "the folder of a clip")
+    path = files.inside(folder, "clip.json", "", "the description of a clip")
+    fields = files.read_json(path)
+    unknown = next((key for key in fields if key not in (*REQUIRED, "provenance")), None)
+    if unknown is not None:
+        raise InputError(path, files.plain(unknown), "an unknown key", f"{', '.join(REQUIRED)} or provenance")
+    missing = next((key for key in REQUIRED if key not in fields), None)
+    if missing is not None:
+        raise InputError(path, missing, "no such key", "the key")
+
+    def require(key: str, fits: bool, expected: str) -> None:
+        if not fits:
+            raise InputError(path, key, files.shown(fields[key]), expected)
+
+    version, name, mesh, category = fields["version"], fields["name"], fields["mesh"], fields["category"]
+    require("version", type(version) is int and version == VERSION, str(VERSION))
+    require("name", isinstance(name, str) and files.is_plain_name(name), "a text fit to name a folder")
+    require("category", isinstance(category, str) and category != "", "a text")
+    require("side", fields["side"] in ("left", "right"), '"left" or "right"')
+    require("fps", _is_number(fields["fps"]) and fields["fps"] > 0, "frames per second, above 0")
+    require("mesh", isinstance(mesh, str) and mesh != "", "the name of a mesh file")
+    require("scale", fields["scale"] in ("known", "free"), '"known" or "free"')
+    require("provenance", isinstance(fields.setdefault("provenance", {}), dict), "an object")
+    return fields
+
+
+def _is_number(value: object) -> bool:
+    """Whether a JSON value is a number that a float can hold."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) < 1e300 and math.isfinite(value)
+
+
+def _frame_names(path: Path, names: object) -> tuple[str, ...]:
+    """The frames' names: at least one, each a plain file name, none twice."""
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise InputError(path, "frames", files.shown(names), "a list of names, one for each frame")
+    bad = next((name for name in names if not files.is_plain_name(name)), None)
+    if bad is not None:
+        raise InputError(path, "frames", f"the name {files.shown(bad)}", "names of files, without folder and suffix")
+    if len(set(names)) < len(names):
+        twice = next(name for n, name in enumerate(names) if name in names[:n])
+        raise InputError(path, "frames", f"the name {files.shown(twice)} twice", "each frame once")
+    return tuple(names)
+
+
+def _size(path: Path, size: object) -> tuple[int, int]:
+    """Width and height [px]."""
+    sides = size if isinstance(size, list) else []
+    if len(sides) != 2 or not all(type(side) is int and 0 < side <= LARGEST_IMAGE for side in sides):
+        expected = f"[width, height] in whole pixels, 1 to {LARGEST_IMAGE} each"
+        raise InputError(path, "size", files.shown(size), expected)
+    return sides[0], sides[1]
+
+
+def _intrinsics(path: Path, camera: object, frames: int, size: tuple[int, int]) -> Float[ndarray, "T 3 3"]:
+    """Pinhole intrinsics of each frame [px]."""
+    if not isinstance(camera, dict) or set(camera) != {"K"}:
+        raise InputError(path, "camera", files.shown(camera), '{"K": 3x3} or {"K": [3x3, ...]}')
+    try:
+        K = np.array(camera["K"])
+    except ValueError:  # rows of different lengths
+        K = np.array(None)
+    if K.dtype.kind not in "fi" or K.shape[-2:] != (3, 3) or K.ndim not in (2, 3):
+        raise InputError(path, "camera.K", files.shown(camera["K"]), "a 3x3 matrix of numbers, or one for each frame")
+    if K.ndim == 3 and len(K) != frames:
+        raise InputError(path, "camera.K", f"{len(K)} matrices", f"one, or one for each of the {frames} frames")
+    K = np.broadcast_to(K.astype(float), (frames, 3, 3)).copy()
+    focal = K[:, [0, 1], [0, 1]]
+    if not np.all(focal > 0):
+        raise InputError(path, "camera.K", f"the focal length {focal.min():g}", "focal lengths above 0 px")
+    if focal.min() < 0.05 * max(size) or focal.max() > 100 * max(size):
+        odd = focal.min() if focal.min() < 0.05 * max(size) else focal.max()
+        raise InputError(path, "camera.K", f"the focal length {odd:g}", f"pixels of a {size[0]} x {size[1]} image")
+    if np.any(K[:, 2] != [0.0, 0.0, 1.0]) or np.any(K[:, 1, 0] != 0.0):
+        raise InputError(path, "camera.K", files.shown(K[0].tolist()), "[[fx, skew, cx], [0, fy, cy], [0, 0, 1]]")
+    return K
+
+
+def _read_hand(folder: Path, frames: int) -> HandTrack:
+    """The hands of ``hand.npz``."""
+    path = files.inside(folder, "hand.npz", "", "the hands of a clip")
+    named = ("vertices", "faces", "T_cam_hand", "joints")
+    given = arrays.read(path, lambda key: key in named or key.startswith("region_"))
+    vertices = arrays.floats(path, given, "vertices", (frames, -1, 3))
+    for extent in (np.ptp(vertices, axis=1).max(axis=-1).max(), np.ptp(vertices, axis=1).max(axis=-1).min()):
+        check_size(path, "vertices", float(extent), "a hand")
+    faces = arrays.indices(path, given, "faces", vertices.shape[1], (-1, 3))
+    corners = (vertices[0] - vertices[0].mean(axis=0))[faces]
+    if np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) < 0:
+        raise InputError(path, "faces", "faces that look inward", "faces counter-clockwise seen from outside")
+    return HandTrack(
+        vertices=vertices,
+        faces=faces,
+        T_cam_hand=_poses(path, given, "T_cam_hand", frames, vertices.mean(axis=1), "the hand"),
+        regions=_regions(path, given, vertices.shape[1]),
+        joints=arrays.floats(path, given, "joints", (frames, 21, 3)) if "joints" in given else None,
+    )
+
+
+def _regions(path: Path, given: dict[str, ndarray], vertices: int) -> dict[str, Int[ndarray, "_"]]:
+    """Contact regions of a hand: its own, or those of the hand model that it is an instance of."""
+    missing = [f"region_{finger}" for finger in FINGERS if f"region_{finger}" not in given]
+    if missing:
+        expected = "arrays of the vertex ids of the five fingertip pads (region_thumb, ... region_pinky)"
+        raise InputError(path, missing[0], f"a bare mesh of {vertices} vertices without it", expected)
+    palm = sorted(key.removeprefix("region_") for key in given if key.startswith("region_palm_"))
+    return {name: arrays.indices(path, given, f"region_{name}", vertices, (-1,)) for name in (*FINGERS, *palm)}
+
+
+def _read_truth(folder: Path, hand: HandTrack, scale: str, diameter: float) -> Truth:
+    """The truth of ``truth.npz``; what it leaves out is the clip's own."""
+    path = files.inside(folder, "truth.npz", "", "the truth of a clip")
+    named = ("T_cam_obj", "scale", "T_cam_hand", "hand_vertices")
+    given = arrays.read(path, lambda key: key in named)
+    frames = len(hand.vertices)
+    size = 1.0
+    if "scale" in given or scale == "free":
+        size = float(arrays.floats(path, given, "scale", (), kinds="fiu"))
+    if size <= 0:
+        raise InputError(path, "scale", f"{size:g}", "a number above 0")
+    check_size(path, "scale", size * diameter, "the scaled object")
+    vertices = hand.vertices
+    if "hand_vertices" in given:
+        vertices = arrays.floats(path, given, "hand_vertices", hand.vertices.shape)
+        check_size(path, "hand_vertices", float(np.ptp(vertices, axis=1).max()), "a hand")
+    T_cam_hand = hand.T_cam_hand
+    if "T_cam_hand" in given:
+        T_cam_hand = _poses(path, given, "T_cam_hand", frames, vertices.mean(axis=1), "the hand")
+    T_cam_obj = _poses(path, given, "T_cam_obj", frames, np.zeros((frames, 3)), "the object")
+    return Truth(T_cam_obj, size, T_cam_hand, vertices)
+
+
+def _poses(
+    path: Path, given: dict[str, ndarray], key: str, frames: int, centres: Float[ndarray, "T 3"], what: str
+) -> Float[ndarray, "T 4 4"]:
+    """Rigid motions into the camera that put ``centres`` in front of it, at a plausible distance."""
+    T = arrays.floats(path, given, key, (frames, 4, 4))
+    with np.errstate(over="ignore", invalid="ignore"):
+        rigid = se3.is_rigid(T)
+        posed = se3.transform(T, centres[:, None])[:, 0]
+    if not rigid.all():
+        bad = f"a matrix that is no rigid motion in frame {int(np.argmin(rigid))}"
+        raise InputError(path, key, bad, "rotations and translations [m], the last row 0 0 0 1")
+    behind, distance = posed[:, 2] <= 0, np.linalg.norm(posed, axis=1)
+    if behind.any():
+        n = int(np.argmax(behind))
+        raise InputError(path, key, f"{what} behind the camera in frame {n} (z = {posed[n, 2]:.3g} m)", "z above 0")
+    if distance.max() > FARTHEST:
+        n = int(np.argmax(distance))
+        far = f"{what} {distance[n]:.4g} m from the camera in frame {n}"
+        raise InputError(path, key, far, f"at most {FARTHEST:g} m; are these millimetres?")
+    return T

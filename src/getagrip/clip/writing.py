@@ -1,0 +1,88 @@
+"""Clips into folders, complete or not at all. The format is in docs/formats.md."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray
+
+from getagrip import arrays, files
+from getagrip.clip.data import Clip, Masks, Truth
+from getagrip.clip.reading import VERSION
+from getagrip.mesh import write_mesh
+
+
+def write_clip(
+    clip: Clip, masks: Masks | None, folder: str | Path, images: Sequence[UInt8[ndarray, "H W 3"]] | None = None
+) -> Path:
+    """Write a clip (mesh as ``object.obj``) into a new folder, complete or not at all, and return the folder.
+
+    ``images`` are RGB, one for each frame, and are written as JPEG. Raises ``UsageError`` where the folder exists.
+    """
+    folder = Path(folder)
+    with files.new_folder(folder) as new:
+        files.write_json(new / "clip.json", _fields(clip))
+        write_mesh(new / "object.obj", clip.mesh)
+        hand = clip.hand
+        regions = {f"region_{name}": ids for name, ids in hand.regions.items()}
+        joints = {} if hand.joints is None else {"joints": hand.joints}
+        T_cam_hand = {"T_cam_hand": hand.T_cam_hand}
+        arrays.write(new / "hand.npz", {"vertices": hand.vertices, "faces": hand.faces} | T_cam_hand | joints | regions)
+        if clip.truth is not None:
+            arrays.write(new / "truth.npz", _truth_arrays(clip, clip.truth))
+        if masks is not None:
+            _write_masks(new / "masks" / "object", clip.frames, masks.object)
+            if masks.ignore.any():
+                _write_masks(new / "masks" / "ignore", clip.frames, masks.ignore)
+        if images is not None:
+            _write_images(new / "frames", clip.frames, images)
+    return folder
+
+
+def _fields(clip: Clip) -> dict[str, object]:
+    """What ``clip.json`` says of a clip."""
+    steady = bool(np.ptp(clip.K, axis=0).max() == 0.0)
+    return {
+        "version": VERSION,
+        "name": clip.name,
+        "category": clip.category,
+        "side": clip.side,
+        "fps": clip.fps,
+        "frames": clip.frames,
+        "size": clip.size,
+        "camera": {"K": clip.K[0] if steady else clip.K},
+        "mesh": "object.obj",
+        "scale": clip.scale,
+        "provenance": clip.provenance,
+    }
+
+
+def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Float[ndarray, "..."]]:
+    """The truth, of the hand only what differs from the clip's."""
+    out = {"T_cam_obj": truth.T_cam_obj, "scale": np.array(truth.scale)}
+    if not np.array_equal(truth.T_cam_hand, clip.hand.T_cam_hand):
+        out["T_cam_hand"] = truth.T_cam_hand
+    if not np.array_equal(truth.hand_vertices, clip.hand.vertices):
+        out["hand_vertices"] = truth.hand_vertices
+    return out
+
+
+def _write_masks(folder: Path, frames: tuple[str, ...], masks: Bool[ndarray, "T H W"]) -> None:
+    """One PNG for each frame, 255 where the mask is set."""
+    import cv2
+
+    folder.mkdir(parents=True)
+    for name, mask in zip(frames, masks, strict=True):
+        cv2.imwrite(str(folder / f"{name}.png"), mask.astype(np.uint8) * 255)
+
+
+def _write_images(folder: Path, frames: tuple[str, ...], images: Sequence[UInt8[ndarray, "H W 3"]]) -> None:
+    """One JPEG for each frame."""
+    import cv2
+
+    folder.mkdir()
+    for name, image in zip(frames, images, strict=True):
+        cv2.imwrite(str(folder / f"{name}.jpg"), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])

@@ -1,0 +1,200 @@
+"""Files from strangers, read within limits; folders written whole or not at all.
+
+Nothing here trusts what a file says about itself: sizes are checked before memory is taken, no pickle is ever run, and
+names found in files are used as paths only once they are known to stay inside their folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import struct
+import tempfile
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from getagrip.errors import InputError, UsageError
+
+LARGEST_JSON = 64 * 2**20
+LARGEST_FILE = 2**30
+"""Limits in bytes."""
+
+_PLAIN_NAME = re.compile(r"[^/\\\x00-\x1f\x7f]{1,200}")
+_PNG = b"\x89PNG\r\n\x1a\n"
+_PNG_COLOURS = {0: "grey", 2: "RGB", 3: "palette", 4: "grey and alpha", 6: "RGB and alpha"}
+
+
+def shown(value: object) -> str:
+    """A value as an error message shows it: on one line, and short."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def plain(text: str) -> str:
+    """A name from a file as an error message shows it: without quotes, on one line, and short."""
+    return shown(text)[1:-1]
+
+
+def is_plain_name(name: str) -> bool:
+    """Whether a text can name a file or folder: no separators, no control characters, not hidden, not ``..``."""
+    return _PLAIN_NAME.fullmatch(name) is not None and not name.startswith((".", "~")) and name == name.strip()
+
+
+def inside(folder: Path, relative: str, key: str, what: str, given_in: Path | None = None) -> Path:
+    """The file ``folder/relative``, which must exist and lie in the folder, links followed.
+
+    Raises ``InputError``, in the name of the file ``given_in`` where the path was read from one.
+    """
+    source = given_in or folder / relative
+    parts = PurePosixPath(relative)
+    if not relative or "\0" in relative or "\\" in relative or parts.is_absolute() or ".." in parts.parts:
+        raise InputError(source, key, f"the path {shown(relative)}", f"{what} inside the clip folder")
+    path = folder / relative
+    try:
+        leaves = not path.resolve().is_relative_to(folder.resolve())
+        there = path.is_file()
+    except (OSError, RuntimeError) as error:  # link loops, names that are too long, no permission
+        raise InputError(source, key, f"the path {shown(relative)} ({error})", what) from error
+    if leaves:
+        raise InputError(source, key, f"the path {shown(relative)}, which leads out", f"{what} inside the clip folder")
+    if not there:
+        raise InputError(path, "" if given_in is None else key, "no such file", what)
+    return path
+
+
+def read_bytes(path: Path, limit: int = LARGEST_FILE) -> bytes:
+    """The bytes of a file of at most ``limit`` bytes. Raises ``InputError``."""
+    try:
+        if not path.is_file():
+            raise InputError(path, "", "no such file", "a file")
+        size = path.stat().st_size
+        if size > limit:
+            raise InputError(path, "", f"{size} bytes", f"at most {limit}")
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(path, "", f"a file that cannot be read ({error.strerror})", "a readable file") from error
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object. Raises ``InputError`` for anything else, for duplicate keys and for NaN or infinite numbers."""
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        out = dict(pairs)
+        if len(out) < len(pairs):
+            keys = [key for key, _ in pairs]
+            twice = next(key for key in keys if keys.count(key) > 1)
+            raise InputError(path, plain(twice), "the key twice", "each key once")
+        return out
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not np.isfinite(value):
+            raise InputError(path, "", f"the number {shown(text)}", "finite numbers")
+        return value
+
+    try:
+        content = json.loads(
+            read_bytes(path, LARGEST_JSON), object_pairs_hook=unique, parse_float=number, parse_constant=number
+        )
+    except (ValueError, RecursionError) as error:  # RecursionError: nested thousands deep
+        raise InputError(path, "", f"text that is no JSON ({error})", "a JSON object") from error
+    if not isinstance(content, dict):
+        raise InputError(path, "", f"a JSON {type(content).__name__}", "a JSON object")
+    return content
+
+
+def read_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
+    """An 8-bit image of one channel and of the given (width, height).
+
+    The header is checked before memory is taken, and every chunk's checksum before decoding, since decoders return
+    half an image for a damaged file. Raises ``InputError``.
+    """
+    import cv2
+
+    content = read_bytes(path, LARGEST_JSON)
+    chunks = list(_png_chunks(path, content))
+    if not chunks or chunks[0][0] != b"IHDR" or len(chunks[0][1]) != 13 or chunks[-1][0] != b"IEND":
+        raise InputError(path, "", "an incomplete PNG", "a whole PNG file")
+    width, height, depth, colour = struct.unpack(">IIBB", chunks[0][1][:10])
+    if depth != 8 or colour != 0:
+        given = f"{depth} bit {_PNG_COLOURS.get(colour, 'of an unknown kind')}"
+        raise InputError(path, "channels", given, "8 bit, one channel (grey)")
+    if (width, height) != size:
+        raise InputError(path, "size", f"{width} x {height} pixels", f"{size[0]} x {size[1]}, as clip.json's size")
+    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None or image.shape != (height, width):
+        raise InputError(path, "", "a PNG that does not decode", "a whole PNG file")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _png_chunks(path: Path, content: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Type and data of each chunk of a PNG file, checksums checked."""
+    if content[:8] != _PNG:
+        raise InputError(path, "", "a file that is no PNG", "a PNG image")
+    at = 8
+    while at + 12 <= len(content):
+        (length,) = struct.unpack(">I", content[at : at + 4])
+        kind, data = content[at + 4 : at + 8], content[at + 8 : at + 8 + length]
+        if content[at + 8 + length : at + 12 + length] != struct.pack(">I", zlib.crc32(kind + data)):
+            raise InputError(path, "", "a damaged PNG (wrong checksum)", "a whole PNG file")
+        yield kind, data
+        at += 12 + length
+
+
+def sha256(folder: Path, names: Iterable[str]) -> str:
+    """Checksum of some of a folder's files, their names and lengths included."""
+    total = hashlib.sha256()
+    for name in names:
+        content = read_bytes(folder / name)
+        total.update(f"{name}\0{len(content)}\0".encode())
+        total.update(content)
+    return total.hexdigest()
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON object; arrays become lists, numbers that are not finite become null."""
+    path.write_text(json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n", "utf-8")
+
+
+def _plain(value: Any) -> Any:
+    """The same content in JSON's own types."""
+    if isinstance(value, ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
+
+
+@contextmanager
+def new_folder(target: Path, replace: bool = False) -> Iterator[Path]:
+    """An empty folder beside ``target`` that takes its name once the block has ended well, and is removed if not.
+
+    Raises ``UsageError`` where ``target`` exists already and is not to be replaced.
+    """
+    if target.exists() and not replace:
+        raise UsageError(f"{target}: exists already; it is not overwritten")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    beside = Path(tempfile.mkdtemp(prefix=f".{target.name[:100]}.", dir=target.parent))
+    try:
+        work = beside / "new"
+        work.mkdir()
+        yield work
+        if target.exists():
+            os.rename(target, beside / "old")
+        os.rename(work, target)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
