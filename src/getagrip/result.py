@@ -2,12 +2,42 @@
 
 from __future__ import annotations
 
+import platform
 from dataclasses import dataclass, field
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from jaxtyping import Float
+import numpy as np
+from jaxtyping import Float, Shaped
 from numpy import ndarray
+
+from getagrip import arrays, files, se3
+from getagrip.errors import InputError
+
+VERSION = 1
+HINGED = ("one-dof", "soft-hinge")
+"""Methods whose results have an axis."""
+ARRAYS = (
+    "T_hand_obj", "scale", "frames", "iou", "axis_point", "axis_direction", "angle",
+    "candidate_T_hand_obj", "candidate_scale", "candidate_energy",
+)  # fmt: skip
+"""What ``result.npz`` holds."""
+FIELDS: dict[str, tuple[type, str]] = {
+    "clip": (str, "the clip's name"),
+    "method": (str, "the method's name"),
+    "options": (dict, "an object"),
+    "seed": (int, "a whole number"),
+    "status": (str, "a text"),
+    "ambiguous": (bool, "true or false"),
+    "notes": (list, "a list of texts"),
+    "energy": (dict, "an object"),
+    "metrics": (dict, "an object"),
+    "seconds": (dict, "an object"),
+    "software": (dict, "an object"),
+    "input_sha256": (str, "a checksum"),
+}
+"""Keys of ``result.json``, each with its type."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +87,159 @@ class Reconstruction:
 
 
 def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
-    """Read and check a result folder: the reconstruction, and ``result.json`` as it stands."""
-    raise NotImplementedError
+    """Read and check a result folder: the reconstruction, and ``result.json`` as it stands. Raises ``InputError``."""
+    folder = Path(folder)
+    fields = read_record(folder)
+    path = files.inside(folder, "result.npz", "", "the poses of a result")
+    given = arrays.read(path, lambda key: key in ARRAYS)
+    frames = _texts(path, given, "frames")
+    T = len(frames)
+    K = len(given.get("candidate_energy", [])) if np.ndim(given.get("candidate_energy", 0)) else 1
+    axis = None
+    if fields["method"] in HINGED or "angle" in given:
+        direction = arrays.floats(path, given, "axis_direction", (3,))
+        if abs(np.linalg.norm(direction) - 1.0) > 1e-3:
+            raise InputError(path, "axis_direction", f"length {np.linalg.norm(direction):.4g}", "a unit vector")
+        point = arrays.floats(path, given, "axis_point", (3,))
+        axis = Axis(point=point, direction=direction, angle=arrays.floats(path, given, "angle", (T,)))
+    result = Reconstruction(
+        clip=fields["clip"],
+        method=fields["method"],
+        frames=frames,
+        T_hand_obj=_rigid(path, given, "T_hand_obj", (T, 4, 4)),
+        scale=float(_above_zero(path, given, "scale", ())),
+        iou=arrays.floats(path, given, "iou", (T,)),
+        axis=axis,
+        candidates=Candidates(
+            T_hand_obj=_rigid(path, given, "candidate_T_hand_obj", (K, T, 4, 4)),
+            scale=_above_zero(path, given, "candidate_scale", (K,)),
+            energy=arrays.floats(path, given, "candidate_energy", (K,)),
+        ),
+        energy=fields["energy"],
+        status=fields["status"],
+        ambiguous=fields["ambiguous"],
+        seconds=fields["seconds"],
+        options=fields["options"],
+        seed=fields["seed"],
+        notes=tuple(fields["notes"]),
+    )
+    return result, fields
 
 
-def write_result(result: Reconstruction, folder: str | Path, input_sha256: str, metrics: dict[str, Any] | None = None) -> Path:
-    """Write a result folder, complete or not at all."""
-    raise NotImplementedError
+def read_record(folder: str | Path) -> dict[str, Any]:
+    """The checked content of a result's ``result.json``. Raises ``InputError``."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(folder, "", "no such folder", "the folder of a result")
+    path = files.inside(folder, "result.json", "", "the record of a result")
+    fields = files.read_json(path)
+    if fields.get("version") != VERSION:
+        raise InputError(path, "version", files.shown(fields.get("version")), str(VERSION))
+    fields.setdefault("ambiguous", False)
+    fields.setdefault("notes", [])
+    for key, (kind, expected) in FIELDS.items():
+        if key not in fields:
+            raise InputError(path, key, "no such key", expected)
+        if not isinstance(fields[key], kind):
+            raise InputError(path, key, files.shown(fields[key]), expected)
+    if not files.is_plain_name(fields["clip"]):
+        raise InputError(path, "clip", files.shown(fields["clip"]), "a text fit to name a folder")
+    return fields
+
+
+def write_result(
+    result: Reconstruction,
+    folder: str | Path,
+    input_sha256: str,
+    metrics: dict[str, Any] | None = None,
+    clip_folder: str | Path | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Write a result folder, complete or not at all, and return it.
+
+    ``clip_folder`` is remembered, so that ``evaluate`` finds the clip again. With ``overwrite`` an older result in
+    ``folder`` is replaced. Raises ``UsageError`` where the folder exists otherwise.
+    """
+    folder = Path(folder)
+    older = overwrite and is_result(folder)
+    with files.new_folder(folder, replace=older) as new:
+        arrays.write(new / "result.npz", _arrays(result))
+        files.write_json(new / "result.json", _fields(result, input_sha256, metrics, clip_folder))
+    return folder
+
+
+def is_result(folder: Path) -> bool:
+    """Whether a folder is a result's, and thus ours to replace."""
+    return (folder / "result.json").is_file() and (folder / "result.npz").is_file()
+
+
+def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
+    """What ``result.npz`` holds."""
+    out: dict[str, ndarray] = {
+        "T_hand_obj": result.T_hand_obj,
+        "scale": np.array(result.scale, dtype=float),
+        "frames": np.array(result.frames, dtype=np.str_),
+        "iou": result.iou,
+        "candidate_T_hand_obj": result.candidates.T_hand_obj,
+        "candidate_scale": result.candidates.scale,
+        "candidate_energy": result.candidates.energy,
+    }
+    if result.axis is not None:
+        axis = result.axis
+        out |= {"axis_point": axis.point, "axis_direction": axis.direction, "angle": axis.angle}
+    return out
+
+
+def _fields(
+    result: Reconstruction, input_sha256: str, metrics: dict[str, Any] | None, clip_folder: str | Path | None
+) -> dict[str, Any]:
+    """What ``result.json`` says."""
+    return {
+        "version": VERSION,
+        "clip": result.clip,
+        "clip_folder": None if clip_folder is None else str(Path(clip_folder).resolve()),
+        "method": result.method,
+        "options": result.options,
+        "seed": result.seed,
+        "status": result.status,
+        "ambiguous": result.ambiguous,
+        "notes": result.notes,
+        "energy": result.energy,
+        "metrics": metrics or {},
+        "seconds": result.seconds,
+        "software": software(),
+        "input_sha256": input_sha256,
+    }
+
+
+def software() -> dict[str, str]:
+    """Versions of the package, of Python, and of the libraries that the numbers depend on."""
+    packages = ("getagrip", "numpy", "scipy", "numba", "trimesh", "opencv-python-headless")
+    return {"python": platform.python_version()} | {package: metadata.version(package) for package in packages}
+
+
+def _texts(path: Path, given: dict[str, ndarray], key: str) -> tuple[str, ...]:
+    """An array of names."""
+    if key not in given or given[key].dtype.kind != "U" or given[key].ndim != 1 or len(given[key]) == 0:
+        raise InputError(path, key, "no array of names", "the frames' names")
+    try:
+        return tuple(str(text) for text in given[key])
+    except ValueError as error:  # code points that do not exist
+        raise InputError(path, key, "a damaged text", "the frames' names") from error
+
+
+def _rigid(path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "*batch 4 4"]:
+    """An array of rigid motions."""
+    T = arrays.floats(path, given, key, shape)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if not se3.is_rigid(T).all():
+            raise InputError(path, key, "a matrix that is no rigid motion", "rotations and translations [m]")
+    return T
+
+
+def _above_zero(path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "..."]:
+    """An array of scales."""
+    scale = arrays.floats(path, given, key, shape, kinds="fiu")
+    if scale.min() <= 0:
+        raise InputError(path, key, f"{scale.min():g}", "numbers above 0")
+    return scale
