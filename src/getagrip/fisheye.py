@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray
 
 from getagrip import se3
@@ -79,14 +79,14 @@ class Fisheye624:
         xy = np.tan(theta) * m / np.maximum(length, 1e-12)
         return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
 
-    def _radial(self, theta: Float[ndarray, "*batch 1"]) -> tuple[Float[ndarray, "*batch 1"], Float[ndarray, "*batch 1"]]:
+    def _radial(self, theta: Float[ndarray, "*b 1"]) -> tuple[Float[ndarray, "*b 1"], Float[ndarray, "*b 1"]]:
         """|m| and its derivative by theta."""
         powers = theta ** np.array([2, 4, 6, 8, 10, 12])
         value = theta * (1.0 + (powers @ self.k)[..., None])
         slope = 1.0 + (powers @ (self.k * np.array([3, 5, 7, 9, 11, 13])))[..., None]
         return value, slope
 
-    def _bent(self, m: Float[ndarray, "*batch 2"]) -> tuple[Float[ndarray, "*batch 2"], Float[ndarray, "*batch 2 2"]]:
+    def _bent(self, m: Float[ndarray, "*b 2"]) -> tuple[Float[ndarray, "*b 2"], Float[ndarray, "*b 2 2"]]:
         """d and its derivative by m."""
         square = np.sum(m * m, axis=-1, keepdims=True)
         dot = (m @ self.p)[..., None]
@@ -112,14 +112,22 @@ class Pinhole:
     T_fisheye_pinhole: Float[ndarray, "4 4"]
     """Pinhole camera to fisheye camera: a rotation about the optical axis."""
 
-    def undistort(self, camera: Fisheye624, image: Shaped[ndarray, "H W *channels"]) -> Shaped[ndarray, "h w *channels"]:
-        """The fisheye camera's image as this pinhole sees it; black where it saw nothing."""
-        import cv2
-
+    def source(self, camera: Fisheye624) -> Float[ndarray, "h w 2"]:
+        """Where in the fisheye image (u, v) each pixel comes from."""
         width, height = self.size
         uv = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
-        rays = se3.transform(self.T_fisheye_pinhole, backproject(self.K, uv))
-        at = (camera.project(rays) - 0.5).astype(np.float32)  # OpenCV's pixel centres are integers
+        return camera.project(se3.transform(self.T_fisheye_pinhole, backproject(self.K, uv)))
+
+    def covered(self, camera: Fisheye624) -> Bool[ndarray, "h w"]:
+        """Which pixels the fisheye image has."""
+        uv = self.source(camera)
+        return np.all((uv >= 0.0) & (uv < camera.size), axis=-1)
+
+    def undistort(self, camera: Fisheye624, image: Shaped[ndarray, "H W *c"]) -> Shaped[ndarray, "h w *c"]:
+        """The fisheye image as this pinhole sees it; black where there is none."""
+        import cv2
+
+        at = (self.source(camera) - 0.5).astype(np.float32)  # OpenCV's pixel centres are integers
         return np.asarray(cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT))
 
 
