@@ -27,12 +27,17 @@ SHAPES = (
     "proximal_phalanges",
     "middle_phalanges",
     "distal_phalanges",
-    "thumb_length",
+    "thumb_metacarpal",
+    "thumb_proximal",
+    "thumb_distal",
     "index_length",
     "ring_length",
     "pinky_length",
 )
 """What the shape parameters enlarge."""
+
+SPREAD = 0.1
+"""Standard deviation of the shape parameters; those of single bones are 7 to 15 % (Buryanov, Kotiuk, Table I)."""
 
 
 @lru_cache
@@ -57,6 +62,7 @@ def load(side: Side) -> HandModel:
         shape_names=SHAPES,
         shape_directions=shape,
         joint_directions=joint_shape,
+        shape_spread=np.full(len(SHAPES), SPREAD),
     )
 
 
@@ -108,6 +114,7 @@ def stretch_directions(
     for child, parent in enumerate(PARENTS):
         if parent >= 0:
             shift[:, child] = shift[:, parent] + M[:, parent] @ (joints[child] - joints[parent])
+    shift[SHAPES.index("thickness")] = 0.0  # thicker flesh leaves the bones where they are
     arm = vertices[:, None] - joints
     moved = shift[:, None] + np.einsum("sjab,vjb->svja", M, arm)
     return np.einsum("vj,svja->vas", weights, moved), np.moveaxis(shift, 0, -1)
@@ -122,9 +129,11 @@ def _stretches(fingers: dict[str, Finger]) -> Float[ndarray, "S 16 3 3"]:
             a = fingers[finger].axes[k, 0]
             along = np.outer(a, a)
             M["thickness"][knuckle + k] = np.eye(3) - along
-            if finger != "thumb":
+            if finger == "thumb":
+                M[("thumb_metacarpal", "thumb_proximal", "thumb_distal")[k]][knuckle + k] = along
+            else:
                 M[f"{phalanx}_phalanges"][knuckle + k] = along
-            if finger != "middle":
+            if f"{finger}_length" in M:
                 M[f"{finger}_length"][knuckle + k] = along
     return np.stack([M[name] for name in SHAPES])
 

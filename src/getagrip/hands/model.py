@@ -90,6 +90,8 @@ class HandModel:
     """Displacement of the vertices per unit of each shape parameter [m]."""
     joint_directions: Float[ndarray, "16 3 S"]
     """Displacement of the joints per unit of each shape parameter [m]."""
+    shape_spread: Float[ndarray, "S"]
+    """Standard deviation of each shape parameter among people."""
     pose_directions: Float[ndarray, "V 3 135"] | None = None
     """Displacement of the vertices per unit of each entry of R - I, R the rotations of the 15 finger joints."""
 
@@ -107,11 +109,6 @@ class HandModel:
             vertices=self.template + np.tensordot(shape, self.shape_directions, axes=(-1, 2)),
             joints=self.joints + np.tensordot(shape, self.joint_directions, axes=(-1, 2)),
         )
-
-    @property
-    def tip_directions(self) -> Float[ndarray, "5 3 S"]:
-        """Displacement of the fingertips per unit of each shape parameter [m]."""
-        return self.shape_directions[self.tips]
 
 
 @dataclass(frozen=True)
@@ -209,6 +206,7 @@ def mirrored_model(model: HandModel) -> HandModel:
         shape_names=model.shape_names,
         shape_directions=model.shape_directions * MIRROR[:, None],
         joint_directions=model.joint_directions * MIRROR[:, None],
+        shape_spread=model.shape_spread,
         pose_directions=None,
     )
 

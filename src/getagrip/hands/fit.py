@@ -1,0 +1,292 @@
+"""Fitting a hand model to 21 joints per frame: one shape for all frames, a pose and ``T_cam_hand`` for each.
+
+Minimised is, over the shape b, the poses q_n and the rigid motions T_n,
+
+    sum_n sum_i |T_n X_i(b, q_n) - Y_n,i|^2 / JOINT_NOISE_i^2 + sum_n |prior(q_n)|^2 + |b / spread|^2
+
+by Levenberg-Marquardt, all Jacobians analytic. Only b couples the frames: the normal equations are block-arrow, and
+eliminating the 51 numbers of each frame leaves a small system in b (Schur complement). ``prior`` says that fingers bend
+about one axis: it reads each joint's rotation vector in the joint's own axes (twist along the bone, bend, spread).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.clip import FINGERS, HandTrack
+from getagrip.errors import UsageError
+from getagrip.hands.generic_skeleton import THUMB_PAD
+from getagrip.hands.model import KNUCKLES, HandModel, hand_track, mirrored
+
+JointOrder = Literal["openpose", "ho3d"]
+"""``openpose``, this package's own: wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip.
+``ho3d``, also DexYCB's MANO joints: wrist, then index, middle, pinky, ring, thumb, three joints each, then the tips of
+thumb, index, middle, ring, pinky."""
+ORDERS: dict[JointOrder, list[int]] = {
+    "openpose": list(range(21)),
+    "ho3d": [0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20],
+}
+"""Where each of this package's 21 joints stands in the given order."""
+
+JOINT_NOISE = np.array([0.003, 0.010, *[0.003] * 19])
+"""Standard deviation of each joint's position [m]; models disagree by a centimetre where the thumb's saddle joint is."""
+# Mean and standard deviation of each joint's rotation [rad]: twist about the bone, bend, spread. Beyond the limits of the
+# bend, a deviation of LIMIT_STIFFNESS costs one unit more.
+FINGER_MEAN, THUMB_MEAN = 0.3, 0.1
+FINGER_SPREAD = np.array([[0.10, 0.8, 0.25], [0.05, 0.8, 0.05], [0.05, 0.6, 0.05]])
+THUMB_SPREAD = np.array([[0.30, 0.5, 0.50], [0.15, 0.6, 0.20], [0.05, 0.6, 0.05]])
+FINGER_LIMITS = np.radians([[-30.0, 100.0], [-10.0, 115.0], [-15.0, 90.0]])
+THUMB_LIMITS = np.radians([[-40.0, 60.0], [-30.0, 70.0], [-25.0, 95.0]])
+LIMIT_STIFFNESS = 0.05
+
+STEPS = 40
+TOLERANCE = 1e-5
+"""Stop when a step lowers the cost by less than this share of it."""
+
+
+@dataclass(frozen=True)
+class HandFit:
+    """A hand model fitted to joints."""
+
+    hand: HandTrack
+    shape: Float[ndarray, "S"]
+    pose: Float[ndarray, "T 45"]
+    """Rotation vectors relative to the flat hand [rad]."""
+    residuals: Float[ndarray, "T 21"]
+    """Distance of each fitted joint from the given one [m], in this package's order."""
+    converged: bool
+    """Whether the last step changed next to nothing."""
+
+
+def fit_joints(model: HandModel, joints_cam: Float[ndarray, "T 21 3"], order: JointOrder) -> HandFit:
+    """Fit a hand to joints in the camera frame [m].
+
+    Raises ``UsageError`` for an unknown order, another shape, numbers that are not finite, or a hand of absurd size.
+    """
+    Y = _checked(joints_cam, order)
+    chains, prior = Chains.of(model), Prior.of(model)
+    state = State(_place(model, Y), np.zeros((len(Y), 5, 3, 3)), np.zeros(len(model.shape_names)))
+    state.q[..., :, :] = prior.mean
+    cost, H, g = _normal_equations(model, chains, prior, state, Y)
+    damping, converged = 1e-3, False
+    for _ in range(STEPS):
+        new = state.moved(*_step(H, g, damping), chains.wrist)
+        new_cost, new_H, new_g = _normal_equations(model, chains, prior, new, Y)
+        if new_cost > cost:
+            damping *= 10.0
+            converged = damping > 1e8
+        else:
+            converged = cost - new_cost < TOLERANCE * cost
+            state, cost, H, g, damping = new, new_cost, new_H, new_g, max(damping / 10.0, 1e-9)
+        if converged:
+            break
+    pose = np.zeros((len(Y), 15, 3))
+    for n, knuckle in enumerate(KNUCKLES):
+        pose[:, knuckle - 1 : knuckle + 2] = state.q[:, n]
+    pose = pose.reshape(len(Y), 45)
+    posed = model.with_shape(state.shape).with_pose(pose)
+    residuals = np.linalg.norm(se3.transform(state.T, posed.joints) - Y, axis=-1)
+    return HandFit(hand_track(posed, state.T), state.shape, pose, residuals, converged)
+
+
+class State(NamedTuple):
+    """What is sought."""
+
+    T: Float[ndarray, "T 4 4"]
+    """T_cam_hand."""
+    q: Float[ndarray, "T 5 3 3"]
+    """Rotation vectors of the three joints of each of the ``FINGERS``."""
+    shape: Float[ndarray, "S"]
+
+    def moved(
+        self, frames: Float[ndarray, "T 51"], shape: Float[ndarray, "S"], wrist: Float[ndarray, "3"]
+    ) -> State:
+        """After a step: the hand shifts in its own axes and turns about the mean hand's wrist, the rest adds up."""
+        R = se3.exp_so3(frames[:, 3:6])
+        local = se3.rigid(R, frames[:, :3] + wrist - R @ wrist)
+        return State(self.T @ local, self.q + frames[:, 6:].reshape(self.q.shape), self.shape + shape)
+
+
+class Chains(NamedTuple):
+    """The fingers as chains of points (three joints and the tip), linear in the shape."""
+
+    wrist: Float[ndarray, "3"]
+    wrist_directions: Float[ndarray, "3 S"]
+    points: Float[ndarray, "5 4 3"]
+    directions: Float[ndarray, "5 4 3 S"]
+
+    @staticmethod
+    def of(model: HandModel) -> Chains:
+        """The chains of a model, tips being vertices that move with the last joint."""
+
+        def chained(joints: ndarray, vertices: ndarray) -> ndarray:
+            return np.stack([np.concatenate([joints[k : k + 3], vertices[t : t + 1]])
+                             for k, t in zip(KNUCKLES, model.tips, strict=True)])
+
+        return Chains(
+            model.joints[0],
+            model.joint_directions[0],
+            chained(model.joints, model.template),
+            chained(model.joint_directions, model.shape_directions),
+        )
+
+
+def joints_and_jacobian(
+    chains: Chains, q: Float[ndarray, "T 5 3 3"], shape: Float[ndarray, "S"]
+) -> tuple[Float[ndarray, "T 21 3"], Float[ndarray, "T 21 3 D"]]:
+    """The 21 joints in the hand frame, and their derivatives by the T_cam_hand step, the pose and the shape.
+
+    A joint's rotation vector q turns what follows it on its finger: dX = (G Jr(q) dq) x (X - X_joint), with G the joint's
+    orientation and Jr the right Jacobian of SO(3).
+    """
+    T, S = len(q), len(shape)
+    X = np.empty((T, 21, 3))
+    J = np.zeros((T, 21, 3, 51 + S))
+    X[:, 0], J[:, 0, :, 51:] = chains.wrist + chains.wrist_directions @ shape, chains.wrist_directions
+    rest = chains.points + chains.directions @ shape
+    R, Jr = se3.exp_so3(q), right_jacobian(q)
+    for n in range(5):
+        at = 1 + 4 * n
+        X[:, at], J[:, at, :, 51:] = rest[n, 0], chains.directions[n, 0]
+        G = np.broadcast_to(np.eye(3), (T, 3, 3))
+        axes = []
+        for k in range(3):
+            G = G @ R[:, n, k]
+            axes.append(G @ Jr[:, n, k])
+            bone, bone_directions = rest[n, k + 1] - rest[n, k], chains.directions[n, k + 1] - chains.directions[n, k]
+            X[:, at + k + 1] = X[:, at + k] + G @ bone
+            J[:, at + k + 1, :, 51:] = J[:, at + k, :, 51:] + G @ bone_directions
+            for j in range(k + 1):
+                column = 6 + 9 * n + 3 * j
+                arm = X[:, at + k + 1] - X[:, at + j]
+                J[:, at + k + 1, :, column : column + 3] = -se3.hat(arm) @ axes[j]
+    J[..., :3] = np.eye(3)
+    J[..., 3:6] = -se3.hat(X - chains.wrist)
+    return X, J
+
+
+def right_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
+    """Right Jacobian of SO(3): exp(w + dw) = exp(w) exp(Jr(w) dw) to first order."""
+    theta = np.linalg.norm(w, axis=-1)[..., None, None]
+    small = theta < 1e-3
+    safe = np.where(small, 1.0, theta)
+    a = np.where(small, 0.5 - theta**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    b = np.where(small, 1.0 / 6.0 - theta**2 / 120.0, (safe - np.sin(safe)) / safe**3)
+    W = se3.hat(w)
+    return np.asarray(np.eye(3) - a * W + b * (W @ W))
+
+
+class Prior(NamedTuple):
+    """Which poses are likely: each joint's rotation vector in its own axes (twist, bend, spread), Gaussian and limited."""
+
+    axes: Float[ndarray, "5 3 3 3"]
+    """Rows: along the bone, the hinge, across both."""
+    mean: Float[ndarray, "5 3 3"]
+    """Most likely rotation vectors, in the hand frame's axes [rad]."""
+    spread: Float[ndarray, "5 3 3"]
+    limits: Float[ndarray, "5 3 2"]
+
+    @staticmethod
+    def of(model: HandModel) -> Prior:
+        """The prior of a model, its axes from the rest pose."""
+        points = Chains.of(model).points
+        bone = np.diff(points, axis=1)
+        bone /= np.linalg.norm(bone, axis=-1, keepdims=True)
+        pad = np.array([[0.0, -1.0, 0.0]] * 5)
+        pad[FINGERS.index("thumb")] = THUMB_PAD if model.side == "right" else mirrored(THUMB_PAD)
+        hinge = np.cross(bone, pad[:, None])
+        hinge /= np.linalg.norm(hinge, axis=-1, keepdims=True)
+        axes = np.stack([bone, hinge, np.cross(bone, hinge)], axis=2)
+        bend = np.array([[THUMB_MEAN] * 3] + [[FINGER_MEAN] * 3] * 4)
+        return Prior(
+            axes=axes,
+            mean=bend[..., None] * hinge,
+            spread=np.stack([THUMB_SPREAD] + [FINGER_SPREAD] * 4),
+            limits=np.stack([THUMB_LIMITS] + [FINGER_LIMITS] * 4),
+        )
+
+    def residuals(self, q: Float[ndarray, "T 5 3 3"]) -> tuple[Float[ndarray, "T 60"], Float[ndarray, "T 60 45"]]:
+        """Residuals of poses and their Jacobian: 45 of the Gaussian, 15 of the limits."""
+        T = len(q)
+        own = np.einsum("fkab,tfkb->tfka", self.axes, q - self.mean) / self.spread
+        bend = np.einsum("fkb,tfkb->tfk", self.axes[:, :, 1], q)
+        low, high = self.limits[..., 0], self.limits[..., 1]
+        beyond = (np.minimum(bend - low, 0.0) + np.maximum(bend - high, 0.0)) / LIMIT_STIFFNESS
+        J = np.zeros((T, 60, 45))
+        scaled = self.axes / self.spread[..., None]
+        for joint in range(15):
+            f, k = divmod(joint, 3)
+            at = slice(3 * joint, 3 * joint + 3)
+            J[:, at, at] = scaled[f, k]
+            J[:, 45 + joint, at] = (beyond[:, f, k] != 0.0)[:, None] * self.axes[f, k, 1] / LIMIT_STIFFNESS
+        return np.concatenate([own.reshape(T, 45), beyond.reshape(T, 15)], axis=1), J
+
+
+def _normal_equations(
+    model: HandModel, chains: Chains, prior: Prior, state: State, Y: Float[ndarray, "T 21 3"]
+) -> tuple[float, Float[ndarray, "T D D"], Float[ndarray, "T D"]]:
+    """The cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, shape)."""
+    X, J = joints_and_jacobian(chains, state.q, state.shape)
+    R = state.T[:, :3, :3]
+    # Distances are the same in the hand's axes, where the Jacobian stands.
+    r = ((X - (Y - state.T[:, None, :3, 3]) @ R) / JOINT_NOISE[:, None]).reshape(len(Y), 63)
+    J = (J / JOINT_NOISE[:, None, None]).reshape(len(Y), 63, -1)
+    p, P = prior.residuals(state.q)
+    b = state.shape / model.shape_spread
+    cost = float(np.sum(r * r) + np.sum(p * p) + b @ b)
+    H, g = np.swapaxes(J, 1, 2) @ J, (r[:, None] @ J)[:, 0]
+    H[:, 6:51, 6:51] += np.swapaxes(P, 1, 2) @ P
+    g[:, 6:51] += (p[:, None] @ P)[:, 0]
+    S = len(b)  # the shape's own prior is shared out among the frames, so that the sum over them has it once
+    H[:, 51:, 51:] += np.diag(1.0 / model.shape_spread**2).reshape(S, S) / len(Y)
+    g[:, 51:] += b / model.shape_spread / len(Y)
+    return cost, H, g
+
+
+def _step(
+    H: Float[ndarray, "T D D"], g: Float[ndarray, "T D"], damping: float
+) -> tuple[Float[ndarray, "T 51"], Float[ndarray, "S"]]:
+    """Solve the damped block-arrow normal equations for the frames' and the shape's steps."""
+    A, B = H[:, :51, :51].copy(), H[:, :51, 51:]
+    i = np.arange(51)
+    A[:, i, i] *= 1.0 + damping
+    C = H[:, 51:, 51:].sum(axis=0)
+    C[np.diag_indices_from(C)] *= 1.0 + damping
+    solved = np.linalg.solve(A, np.concatenate([B, g[:, :51, None]], axis=2))
+    Bt = np.swapaxes(B, 1, 2)
+    reduced = np.sum(Bt @ solved, axis=0)
+    shape = np.linalg.solve(C - reduced[:, :-1], -g[:, 51:].sum(axis=0) + reduced[:, -1])
+    return -solved[..., -1] - solved[..., :-1] @ shape, shape
+
+
+def _place(model: HandModel, Y: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 4 4"]:
+    """T_cam_hand that lays the flat mean hand's wrist and knuckles on the given ones (Kabsch's algorithm)."""
+    X = model.joints[[0, *KNUCKLES[1:]]]
+    palm = Y[:, [0, 5, 9, 13, 17]]
+    R = se3.nearest_rotation(np.swapaxes(palm - palm.mean(axis=1, keepdims=True), 1, 2) @ (X - X.mean(axis=0)))
+    return se3.rigid(R, palm.mean(axis=1) - R @ X.mean(axis=0))
+
+
+def _checked(joints_cam: Float[ndarray, "T 21 3"], order: JointOrder) -> Float[ndarray, "T 21 3"]:
+    if order not in ORDERS:
+        raise UsageError(f"joint order: got {order!r}, expected one of {', '.join(ORDERS)}")
+    Y = np.asarray(joints_cam, dtype=float)
+    if Y.ndim != 3 or Y.shape[1:] != (21, 3) or len(Y) == 0:
+        raise UsageError(f"joints: got an array of shape {Y.shape}, expected (T, 21, 3) with T > 0")
+    bad = np.flatnonzero(~np.isfinite(Y).all(axis=(1, 2)))
+    if bad.size:
+        raise UsageError(f"joints: got NaN or infinite numbers in {bad.size} frames (first: {bad[0]}); leave them out")
+    Y = Y[:, ORDERS[order]]
+    palm = np.linalg.norm(Y[:, 9] - Y[:, 0], axis=1)
+    if palm.min() < 0.03 or palm.max() > 0.25:
+        raise UsageError(
+            f"joints: got hands with {1e3 * palm.min():.3g} to {1e3 * palm.max():.3g} mm from wrist to middle knuckle, "
+            "expected 30 to 250 mm; is the unit the metre, is the order right?"
+        )
+    return Y

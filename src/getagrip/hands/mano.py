@@ -1,0 +1,160 @@
+"""MANO hands, from the user's own licensed ``MANO_RIGHT.pkl`` and ``MANO_LEFT.pkl`` (https://mano.is.tue.mpg.de).
+
+Nothing of MANO is in this package but two small lists of vertex numbers: the fingertips in common use (manopth) and the
+contact regions of objects-along-hit (``mano_contact_regions.json``, MIT licence, named there).
+
+The published left hand has the x displacements of its shape space with the wrong sign; ``load`` turns them
+(https://github.com/vchoutas/smplx/issues/48). It expects the file as published: one that somebody has repaired already
+would be broken by it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.errors import InputError, UsageError
+from getagrip.hands.mano_pickle import read_pickle
+from getagrip.hands.model import PARENTS, HandModel, Side
+
+ARRAYS = {
+    "v_template": (778, 3),
+    "f": (1538, 3),
+    "J_regressor": (16, 778),
+    "weights": (778, 16),
+    "shapedirs": (778, 3, 10),
+    "posedirs": (778, 3, 135),
+    "hands_components": (45, 45),
+    "hands_mean": (45,),
+    "kintree_table": (2, 16),
+}
+"""What is read of a MANO file, and its shapes."""
+TIPS = {"right": (745, 317, 444, 556, 673), "left": (745, 317, 445, 556, 673)}
+"""Vertices at the tips of thumb, index, middle, ring and little finger, as in manopth, DexYCB and HO-3D."""
+REGIONS = Path(__file__).with_name("mano_contact_regions.json")
+
+
+@dataclass(frozen=True)
+class Mano:
+    """A MANO hand and its principal components of pose."""
+
+    model: HandModel
+    components: Float[ndarray, "45 45"]
+    """Principal components as rows."""
+    mean: Float[ndarray, "45"]
+    """The mean pose, as rotation vectors [rad]."""
+
+    def pose(
+        self, values: Float[ndarray, "*batch P"], encoding: Literal["axis_angle", "pca"], flat_hand_mean: bool
+    ) -> Float[ndarray, "*batch 45"]:
+        """The pose that ``with_pose`` takes, from whatever a file holds.
+
+        ``axis_angle``: 45 numbers [rad]; ``pca``: up to 45 coefficients. With ``flat_hand_mean`` they are relative to
+        the flat hand (HO-3D, HOI4D, ARCTIC's and HaMeR's full poses), without it to the mean pose (DexYCB, HOT3D).
+        No default: the wrong choice still looks like a hand. Raises ``UsageError`` for other sizes or encodings.
+        """
+        count = np.shape(values)[-1] if np.ndim(values) else 0
+        if encoding == "pca" and 0 < count <= 45:
+            values = np.asarray(values) @ self.components[:count]
+        elif encoding != "axis_angle" or count != 45:
+            raise UsageError(
+                f"MANO pose: got {count} numbers as {encoding!r}, expected 45 as 'axis_angle' or 1 to 45 as 'pca'"
+            )
+        return np.asarray(values) + (0.0 if flat_hand_mean else self.mean)
+
+
+def load(path: str | Path, side: Side) -> Mano:
+    """Read a published MANO file safely: no code in it is run.
+
+    The arrays are kept as ``.npz`` in the user's cache folder, named by the file's SHA-256. Raises ``InputError`` for
+    a missing, hostile or malformed file, and for one that holds the other hand.
+    """
+    path = Path(path)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(path, "", f"an unreadable file ({error.strerror})", "a MANO file") from error
+    cache = _cache_folder() / f"mano-{hashlib.sha256(content).hexdigest()}.npz"
+    arrays = _read_cache(cache)
+    if arrays is None:
+        arrays = checked(path, read_pickle(path, content))
+        _write_cache(cache, arrays)
+    return _hand(path, arrays, side)
+
+
+def checked(path: Path, values: dict[str, object]) -> dict[str, ndarray]:
+    """The arrays of a MANO file, of the right shapes and finite, or an ``InputError``."""
+    arrays = {}
+    for key, shape in ARRAYS.items():
+        if key not in values:
+            raise InputError(path, key, "nothing", f"an array of shape {shape}")
+        value = values[key]
+        if not isinstance(value, ndarray) or value.dtype.kind not in "fiu" or value.shape != shape:
+            given = f"shape {value.shape} of {value.dtype}" if isinstance(value, ndarray) else type(value).__name__
+            raise InputError(path, key, given, f"numbers of shape {shape}")
+        if not np.isfinite(value).all():
+            raise InputError(path, key, "NaN or infinite numbers", "finite numbers")
+        arrays[key] = value.astype(np.int64) if key in {"f", "kintree_table"} else value.astype(float)
+    if arrays["f"].min() < 0 or arrays["f"].max() >= len(arrays["v_template"]):
+        raise InputError(path, "f", f"vertex {arrays['f'].max()}", f"indices below {len(arrays['v_template'])}")
+    if tuple(arrays["kintree_table"][0, 1:]) != PARENTS[1:]:
+        raise InputError(path, "kintree_table", str(arrays["kintree_table"][0, 1:]), f"MANO's tree {PARENTS[1:]}")
+    return arrays
+
+
+def _hand(path: Path, arrays: dict[str, ndarray], side: Side) -> Mano:
+    template, shape = arrays["v_template"], arrays["shapedirs"].copy()
+    joints = arrays["J_regressor"] @ template
+    found = "right" if joints[0, 0] > 0 else "left"  # the wrist of a right hand lies towards +x
+    if found != side:
+        raise InputError(path, "v_template", f"a {found} hand", f"a {side} hand")
+    if side == "left":
+        shape[:, 0] *= -1.0
+    model = HandModel(
+        name="mano",
+        side=side,
+        template=template,
+        faces=arrays["f"],
+        joints=joints,
+        weights=arrays["weights"] / arrays["weights"].sum(axis=1, keepdims=True),
+        tips=np.array(TIPS[side]),
+        regions={name: np.array(ids) for name, ids in json.loads(REGIONS.read_text())["regions"].items()},
+        shape_names=tuple(f"beta{k}" for k in range(10)),
+        shape_directions=shape,
+        joint_directions=np.tensordot(arrays["J_regressor"], shape, axes=1),
+        shape_spread=np.ones(10),
+        pose_directions=arrays["posedirs"],
+    )
+    return Mano(model, arrays["hands_components"], arrays["hands_mean"])
+
+
+def _cache_folder() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "getagrip"
+
+
+def _read_cache(cache: Path) -> dict[str, ndarray] | None:
+    if not cache.is_file():
+        return None
+    try:
+        with np.load(cache, allow_pickle=False) as file:
+            return checked(cache, {key: file[key] for key in ARRAYS})
+    except (OSError, ValueError, KeyError, EOFError, InputError):
+        return None  # a damaged cache is made again
+
+
+def _write_cache(cache: Path, arrays: dict[str, ndarray]) -> None:
+    part = cache.with_name(f"{cache.stem}-{os.getpid()}.npz")
+    try:
+        cache.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(part, **arrays)  # type: ignore[arg-type]
+        part.replace(cache)
+    except OSError:  # a full or read-only disk costs only the time of reading the pickle again
+        part.unlink(missing_ok=True)
