@@ -253,7 +253,7 @@ def _other_hand(
     relaxed = np.radians([(0.0, 10.0, 10.0), *((25.0, 30.0, 15.0),) * 4])
     vertices = mirrored(grasper.posed(relaxed).vertices)
     vertices = vertices - vertices.mean(axis=0)
-    turn = se3.exp_so3(rng.normal(0.0, 0.5, 3))
+    turn = se3.exp_so3(rng.normal(0.0, 0.25, 3))
     # Seen from the head: back of the hand towards the eye, fingers up and to the right.
     facing = np.array([[-0.45, 0.0, 0.9], [-0.9, 0.0, -0.45], [0.0, -1.0, 0.0]]).T
     about = se3.transform(T_cam_hand, middle[None])[:, 0].mean(axis=0)

@@ -1,0 +1,141 @@
+"""Synthetic clips: deterministic, true to their options, mirror images, grasps that touch and do not cut in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from getagrip import se3
+from getagrip.clip import Clip, read_clip, read_masks, write_clip
+from getagrip.datasets.grasp import SignedDistance
+from getagrip.datasets.synthetic import CATEGORIES, Options, make_scene, pictures, ragged, synthesise
+from getagrip.errors import UsageError
+from getagrip.mesh import Mesh
+
+FEW = Options(frames=4)
+
+
+def in_hand(clip: Clip) -> np.ndarray:
+    assert clip.truth is not None
+    return se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
+
+
+def hand_gaps(clip: Clip) -> np.ndarray:
+    """Signed distances (T, V) of the true hand's vertices to the object [m]."""
+    assert clip.truth is not None
+    distance = SignedDistance(Mesh(clip.truth.scale * clip.mesh.vertices, clip.mesh.faces))
+    return distance(se3.transform(se3.inverse(in_hand(clip)), clip.truth.hand_vertices))
+
+
+def test_the_same_seed_gives_the_same_clip() -> None:
+    options = replace(FEW, hand_jitter_deg=2.0, hand_jitter_mm=3.0, mask_ragged_px=1.5)
+    (a, masks_a), (b, masks_b) = (synthesise("can", 5, options) for _ in range(2))
+    assert np.array_equal(a.hand.T_cam_hand, b.hand.T_cam_hand)
+    assert np.array_equal(masks_a.object, masks_b.object)
+    other, _ = synthesise("can", 6, options)
+    assert not np.allclose(a.hand.T_cam_hand, other.hand.T_cam_hand)
+
+
+def test_left_clips_are_mirror_images() -> None:
+    right, masks_right = synthesise("mug", 3, replace(FEW, other_hand=True))
+    left, masks_left = synthesise("mug", 3, replace(FEW, other_hand=True, side="left"))
+    assert left.side == "left"
+    assert np.array_equal(masks_left.object, masks_right.object[:, :, ::-1])
+    assert np.array_equal(masks_left.ignore, masks_right.ignore[:, :, ::-1])
+    assert left.truth is not None
+    assert se3.is_rigid(left.truth.T_cam_obj).all()
+    assert left.mesh.volume == pytest.approx(right.mesh.volume)
+    # The thumb's tip lies on the other side, the palm looks the same way.
+    assert left.hand.joints is not None
+    assert right.hand.joints is not None
+    np.testing.assert_allclose(left.hand.joints, right.hand.joints * [-1, 1, 1])
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_object_turns_about_the_axis_alone_without_a_residual(side: str) -> None:
+    scene = make_scene("glass", 1, replace(FEW, side=side, residual_deg=0.0, residual_mm=0.0))
+    T = in_hand(scene.clip)
+    line = se3.rotation_about_line(scene.axis.point, scene.axis.direction, scene.axis.angle - scene.axis.angle[0])
+    np.testing.assert_allclose(T, line @ T[0], atol=1e-9)
+
+
+def test_the_residual_and_the_turn_keep_to_their_limits() -> None:
+    options = Options(frames=12, residual_deg=1.0, residual_mm=1.0, turn_deg=(15.0, 40.0))
+    for category, seed in [("bottle", 0), ("plate", 1), ("kettle", 2)]:
+        scene = make_scene(category, seed, options)
+        exact = make_scene(category, seed, replace(options, residual_deg=0.0, residual_mm=0.0))
+        assert np.radians(14.9) < np.ptp(scene.axis.angle) < np.radians(40.1)
+        off = in_hand(scene.clip) @ se3.inverse(in_hand(exact.clip))
+        turn = np.linalg.norm(se3.log_so3(off[:, :3, :3]), axis=1)
+        at = se3.transform(off, scene.axis.point[None])[:, 0] - scene.axis.point
+        assert turn.max() <= np.radians(1.0) * np.sqrt(3.0)
+        assert np.linalg.norm(at, axis=1).max() <= 1e-3 * np.sqrt(3.0)
+
+
+@pytest.mark.parametrize("category", sorted(CATEGORIES))
+def test_grasps_touch_and_do_not_cut_in(category: str) -> None:
+    clip, masks = synthesise(category, 0, FEW)
+    gaps = hand_gaps(clip)
+    assert ((gaps < 0.002).sum(axis=1) >= 3).all(), "the object floats"
+    assert gaps.min() > -0.008, "the hand cuts deep into the object"
+    assert masks.object.any(axis=(1, 2)).all()
+    assert masks.ignore.any(axis=(1, 2)).all()
+    assert not (masks.object & masks.ignore).any()
+
+
+def test_noise_leaves_the_truth_alone() -> None:
+    noisy = replace(FEW, hand_bias_deg=3.0, hand_bias_mm=6.0)
+    (clean, _), (other, _) = synthesise("box", 2, FEW), synthesise("box", 2, noisy)
+    assert clean.truth is not None
+    assert other.truth is not None
+    np.testing.assert_array_equal(clean.truth.T_cam_obj, other.truth.T_cam_obj)
+    np.testing.assert_array_equal(clean.truth.T_cam_hand, other.truth.T_cam_hand)
+    off = se3.inverse(other.truth.T_cam_hand) @ other.hand.T_cam_hand
+    np.testing.assert_allclose(np.linalg.norm(se3.log_so3(off[:, :3, :3]), axis=1), np.radians(3.0), rtol=1e-6)
+    middle = other.hand.vertices.mean(axis=(0, 1))
+    moved = se3.transform(off, middle[None])[:, 0] - middle
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 6e-3, rtol=1e-6)
+
+
+def test_jitter_has_the_given_size() -> None:
+    clip, _ = synthesise("spoon", 0, Options(frames=200, size=(64, 48), focal=60.0, hand_jitter_deg=2.0))
+    assert clip.truth is not None
+    off = se3.inverse(clip.truth.T_cam_hand) @ clip.hand.T_cam_hand
+    rms = np.sqrt(np.mean(np.sum(se3.log_so3(off[:, :3, :3]) ** 2, axis=1)))
+    assert np.degrees(rms) == pytest.approx(2.0, rel=0.15)
+
+
+def test_a_free_scale_hides_the_size_and_nothing_else() -> None:
+    (known, masks_known), (free, masks_free) = (synthesise("bowl", 4, replace(FEW, scale=s)) for s in ("known", "free"))
+    assert free.truth is not None
+    assert free.truth.scale != 1.0
+    np.testing.assert_allclose(free.truth.scale * free.mesh.vertices, known.mesh.vertices, atol=1e-12)
+    assert (masks_known.object != masks_free.object).mean() < 1e-4
+
+
+def test_ragged_masks_move_by_the_given_distance() -> None:
+    mask = np.zeros((200, 400), dtype=bool)
+    mask[100:] = True
+    moved = ragged(mask, 2.0, np.random.default_rng(0))
+    height = moved.sum(axis=0) - 100
+    assert np.sqrt(np.mean(height**2.0)) == pytest.approx(2.0, abs=0.7)
+    assert abs(np.mean(height)) < 0.7
+
+
+def test_clips_survive_their_folder(tmp_path) -> None:
+    clip, masks = synthesise("pan", 0, FEW)
+    images = pictures(make_scene("pan", 0, FEW))
+    back = read_clip(write_clip(clip, masks, tmp_path / "pan", images))
+    assert back.name == clip.name
+    np.testing.assert_allclose(back.hand.T_cam_hand, clip.hand.T_cam_hand, atol=1e-6)
+    assert np.array_equal(read_masks(back).object, masks.object)
+    assert images[0].shape == (480, 640, 3)
+
+
+def test_unknown_categories_name_the_known_ones() -> None:
+    with pytest.raises(UsageError, match="bottle"):
+        synthesise("teapot", 0)
+    with pytest.raises(UsageError, match="frames"):
+        synthesise("can", 0, Options(frames=1))
