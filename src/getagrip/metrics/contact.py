@@ -63,7 +63,7 @@ def contact_distances(
     hand_vertices: Float[ndarray, "T V 3"],
     hand_faces: Int[ndarray, "F 3"],
 ) -> ContactDistances:
-    """Distances between a posed object and a hand (in the hand frame), both ways; holes of the hand are closed first."""
+    """Distances between a posed object and a hand (in the hand frame), both ways; its holes are closed first."""
     vertices = scale * mesh.vertices
     points = np.concatenate([vertices, scale * surface_points(mesh, AREA_POINTS)])
     hands, faces = close_holes(hand_vertices, hand_faces)
@@ -123,21 +123,20 @@ def close_holes(
 
 def pairwise_iou(contact: Bool[ndarray, "T P"]) -> Float[ndarray, "T T"]:
     """IOU of the contact sets of every pair of frames; 0 for two empty sets, and for an empty set with itself."""
-    c = contact.astype(np.float64)
-    both = c @ c.T
-    count = c.sum(axis=1)
+    bits = np.packbits(contact, axis=1)
+    both = np.stack([np.bitwise_count(bits & row).sum(axis=1, dtype=float) for row in bits])
+    count = np.diag(both)
     either = count[:, None] + count[None, :] - both
     return np.where(either > 0, both / np.maximum(either, 1.0), 0.0)
 
 
-def stable_contact_area(contact: Bool[ndarray, "T P"], diagonal: bool = False) -> float:
-    """Mean pairwise IOU of the contact sets over pairs i < j (the paper's), or over the full T x T matrix.
+def stable_contact_area(overlap: Float[ndarray, "T T"], diagonal: bool = False) -> float:
+    """SCA from the pairwise IOU: the mean over pairs i < j (the paper's), or over the full T x T matrix.
 
     With the diagonal (the authors' code) each frame also counts with itself: never overlapping contacts then score
     1 / T. NaN where there is no pair.
     """
-    matrix = pairwise_iou(contact)
     if diagonal:
-        return float(matrix.mean())
-    T = len(matrix)
-    return float(matrix[np.triu_indices(T, k=1)].mean()) if T > 1 else float("nan")
+        return float(overlap.mean())
+    T = len(overlap)
+    return float(overlap[np.triu_indices(T, k=1)].mean()) if T > 1 else float("nan")

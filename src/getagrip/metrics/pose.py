@@ -44,6 +44,11 @@ class PoseErrors:
     """Of the true object, at its true scale [m]."""
 
     @property
+    def frame_success(self) -> Float[ndarray, "T"]:
+        """1 in frames whose own ADD is below 10 % of the diameter, 0 in the others."""
+        return (self.add < SUCCESS * self.diameter).astype(float)
+
+    @property
     def success(self) -> bool:
         """The paper's ADD: mean over vertices and frames below 10 % of the diameter."""
         return bool(self.add.mean() < SUCCESS * self.diameter)

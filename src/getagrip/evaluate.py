@@ -1,0 +1,273 @@
+"""Every number about a result: what docs/metrics.md defines, gathered, averaged over clips and printed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip import files, se3
+from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
+from getagrip.errors import InputError
+from getagrip.mesh import Mesh
+from getagrip.metrics.contact import (
+    SIDES,
+    THRESHOLDS,
+    ContactDistances,
+    contact_distances,
+    pairwise_iou,
+    stable_contact_area,
+)
+from getagrip.metrics.mask import mask_iou
+from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
+from getagrip.metrics.symmetry import Symmetries, find_symmetries
+from getagrip.result import Reconstruction, read_result
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+IOU_THRESHOLDS = (0.8, 0.6)
+"""SCA-IOU counts the clips whose mean IOU is above these (paper, Sec. 5.1)."""
+
+Metrics = dict[str, float]
+PerFrame = dict[str, Float[ndarray, "T"]]
+
+
+def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> dict[str, Any]:
+    """All metrics of one result folder against its clip.
+
+    ``clips`` is the folder of the clip or one that holds it under its name; without it the clip is looked for where
+    ``result.json`` says and beside the result. Raises ``InputError`` where there is no such clip, where the clip is no
+    longer the one that was reconstructed, and where a frame of the result is unknown to it.
+    """
+    folder = Path(folder)
+    result, record = read_result(folder)
+    clip = _clip_of(folder, result, record, clips)
+    index = {name: n for n, name in enumerate(clip.frames)}
+    unknown = next((name for name in result.frames if name not in index), None)
+    if unknown is not None:
+        known = f"frames of the clip {clip.folder}, {clip.frames[0]} to {clip.frames[-1]}"
+        raise InputError(folder / "result.npz", "frames", f"the frame {files.shown(unknown)}", known)
+    clip = clip.take(np.array([index[name] for name in result.frames]))
+    masks = read_masks(clip) if (clip.folder / "masks" / "object").exists() else None
+    return {"result": str(folder), **evaluate(result, clip, masks)}
+
+
+def evaluate(result: Reconstruction, clip: Clip, masks: Masks | None) -> dict[str, Any]:
+    """All metrics of a reconstruction: ``metrics`` (one number each) and ``per_frame`` (a list each).
+
+    ``clip`` and ``masks`` hold the result's frames, in its order. What needs masks or truth is left out without them.
+    """
+    metrics, per_frame = _contact(clip.mesh, ObjectTrack(result.T_hand_obj, result.scale), clip.hand.vertices, clip)
+    symmetry = None
+    if clip.truth is not None:
+        true = ObjectTrack(se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj, clip.truth.scale)
+        symmetries = _symmetries(clip.mesh.vertices.tobytes(), clip.mesh.faces.tobytes())
+        symmetry = symmetries.describe()
+        _add(metrics, per_frame, "", _pose(clip.mesh, ObjectTrack(result.T_hand_obj, result.scale), true, symmetries))
+        if clip.scale == "free":
+            metrics["scale_error"] = result.scale / clip.truth.scale - 1.0
+        _add(metrics, per_frame, "truth_", _contact(clip.mesh, true, clip.truth.hand_vertices, clip))
+        for key, value in _sca(metrics):
+            metrics[f"sca_add{key}"] = value * metrics["add_success"]
+            metrics[f"sca_add_sym{key}"] = value * metrics["add_sym_success"]
+    if masks is not None:
+        ious = mask_iou(clip.mesh, result.scale, clip.hand.T_cam_hand @ result.T_hand_obj, clip.K, masks)
+        per_frame |= {"iou": ious.crop, "iou_soft": ious.soft, "iou_full": ious.full}
+        metrics |= {key: _mean(per_frame[key]) for key in ("iou", "iou_soft", "iou_full")}
+        for threshold in IOU_THRESHOLDS:
+            above = float(metrics["iou"] > threshold)
+            metrics |= {f"sca_iou_{threshold * 100:.0f}{key}": value * above for key, value in _sca(metrics)}
+    return {
+        "clip": clip.name,
+        "category": clip.category,
+        "method": result.method,
+        "frames": list(clip.frames),
+        "symmetry": symmetry,
+        "metrics": metrics,
+        "per_frame": {key: values.tolist() for key, values in per_frame.items()},
+    }
+
+
+def _pose(mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetries: Symmetries) -> tuple[Metrics, PerFrame]:
+    metrics: Metrics = {"diameter_mm": 1e3 * mesh.diameter * true.scale}
+    per_frame: PerFrame = {}
+    for kind, symmetry in (("", None), ("_sym", best_symmetry(mesh, predicted, true, symmetries))):
+        errors = pose_errors(mesh, predicted, true, symmetry)
+        frames = {
+            f"add{kind}_mm": 1e3 * errors.add,
+            f"rotation{kind}_deg": np.degrees(errors.rotation),
+            f"translation{kind}_mm": 1e3 * errors.translation,
+        }
+        per_frame |= frames
+        metrics |= {key: _mean(values) for key, values in frames.items()}
+        metrics[f"add{kind}_success"] = float(errors.success)
+        metrics[f"add{kind}_frame_success"] = _mean(errors.frame_success)
+    return metrics, per_frame
+
+
+def _contact(
+    mesh: Mesh, track: ObjectTrack, hand_vertices: Float[ndarray, "T V 3"], clip: Clip
+) -> tuple[Metrics, PerFrame]:
+    distances = contact_distances(mesh, track.scale, track.T_hand_obj, hand_vertices, clip.hand.faces)
+    metrics: Metrics = {}
+    per_frame: PerFrame = {}
+    for side in SIDES:
+        for threshold in THRESHOLDS:
+            contact, key = distances.contact(side, threshold), f"{side}_{threshold * 1e3:.0f}mm"
+            overlap = pairwise_iou(contact)
+            metrics[f"sca_{key}"] = stable_contact_area(overlap)
+            metrics[f"sca_diagonal_{key}"] = stable_contact_area(overlap, diagonal=True)
+            per_frame[f"contact_share_{key}"] = contact.mean(axis=1)
+    _add(metrics, per_frame, "", _penetration(distances))
+    return metrics, per_frame
+
+
+def _penetration(distances: ContactDistances) -> tuple[Metrics, PerFrame]:
+    metrics: Metrics = {}
+    per_frame: PerFrame = {}
+    for side in ("object", "hand"):
+        depth = 1e3 * distances.depth(side)
+        inside = depth[depth > 0.0]
+        deepest = depth.max(axis=1)
+        per_frame[f"penetration_{side}_mm"] = deepest
+        metrics[f"penetration_{side}_mm"] = _mean(deepest)
+        metrics[f"penetration_{side}_max_mm"] = float(deepest.max())
+        metrics[f"penetration_{side}_inside_mm"] = _mean(inside) if inside.size else 0.0
+    return metrics, per_frame
+
+
+def _add(metrics: Metrics, per_frame: PerFrame, prefix: str, more: tuple[Metrics, PerFrame]) -> None:
+    metrics |= {prefix + key: value for key, value in more[0].items()}
+    per_frame |= {prefix + key: values for key, values in more[1].items()}
+
+
+def _sca(metrics: Metrics) -> list[tuple[str, float]]:
+    """The prediction's SCA by definition: (``_object_0mm``, value) and so on."""
+    keys = [f"_{side}_{threshold * 1e3:.0f}mm" for side in SIDES for threshold in THRESHOLDS]
+    return [(key, metrics[f"sca{key}"]) for key in keys]
+
+
+def _mean(values: Float[ndarray, "n"]) -> float:
+    """Mean of the values that are there (not NaN); NaN if none is."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else float("nan")
+
+
+@lru_cache(maxsize=32)
+def _symmetries(vertices: bytes, faces: bytes) -> Symmetries:
+    """The symmetries of a mesh, found once for all the clips that hold it."""
+    return find_symmetries(Mesh(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3)))
+
+
+def _clip_of(folder: Path, result: Reconstruction, record: dict[str, Any], clips: str | Path | None) -> Clip:
+    """The clip that a result was made from."""
+    if clips is not None:
+        places = [Path(clips) / result.clip, Path(clips)]
+    else:
+        recorded = record.get("clip_folder")
+        places = [Path(recorded)] if isinstance(recorded, str) and recorded else []
+        places += [folder.parent / result.clip, folder.parent.parent / result.clip]
+    found = next((place for place in places if _is_file(place / "clip.json")), None)
+    if found is None:
+        where = " or ".join(str(place) for place in places)
+        expected = f"its folder at {where}; say where with --clips"
+        raise InputError(folder / "result.json", "clip", f"the clip {files.shown(result.clip)}", expected)
+    clip = read_clip(found)
+    if clip.name != result.clip:
+        raise InputError(found / "clip.json", "name", files.shown(clip.name), f"{result.clip!r}, as {folder} says")
+    if record.get("input_sha256") != input_sha256(found):
+        given = f"the checksum of other masks, hands or mesh than those in {found}"
+        raise InputError(folder / "result.json", "input_sha256", given, "an unchanged clip; reconstruct it again")
+    return clip
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a recorded path may be longer than paths can be
+        return False
+
+
+def summary(evaluations: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The evaluations and, for each metric, its mean over the clips that have it and their number."""
+    keys = list(dict.fromkeys(key for evaluation in evaluations for key in evaluation["metrics"]))
+    columns = {key: np.array([e["metrics"].get(key, np.nan) for e in evaluations], dtype=float) for key in keys}
+    return {
+        "samples": list(evaluations),
+        "mean": {key: _mean(values) for key, values in columns.items()},
+        "clips": {key: int(np.count_nonzero(~np.isnan(values))) for key, values in columns.items()},
+    }
+
+
+class _Column(NamedTuple):
+    heading: str
+    metric: str
+    factor: float
+    decimals: int
+
+    def cell(self, metrics: Metrics) -> str:
+        value = metrics.get(self.metric, float("nan"))
+        return "-" if np.isnan(value) else f"{self.factor * value:.{self.decimals}f}"
+
+
+_COLUMNS = (
+    _Column("IOU\n%", "iou", 100, 1),
+    _Column("full\n%", "iou_full", 100, 1),
+    _Column("ADD\nmm", "add_mm", 1, 1),
+    _Column("ADD\n%", "add_success", 100, 0),
+    _Column("sym\nmm", "add_sym_mm", 1, 1),
+    _Column("sym\n%", "add_sym_success", 100, 0),
+    _Column("rot\ndeg", "rotation_sym_deg", 1, 1),
+    _Column("trans\nmm", "translation_sym_mm", 1, 1),
+    _Column("scale\n%", "scale_error", 100, 1),
+    _Column("depth\nmm", "penetration_object_mm", 1, 1),
+    _Column("SCA\n%", "sca_object_0mm", 100, 1),
+    _Column("true\nSCA %", "truth_sca_object_0mm", 100, 1),
+)
+_KINDS = {"SCA": "sca", "truth's": "truth_sca", "SCA-ADD": "sca_add", "SCA-ADD\nsymmetric": "sca_add_sym"} | {
+    f"SCA-IOU\n> {threshold:g}": f"sca_iou_{threshold * 100:.0f}" for threshold in IOU_THRESHOLDS
+}
+
+
+def tables(evaluations: Sequence[dict[str, Any]]) -> list[Table]:
+    """One row per result and their mean; then stable contact area by definition, means over the results.
+
+    Columns of which no result has a value (there is no truth, the scale is known) are left out.
+    """
+    mean = summary(evaluations)["mean"]
+    several = len({e["method"] for e in evaluations}) > 1
+    columns = [column for column in _COLUMNS if not np.isnan(mean.get(column.metric, np.nan))]
+    results = _table("clip", [column.heading for column in columns])
+    for e in evaluations:
+        name = f"{e['clip']}\n{e['method']}" if several else e["clip"]
+        results.add_row(name, *(column.cell(e["metrics"]) for column in columns))
+    if len(evaluations) > 1:
+        results.add_section()
+        results.add_row(f"mean of {len(evaluations)}", *(column.cell(mean) for column in columns))
+
+    kinds = {h: kind for h, kind in _KINDS.items() if not np.isnan(mean.get(f"{kind}_object_0mm", np.nan))}
+    contact = _table("contact", list(kinds))
+    for side in SIDES:
+        for threshold in THRESHOLDS:
+            name = f"{side} {threshold * 1e3:.0f} mm"
+            keys = [f"{kind}_{side}_{threshold * 1e3:.0f}mm" for kind in kinds.values()]
+            contact.add_row(name, *(_Column("", key, 100, 1).cell(mean) for key in keys))
+        contact.add_section()
+    return [results, contact]
+
+
+def _table(first: str, headings: list[str]) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column(first, overflow="fold", vertical="bottom")
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
