@@ -1,4 +1,4 @@
-"""What touches: points on the object's surface, and the hand's contact regions, as the push and pull terms read them."""
+"""What touches: the hand's contact regions, and the object they may touch, as the push and pull terms read them."""
 
 from __future__ import annotations
 
@@ -6,64 +6,87 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from numba import njit
 from numpy import ndarray
 
 from getagrip import se3
 from getagrip.clip import FINGERS, HandTrack
-from getagrip.kernels.nearest import spread_points
+from getagrip.kernels.closest import FaceGrid
+from getagrip.kernels.silhouette import OPTIONS
 from getagrip.mesh import Mesh, vertex_normals
 
+REACH = 0.03
+"""How far around the object contact is looked for [m]."""
 
-@dataclass(frozen=True)
-class SurfacePoints:
-    """Points spread evenly over an object, about its centre. The paper sums over vertices; points make the terms
-    independent of how a mesh is triangulated (a box has eight vertices, none of them where it is held)."""
 
-    position: Float[ndarray, "3 P"]
-    normal: Float[ndarray, "3 P"]
-
-    @staticmethod
-    def of(mesh: Mesh, centre: Float[ndarray, "3"], count: int) -> SurfacePoints:
-        """Systematic sampling by area, the place inside each triangle from a low-discrepancy sequence; no randomness."""
-        corners = mesh.vertices[mesh.faces]
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        filled = np.cumsum(area)
-        face = np.searchsorted(filled, (np.arange(count) + 0.5) / count * filled[-1])
-        r = np.sqrt((0.5 + np.arange(count) * 0.7548776662466927) % 1.0)
-        t = (0.5 + np.arange(count) * 0.5698402909980532) % 1.0
-        a, b, c = np.moveaxis(corners[face], 1, 0)
-        position = (1 - r)[:, None] * a + (r * (1 - t))[:, None] * b + (r * t)[:, None] * c - centre
-        normal = mesh.planes[face, :3]
-        return SurfacePoints(np.ascontiguousarray(position.T), np.ascontiguousarray(normal.T))
+def solid(mesh: Mesh, centre: Float[ndarray, "3"]) -> FaceGrid:
+    """The object as contact sees it, about its centre."""
+    return FaceGrid.of(mesh.vertices[mesh.faces] - centre, mesh.planes[:, :3], margin=REACH)
 
 
 @dataclass(frozen=True)
 class HandContacts:
-    """The vertices of a hand's contact regions in the camera frame, fingertips first."""
+    """The vertices of a hand's contact regions in the camera frame."""
 
-    position: Float[ndarray, "N 3 Q"]
-    normal: Float[ndarray, "N 3 Q"]
+    position: Float[ndarray, "N Q 3"]
     region: Int[ndarray, "6"]
     """Where each of the five fingertip regions begins, and where the last ends; palm regions follow."""
 
     @staticmethod
     def of(hand: HandTrack, per_region: int | None = None) -> HandContacts:
         """All vertices of the regions, or at most ``per_region`` spread evenly over each."""
-        T = hand.T_cam_hand
-        vertices = se3.transform(T, hand.vertices)
-        normals = vertex_normals(vertices, hand.faces)
         names = [*FINGERS, *sorted(set(hand.regions) - set(FINGERS))]
         ids = [hand.regions[name] for name in names]
         if per_region is not None:
             ids = [i[spread_points(hand.vertices[0, i], per_region)] for i in ids]
-        index = np.concatenate(ids)
         ends = np.concatenate([[0], np.cumsum([len(i) for i in ids[: len(FINGERS)]])])
-        return HandContacts(
-            np.ascontiguousarray(np.swapaxes(vertices[:, index], 1, 2)),
-            np.ascontiguousarray(np.swapaxes(normals[:, index], 1, 2)),
-            ends,
-        )
+        return HandContacts(se3.transform(hand.T_cam_hand, hand.vertices[:, np.concatenate(ids)]), ends)
 
     def take(self, index: Int[ndarray, "n"]) -> HandContacts:
         """The contacts at some of the frames."""
-        return HandContacts(self.position[index], self.normal[index], self.region)
+        return HandContacts(self.position[index], self.region)
+
+
+def spread_points(points: Float[ndarray, "P 3"], wanted: int) -> Int[ndarray, "n"]:
+    """Indices of ``wanted`` points spread evenly (farthest point first, starting nearest to the mean)."""
+    if len(points) <= wanted:
+        return np.arange(len(points))
+    chosen = np.empty(wanted, int)
+    chosen[0] = np.argmin(np.sum((points - points.mean(axis=0)) ** 2, axis=1))
+    distance = np.full(len(points), np.inf)
+    for k in range(1, wanted):
+        distance = np.minimum(distance, np.sum((points - points[chosen[k - 1]]) ** 2, axis=1))
+        chosen[k] = np.argmax(distance)
+    return np.sort(chosen)
+
+
+@njit(**OPTIONS)
+def add_height(d, m0, m1, m2, x, y, z, R, centre, scale, weight, delta, g, H):
+    """Add ``weight |d|`` to the normal equations, d the height of a hand point over the object.
+
+    The point (x, y, z) and the direction m of d are in the camera's and in the object's frame, d is of the unscaled
+    object [m]. Moving the object by the local 7-vector (v, w, l) changes the height by
+    ``-n . v - (r x n) . w + (d - r . n) l``, r the point from the object's centre, n the direction in the camera frame.
+    Only the upper half of H is filled.
+    """
+    n0 = R[0, 0] * m0 + R[0, 1] * m1 + R[0, 2] * m2
+    n1 = R[1, 0] * m0 + R[1, 1] * m1 + R[1, 2] * m2
+    n2 = R[2, 0] * m0 + R[2, 1] * m1 + R[2, 2] * m2
+    d *= scale
+    r0, r1, r2 = x - centre[0], y - centre[1], z - centre[2]
+    a = (
+        -n0, -n1, -n2, r2 * n1 - r1 * n2, r0 * n2 - r2 * n0, r1 * n0 - r0 * n1, d - r0 * n0 - r1 * n1 - r2 * n2
+    )  # fmt: skip
+    h = weight / max(abs(d), delta)
+    for i in range(7):
+        g[i] += h * d * a[i]
+        for j in range(i, 7):
+            H[i, j] += h * a[i] * a[j]
+
+
+@njit(**OPTIONS)
+def mirror_upper(H):
+    """Copy the upper half of a square matrix to its lower half."""
+    for i in range(1, H.shape[0]):
+        for j in range(i):
+            H[i, j] = H[j, i]

@@ -9,26 +9,25 @@ from jaxtyping import Float
 from numba import njit
 from numpy import ndarray
 
-from getagrip.contact import HandContacts, SurfacePoints
+from getagrip.contact import REACH, HandContacts, add_height, mirror_upper
 from getagrip.energy import Local, Poses
-from getagrip.kernels.nearest import add_residual, mirror_upper, nearest, place
+from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
 from getagrip.kernels.silhouette import OPTIONS
 
 
 @dataclass(frozen=True)
 class PullTerm:
-    """``weight * mean over the five fingertips of min over their vertices of |<v_h - v_o, n_o>|``, v_o the object point
-    nearest to v_h.
+    """``weight * mean over the five fingertips of min over their vertices of |d|``, d the signed distance to the object.
 
-    The paper writes no absolute value, which is unbounded below; the authors' later code takes one. A finger farther
-    than ``reach`` is not holding anything and feels no pull.
+    The paper takes ``<v_h - v_o, n_o>``, the height over the tangent plane of an object vertex, without an absolute
+    value, which is unbounded below; the authors' later code takes the absolute value at the nearest vertex. The
+    distance to the surface is what both stand for. A finger farther than ``REACH`` holds nothing and feels no pull.
     """
 
-    points: SurfacePoints
+    solid: FaceGrid
     hand: HandContacts
     weight: Float[ndarray, "N"]
     """Energy per metre of mean distance, per frame [px^2 / m]."""
-    reach: float = 0.03
     delta: float = 0.002
     """Distances below this count as this in the curvature [m]."""
     name: str = "pull"
@@ -36,48 +35,41 @@ class PullTerm:
     def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
         B, N = poses.centre.shape[:2]
         value, g, H = np.zeros((B, N)), np.zeros((B, N, 7)), np.zeros((B, N, 7, 7))
+        s = self.solid
         _evaluate(
-            poses.R, poses.centre, poses.scale, self.points.position, self.points.normal, self.hand.position,
-            self.hand.region, self.weight, self.reach, self.delta, value, g, H,
+            poses.R, poses.centre, poses.scale, s.corners, s.normals, s.face, s.distance, s.origin, s.spacing,
+            self.hand.position, self.hand.region, self.weight, self.delta, value, g, H,
         )  # fmt: skip
         return Local(value, g, H)
 
 
 @njit(**OPTIONS)
-def _evaluate(R, centre, scale, points, normal, hand, region, weight, reach, delta, value, g, H):
+def _evaluate(
+    R, centre, scale, corners, normals, face, distance, origin, spacing, hand, region, weight, delta, value, g, H
+):  # fmt: skip
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape
-    P, F = points.shape[1], len(region) - 1
-    posed, squared = np.empty((3, P)), np.empty(P)
+    fingers = len(region) - 1
+    tips = region[fingers]
+    local, rough = np.empty((tips, 3)), np.empty(tips)
+    slack = SLACK * spacing
     for b in range(B):
+        reach = REACH / scale[b]
         for n in range(N):
-            place(points, R[b, n], centre[b, n], scale[b], posed)
-            unit = weight[n] / F
-            for f in range(F):
-                least, signed, at, tip = reach, 0.0, -1, -1
+            unit = weight[n] / fingers
+            screen(hand[n, :tips], R[b, n], centre[b, n], scale[b], distance, origin, spacing, local, rough)
+            for f in range(fingers):
+                least, tip, d, n0, n1, n2 = reach, -1, 0.0, 0.0, 0.0, 0.0
                 for q in range(region[f], region[f + 1]):
-                    x, y, z = hand[n, 0, q], hand[n, 1, q], hand[n, 2, q]
-                    k = nearest(posed, x, y, z, squared)
-                    m0, m1, m2 = normal[0, k], normal[1, k], normal[2, k]
-                    n0 = R[b, n, 0, 0] * m0 + R[b, n, 0, 1] * m1 + R[b, n, 0, 2] * m2
-                    n1 = R[b, n, 1, 0] * m0 + R[b, n, 1, 1] * m1 + R[b, n, 1, 2] * m2
-                    n2 = R[b, n, 2, 0] * m0 + R[b, n, 2, 1] * m1 + R[b, n, 2, 2] * m2
-                    d = n0 * (x - posed[0, k]) + n1 * (y - posed[1, k]) + n2 * (z - posed[2, k])
-                    if abs(d) < least and squared[k] < reach * reach:
-                        least, signed, at, tip = abs(d), d, k, q
-                value[b, n] += unit * least
-                if at < 0:
-                    continue
-                m0, m1, m2 = normal[0, at], normal[1, at], normal[2, at]
-                n0 = R[b, n, 0, 0] * m0 + R[b, n, 0, 1] * m1 + R[b, n, 0, 2] * m2
-                n1 = R[b, n, 1, 0] * m0 + R[b, n, 1, 1] * m1 + R[b, n, 1, 2] * m2
-                n2 = R[b, n, 2, 0] * m0 + R[b, n, 2, 1] * m1 + R[b, n, 2, 2] * m2
-                r0, r1, r2 = hand[n, 0, tip] - centre[b, n, 0], hand[n, 1, tip] - centre[b, n, 1], hand[n, 2, tip] - centre[b, n, 2]  # fmt: skip
-                s = (
-                    (posed[0, at] - centre[b, n, 0]) * n0
-                    + (posed[1, at] - centre[b, n, 1]) * n1
-                    + (posed[2, at] - centre[b, n, 2]) * n2
-                )
-                h = unit / max(least, delta)
-                add_residual(h * signed, h, -n0, -n1, -n2, r0, r1, r2, -s, g[b, n], H[b, n])
+                    if abs(rough[q]) - slack > least:
+                        continue
+                    e, m0, m1, m2 = signed_distance(
+                        local[q, 0], local[q, 1], local[q, 2], corners, normals, face, origin, spacing
+                    )  # fmt: skip
+                    if abs(e) < least:
+                        least, tip, d, n0, n1, n2 = abs(e), q, e, m0, m1, m2
+                value[b, n] += unit * scale[b] * least
+                if tip >= 0:
+                    x, y, z = hand[n, tip, 0], hand[n, tip, 1], hand[n, tip, 2]
+                    add_height(d, n0, n1, n2, x, y, z, R[b, n], centre[b, n], scale[b], unit, delta, g[b, n], H[b, n])
             mirror_upper(H[b, n])
