@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from getagrip import se3
+from getagrip.camera import project
 from getagrip.clip import Clip, HandTrack, Masks, Truth
 from getagrip.datasets import shapes
 from getagrip.datasets.grasp import Grasper, Grip, SignedDistance
@@ -326,13 +327,21 @@ def ragged(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> B
 def pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
     """Plain pictures of the scene, one per frame."""
     width, height = scene.options.size
-    shade = np.linspace(0.93, 0.70, height)[:, None, None] * np.array([0.96, 0.98, 1.0])
+    shade = np.linspace(0.93, 0.74, height)[:, None, None] * np.array([1.0, 0.98, 0.95])
     background = np.broadcast_to(255.0 * shade, (height, width, 3)).astype(np.uint8)
     images = []
     for n in range(len(scene.clip)):
         held, hands = scene.surfaces(n)
-        meshes = [(*held, (0.80, 0.50, 0.36)), *((*hand, (0.86, 0.68, 0.58)) for hand in hands)]
-        images.append(render_rgb(meshes, scene.clip.K[n], scene.clip.size, background))
+        meshes = [(*held, (0.47, 0.60, 0.68)), *((*hand, (0.86, 0.68, 0.58)) for hand in hands)]
+        K = scene.clip.K[n]
+        uv = project(K, np.concatenate([vertices for vertices, _, _ in meshes]))
+        left, top = np.clip(np.floor(uv.min(axis=0)).astype(int), 0, (width - 1, height - 1))
+        right, bottom = np.clip(np.ceil(uv.max(axis=0)).astype(int), (left + 1, top + 1), (width, height))
+        image = background.copy()
+        window = image[top:bottom, left:right]  # drawing all of the image would take much longer
+        shift = np.array([[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]])
+        window[:] = render_rgb(meshes, K - shift, (window.shape[1], window.shape[0]), window)
+        images.append(image)
     return images
 
 

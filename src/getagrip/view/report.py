@@ -1,0 +1,313 @@
+"""One picture of a reconstruction: what is seen, what was found, from the camera and from the side, and the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.camera import Crops, project
+from getagrip.clip import Clip, Masks
+from getagrip.errors import InputError
+from getagrip.kernels.depth import depth_and_face
+from getagrip.render import render_rgb
+from getagrip.result import Reconstruction
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TILES = 5
+"""Frames shown."""
+TILE = 400
+"""Side of a tile [px]."""
+TURN = np.radians(80.0)
+"""The turned view looks from this far to the left."""
+HAND, OBJECT = (0.87, 0.72, 0.63), (0.44, 0.58, 0.69)
+PAPER, INK, FAINT, LINE = "#f4f4f1", "#2b2f33", "#8a9096", "#d9dad6"
+FOUND, AXIS, TRUE = "#c8553d", "#2a9d8f", "#6c757d"
+SEEN, IGNORED = (126, 158, 184), (216, 200, 186)
+METHODS = {
+    "one-dof": "1-DoF",
+    "soft-hinge": "soft hinge",
+    "static": "Static",
+    "dynamic": "Dynamic",
+    "single-frame": "Single Frame",
+    "homan": "HOMan",
+    "contact-consistency": "contact consistency",
+}
+"""What methods are called in the paper."""
+
+
+def write_report(
+    clip: Clip,
+    masks: Masks | None,
+    result: Reconstruction,
+    path: str | Path,
+    metrics: Mapping[str, float] | None = None,
+) -> Path:
+    """Write the picture as a PNG and return its path.
+
+    ``clip`` and ``masks`` may have more frames than the result; ``metrics`` are those of ``evaluate``, of which ADD and
+    IOU are shown where they are there. Images are read from the clip's folder where it has them; without images the
+    masks are drawn. Raises ``InputError`` when a frame of the result is none of the clip's.
+    """
+    index = {name: n for n, name in enumerate(clip.frames)}
+    missing = [name for name in result.frames if name not in index]
+    if missing:
+        raise InputError(path, "frames", f"frame {missing[0]!r}", f"a frame of the clip {clip.name}")
+    chosen = np.array([index[name] for name in result.frames])
+    view = _View(
+        clip.take(chosen),
+        None if masks is None else Masks(masks.object[chosen], masks.ignore[chosen]),
+        result,
+    )
+    figure = _draw(view, metrics or {})
+    figure.savefig(path, facecolor="white")
+    return Path(path)
+
+
+@dataclass(frozen=True)
+class _View:
+    """A result with the clip's and the masks' frames beside it."""
+
+    clip: Clip
+    masks: Masks | None
+    result: Reconstruction
+
+    def hand(self, n: int) -> Float[ndarray, "V 3"]:
+        """The hand in the camera frame [m]."""
+        return se3.transform(self.clip.hand.T_cam_hand[n], self.clip.hand.vertices[n])
+
+    def object(self, n: int) -> Float[ndarray, "V 3"]:
+        """The object as it was found, in the camera frame [m]."""
+        T_cam_obj = self.clip.hand.T_cam_hand[n] @ self.result.T_hand_obj[n]
+        return se3.transform(T_cam_obj, self.result.scale * self.clip.mesh.vertices)
+
+    def crops(self, frames: Int[ndarray, "n"]) -> Crops:
+        """Square windows of one size around hand and object."""
+        boxes = []
+        for n in frames:
+            uv = project(self.clip.K[n], np.concatenate([self.hand(n), self.object(n)]))
+            boxes.append(np.concatenate([uv.min(axis=0), uv.max(axis=0)]))
+        low, high = np.split(np.array(boxes), 2, axis=1)
+        side = 1.10 * float((high - low).max())
+        return Crops(corner=(low + high - side) / 2.0, side=side, size=TILE)
+
+
+def _draw(view: _View, metrics: Mapping[str, float]) -> Figure:
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    style: dict[Any, Any] = {
+        "font.family": "DejaVu Sans",
+        "font.size": 8.5,
+        "text.color": INK,
+        "axes.edgecolor": LINE,
+        "axes.labelcolor": FAINT,
+        "xtick.color": FAINT,
+        "ytick.color": FAINT,
+    }
+    with rc_context(style):
+        left, right, gap, tile = 0.62, 0.25, 0.08, 2.3  # inches
+        width = left + right + TILES * tile + (TILES - 1) * gap
+        head, foot, plots, between = 1.22, 0.48, 1.75, 0.62
+        height = head + 3 * tile + 2 * gap + between + plots + foot
+        figure = Figure(figsize=(width, height), dpi=130)
+        FigureCanvasAgg(figure)
+
+        def place(x: float, top: float, w: float, h: float) -> Axes:
+            return figure.add_axes((x / width, 1.0 - (top + h) / height, w / width, h / height))
+
+        _title(figure, view, metrics, left / width, 1.0 - 0.2 / height, 0.27 / height)
+        frames = np.unique(np.linspace(0, len(view.result.frames) - 1, TILES).round().astype(int))
+        crops = view.crops(frames)
+        rows = ("what is seen", "found, from the camera", "found, from the side")
+        for row, label in enumerate(rows):
+            top = head + row * (tile + gap)
+            figure.text(0.35 / width, 1.0 - (top + tile / 2) / height, label, rotation=90, ha="center", va="center")
+            for k, n in enumerate(frames):
+                axes = place(left + k * (tile + gap), top, tile, tile)
+                axes.set(xticks=[], yticks=[], xlim=(0, TILE), ylim=(TILE, 0), facecolor=PAPER)
+                K = crops.intrinsics(view.clip.K[frames])[k]
+                if row == 0:
+                    _seen(axes, view, int(n), crops, k, K)
+                else:
+                    _found(axes, view, int(n), K, turned=row == 2)
+        top = head + 3 * tile + 2 * gap + between
+        half = (width - left - right - 0.75) / 2.0
+        _angle_plot(place(left, top, half, plots), view)
+        _iou_plot(place(left + half + 0.75, top, half, plots), view)
+    return figure
+
+
+def _title(figure: Figure, view: _View, metrics: Mapping[str, float], x: float, y: float, step: float) -> None:
+    result, clip = view.result, view.clip
+    figure.text(x, y, clip.name, fontsize=15, fontweight="bold", va="top")
+    facts = [METHODS.get(result.method, result.method), f"{len(result.frames)} frames", f"{clip.side} hand"]
+    facts.append(f"scale {result.scale:.3f} is a guess" if clip.scale == "free" else "scale known")
+    figure.text(x, y - 1.25 * step, "  ·  ".join(facts), color=FAINT, fontsize=9.5, va="top")
+    figure.text(x, y - 2.0 * step, result.status, color=INK, fontsize=9.5, va="top")
+
+    numbers = [("IOU", f"{100 * np.mean(result.iou):.1f} %")]
+    if "add_mm" in metrics:
+        numbers.append(("ADD", f"{metrics['add_mm']:.1f} mm"))
+    if "rotation_deg" in metrics:
+        numbers.append(("rotation", f"{metrics['rotation_deg']:.1f}°"))
+    if "total" in result.seconds:
+        numbers.append(("time", f"{result.seconds['total']:.2f} s"))
+    right = 0.98
+    for name, number in numbers[::-1]:
+        figure.text(right, y, number, fontsize=15, va="top", ha="right")
+        figure.text(right, y - 1.25 * step, name, fontsize=9.5, color=FAINT, va="top", ha="right")
+        right -= 0.085
+    if result.ambiguous:
+        warning = "ambiguous: another pose explains the masks almost as well"
+        figure.text(0.98, y - 2.0 * step, warning, color=FOUND, fontsize=9.5, va="top", ha="right")
+
+
+def _seen(axes: Axes, view: _View, n: int, crops: Crops, k: int, K: Float[ndarray, "3 3"]) -> None:
+    """The image or the masks, and the outline of the object as it was found."""
+    shift = -crops.corner[k] * crops.zoom
+    centre = shift + crops.zoom / 2.0 - 0.5  # cv2 counts from the centre of the first pixel
+    warp = np.array([[crops.zoom, 0.0, centre[0]], [0.0, crops.zoom, centre[1]]])
+    picture = _image(view, n)
+    grey = (244, 244, 241)
+    tile = cv2.warpAffine(
+        picture, warp, (TILE, TILE), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=grey
+    )
+    axes.imshow(tile, extent=(0, TILE, TILE, 0), interpolation="antialiased")
+    drawn = depth_and_face(view.object(n), view.clip.mesh.faces, K, (TILE, TILE))[1] >= 0
+    for line in _outlines(drawn):
+        axes.plot(*line.T, color="white", linewidth=2.6, alpha=0.8, solid_joinstyle="round")
+        axes.plot(*line.T, color=FOUND, linewidth=1.3, solid_joinstyle="round")
+    axes.set_title(view.result.frames[n], fontsize=8.5, color=FAINT, pad=4)
+
+
+def _image(view: _View, n: int) -> UInt8[ndarray, "H W 3"]:
+    """The frame's image where the clip has one, else its masks in colours."""
+    for suffix in (".jpg", ".png"):
+        file = view.clip.folder / "frames" / f"{view.clip.frames[n]}{suffix}"
+        if file.is_file():
+            read = cv2.imread(str(file), cv2.IMREAD_COLOR)
+            if read is None:
+                raise InputError(file, "", "a file that is no image", "an image")
+            return np.asarray(read[..., ::-1], dtype=np.uint8)
+    width, height = view.clip.size
+    picture = np.full((height, width, 3), (244, 244, 241), dtype=np.uint8)
+    if view.masks is not None:
+        picture[view.masks.ignore[n]] = IGNORED
+        picture[view.masks.object[n]] = SEEN
+    return picture
+
+
+def _found(axes: Axes, view: _View, n: int, K: Float[ndarray, "3 3"], turned: bool) -> None:
+    """Hand, object and axis, seen by the camera or from the side."""
+    hand, held = view.hand(n), view.object(n)
+    T_view_cam = np.eye(4)
+    if turned:
+        both = np.concatenate([hand, held])
+        middle = (both.min(axis=0) + both.max(axis=0)) / 2.0
+        R = se3.exp_so3(np.array([0.0, -TURN, 0.0]))
+        T_view_cam = se3.rigid(R, np.array([0.0, 0.0, np.linalg.norm(middle)]) - R @ middle)
+        K = np.array([[K[0, 0], 0.0, TILE / 2.0], [0.0, K[1, 1], TILE / 2.0], [0.0, 0.0, 1.0]])
+    hand, held = se3.transform(T_view_cam, hand), se3.transform(T_view_cam, held)
+    meshes = [(hand, view.clip.hand.faces, HAND), (held, view.clip.mesh.faces, OBJECT)]
+    paper = np.array([0xF4, 0xF4, 0xF1]) / 255.0
+    axes.imshow(render_rgb(meshes, K, (TILE, TILE), tuple(paper)), extent=(0, TILE, TILE, 0))
+    if view.result.axis is not None:
+        T_view_hand = T_view_cam @ view.clip.hand.T_cam_hand[n]
+        _axis_line(axes, view, T_view_hand, np.concatenate([hand, held]), K, (hand, held))
+
+
+def _axis_line(
+    axes: Axes,
+    view: _View,
+    T_view_hand: Float[ndarray, "4 4"],
+    both: Float[ndarray, "V 3"],
+    K: Float[ndarray, "3 3"],
+    parts: tuple[Float[ndarray, "V 3"], Float[ndarray, "W 3"]],
+) -> None:
+    """The latent axis: a line where it is in sight, dots where something is in front of it."""
+    axis = view.result.axis
+    assert axis is not None
+    ends = view.result.scale * view.clip.mesh.diameter
+    point = axis.point + axis.direction * _along(view, axis.point, axis.direction)
+    line = se3.transform(T_view_hand, point + np.linspace(-0.85, 0.85, 400)[:, None] * ends * axis.direction)
+    line = line[line[:, 2] > 0.05]
+    uv = project(K, line)
+    faces = np.concatenate([view.clip.hand.faces, view.clip.mesh.faces + len(parts[0])])
+    depth, _ = depth_and_face(both, faces, K, (TILE, TILE))
+    column, row = np.clip(np.floor(uv).astype(int), 0, TILE - 1).T
+    in_sight = line[:, 2] < depth[row, column] + 1e-3
+    axes.plot(*np.where(in_sight[:, None], uv, np.nan).T, color="white", linewidth=3.0, alpha=0.7)
+    axes.plot(*np.where(in_sight[:, None], uv, np.nan).T, color=AXIS, linewidth=1.6)
+    axes.plot(*np.where(in_sight[:, None], np.nan, uv).T, color=AXIS, linewidth=1.2, linestyle=(0, (1, 2)))
+
+
+def _along(view: _View, point: Float[ndarray, 3], direction: Float[ndarray, 3]) -> float:
+    """Where on the axis the object's middle comes nearest, in the hand frame [m]."""
+    middle = se3.transform(view.result.T_hand_obj, view.result.scale * view.clip.mesh.centre[None])[:, 0].mean(axis=0)
+    return float((middle - point) @ direction)
+
+
+def _outlines(mask: Bool[ndarray, "H W"]) -> list[Float[ndarray, "n 2"]]:
+    """Closed boundary lines of a mask, in pixel coordinates."""
+    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    lines = [contour[:, 0].astype(float) + 0.5 for contour in contours if len(contour) > 8]
+    return [np.concatenate([line, line[:1]]) for line in lines]
+
+
+def _plain(axes: Axes, title: str) -> None:
+    axes.set_title(title, loc="left", fontsize=9.5, color=INK, pad=6)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.grid(axis="y", color=LINE, linewidth=0.6)
+    axes.tick_params(length=0)
+    axes.set_xlabel("time [s]")
+    axes.margins(x=0.01)
+
+
+def _seconds(view: _View) -> Float[ndarray, "T"]:
+    """Times of the frames, from the numbers in their names where these are numbers, else evenly spaced."""
+    names = view.result.frames
+    if all(name.isdecimal() for name in names):
+        return np.asarray((np.array([int(name) for name in names]) - int(names[0])) / view.clip.fps)
+    return np.arange(len(names)) / view.clip.fps
+
+
+def _angle_plot(axes: Axes, view: _View) -> None:
+    """The angle about the axis or, without an axis, the turn since the first frame; the same of the truth."""
+    t, result, truth = _seconds(view), view.result, view.clip.truth
+    true = None if truth is None else (se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj)[:, :3, :3]
+    if result.axis is None:
+        _plain(axes, "turn of the object in the hand since the first frame [°]")
+        R = result.T_hand_obj[:, :3, :3]
+        curves = [se3.angle_between(r[:1], r) for r in (R, true) if r is not None]
+    else:
+        _plain(axes, "angle of the object about the axis [°]")
+        curves = [result.axis.angle - result.axis.angle.mean()]
+        if true is not None:
+            about = se3.log_so3(true @ true[0].T) @ result.axis.direction
+            curves.append(about - about.mean())
+    if len(curves) > 1:
+        axes.plot(t, np.degrees(curves[1]), color=TRUE, linewidth=1.4, linestyle=(0, (4, 2)), label="truth")
+    axes.plot(t, np.degrees(curves[0]), color=AXIS, linewidth=2.0, label="found")
+    if len(curves) > 1:
+        axes.legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 0.98), borderpad=0.0)
+
+
+def _iou_plot(axes: Axes, view: _View) -> None:
+    _plain(axes, "overlap of the object with its mask (IOU)")
+    t, iou = _seconds(view), view.result.iou
+    axes.axhline(float(iou.mean()), color=LINE, linewidth=1.2)
+    axes.plot(t, iou, color=FOUND, linewidth=2.0)
+    axes.set_ylim(min(0.8, float(np.floor(10.0 * iou.min()) / 10.0)), 1.0)
