@@ -19,8 +19,8 @@ from getagrip import se3
 from getagrip.clip import Clip, HandTrack, Masks, Truth
 from getagrip.datasets.hot3d_files import Recording, find, read_recording
 from getagrip.errors import InputError
+from getagrip.files import plain, read_json, shown
 from getagrip.hands.model import Side
-from getagrip.hands.umetrack import read_json
 from getagrip.mesh import SUFFIXES, Mesh, read_mesh
 from getagrip.render import Surface, true_masks
 
@@ -194,7 +194,7 @@ def _provenance(hold: Hold, dropped: int) -> dict[str, Any]:
 
 
 def _objects(root: Path, note: Callable[[str], None]) -> tuple[dict[str, str], dict[str, Mesh]]:
-    """Names and meshes of the objects by uid. A mesh is a file called by the uid or the name, anywhere below ``root``."""
+    """Names and meshes of the objects by uid. A mesh is a file called by the uid or the name, somewhere in ``root``."""
     instances = next(iter(sorted(root.rglob("instance.json"))), None)
     if instances is None:
         raise InputError(root, "", "no instance.json below it", "HOT3D's list of objects")
@@ -202,7 +202,7 @@ def _objects(root: Path, note: Callable[[str], None]) -> tuple[dict[str, str], d
     for uid, entry in read_json(instances).items():
         name = entry.get("instance_name") if isinstance(entry, dict) else None
         if not isinstance(name, str) or not name.replace("_", "").isalnum():
-            raise InputError(instances, uid, f"{name!r}", "an entry with an instance_name of letters, digits and _")
+            raise InputError(instances, plain(uid), shown(name), "an instance_name of letters, digits and _")
         names[uid] = name
     files: dict[str, Path] = {}
     for path in sorted(root.rglob("*")):

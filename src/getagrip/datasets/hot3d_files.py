@@ -30,6 +30,8 @@ OBJECTS = ("dynamic_objects.csv", "dynamic_objects_v2.csv")
 SLACK = 5_000_000
 """Largest difference between the times of a frame and of a pose that is taken for it [ns]; cameras and poses of one
 instant are stamped 0.1 ms apart, frames 33 ms."""
+LARGEST_IMAGE = 8192
+"""Longest side of an image [px]."""
 SIDES: dict[str, Side] = {"0": "left", "1": "right"}
 ARIA_CAMERAS = {"camera-rgb": (1408, 1408), "camera-slam-left": (640, 480)}
 """Cameras in the order of preference and the sizes of their images [px], which the calibration does not give."""
@@ -121,7 +123,7 @@ def _hands(path: Path, model: umetrack.UmeTrackHand, times: Int[ndarray, "N"]) -
     angles: dict[Side, dict[int, Float[ndarray, "22"]]] = {"left": {}, "right": {}}
     for number, line in _json_lines(path):
         with _named(path, f"line {number}", "a time and the poses of the hands"):
-            time = int(line["timestamp_ns"])
+            time = _whole(line["timestamp_ns"])
             for key, pose in line["hand_poses"].items():
                 wrist = pose["wrist_xform"]
                 wrists[SIDES[key]][time] = _rigid([*wrist["q_wxyz"], *wrist["t_xyz"]])
@@ -151,7 +153,7 @@ def _aria(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "
             if label in cameras:
                 mount = cameras[label]["T_Device_Camera"]
                 w, xyz = mount["UnitQuaternion"]
-                mounts[1000 * int(line["tracking_timestamp_us"])] = _rigid([w, *xyz, *mount["Translation"]])
+                mounts[1000 * _whole(line["tracking_timestamp_us"])] = _rigid([w, *xyz, *mount["Translation"]])
                 lenses.append(Fisheye624.from_parameters(cameras[label]["Projection"]["Params"], ARIA_CAMERAS[label]))
     if not mounts:
         raise InputError(path, "", "no line", "a calibration for every frame")
@@ -165,11 +167,11 @@ def _quest(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> Camera:
     """The first large camera of a Quest 3, which is stream 1201-1."""
     try:
         cameras = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(path, "", f"an unreadable file ({error})", "a JSON list of cameras") from error
     with _named(path, "cameras", "a list of Fisheye624 cameras"):
         camera = next(camera for camera in cameras if camera["imageHeight"] >= 640)
-        size = int(camera["imageWidth"]), int(camera["imageHeight"])
+        size = _whole(camera["imageWidth"], LARGEST_IMAGE), _whole(camera["imageHeight"], LARGEST_IMAGE)
         fisheye = Fisheye624.from_parameters(camera["projectionParams"], size)
         mount = camera["T_Device_Camera"]
         T_device_fisheye = _rigid([*mount["quaternion_wxyz"], *mount["translation_xyz"]])
@@ -203,8 +205,8 @@ def _poses_csv(path: Path) -> dict[str, dict[int, Float[ndarray, "4 4"]]]:
                 with _named(path, f"line {number}", f"columns object_uid, timestamp[ns], {', '.join(columns)}"):
                     numbers = [float(row[c]) for c in columns]
                     T = _rigid([*numbers[3:], *numbers[:3]])
-                    poses.setdefault(row["object_uid"], {})[int(row["timestamp[ns]"])] = T
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+                    poses.setdefault(row["object_uid"], {})[_whole(row["timestamp[ns]"])] = T
+    except (OSError, ValueError, csv.Error) as error:
         raise InputError(path, "", f"an unreadable file ({error})", "a table of poses") from error
     if not poses:
         raise InputError(path, "", "no row", "poses")
@@ -217,7 +219,7 @@ def _json_lines(path: Path) -> Iterator[tuple[int, Any]]:
             for number, line in enumerate(file, start=1):
                 if line.strip():
                     yield number, json.loads(line)
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(path, "", f"an unreadable file ({error})", "one JSON object a line") from error
 
 
@@ -227,6 +229,13 @@ def _rigid(numbers: Sequence[float]) -> Float[ndarray, "4 4"]:
     if abs(np.linalg.norm(q_t[:4]) - 1.0) > 1e-2:
         raise ValueError("a quaternion that is not of unit length")
     return se3.rigid(se3.from_quaternion(q_t[:4]), q_t[4:])
+
+
+def _whole(value: Any, largest: int = 2**53) -> int:
+    number = int(value)
+    if not 0 < number <= largest:
+        raise ValueError(f"{number}, which is not between 1 and {largest}")
+    return number
 
 
 def _numbers(values: Sequence[float], count: int) -> Float[ndarray, "count"]:
@@ -243,5 +252,5 @@ def _named(path: Path, key: str, expected: str) -> Iterator[None]:
         yield
     except KeyError as error:
         raise InputError(path, key, f"no {error}", expected) from error
-    except (TypeError, ValueError, AttributeError, StopIteration) as error:
+    except (TypeError, ValueError, OverflowError, AttributeError, StopIteration) as error:
         raise InputError(path, key, str(error) or "something else", expected) from error

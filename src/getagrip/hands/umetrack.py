@@ -14,7 +14,6 @@ millimetres; a right hand is the left one mirrored in x.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,6 +26,7 @@ from numpy import ndarray
 from getagrip import se3
 from getagrip.clip import FINGERS
 from getagrip.errors import InputError
+from getagrip.files import read_json
 from getagrip.hands.generic_skeleton import WRIST
 from getagrip.hands.model import MIRROR, PALM_REGIONS, PosedHand, Side, mirrored
 from getagrip.mesh import Mesh, check_size, edge_table
@@ -174,17 +174,6 @@ def closed(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "G 3"]:
     rim = rim[(rim != centre).all(axis=1)]
     fan = np.stack([rim[:, 1], rim[:, 0], np.full(len(rim), centre)], axis=1)
     return np.concatenate([faces, fan])
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """A JSON file that holds an object. Raises ``InputError`` where there is none."""
-    try:
-        value = json.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise InputError(path, "", f"an unreadable file ({error})", "a JSON object") from error
-    if not isinstance(value, dict):
-        raise InputError(path, "", f"a JSON {type(value).__name__}", "a JSON object")
-    return value
 
 
 def _array(path: Path, model: dict[str, Any], key: str, shape: tuple[int | None, int]) -> Float[ndarray, "rows cols"]:
