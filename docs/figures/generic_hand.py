@@ -26,7 +26,9 @@ def view(eye: tuple[float, float, float], up: tuple[float, float, float], centre
     return se3.rigid(R, np.array([0.0, 0.0, 0.75]) - R @ centre)
 
 
-def draw(hand: PosedHand, eye: tuple[float, float, float], up: tuple[float, float, float], pads: bool = False) -> np.ndarray:
+def draw(
+    hand: PosedHand, eye: tuple[float, float, float], up: tuple[float, float, float], pads: bool = False
+) -> np.ndarray:
     centre = (hand.vertices.min(axis=0) + hand.vertices.max(axis=0)) / 2.0
     K = np.array([[1300.0, 0.0, SIZE[0] / 2], [0.0, 1300.0, SIZE[1] / 2], [0.0, 0.0, 1.0]])
     X = se3.transform(view(eye, up, centre), hand.vertices)
@@ -45,8 +47,20 @@ def curled(finger: dict[str, tuple[float, float, float]], side: float = 1.0) -> 
     return pose.ravel()
 
 
-FIST = {"thumb": (20, 35, 55), "index": (75, 95, 60), "middle": (80, 95, 60), "ring": (82, 95, 60), "pinky": (82, 92, 60)}
-GRASP = {"thumb": (15, 12, 15), "index": (38, 42, 22), "middle": (42, 42, 24), "ring": (46, 42, 25), "pinky": (50, 40, 25)}
+FIST = {
+    "thumb": (20, 35, 55),
+    "index": (75, 95, 60),
+    "middle": (80, 95, 60),
+    "ring": (82, 95, 60),
+    "pinky": (82, 92, 60),
+}
+GRASP = {
+    "thumb": (15, 12, 15),
+    "index": (38, 42, 22),
+    "middle": (42, 42, 24),
+    "ring": (46, 42, 25),
+    "pinky": (50, 40, 25),
+}
 
 
 def main() -> None:

@@ -5,8 +5,7 @@ Minimised is, over the shape b, the poses q_n and the rigid motions T_n,
     sum_n sum_i |T_n X_i(b, q_n) - Y_n,i|^2 / JOINT_NOISE_i^2 + sum_n |prior(q_n)|^2 + |b / spread|^2
 
 by Levenberg-Marquardt, all Jacobians analytic. Only b couples the frames: the normal equations are block-arrow, and
-eliminating the 51 numbers of each frame leaves a small system in b (Schur complement). ``prior`` says that fingers bend
-about one axis: it reads each joint's rotation vector in the joint's own axes (twist along the bone, bend, spread).
+eliminating the 51 numbers of each frame leaves a small system in b (Schur complement). ``prior`` is ``PosePrior``.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip import se3
-from getagrip.clip import FINGERS, HandTrack
+from getagrip.clip import HandTrack
 from getagrip.errors import UsageError
-from getagrip.hands.generic_skeleton import THUMB_PAD
-from getagrip.hands.model import KNUCKLES, HandModel, hand_track, mirrored
+from getagrip.hands.model import KNUCKLES, HandModel, hand_track
+from getagrip.hands.pose_prior import PosePrior
 
 JointOrder = Literal["openpose", "ho3d"]
 """``openpose``, this package's own: wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip.
@@ -35,15 +34,7 @@ ORDERS: dict[JointOrder, list[int]] = {
 """Where each of this package's 21 joints stands in the given order."""
 
 JOINT_NOISE = np.array([0.003, 0.010, *[0.003] * 19])
-"""Standard deviation of each joint's position [m]; models disagree by a centimetre where the thumb's saddle joint is."""
-# Mean and standard deviation of each joint's rotation [rad]: twist about the bone, bend, spread. Beyond the limits of the
-# bend, a deviation of LIMIT_STIFFNESS costs one unit more.
-FINGER_MEAN, THUMB_MEAN = 0.3, 0.1
-FINGER_SPREAD = np.array([[0.10, 0.8, 0.25], [0.05, 0.8, 0.05], [0.05, 0.6, 0.05]])
-THUMB_SPREAD = np.array([[0.30, 0.5, 0.50], [0.15, 0.6, 0.20], [0.05, 0.6, 0.05]])
-FINGER_LIMITS = np.radians([[-30.0, 100.0], [-10.0, 115.0], [-15.0, 90.0]])
-THUMB_LIMITS = np.radians([[-40.0, 60.0], [-30.0, 70.0], [-25.0, 95.0]])
-LIMIT_STIFFNESS = 0.05
+"""Standard deviation of each joint's position [m]. Models disagree by a centimetre on the thumb's saddle joint."""
 
 STEPS = 40
 TOLERANCE = 1e-5
@@ -70,7 +61,7 @@ def fit_joints(model: HandModel, joints_cam: Float[ndarray, "T 21 3"], order: Jo
     Raises ``UsageError`` for an unknown order, another shape, numbers that are not finite, or a hand of absurd size.
     """
     Y = _checked(joints_cam, order)
-    chains, prior = Chains.of(model), Prior.of(model)
+    chains, prior = Chains.of(model), PosePrior.of(model)
     state = State(_place(model, Y), np.zeros((len(Y), 5, 3, 3)), np.zeros(len(model.shape_names)))
     state.q[..., :, :] = prior.mean
     cost, H, g = _normal_equations(model, chains, prior, state, Y)
@@ -86,10 +77,9 @@ def fit_joints(model: HandModel, joints_cam: Float[ndarray, "T 21 3"], order: Jo
             state, cost, H, g, damping = new, new_cost, new_H, new_g, max(damping / 10.0, 1e-9)
         if converged:
             break
-    pose = np.zeros((len(Y), 15, 3))
+    pose = np.zeros((len(Y), 45))
     for n, knuckle in enumerate(KNUCKLES):
-        pose[:, knuckle - 1 : knuckle + 2] = state.q[:, n]
-    pose = pose.reshape(len(Y), 45)
+        pose[:, 3 * knuckle - 3 : 3 * knuckle + 6] = state.q[:, n].reshape(len(Y), 9)
     posed = model.with_shape(state.shape).with_pose(pose)
     residuals = np.linalg.norm(se3.transform(state.T, posed.joints) - Y, axis=-1)
     return HandFit(hand_track(posed, state.T), state.shape, pose, residuals, converged)
@@ -104,9 +94,7 @@ class State(NamedTuple):
     """Rotation vectors of the three joints of each of the ``FINGERS``."""
     shape: Float[ndarray, "S"]
 
-    def moved(
-        self, frames: Float[ndarray, "T 51"], shape: Float[ndarray, "S"], wrist: Float[ndarray, "3"]
-    ) -> State:
+    def moved(self, frames: Float[ndarray, "T 51"], shape: Float[ndarray, "S"], wrist: Float[ndarray, "3"]) -> State:
         """After a step: the hand shifts in its own axes and turns about the mean hand's wrist, the rest adds up."""
         R = se3.exp_so3(frames[:, 3:6])
         local = se3.rigid(R, frames[:, :3] + wrist - R @ wrist)
@@ -125,15 +113,12 @@ class Chains(NamedTuple):
     def of(model: HandModel) -> Chains:
         """The chains of a model, tips being vertices that move with the last joint."""
 
-        def chained(joints: ndarray, vertices: ndarray) -> ndarray:
-            return np.stack([np.concatenate([joints[k : k + 3], vertices[t : t + 1]])
-                             for k, t in zip(KNUCKLES, model.tips, strict=True)])
-
+        each = np.array(KNUCKLES)[:, None] + np.arange(3)
         return Chains(
             model.joints[0],
             model.joint_directions[0],
-            chained(model.joints, model.template),
-            chained(model.joint_directions, model.shape_directions),
+            np.concatenate([model.joints[each], model.template[model.tips][:, None]], axis=1),
+            np.concatenate([model.joint_directions[each], model.shape_directions[model.tips][:, None]], axis=1),
         )
 
 
@@ -142,8 +127,8 @@ def joints_and_jacobian(
 ) -> tuple[Float[ndarray, "T 21 3"], Float[ndarray, "T 21 3 D"]]:
     """The 21 joints in the hand frame, and their derivatives by the T_cam_hand step, the pose and the shape.
 
-    A joint's rotation vector q turns what follows it on its finger: dX = (G Jr(q) dq) x (X - X_joint), with G the joint's
-    orientation and Jr the right Jacobian of SO(3).
+    A joint's rotation vector q turns what follows it on its finger: dX = (G Jr(q) dq) x (X - X_joint), with G the
+    joint's orientation and Jr the right Jacobian of SO(3).
     """
     T, S = len(q), len(shape)
     X = np.empty((T, 21, 3))
@@ -182,60 +167,14 @@ def right_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"
     return np.asarray(np.eye(3) - a * W + b * (W @ W))
 
 
-class Prior(NamedTuple):
-    """Which poses are likely: each joint's rotation vector in its own axes (twist, bend, spread), Gaussian and limited."""
-
-    axes: Float[ndarray, "5 3 3 3"]
-    """Rows: along the bone, the hinge, across both."""
-    mean: Float[ndarray, "5 3 3"]
-    """Most likely rotation vectors, in the hand frame's axes [rad]."""
-    spread: Float[ndarray, "5 3 3"]
-    limits: Float[ndarray, "5 3 2"]
-
-    @staticmethod
-    def of(model: HandModel) -> Prior:
-        """The prior of a model, its axes from the rest pose."""
-        points = Chains.of(model).points
-        bone = np.diff(points, axis=1)
-        bone /= np.linalg.norm(bone, axis=-1, keepdims=True)
-        pad = np.array([[0.0, -1.0, 0.0]] * 5)
-        pad[FINGERS.index("thumb")] = THUMB_PAD if model.side == "right" else mirrored(THUMB_PAD)
-        hinge = np.cross(bone, pad[:, None])
-        hinge /= np.linalg.norm(hinge, axis=-1, keepdims=True)
-        axes = np.stack([bone, hinge, np.cross(bone, hinge)], axis=2)
-        bend = np.array([[THUMB_MEAN] * 3] + [[FINGER_MEAN] * 3] * 4)
-        return Prior(
-            axes=axes,
-            mean=bend[..., None] * hinge,
-            spread=np.stack([THUMB_SPREAD] + [FINGER_SPREAD] * 4),
-            limits=np.stack([THUMB_LIMITS] + [FINGER_LIMITS] * 4),
-        )
-
-    def residuals(self, q: Float[ndarray, "T 5 3 3"]) -> tuple[Float[ndarray, "T 60"], Float[ndarray, "T 60 45"]]:
-        """Residuals of poses and their Jacobian: 45 of the Gaussian, 15 of the limits."""
-        T = len(q)
-        own = np.einsum("fkab,tfkb->tfka", self.axes, q - self.mean) / self.spread
-        bend = np.einsum("fkb,tfkb->tfk", self.axes[:, :, 1], q)
-        low, high = self.limits[..., 0], self.limits[..., 1]
-        beyond = (np.minimum(bend - low, 0.0) + np.maximum(bend - high, 0.0)) / LIMIT_STIFFNESS
-        J = np.zeros((T, 60, 45))
-        scaled = self.axes / self.spread[..., None]
-        for joint in range(15):
-            f, k = divmod(joint, 3)
-            at = slice(3 * joint, 3 * joint + 3)
-            J[:, at, at] = scaled[f, k]
-            J[:, 45 + joint, at] = (beyond[:, f, k] != 0.0)[:, None] * self.axes[f, k, 1] / LIMIT_STIFFNESS
-        return np.concatenate([own.reshape(T, 45), beyond.reshape(T, 15)], axis=1), J
-
-
 def _normal_equations(
-    model: HandModel, chains: Chains, prior: Prior, state: State, Y: Float[ndarray, "T 21 3"]
+    model: HandModel, chains: Chains, prior: PosePrior, state: State, Y: Float[ndarray, "T 21 3"]
 ) -> tuple[float, Float[ndarray, "T D D"], Float[ndarray, "T D"]]:
     """The cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, shape)."""
     X, J = joints_and_jacobian(chains, state.q, state.shape)
     R = state.T[:, :3, :3]
     # Distances are the same in the hand's axes, where the Jacobian stands.
-    r = ((X - (Y - state.T[:, None, :3, 3]) @ R) / JOINT_NOISE[:, None]).reshape(len(Y), 63)
+    r: ndarray = ((X - (Y - state.T[:, None, :3, 3]) @ R) / JOINT_NOISE[:, None]).reshape(len(Y), 63)
     J = (J / JOINT_NOISE[:, None, None]).reshape(len(Y), 63, -1)
     p, P = prior.residuals(state.q)
     b = state.shape / model.shape_spread

@@ -125,9 +125,7 @@ def _thumb() -> Finger:
     base = (1.20 * joint[0], 1.45 * joint[1])  # the saddle joint lies deep in the ball of the thumb
     first = (1.02 * joint[0], 1.12 * joint[1])
     tip = (0.84 * joint[0], 0.78 * joint[1])
-    return _chain(
-        metacarpal_base("thumb"), THUMB_AIM, THUMB_PAD, BONES["thumb"], THUMB_CURL, [base, first, joint, tip]
-    )
+    return _chain(metacarpal_base("thumb"), THUMB_AIM, THUMB_PAD, BONES["thumb"], THUMB_CURL, [base, first, joint, tip])
 
 
 def _chain(

@@ -41,8 +41,14 @@ def distance(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
     for name, finger in fingers.items():
         flesh = np.full(len(X), np.inf)
         for k in range(3):
-            part = _round_cone(X, finger.points[k : k + 2], finger.axes[k], finger.breadth[k : k + 2],
-                               finger.depth[k : k + 2], tip=k == 2)
+            part = _round_cone(
+                X,
+                finger.points[k : k + 2],
+                finger.axes[k],
+                finger.breadth[k : k + 2],
+                finger.depth[k : k + 2],
+                tip=k == 2,
+            )
             flesh = _smooth_min(flesh, part, 0.003)
         pad = finger.points[2] + 0.62 * (finger.points[3] - finger.points[2]) - 0.0022 * finger.axes[2, 2]
         size = np.array([0.42 * np.linalg.norm(finger.points[3] - finger.points[2]), 0.86 * finger.breadth[3], 0.0055])
@@ -66,15 +72,18 @@ def _palm(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
     ball = 0.45 * thumb.points[0] + 0.55 * thumb.points[1] + np.array([0.006, -0.002, -0.008])
     palm = _smooth_min(palm, _ellipsoid(X, ball, thumb.axes[0], np.array([0.027, 0.015, 0.0135])), 0.010)
     edge = np.array([[0.080, -0.010, -0.012], [0.040, -0.0085, -0.027]])
-    palm = _smooth_min(palm, _round_cone(X, edge, _axes(edge), np.array([0.0115, 0.0105]), np.array([0.011, 0.0095])),
-                       0.010)
+    palm = _smooth_min(
+        palm, _round_cone(X, edge, _axes(edge), np.array([0.0115, 0.0105]), np.array([0.011, 0.0095])), 0.010
+    )
     # The fold between thumb and index finger.
     fold = np.array([0.5 * (thumb.points[0] + thumb.points[1]), fingers["index"].points[0] + [0.020, -0.008, -0.002]])
-    palm = _smooth_min(palm, _round_cone(X, fold, _axes(fold), np.array([0.009, 0.009]), np.array([0.0075, 0.0075])),
-                       0.014)
+    palm = _smooth_min(
+        palm, _round_cone(X, fold, _axes(fold), np.array([0.009, 0.009]), np.array([0.0075, 0.0075])), 0.014
+    )
     wrist = WRIST + np.array([[0.03, -0.003, -0.002], [-0.012, -0.004, -0.001]])
-    return _smooth_min(palm, _round_cone(X, wrist, _axes(wrist), np.array([0.0285, 0.0275]),
-                                         np.array([0.0190, 0.0175])), 0.012)
+    return _smooth_min(
+        palm, _round_cone(X, wrist, _axes(wrist), np.array([0.0285, 0.0275]), np.array([0.0190, 0.0175])), 0.012
+    )
 
 
 def _axes(ends: Float[ndarray, "2 3"]) -> Float[ndarray, "3 3"]:
@@ -126,8 +135,8 @@ def triangulate() -> Mesh:
     """The closed triangle mesh of the surface: marching cubes, then the dual of evenly grown patches of it.
 
     The patches are the cells of Lloyd's algorithm on the points of the fine mesh (Valette, Chassery, "Approximated
-    Centroidal Voronoi Diagrams for Uniform Polygonal Mesh Coarsening", 2004): there density goes with the square root of the
-    weight. Normals count as well, so that thin parts keep both their sides.
+    Centroidal Voronoi Diagrams for Uniform Polygonal Mesh Coarsening", 2004), whose density goes with the square root
+    of the weight. Normals count as well, so that thin parts keep both their sides.
     """
     import igl
 
@@ -162,7 +171,9 @@ def _patches(features: Float[ndarray, "N 6"], weight: Float[ndarray, "N"], seed:
     return np.asarray(patch)
 
 
-def _means(points: Float[ndarray, "N d"], patch: Int[ndarray, "N"], weight: Float[ndarray, "N"]) -> Float[ndarray, "V d"]:
+def _means(
+    points: Float[ndarray, "N d"], patch: Int[ndarray, "N"], weight: Float[ndarray, "N"]
+) -> Float[ndarray, "V d"]:
     """Weighted mean of the points of each patch."""
     sums = np.stack([np.bincount(patch, column * weight) for column in points.T], axis=1)
     return sums / np.bincount(patch, weight)[:, None]

@@ -35,13 +35,13 @@ def read_pickle(path: Path, content: bytes) -> dict[str, object]:
         return {str(key): _plain(item) for key, item in value.items()}
     except InputError:
         raise
-    except _ForbiddenName as error:
+    except _ForbiddenNameError as error:
         raise InputError(path, "", f"a pickle that names {error}", "a MANO pickle; nothing in it was run") from error
     except Exception as error:  # damaged pickles raise whatever their opcodes meet
         raise InputError(path, "", f"a pickle that does not load ({error})", "a MANO pickle") from error
 
 
-class _ForbiddenName(Exception):
+class _ForbiddenNameError(Exception):
     """A pickle names something that is no array."""
 
 
@@ -66,16 +66,14 @@ class _ArraysOnly(pickle.Unpickler):
         try:
             return self._named[module, name]
         except KeyError:
-            raise _ForbiddenName(f"{module}.{name}") from None
+            raise _ForbiddenNameError(f"{module}.{name}") from None
 
 
 def _allowed() -> dict[tuple[str, str], Any]:
-    """What a pickle may name. The stand-ins are made anew for each file, so that no file can alter them for the next."""
-    from numpy._core.multiarray import _reconstruct, scalar  # type: ignore[attr-defined]
+    """What a pickle may name. Stand-ins are made anew for each file, so that no file can alter them for the next."""
+    from numpy._core.multiarray import _reconstruct, scalar
 
-    stand_ins = {
-        kind: type(kind, (_Inert,), {}) for kind in ("Ch", "Select", "csc_matrix", "csr_matrix")
-    }
+    stand_ins = {kind: type(kind, (_Inert,), {}) for kind in ("Ch", "Select", "csc_matrix", "csr_matrix")}
     named: dict[tuple[str, str], Any] = {
         ("numpy", "ndarray"): ndarray,
         ("numpy", "dtype"): np.dtype,
@@ -101,14 +99,14 @@ def _allowed() -> dict[tuple[str, str], Any]:
 def _latin1(text: str, encoding: str) -> bytes:
     """Protocol 2 spells bytes as ``_codecs.encode(text, 'latin1')``; no other codec is wanted."""
     if encoding != "latin1":
-        raise _ForbiddenName(f"the codec {encoding!r}")
+        raise _ForbiddenNameError(f"the codec {encoding!r}")
     return text.encode("latin1")
 
 
 def _reconstructor(kind: type, base: type, _: object) -> object:
     """Python 2's way to spell ``object.__new__(kind)``."""
     if not issubclass(kind, _Inert) or base is not object:
-        raise _ForbiddenName(f"copy_reg for {kind.__name__}")
+        raise _ForbiddenNameError(f"copy_reg for {kind.__name__}")
     return kind()
 
 

@@ -147,7 +147,7 @@ ORDER_21 = np.array([0] + [i for n, knuckle in enumerate(KNUCKLES) for i in (*ra
 def joint_transforms(
     R: Float[ndarray, "*#batch 15 3 3"], joints: Float[ndarray, "*#batch 16 3"]
 ) -> Float[ndarray, "*batch 16 4 4"]:
-    """Frames of the joints in the hand frame, ``T_hand_joint``; with R = I they differ from it by a translation only."""
+    """Frames of the joints in the hand frame, ``T_hand_joint``; at rest their axes are the hand's."""
     batch = np.broadcast_shapes(R.shape[:-3], joints.shape[:-2])
     T = np.empty((*batch, 16, 4, 4))
     T[..., 0, :, :] = se3.rigid(None, joints[..., 0, :])
