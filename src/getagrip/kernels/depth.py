@@ -43,9 +43,9 @@ def barycentric(
     """Weights of the corners of the seen face, for every pixel with ``face >= 0`` in row-major order."""
     rows, cols = np.nonzero(face >= 0)
     q = np.stack([cols + 0.5, rows + 0.5, np.ones(len(rows))], axis=-1)
-    p = (vertices_cam @ K.T)[faces[face[rows, cols]]]
+    p = (vertices_cam @ K.T)[faces]
     edges = np.cross(np.roll(p, -1, axis=1), np.roll(p, -2, axis=1))  # rows of the adjugate of [p_0 p_1 p_2]
-    a = np.einsum("nij,nj->ni", edges, q)
+    a = np.einsum("nij,nj->ni", edges[face[rows, cols]], q)
     return np.asarray(a / a.sum(axis=1, keepdims=True))
 
 
