@@ -8,7 +8,7 @@ vectors' principal direction is the axis. (Angle zero about any axis is a dead s
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from getagrip import se3
 from getagrip.energy import Term
-from getagrip.motion import Fixed, Free, Hinge, Loose, Motion, left_jacobian, tangents
+from getagrip.motion import Fixed, Free, Hinge, Loose, Motion
 from getagrip.solve import Solution, minimise
 
 M = TypeVar("M", bound=Motion)
@@ -26,10 +26,15 @@ RIDGE = (2e5 / 16, 1.2e3 / 16)
 """Stiffness of the deviations while the axis is looked for [px^2 per m^2, px^2 per rad^2]."""
 
 
+MAX = 10**9
+"""As many frames as there are."""
+
+
 @dataclass(frozen=True)
 class Stage:
     """One resolution: how many frames, which level, how long, and how many hypotheses go on to the next."""
 
+    name: str
     level: int
     frames: int
     iterations: int
@@ -43,10 +48,10 @@ class Schedule:
     static_iterations: int = 4
     loose_iterations: int = 3
     stages: tuple[Stage, ...] = (
-        Stage(level=64, frames=8, iterations=5, keep=16),
-        Stage(level=64, frames=15, iterations=6, keep=6),
-        Stage(level=128, frames=30, iterations=8, keep=4),
-        Stage(level=256, frames=30, iterations=8, keep=4),
+        Stage("coarse", level=64, frames=8, iterations=5, keep=16),
+        Stage("middle", level=64, frames=15, iterations=6, keep=6),
+        Stage("fine", level=128, frames=MAX, iterations=8, keep=4),
+        Stage("finest", level=256, frames=MAX, iterations=8, keep=4),
     )
 
 
@@ -86,8 +91,6 @@ def hinge_from(loose: Loose, free_location: bool, anchor: Float[ndarray, "3"]) -
 
 def resampled(motion: M, old: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> M:
     """The motion at other frames: per-frame parameters interpolated linearly, rotations to the nearest frame's."""
-    from dataclasses import replace
-
     if isinstance(motion, Fixed):
         return replace(motion, frames=len(new))
     if isinstance(motion, Hinge):
@@ -98,9 +101,22 @@ def resampled(motion: M, old: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> M:
     raise TypeError(type(motion))
 
 
-def best(solution: Solution[M], keep: int) -> ndarray:
-    """Indices of the lowest energies."""
-    return np.argsort(solution.energy, kind="stable")[:keep]
+def distinct(motion: Motion, energy: Float[ndarray, "B"], corners: Float[ndarray, "8 3"], keep: int) -> ndarray:
+    """Indices of the ``keep`` lowest energies, near-copies of a better one left out.
+
+    Two hypotheses are the same if the object's bounding box (``corners``, about its centre) moves, on average over
+    corners and frames, by less than 3 % of its diagonal.
+    """
+    held = motion.poses()
+    placed = corners * held.scale[:, None, None, None] @ np.swapaxes(held.R, -1, -2) + held.centre[:, :, None]
+    apart = 0.03 * float(np.linalg.norm(corners[-1] - corners[0]))
+    chosen: list[int] = []
+    for b in np.argsort(energy, kind="stable"):
+        if len(chosen) == keep or not np.isfinite(energy[b]):
+            break
+        if all(np.linalg.norm(placed[b] - placed[c], axis=-1).mean() > apart for c in chosen):
+            chosen.append(int(b))
+    return np.array(chosen, dtype=int)
 
 
 def search(
@@ -108,16 +124,21 @@ def search(
     model: Callable[[Loose], M],
     terms_at: TermsAt,
     T_cam_hand: Float[ndarray, "N 4 4"],
+    corners: Float[ndarray, "8 3"],
     schedule: Schedule,
+    watch: Callable[[str], None],
 ) -> Solution[M]:
-    """Run the stages from B starting poses; the solutions of the last stage, best first."""
+    """Run the stages from B starting poses; the distinct solutions of the last stage, best first.
+
+    ``model`` turns a loose fit into the wanted motion, ``corners`` are those of the object's bounding box about its
+    centre, ``watch`` is told the name of each stage when it ends. The result is empty when every start is behind the camera.
+    """
     N = len(T_cam_hand)
     first = schedule.stages[0]
     index = spread(N, first.frames)
     terms = terms_at(first, index)
     T = T_cam_hand[index]
-    static = minimise(Fixed(starts.R, starts.centre, starts.log_scale, len(index), starts.free_scale), terms, T,
-                      schedule.static_iterations)  # fmt: skip
+    static = minimise(replace(starts, frames=len(index)), terms, T, schedule.static_iterations)
     m = static.motion
     loose = Loose(m.R, m.centre, m.log_scale, np.zeros((len(m.R), len(index), 6)), RIDGE, m.free_scale)
     motion = model(minimise(loose, terms, T, schedule.loose_iterations).motion)
@@ -127,6 +148,8 @@ def search(
             motion, index = resampled(motion, index, wanted), wanted
             terms = terms_at(stage, index)
         solution = minimise(motion, terms, T_cam_hand[index], stage.iterations)
-        order = best(solution, stage.keep)
-        motion = solution.motion.take(order)
+        order = distinct(solution.motion, solution.energy, corners, stage.keep)
+        solution = solution.take(order)
+        motion = solution.motion
+        watch(stage.name)
     return solution

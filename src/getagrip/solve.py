@@ -13,7 +13,7 @@ from enum import StrEnum
 from typing import Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.energy import Local, Poses, Term
@@ -49,6 +49,16 @@ class Solution(Generic[M]):
     status: list[Status]
     evaluations: int
     """Frame evaluations spent."""
+
+    def take(self, index: Int[ndarray, "n"]) -> Solution[M]:
+        """Some of the solutions."""
+        return Solution(
+            self.motion.take(index),
+            self.energy[index],
+            {name: value[index] for name, value in self.terms.items()},
+            [self.status[i] for i in index],
+            self.evaluations,
+        )
 
 
 def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> Poses:
