@@ -9,12 +9,15 @@ import pytest
 
 from getagrip import se3
 from getagrip.errors import UsageError
-from getagrip.hands import generic
+from getagrip.hands import generic, umetrack
 from getagrip.hands.fit import ORDERS, Chains, State, fit_joints, joints_and_jacobian, right_jacobian
 from getagrip.hands.model import Side, mirrored
 from getagrip.hands.pose_prior import PosePrior
+from getagrip.hands.umetrack_skinned import skinned
 
-DEXYCB = Path(__file__).resolve().parents[2] / "shared" / "data" / "dexycb" / "left_hand_sequences.npz"
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+DEXYCB = DATA / "dexycb" / "left_hand_sequences.npz"
+HOT3D, PROFILE = DATA / "hot3d", "umetrack_hand_user_profile.json"
 
 
 def likely_hands(side: Side, T: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -136,3 +139,20 @@ def test_real_joints_are_met_within_millimetres() -> None:
         assert fit.converged
         assert fit.residuals.mean() < 0.003
         assert np.abs(fit.shape).max() < 0.6
+
+
+@pytest.mark.skipif(not list(HOT3D.rglob(PROFILE)), reason="HOT3D's hands (research licence) are not here")
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_umetrack_hands_fit_like_any_other(side: Side) -> None:
+    for profile in HOT3D.rglob(PROFILE):
+        hand = umetrack.load(profile)
+        model = skinned(hand, side)
+        rest, flat = hand.with_pose(side, np.zeros(22)), model.with_shape().with_pose()
+        np.testing.assert_allclose(flat.vertices, rest.vertices, atol=1e-9)
+        np.testing.assert_allclose(flat.joints, rest.joints, atol=1e-9)
+        angles = np.zeros((4, 22))
+        angles[:, [2, 3, 6, 7, 10, 11, 14, 15, 18, 19]] = np.linspace(0.1, 0.9, 4)[:, None]
+        bent = hand.with_pose(side, angles)
+        fit = fit_joints(model, bent.joints + np.array([0.0, 0.0, 0.5]), "openpose")
+        assert fit.residuals.mean() < 0.002
+        assert np.linalg.norm(fit.hand.vertices - bent.vertices, axis=-1).mean() < 0.004
