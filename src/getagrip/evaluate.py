@@ -47,7 +47,7 @@ def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> dict
     """
     folder = Path(folder)
     result, record = read_result(folder)
-    clip = _clip_of(folder, result, record, clips)
+    clip = clip_of(folder, result, record, clips)
     index = {name: n for n, name in enumerate(clip.frames)}
     unknown = next((name for name in result.frames if name not in index), None)
     if unknown is not None:
@@ -165,7 +165,7 @@ def _symmetries(vertices: bytes, faces: bytes) -> Symmetries:
     return find_symmetries(Mesh(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3)))
 
 
-def _clip_of(folder: Path, result: Reconstruction, record: dict[str, Any], clips: str | Path | None) -> Clip:
+def clip_of(folder: Path, result: Reconstruction, record: dict[str, Any], clips: str | Path | None) -> Clip:
     """The clip that a result was made from."""
     if clips is not None:
         places = [Path(clips) / result.clip, Path(clips)]

@@ -1,7 +1,7 @@
 """Clips: what they hold, and their folders, whose format is fixed (docs/formats.md)."""
 
 from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth, seen_frames
-from getagrip.clip.reading import input_sha256, read_clip, read_masks
+from getagrip.clip.reading import input_sha256, read_clip, read_masks, read_name
 from getagrip.clip.writing import write_clip
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "input_sha256",
     "read_clip",
     "read_masks",
+    "read_name",
     "seen_frames",
     "write_clip",
 ]

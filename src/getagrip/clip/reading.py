@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,9 @@ FARTHEST = 20.0
 """Plausible distance of a hand from the camera [m]."""
 LARGEST_IMAGE = 16384
 """Plausible side of an image [px]."""
+MANO_VERTICES = 778
+WIDEST_PAD = 0.05
+"""No fingertip's pad is as wide [m]."""
 
 
 def read_clip(folder: str | Path) -> Clip:
@@ -29,9 +34,7 @@ def read_clip(folder: str | Path) -> Clip:
     ``folder`` is the clip's folder or its ``clip.json``. Raises ``InputError``, which names the file, the key, what
     was given and what is expected.
     """
-    folder = Path(folder)
-    if folder.name == "clip.json":
-        folder = folder.parent
+    folder = _folder(folder)
     path = folder / "clip.json"
     fields = _fields(folder)
     frames = _frame_names(path, fields["frames"])
@@ -56,6 +59,12 @@ def read_clip(folder: str | Path) -> Clip:
     )
 
 
+def read_name(folder: str | Path) -> str:
+    """The name of a clip, its ``clip.json`` checked and nothing else read. Raises ``InputError``."""
+    name: str = _fields(_folder(folder))["name"]
+    return name
+
+
 def read_masks(clip: Clip) -> Masks:
     """Read and check the masks of a clip's frames.
 
@@ -78,13 +87,19 @@ def read_masks(clip: Clip) -> Masks:
 
 def input_sha256(folder: str | Path) -> str:
     """Checksum of what a reconstruction depends on: ``clip.json``, hands, mesh and masks; not images, not truth."""
-    folder = Path(folder)
+    folder = _folder(folder)
     fields = _fields(folder)
     names = ["clip.json", "hand.npz", fields["mesh"]]
     for kind in ("object", "ignore"):
         if (folder / "masks" / kind).exists():
             names += [f"masks/{kind}/{frame}.png" for frame in _frame_names(folder / "clip.json", fields["frames"])]
     return files.sha256(folder, names)
+
+
+def _folder(path: str | Path) -> Path:
+    """The clip's folder, which may be given by its ``clip.json``."""
+    path = Path(path)
+    return path.parent if path.name == "clip.json" else path
 
 
 def _mask(folder: Path, kind: str, frame: str) -> Path:
@@ -190,19 +205,31 @@ def _read_hand(folder: Path, frames: int) -> HandTrack:
         vertices=vertices,
         faces=faces,
         T_cam_hand=_poses(path, given, "T_cam_hand", frames, vertices.mean(axis=1), "the hand"),
-        regions=_regions(path, given, vertices.shape[1]),
+        regions=_regions(path, given, vertices),
         joints=arrays.floats(path, given, "joints", (frames, 21, 3)) if "joints" in given else None,
     )
 
 
-def _regions(path: Path, given: dict[str, ndarray], vertices: int) -> dict[str, Int[ndarray, "_"]]:
-    """Contact regions of a hand: its own, or those of the hand model that it is an instance of."""
+def _regions(path: Path, given: dict[str, ndarray], vertices: Float[ndarray, "T V 3"]) -> dict[str, Int[ndarray, "_"]]:
+    """Contact regions of a hand: its own, or MANO's where it has none and is a MANO mesh."""
+    own = [key for key in given if key.removeprefix("region_") in FINGERS or key.startswith("region_palm_")]
+    if not own and vertices.shape[1] == MANO_VERTICES:
+        regions = _mano_regions()
+        widest = max(np.ptp(vertices[:, regions[finger]], axis=1).max() for finger in FINGERS)
+        if widest < WIDEST_PAD:  # else the vertices are in another order than MANO's
+            return regions
     missing = [f"region_{finger}" for finger in FINGERS if f"region_{finger}" not in given]
     if missing:
-        expected = "arrays of the vertex ids of the five fingertip pads (region_thumb, ... region_pinky)"
-        raise InputError(path, missing[0], f"a bare mesh of {vertices} vertices without it", expected)
-    palm = sorted(key.removeprefix("region_") for key in given if key.startswith("region_palm_"))
-    return {name: arrays.indices(path, given, f"region_{name}", vertices, (-1,)) for name in (*FINGERS, *palm)}
+        expected = f"{', '.join(missing)}: the vertex ids of each fingertip's pad"
+        raise InputError(path, missing[0], f"a mesh of {vertices.shape[1]} vertices without this region", expected)
+    palm = sorted(key.removeprefix("region_") for key in own if key.startswith("region_palm_"))
+    return {name: arrays.indices(path, given, f"region_{name}", vertices.shape[1], (-1,)) for name in (*FINGERS, *palm)}
+
+
+def _mano_regions() -> dict[str, Int[ndarray, "_"]]:
+    """The contact regions that the package has for MANO's meshes."""
+    text = resources.files("getagrip").joinpath("hands/mano_contact_regions.json").read_text("utf-8")
+    return {name: np.array(ids, dtype=np.int64) for name, ids in json.loads(text)["regions"].items()}
 
 
 def _read_truth(folder: Path, hand: HandTrack, scale: str, diameter: float) -> Truth:

@@ -1,0 +1,162 @@
+"""The command line: what each command takes. What it does stands elsewhere, and is imported when it runs."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg, subcommand
+
+from getagrip.errors import GetagripError, UsageError
+
+Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
+Results = Annotated[Positional[tuple[Path, ...]], arg(metavar="RESULT...", help_behavior_hint="")]
+Folder = Annotated[Path, arg(metavar="DIR")]
+Flag = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """What every command takes."""
+
+    debug: Flag = False
+    """Show where an error arose."""
+
+    def run(self) -> int:
+        """Do it, and return the exit status."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo(Command):
+    """Make a clip, reconstruct it, evaluate it, and draw a report."""
+
+    out: Folder = Path("out/demo")
+    """Where the clip, the result and report.png go."""
+
+    def run(self) -> int:
+        from getagrip import demo
+
+        demo.run(self.out)
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reconstruct(Command):
+    """Find the pose of the object in the hand, in the frames of each clip."""
+
+    clips: Clips = ()
+    """Clip folders, or folders of clips."""
+    out: Folder
+    """Where the results go: a folder for each clip, of the clip's name. Those that are there already are kept."""
+    method: Literal["one-dof", "static", "dynamic"] = "one-dof"
+    """How the object may move in the hand: about one axis, not at all, or freely."""
+    inits: Annotated[int, arg(metavar="N")] = 50
+    """Rotations to start from, spread evenly."""
+    seed: Annotated[int, arg(metavar="S")] = 0
+    """Seed of all that is random."""
+    frames: Annotated[int, arg(metavar="N")] = 30
+    """Frames to use, spread evenly over the clip."""
+    workers: Annotated[
+        int | None, arg(metavar="N", help_behavior_hint="(default: one per core for more than 3 clips)")
+    ] = None
+    """Processes to share the clips between."""
+    overwrite: Flag = False
+    """Make results again that are there already."""
+
+    def run(self) -> int:
+        from getagrip.reconstruct import Options
+        from getagrip.run.batch import reconstruct_clips
+
+        options = Options(method=self.method, inits=self.inits, seed=self.seed, frames=self.frames)
+        return reconstruct_clips(self.clips, self.out, options, self.workers, self.overwrite, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(Command):
+    """Print the metrics of results against their clips."""
+
+    results: Results = ()
+    """Result folders, or folders of results."""
+    clips: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: where they were made from)")] = None
+    """A clip, or the folder that holds the clips by name."""
+    json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Write every number here, unrounded."""
+
+    def run(self) -> int:
+        from getagrip.run.scores import evaluate_results
+
+        return evaluate_results(self.results, self.clips, self.json, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Import(Command):
+    """Make clips from other people's layouts."""
+
+    source: Positional[Literal["hot3d"]]
+    """hot3d: raw HOT3D recordings, every hold of an object by a hand."""
+    root: Annotated[Positional[Path], arg(metavar="ROOT")]
+    """The folder that holds them, as it came."""
+    out: Folder
+    """Where the clips go, a folder each."""
+
+    def run(self) -> int:
+        from getagrip.run.imports import import_hot3d
+
+        return import_hot3d(self.root, self.out)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Command):
+    """Draw a picture of a result into its folder: report.png."""
+
+    result: Annotated[Positional[Path], arg(metavar="RESULT")]
+    """A result folder."""
+
+    def run(self) -> int:
+        from getagrip.run.scores import report_result
+
+        return report_result(self.result)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doctor(Command):
+    """Check the installation, and compile what the first run would have to."""
+
+    def run(self) -> int:
+        from getagrip import doctor
+
+        return doctor.run()
+
+
+Commands = (
+    Annotated[Demo, subcommand("demo")]
+    | Annotated[Reconstruct, subcommand("reconstruct")]
+    | Annotated[Evaluate, subcommand("evaluate")]
+    | Annotated[Import, subcommand("import")]
+    | Annotated[Report, subcommand("report")]
+    | Annotated[Doctor, subcommand("doctor")]
+)
+DESCRIPTION = "Where an object is in the hand that holds it: from hands, masks and the object's mesh, for every frame."
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run a command. Returns 0 when all is done, 1 when some of it failed, 2 when the call is wrong."""
+    command: Command = tyro.cli(
+        Commands, prog="getagrip", description=DESCRIPTION, args=args, config=(OmitArgPrefixes,)
+    )
+    try:
+        return command.run()
+    except KeyboardInterrupt:
+        print("interrupted; what was finished is kept", file=sys.stderr)
+        return 130
+    except (GetagripError, OSError) as error:
+        if command.debug:
+            traceback.print_exc()
+        print(f"getagrip: {error}", file=sys.stderr)
+        return 2 if isinstance(error, UsageError) else 1

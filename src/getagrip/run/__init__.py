@@ -1,0 +1,1 @@
+"""Many clips, many results: what the commands do."""

@@ -1,0 +1,98 @@
+"""``getagrip reconstruct``: many clips, with a bar that moves and a line for each clip."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from getagrip.errors import UsageError
+from getagrip.run.job import Job, Outcome, plan, reconstruct_one
+from getagrip.run.pool import cores, in_processes
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+    from getagrip.reconstruct import Options
+
+FEW = 3
+"""Up to so many clips are done in this process: others take longer to start."""
+
+
+def reconstruct_clips(
+    paths: Sequence[Path], out: Path, options: Options, workers: int | None, overwrite: bool, debug: bool
+) -> int:
+    """Reconstruct clips into ``out/<clip name>/`` and tell what became of each; 1 if any failed, else 0.
+
+    Raises ``UsageError`` where there is nothing to do, no room for it, or where two clips have the same name.
+    """
+    if not paths:
+        raise UsageError("CLIP: name at least one clip")
+    if workers is not None and workers < 1:
+        raise UsageError(f"--workers: got {workers}, expected 1 or more")
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out: got {out}, which is no folder")
+    jobs, failed = plan(paths, out, options, overwrite)
+    for outcome in failed:
+        _tell(outcome, debug)
+    counts = {"done": 0, "kept": 0, "failed": len(failed)}
+    with progress_bar() as bar:
+        for outcome in _outcomes(jobs, workers or _workers(len(jobs)), bar):
+            _tell(outcome, debug)
+            counts[outcome.state] += 1
+    if len(jobs) + len(failed) > 1:
+        print(f"{counts['done']} done, {counts['kept']} already done, {counts['failed']} failed")
+    return 1 if counts["failed"] else 0
+
+
+def _workers(clips: int) -> int:
+    """How many processes are worth while."""
+    return min(clips, cores()) if clips > FEW else 1
+
+
+def _outcomes(jobs: Sequence[Job], workers: int, bar: Progress) -> Iterator[Outcome]:
+    """What becomes of each job, while the bar shows it."""
+    clips = bar.add_task("clips", total=len(jobs), visible=len(jobs) > 1)
+    if workers > 1:
+        for job, outcome in in_processes(reconstruct_one, jobs, workers):
+            yield outcome or Outcome(job.name, "failed", "its process died twice; out of memory?")
+            bar.advance(clips)
+        return
+    stage = bar.add_task("", total=1.0)
+    for job in jobs:
+        yield reconstruct_one(job, partial(_show, bar, stage, job.name))
+        bar.advance(clips)
+
+
+def _show(bar: Progress, task: TaskID, name: str, stage: str, part: float) -> None:
+    """Move the bar of the clip at work."""
+    bar.update(task, description=f"{name}: {stage}", completed=part)
+
+
+def _tell(outcome: Outcome, debug: bool) -> None:
+    """One line about a clip: failures on stderr, the rest on stdout."""
+    failed = outcome.state == "failed"
+    print(f"{'failed: ' if failed else ''}{outcome.name}: {outcome.message}", file=sys.stderr if failed else sys.stdout)
+    if failed and debug:
+        print(outcome.trace, file=sys.stderr)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """A bar on stderr, where that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+    with Progress(
+        *columns,
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
+        redirect_stdout=sys.stdout.isatty(),  # else what is printed would leave a pipe for the terminal
+    ) as bar:
+        yield bar

@@ -1,0 +1,128 @@
+"""One clip from its folder to its result folder; whatever goes wrong becomes a sentence."""
+
+from __future__ import annotations
+
+import json
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from getagrip import files
+from getagrip.clip import input_sha256, read_clip, read_masks, read_name
+from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.result import is_result, read_record, write_result
+
+if TYPE_CHECKING:
+    from getagrip.reconstruct import Options
+
+Progress = Callable[[str, float], None]
+"""Told the stage in words, and how much of it is done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A clip to reconstruct."""
+
+    name: str
+    clip: Path
+    out: Path
+    """The result's own folder."""
+    options: Options
+    overwrite: bool
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a clip (or of a path where none was found)."""
+
+    name: str
+    state: Literal["done", "kept", "failed"]
+    """``kept``: the result stood there already."""
+    message: str
+    trace: str = ""
+    """Where the error arose, for ``--debug``."""
+
+
+def failure(name: str, error: Exception) -> Outcome:
+    """The outcome of a clip that raised an error."""
+    message = str(error) if isinstance(error, GetagripError) else f"unexpected {type(error).__name__}: {error}"
+    return Outcome(name, "failed", " ".join(message.split()), "".join(traceback.format_exception(error)))
+
+
+def plan(paths: Sequence[Path], out: Path, options: Options, overwrite: bool) -> tuple[list[Job], list[Outcome]]:
+    """A job for each clip, and the outcome of those that cannot have one.
+
+    A path is a clip, or a folder of clips. Raises ``UsageError`` where two clips have the same name, and their results
+    thus the same folder.
+    """
+    jobs: dict[str, Job] = {}
+    failed: list[Outcome] = []
+    for path in paths:
+        try:
+            clips = clips_in(path)
+        except InputError as error:
+            failed.append(failure(str(path), error))
+            continue
+        for clip in clips:
+            try:
+                name = read_name(clip)
+            except InputError as error:
+                failed.append(failure(clip.name, error))
+                continue
+            if name in jobs:
+                raise UsageError(f"{clip} and {jobs[name].clip} are both named {name!r}; give one at a time")
+            jobs[name] = Job(name, clip, out / name, options, overwrite)
+    return list(jobs.values()), failed
+
+
+def clips_in(path: Path) -> list[Path]:
+    """The clip folders that a path stands for. Raises ``InputError`` where it holds none."""
+    if path.name == "clip.json" or (path / "clip.json").exists():
+        return [path.parent if path.name == "clip.json" else path]
+    if not path.is_dir():
+        raise InputError(path, "", "no such folder", "a clip, or a folder of clips")
+    clips = sorted(found.parent for found in path.glob("*/clip.json"))
+    if not clips:
+        raise InputError(path, "", "no clip.json in it or in its folders", "a clip, or a folder of clips")
+    return clips
+
+
+def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
+    """Reconstruct a clip and write its result, unless that stands there already. Raises nothing."""
+    try:
+        checksum = input_sha256(job.clip)
+        if job.out.exists() and _stands(job, checksum):
+            return Outcome(job.name, "kept", f"already done in {job.out}")
+        from getagrip.reconstruct import reconstruct
+
+        clip = read_clip(job.clip)
+        result = reconstruct(clip, read_masks(clip), job.options, progress)
+        metrics = {"iou_full": float(result.iou.mean())}
+        write_result(result, job.out, checksum, metrics, clip_folder=job.clip, overwrite=job.overwrite)
+    except Exception as error:  # one clip's trouble must not end the others
+        return failure(job.name, error)
+    ambiguous = ", ambiguous" if result.ambiguous else ""
+    summary = f"IOU {metrics['iou_full']:.2f}{ambiguous}, {result.seconds['total']:.1f} s, {job.out}; {result.status}"
+    return Outcome(job.name, "done", summary)
+
+
+def _stands(job: Job, checksum: str) -> bool:
+    """Whether the job's folder holds the result that it would make. Raises ``UsageError`` if it is in the way."""
+    if not is_result(job.out):
+        raise UsageError(f"{job.out}: exists and is no result; it is not overwritten")
+    if job.overwrite:
+        return False
+    record = read_record(job.out)
+    options = json.loads(files.to_json(asdict(job.options)))
+    wanted = {
+        "input_sha256": checksum,
+        "method": job.options.method,
+        "seed": job.options.seed,
+        "options": options,
+    }
+    other = [key for key, value in wanted.items() if record[key] != value]
+    if other:
+        raise UsageError(f"{job.out}: holds a result of another {' and '.join(other)}; replace it with --overwrite")
+    return True
