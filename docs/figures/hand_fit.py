@@ -1,6 +1,7 @@
 """How well the generic hand fits tracked joints: python docs/figures/hand_fit.py left_hand_sequences.npz
 
-The file holds DexYCB's left hands: ``joints`` (N,21,3) in HO-3D order, ``hand_valid`` (N,), ``offset`` (sequences + 1,).
+The file holds DexYCB's left hands: ``joints`` (N,21,3) in HO-3D order, ``hand_valid`` (N,), ``offset`` of the
+sequences (and the end).
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ class Mano:
         """The pose that ``with_pose`` takes, from whatever a file holds.
 
         ``axis_angle``: 45 numbers [rad]; ``pca``: up to 45 coefficients. With ``flat_hand_mean`` they are relative to
-        the flat hand (HO-3D, HOI4D, ARCTIC's and HaMeR's full poses), without it to the mean pose (DexYCB, HOT3D).
+        the flat hand (full poses of HO-3D, HOI4D, HaMeR), without it to the mean pose (DexYCB, HOT3D, ARCTIC).
         No default: the wrong choice still looks like a hand. Raises ``UsageError`` for other sizes or encodings.
         """
         count = np.shape(values)[-1] if np.ndim(values) else 0
