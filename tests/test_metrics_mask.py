@@ -1,0 +1,102 @@
+"""Mask IOU: known answers and laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from getagrip import se3
+from getagrip.clip import Masks
+from getagrip.datasets import shapes
+from getagrip.metrics.mask import iou, mask_iou, object_mask
+
+MUG = shapes.mug()
+SIZE = (320, 240)
+K = np.array([[400.0, 0.0, 160.0], [0.0, 400.0, 120.0], [0.0, 0.0, 1.0]])
+images = arrays(bool, (6, 7))
+
+
+def poses(frames: int = 3) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    return se3.rigid(se3.exp_so3(rng.normal(size=(frames, 3))), rng.normal([0.0, 0.0, 0.5], 0.01, (frames, 3)))
+
+
+def seen(T: np.ndarray, ignore: np.ndarray | None = None) -> Masks:
+    drawn = np.stack([object_mask(MUG, 1.0, T_cam_obj, K, SIZE) for T_cam_obj in T])
+    return Masks(drawn, np.zeros_like(drawn) if ignore is None else ignore)
+
+
+@given(images, images, images)
+def test_iou_is_what_python_sets_say(a: np.ndarray, b: np.ndarray, ignore: np.ndarray) -> None:
+    A, B = (set(np.flatnonzero(mask & ~ignore)) for mask in (a, b))
+    found = float(iou(a, b, ignore))
+    assert np.isnan(found) if not A | B else found == pytest.approx(len(A & B) / len(A | B))
+
+
+@given(images, st.integers(0, 5))
+def test_iou_of_a_mask_with_itself_is_one(mask: np.ndarray, row: int) -> None:
+    mask = mask.copy()
+    mask[row, 0] = True
+    assert iou(mask, mask, np.zeros_like(mask)) == 1.0
+    assert iou(mask, ~mask, np.zeros_like(mask)) == 0.0
+
+
+def test_the_truth_fits_its_own_masks() -> None:
+    T = poses()
+    found = mask_iou(MUG, 1.0, T, np.stack([K] * 3), seen(T))
+    np.testing.assert_array_equal(found.full, 1.0)
+    assert found.crop.min() > 0.96  # the crop draws finer than the mask is
+    assert found.soft.min() > 0.96
+
+
+def test_soft_and_hard_iou_agree_but_for_border_pixels() -> None:
+    T = poses()
+    off = se3.rigid(t=np.array([0.01, 0.0, 0.0])) @ T
+    found = mask_iou(MUG, 1.0, off, np.stack([K] * 3), seen(T))
+    np.testing.assert_allclose(found.soft, found.crop, atol=0.01)
+    np.testing.assert_allclose(found.full, found.crop, atol=0.02)
+    assert found.full.max() < 0.95
+
+
+def test_ignored_pixels_do_not_count() -> None:
+    """With the right half ignored, what lies there makes no difference, seen or drawn."""
+    T = poses()
+    half = np.zeros((3, SIZE[1], SIZE[0]), dtype=bool)
+    half[:, :, 160:] = True
+    masks = seen(T, half)
+    hidden = Masks(masks.object & ~half, half)
+    whole = mask_iou(MUG, 1.0, T, np.stack([K] * 3), masks)
+    np.testing.assert_array_equal(whole.full, 1.0)
+    np.testing.assert_array_equal(mask_iou(MUG, 1.0, T, np.stack([K] * 3), hidden).full, 1.0)
+
+
+def test_a_prediction_outside_the_crop_scores_zero() -> None:
+    T = poses()
+    far = se3.rigid(t=np.array([10.0, 0.0, 0.0])) @ T
+    found = mask_iou(MUG, 1.0, far, np.stack([K] * 3), seen(T))
+    for values in (found.full, found.crop, found.soft):
+        np.testing.assert_array_equal(values, 0.0)
+
+
+def test_frames_in_which_nothing_is_seen_are_left_out() -> None:
+    T = poses()
+    masks = seen(T)
+    masks.object[1] = False
+    masks.ignore[2] = masks.object[2]
+    found = mask_iou(MUG, 1.0, T, np.stack([K] * 3), masks)
+    np.testing.assert_array_equal(np.isnan(found.full), [False, True, True])
+    nothing = mask_iou(MUG, 1.0, T, np.stack([K] * 3), Masks(masks.object & False, masks.ignore))
+    assert np.isnan(nothing.crop).all()
+
+
+@given(st.floats(0.5, 2.0), st.floats(0.5, 2.0))
+def test_scale_and_depth_cannot_be_told_apart_in_one_view(scale: float, focal: float) -> None:
+    T = poses(1)[0]
+    camera = np.diag([focal, focal, 1.0]) @ K
+    far = T.copy()
+    far[:3, 3] *= scale
+    near, away = (object_mask(MUG, s, pose, camera, SIZE) for s, pose in ((1.0, T), (scale, far)))
+    assert np.count_nonzero(near ^ away) <= 2

@@ -1,0 +1,181 @@
+"""ADD, rotation, translation, and the symmetries of objects: known answers and laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from getagrip import se3
+from getagrip.datasets import shapes
+from getagrip.mesh import Mesh
+from getagrip.metrics.contact import signed_distance
+from getagrip.metrics.pose import SUCCESS, ObjectTrack, best_symmetry, pose_errors
+from getagrip.metrics.symmetry import find_symmetries, surface_points
+
+seeds = st.integers(0, 2**32 - 1)
+MUG, BOTTLE, CAN, BOX = shapes.mug(), shapes.bottle(), shapes.can(), shapes.box()
+
+
+def poses(rng: np.random.Generator, frames: int = 4) -> np.ndarray:
+    return se3.rigid(se3.exp_so3(rng.normal(size=(frames, 3))), rng.normal(scale=0.1, size=(frames, 3)))
+
+
+def moved(mesh: Mesh, rng: np.random.Generator, scale: float = 1.0) -> Mesh:
+    return Mesh(scale * se3.transform(poses(rng, 1)[0], mesh.vertices), mesh.faces)
+
+
+@given(seeds, st.floats(0.5, 2.0))
+def test_a_perfect_prediction_has_no_error(seed: int, scale: float) -> None:
+    track = ObjectTrack(poses(np.random.default_rng(seed)), scale)
+    errors = pose_errors(MUG, track, track)
+    assert errors.add.max() < 1e-12
+    assert errors.rotation.max() < 1e-6
+    assert errors.success
+    assert errors.diameter == pytest.approx(scale * MUG.diameter)
+
+
+@given(seeds, st.floats(1e-4, 0.1))
+def test_add_of_a_translation_is_its_length(seed: int, length: float) -> None:
+    rng = np.random.default_rng(seed)
+    T = poses(rng)
+    step = rng.normal(size=3)
+    there = se3.rigid(t=length * step / np.linalg.norm(step)) @ T
+    errors = pose_errors(MUG, ObjectTrack(there, 1.0), ObjectTrack(T, 1.0))
+    np.testing.assert_allclose(errors.add, length)
+    np.testing.assert_allclose(errors.translation, length)
+    assert errors.rotation.max() < 1e-6
+    assert errors.success == (length < SUCCESS * MUG.diameter)
+
+
+@given(seeds, st.floats(0.0, 3.1))
+def test_a_turn_about_the_centre_is_a_rotation_error_only(seed: int, angle: float) -> None:
+    rng = np.random.default_rng(seed)
+    T, axis = poses(rng), rng.normal(size=3)
+    turn = se3.rotation_about_line(MUG.centre, axis / np.linalg.norm(axis), np.asarray(angle))
+    errors = pose_errors(MUG, ObjectTrack(T @ turn, 1.0), ObjectTrack(T, 1.0))
+    np.testing.assert_allclose(errors.rotation, angle, atol=1e-6)
+    assert errors.translation.max() < 1e-9
+
+
+def test_a_wrong_scale_counts_in_add() -> None:
+    true, large = ObjectTrack(np.eye(4)[None], 1.0), ObjectTrack(np.eye(4)[None], 1.5)
+    errors = pose_errors(MUG, large, true)
+    assert errors.add[0] == pytest.approx(0.5 * np.linalg.norm(MUG.vertices, axis=1).mean())
+    assert errors.diameter == MUG.diameter
+
+
+@given(seeds)
+def test_the_hand_frame_does_not_matter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    P, Q, G = poses(rng), poses(rng), poses(rng, 1)
+    here = pose_errors(BOX, ObjectTrack(P, 1.1), ObjectTrack(Q, 1.0))
+    there = pose_errors(BOX, ObjectTrack(G @ P, 1.1), ObjectTrack(G @ Q, 1.0))
+    for name in ("add", "rotation", "translation"):
+        np.testing.assert_allclose(getattr(here, name), getattr(there, name), atol=1e-9)
+
+
+def test_one_bad_frame_fails_a_frame_but_not_the_sequence() -> None:
+    T = np.tile(np.eye(4), (10, 1, 1))
+    off = T.copy()
+    off[3, 0, 3] = 0.2 * MUG.diameter
+    errors = pose_errors(MUG, ObjectTrack(off, 1.0), ObjectTrack(T, 1.0))
+    assert errors.success
+    assert errors.frame_success.mean() == pytest.approx(0.9)
+
+
+def test_surface_points_are_spread_by_area() -> None:
+    points = surface_points(CAN, 4000)
+    assert np.abs(signed_distance(points, CAN.vertices, CAN.faces)).max() < 1e-9
+    corners = CAN.vertices[CAN.faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    above = area[corners.mean(axis=1)[:, 2] > 0.02].sum() / area.sum()
+    assert np.mean(points[:, 2] > 0.02) == pytest.approx(above, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "expected"),
+    [
+        (MUG, "none"),
+        (shapes.cup(), "none"),
+        (shapes.pan(), "none"),
+        (shapes.kettle(), "none"),
+        (shapes.spoon(), "none"),
+        (shapes.ketchup(), "180 degrees"),
+        (BOX, "180, 180, 180 degrees"),
+        (BOTTLE, "continuous"),
+        (shapes.bowl(), "continuous"),
+        (shapes.plate(), "continuous"),
+        (CAN, "continuous, flips"),
+    ],
+)
+def test_symmetries_of_known_objects(mesh: Mesh, expected: str) -> None:
+    assert find_symmetries(mesh).describe() == expected
+    assert find_symmetries(moved(mesh, np.random.default_rng(1), scale=0.7)).describe() == expected
+
+
+def test_a_cube_has_24_turns_and_a_ball_all() -> None:
+    cube = trimesh.creation.box((0.05, 0.05, 0.05)).subdivide().subdivide()
+    assert len(find_symmetries(Mesh(np.array(cube.vertices), np.array(cube.faces))).elements) == 24
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.04)
+    found = find_symmetries(Mesh(np.array(ball.vertices), np.array(ball.faces)))
+    assert found.describe() == "ball"
+    assert len(found.axes) == 3
+
+
+def test_symmetries_map_the_surface_onto_itself() -> None:
+    for mesh in (BOX, CAN, shapes.ketchup()):
+        symmetries = find_symmetries(mesh)
+        turns = symmetries.about(np.full(len(symmetries.axes), 0.3)) @ symmetries.elements
+        for T in turns:
+            assert se3.is_rigid(T)
+            distance = signed_distance(se3.transform(T, surface_points(mesh, 200)), mesh.vertices, mesh.faces)
+            assert np.abs(distance).mean() < 0.015 * mesh.diameter
+
+
+@settings(max_examples=10, deadline=None)
+@given(seeds, st.floats(0.3, 2.8), st.floats(0.8, 1.2))
+def test_a_turn_that_cannot_be_seen_is_forgiven(seed: int, angle: float, scale: float) -> None:
+    symmetries = find_symmetries(CAN)
+    T = poses(np.random.default_rng(seed))
+    turn = symmetries.about(np.array([angle])) @ symmetries.elements[-1]
+    turn[:3, 3] *= scale
+    predicted, true = ObjectTrack(T @ turn, scale), ObjectTrack(T, scale)
+    best = best_symmetry(CAN, predicted, true, symmetries)
+    assert not pose_errors(CAN, predicted, true).success
+    assert pose_errors(CAN, predicted, true, best).add.max() < 1e-4 * CAN.diameter
+    assert pose_errors(CAN, predicted, true, best).rotation.max() < 1e-3
+
+
+def test_a_half_turn_of_a_box_is_forgiven_and_of_a_mug_is_not() -> None:
+    T, half = poses(np.random.default_rng(0)), np.diag([-1.0, -1.0, 1.0, 1.0])
+    for mesh, forgiven in ((BOX, True), (MUG, False)):
+        predicted, true = ObjectTrack(T @ half, 1.0), ObjectTrack(T, 1.0)
+        best = best_symmetry(mesh, predicted, true, find_symmetries(mesh))
+        assert not pose_errors(mesh, predicted, true).success
+        assert pose_errors(mesh, predicted, true, best).success == forgiven
+
+
+def test_one_symmetry_serves_all_frames() -> None:
+    """A bottle that spins in the hand while it should be still is an error, though no single frame shows it."""
+    T = poses(np.random.default_rng(0), 8)
+    symmetries = find_symmetries(BOTTLE)
+    spinning = T @ symmetries.about(np.linspace(0.0, 3.0, 8)[:, None])
+    best = best_symmetry(BOTTLE, ObjectTrack(spinning, 1.0), ObjectTrack(T, 1.0), symmetries)
+    errors = pose_errors(BOTTLE, ObjectTrack(spinning, 1.0), ObjectTrack(T, 1.0), best)
+    assert np.ptp(errors.rotation) > 1.0
+    assert errors.add.mean() > 0.01
+    still = pose_errors(BOTTLE, ObjectTrack(spinning[:1], 1.0), ObjectTrack(T[:1], 1.0))
+    assert still.add[0] < 1e-6
+
+
+def test_the_turn_of_a_ball_is_never_an_error() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.04)
+    mesh = Mesh(ball.vertices + np.array([0.01, 0.0, 0.0]), np.array(ball.faces))
+    T = poses(np.random.default_rng(2))
+    turn = se3.rotation_about_line(mesh.centre, np.array([0.6, 0.0, 0.8]), np.asarray(1.234))
+    predicted, true = ObjectTrack(T @ turn, 1.0), ObjectTrack(T, 1.0)
+    best = best_symmetry(mesh, predicted, true, find_symmetries(mesh))
+    assert pose_errors(mesh, predicted, true, best).add.max() < 1e-3 * mesh.diameter
