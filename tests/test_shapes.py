@@ -13,9 +13,7 @@ from getagrip.datasets import shapes
 from getagrip.datasets.loft import Tube, loft, together, torus
 from getagrip.mesh import LARGEST, Mesh
 
-OBJECTS = (
-    "bottle bowl box can cup glass kettle ketchup laptop mug pan phone plate saucepan scissors spoon".split()
-)
+OBJECTS = "bottle bowl box can cup glass kettle ketchup laptop mug pan phone plate saucepan scissors spoon".split()
 HANDLES = {"mug": 1, "cup": 1, "kettle": 1}
 """Genus, where it is not 0."""
 

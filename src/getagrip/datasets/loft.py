@@ -119,9 +119,7 @@ def _hole(rings: Float[ndarray, "R N 3"], taken: ndarray, at: Float[ndarray, 3])
     return np.array([(i + di) * N + (j + dj) % N for di, dj in around])
 
 
-def _unrolled(
-    vertices: Float[ndarray, "V 3"], loop: Int[ndarray, 8], ring: Float[ndarray, "8 3"]
-) -> Int[ndarray, 8]:
+def _unrolled(vertices: Float[ndarray, "V 3"], loop: Int[ndarray, 8], ring: Float[ndarray, "8 3"]) -> Int[ndarray, 8]:
     """The loop, started where it meets the ring with the least twist."""
     rolls = [np.roll(loop, k) for k in range(len(loop))]
     return min(rolls, key=lambda ids: float(np.linalg.norm(vertices[ids] - ring, axis=1).sum()))

@@ -175,7 +175,7 @@ def make_scene(category: str, seed: int, options: Options) -> Scene:
     K = np.array([[options.focal, 0.0, width / 2.0], [0.0, options.focal, height / 2.0], [0.0, 0.0, 1.0]])
     clip = Clip(
         folder=Path(),
-        name=f"{category}-{options.side}-{seed:04d}",
+        name=clip_name(category, seed, options),
         category=category,
         side="right",
         fps=options.fps,
@@ -191,6 +191,11 @@ def make_scene(category: str, seed: int, options: Options) -> Scene:
     other = _other_hand(grasper, T_cam_hand, middle, moves) if options.other_hand else None
     scene = Scene(clip, axis, other, options)
     return scene if options.side == "right" else _mirror_image(scene)
+
+
+def clip_name(category: str, seed: int, options: Options) -> str:
+    """What the clip is called."""
+    return f"{category}-{options.side}-{seed:04d}"
 
 
 def _axis(grasper: Grasper, T_base: Float[ndarray, "4 4"], options: Options, rng: np.random.Generator) -> Axis:

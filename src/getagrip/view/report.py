@@ -158,17 +158,20 @@ def _title(figure: Figure, view: _View, metrics: Mapping[str, float], x: float, 
     figure.text(x, y - 2.0 * step, result.status, color=INK, fontsize=9.5, va="top")
 
     numbers = [("IOU", f"{100 * np.mean(result.iou):.1f} %")]
-    if "add_mm" in metrics:
-        numbers.append(("ADD", f"{metrics['add_mm']:.1f} mm"))
-    if "rotation_deg" in metrics:
-        numbers.append(("rotation", f"{metrics['rotation_deg']:.1f}°"))
+    for name, key, unit in (
+        ("ADD", "add_mm", " mm"),
+        ("ADD sym.", "add_sym_mm", " mm"),
+        ("rotation", "rotation_sym_deg", "°"),
+    ):
+        if key in metrics:
+            numbers.append((name, f"{metrics[key]:.1f}{unit}"))
     if "total" in result.seconds:
         numbers.append(("time", f"{result.seconds['total']:.2f} s"))
     right = 0.98
     for name, number in numbers[::-1]:
         figure.text(right, y, number, fontsize=15, va="top", ha="right")
         figure.text(right, y - 1.25 * step, name, fontsize=9.5, color=FAINT, va="top", ha="right")
-        right -= 0.085
+        right -= 0.092
     if result.ambiguous:
         warning = "ambiguous: another pose explains the masks almost as well"
         figure.text(0.98, y - 2.0 * step, warning, color=FOUND, fontsize=9.5, va="top", ha="right")
