@@ -184,8 +184,11 @@ def _intrinsics(path: Path, camera: object, frames: int, size: tuple[int, int]) 
     if focal.min() < 0.05 * max(size) or focal.max() > 100 * max(size):
         odd = focal.min() if focal.min() < 0.05 * max(size) else focal.max()
         raise InputError(path, "camera.K", f"the focal length {odd:g}", f"pixels of a {size[0]} x {size[1]} image")
-    if np.any(K[:, 2] != [0.0, 0.0, 1.0]) or np.any(K[:, 1, 0] != 0.0):
-        raise InputError(path, "camera.K", files.shown(K[0].tolist()), "[[fx, skew, cx], [0, fy, cy], [0, 0, 1]]")
+    shear = np.abs(K[:, [0, 1], [1, 0]]).max(axis=1) > 1e-6 * focal.min()
+    other = shear | np.any(K[:, 2] != [0.0, 0.0, 1.0], axis=1)
+    if other.any():
+        given = files.shown(K[np.argmax(other)].tolist())
+        raise InputError(path, "camera.K", given, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]: pixels without shear")
     return K
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from getagrip.errors import UsageError
-from getagrip.run.job import Job, Outcome, plan, reconstruct_one
+from getagrip.run.job import Job, Outcome, plan, reconstruct_one, settled
 from getagrip.run.pool import cores, in_processes
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def reconstruct_clips(
         _tell(outcome, debug)
     counts = {"done": 0, "kept": 0, "failed": len(failed)}
     with progress_bar() as bar:
-        for outcome in _outcomes(jobs, workers or _workers(len(jobs)), bar):
+        for outcome in _outcomes(jobs, workers, bar):
             _tell(outcome, debug)
             counts[outcome.state] += 1
     if len(jobs) + len(failed) > 1:
@@ -48,23 +48,35 @@ def reconstruct_clips(
     return 1 if counts["failed"] else 0
 
 
-def _workers(clips: int) -> int:
-    """How many processes are worth while."""
-    return min(clips, cores()) if clips > FEW else 1
-
-
-def _outcomes(jobs: Sequence[Job], workers: int, bar: Progress) -> Iterator[Outcome]:
-    """What becomes of each job, while the bar shows it."""
+def _outcomes(jobs: Sequence[Job], workers: int | None, bar: Progress) -> Iterator[Outcome]:
+    """What becomes of each job, while the bar shows it: first of those that need no work."""
     clips = bar.add_task("clips", total=len(jobs), visible=len(jobs) > 1)
-    if workers > 1:
-        for job, outcome in in_processes(reconstruct_one, jobs, workers):
-            yield outcome or Outcome(job.name, "failed", "its process died twice; out of memory?")
+    remaining = []
+    for job in jobs:
+        before = settled(job)
+        if before is None:
+            remaining.append(job)
+        else:
+            yield before
             bar.advance(clips)
-        return
-    stage = bar.add_task("", total=1.0)
+    if workers is None:
+        workers = min(len(remaining), cores()) if len(remaining) > FEW else 1
+    for outcome in _in_turn(remaining, bar) if workers == 1 else _side_by_side(remaining, workers):
+        yield outcome
+        bar.advance(clips)
+
+
+def _in_turn(jobs: Sequence[Job], bar: Progress) -> Iterator[Outcome]:
+    """The outcomes of jobs done in this process, with a bar for the one at work."""
+    stage = bar.add_task("", total=1.0, visible=bool(jobs))
     for job in jobs:
         yield reconstruct_one(job, partial(_show, bar, stage, job.name))
-        bar.advance(clips)
+
+
+def _side_by_side(jobs: Sequence[Job], workers: int) -> Iterator[Outcome]:
+    """The outcomes of jobs done in processes, as they finish."""
+    for job, outcome in in_processes(reconstruct_one, jobs, workers):
+        yield outcome or Outcome(job.name, "failed", "its process died twice; out of memory?")
 
 
 def _show(bar: Progress, task: TaskID, name: str, stage: str, part: float) -> None:
@@ -75,7 +87,8 @@ def _show(bar: Progress, task: TaskID, name: str, stage: str, part: float) -> No
 def _tell(outcome: Outcome, debug: bool) -> None:
     """One line about a clip: failures on stderr, the rest on stdout."""
     failed = outcome.state == "failed"
-    print(f"{'failed: ' if failed else ''}{outcome.name}: {outcome.message}", file=sys.stderr if failed else sys.stdout)
+    parts = ["failed"] * failed + [outcome.name] * bool(outcome.name) + [outcome.message]
+    print(": ".join(parts), file=sys.stderr if failed else sys.stdout)
     if failed and debug:
         print(outcome.trace, file=sys.stderr)
 

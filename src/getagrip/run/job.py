@@ -38,6 +38,7 @@ class Outcome:
     """What became of a clip (or of a path where none was found)."""
 
     name: str
+    """Empty where a path is no clip."""
     state: Literal["done", "kept", "failed"]
     """``kept``: the result stood there already."""
     message: str
@@ -63,7 +64,7 @@ def plan(paths: Sequence[Path], out: Path, options: Options, overwrite: bool) ->
         try:
             clips = clips_in(path)
         except InputError as error:
-            failed.append(failure(str(path), error))
+            failed.append(failure("", error))
             continue
         for clip in clips:
             try:
@@ -90,13 +91,14 @@ def clips_in(path: Path) -> list[Path]:
 
 
 def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
-    """Reconstruct a clip and write its result, unless that stands there already. Raises nothing."""
+    """Reconstruct a clip and write its result, unless that is settled already. Raises nothing."""
+    before = settled(job)
+    if before is not None:
+        return before
     try:
-        checksum = input_sha256(job.clip)
-        if job.out.exists() and _stands(job, checksum):
-            return Outcome(job.name, "kept", f"already done in {job.out}")
         from getagrip.reconstruct import reconstruct
 
+        checksum = input_sha256(job.clip)
         clip = read_clip(job.clip)
         result = reconstruct(clip, read_masks(clip), job.options, progress)
         metrics = {"iou_full": float(result.iou.mean())}
@@ -108,21 +110,28 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
     return Outcome(job.name, "done", summary)
 
 
-def _stands(job: Job, checksum: str) -> bool:
-    """Whether the job's folder holds the result that it would make. Raises ``UsageError`` if it is in the way."""
-    if not is_result(job.out):
-        raise UsageError(f"{job.out}: exists and is no result; it is not overwritten")
-    if job.overwrite:
-        return False
+def settled(job: Job) -> Outcome | None:
+    """The outcome of a job whose result is there already, or in whose place something else is; else None."""
+    try:
+        if not job.out.exists():
+            return None
+        if not is_result(job.out):
+            raise UsageError(f"{job.out}: exists and is no result; it is not overwritten")
+        if job.overwrite:
+            return None
+        other = _differences(job)
+        if other:
+            raise UsageError(f"{job.out}: holds a result of another {' and '.join(other)}; replace it with --overwrite")
+    except Exception as error:  # as above
+        return failure(job.name, error)
+    return Outcome(job.name, "kept", f"already done in {job.out}")
+
+
+def _differences(job: Job) -> list[str]:
+    """In what the result that is there differs from the one that the job would make."""
     record = read_record(job.out)
     options = json.loads(files.to_json(asdict(job.options)))
-    wanted = {
-        "input_sha256": checksum,
-        "method": job.options.method,
-        "seed": job.options.seed,
-        "options": options,
-    }
-    other = [key for key, value in wanted.items() if record[key] != value]
-    if other:
-        raise UsageError(f"{job.out}: holds a result of another {' and '.join(other)}; replace it with --overwrite")
-    return True
+    wanted = {"method": job.options.method, "seed": job.options.seed, "options": options}
+    if record["input_sha256"] != input_sha256(job.clip):
+        return ["clip"]
+    return [key for key, value in wanted.items() if record[key] != value][:1]
