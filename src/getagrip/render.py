@@ -52,7 +52,7 @@ def render_rgb(
     size: tuple[int, int],
     background: UInt8[ndarray, "H W 3"] | Colour | None = None,
 ) -> UInt8[ndarray, "H W 3"]:
-    """A lit picture of meshes in the camera frame, smooth normals, anti-aliased (four samples a pixel).
+    """A lit picture of meshes in the camera frame, smoothly shaded between vertices, four samples a pixel.
 
     ``background`` is an image of ``size``, a colour, or nothing: white.
     """
@@ -62,20 +62,17 @@ def render_rgb(
     behind = np.broadcast_to(
         background / 255.0 if isinstance(background, ndarray) else np.array(background), (height, width, 3)
     )
-    picture = np.repeat(np.repeat(behind, 2, axis=0), 2, axis=1)
+    picture = np.repeat(np.repeat(behind.astype(np.float32), 2, axis=0), 2, axis=1)
     if meshes:
-        vertices, faces, first = _joined([(v, f) for v, f, _ in meshes])
-        normals = np.concatenate([vertex_normals(v, f) for v, f, _ in meshes])
+        vertices, faces, _ = _joined([(v, f) for v, f, _ in meshes])
+        brightness = _lambert(vertices, np.concatenate([vertex_normals(v, f) for v, f, _ in meshes]))
+        colours = np.repeat([colour for _, _, colour in meshes], [len(f) for _, f, _ in meshes], axis=0)
         K2 = np.diag([2.0, 2.0, 1.0]) @ K
         _, face = depth_and_face(vertices, faces, K2, (2 * width, 2 * height))
         seen = face >= 0
         weights = barycentric(vertices, faces, K2, face)
-        corners = faces[face[seen]]
-        points = np.einsum("nk,nkd->nd", weights, vertices[corners])
-        brightness = _lambert(points, np.einsum("nk,nkd->nd", weights, normals[corners]))
-        part = np.searchsorted(first, face[seen], side="right") - 1
-        colours = np.array([colour for _, _, colour in meshes])
-        picture[seen] = np.clip(brightness[:, None] * colours[part], 0.0, 1.0)
+        light = np.sum(weights * brightness[faces[face[seen]]], axis=1)
+        picture[seen] = np.clip(light[:, None] * colours[face[seen]], 0.0, 1.0)
     mean = (picture[::2, ::2] + picture[::2, 1::2] + picture[1::2, ::2] + picture[1::2, 1::2]) / 4.0
     return np.asarray(np.round(255.0 * mean), dtype=np.uint8)
 

@@ -63,12 +63,17 @@ def _slab(size: tuple[float, float, float], power: float, bevel: float, columns:
 
 
 def _arc(points: Sequence[tuple[float, float]], n: int) -> Float[ndarray, "n 3"]:
-    """A smooth curve in the plane y = 0 through (x, z) points (a centripetal spline), at n even places."""
-    from scipy.interpolate import CubicSpline
-
+    """A smooth curve in the plane y = 0 through (x, z) points (a Catmull-Rom spline), sampled at n parameters."""
     p = np.asarray(points, dtype=float)
     knots = np.concatenate([[0.0], np.cumsum(np.sqrt(np.linalg.norm(np.diff(p, axis=0), axis=1)))])
-    xz = CubicSpline(knots, p)(np.linspace(0.0, knots[-1], n))
+    slope = np.gradient(p, knots, axis=0)
+    t = np.linspace(0.0, knots[-1], n)
+    k = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(p) - 2)
+    h = np.diff(knots)[k, None]
+    u = (t - knots[k])[:, None] / h
+    start = (1.0 + 2.0 * u) * (1.0 - u) ** 2 * p[k] + u * (1.0 - u) ** 2 * h * slope[k]
+    end = u**2 * (3.0 - 2.0 * u) * p[k + 1] + u**2 * (u - 1.0) * h * slope[k + 1]
+    xz = start + end
     return np.stack([xz[:, 0], np.zeros(n), xz[:, 1]], axis=-1)
 
 

@@ -3,7 +3,8 @@
 The grasp comes from contact (``grasp``); the object turns in the hand about a line near the contacts (Eq. 3 of the
 paper) and departs from that by a small smooth residual, and the fingers follow it; hand and head move smoothly.
 Everything is drawn for a right hand; the left hand's clip is its exact mirror image. The truth depends on the seed, the
-category and the options of the scene; noise has its own random stream, so it can be turned on for the same truth.
+category and the options of the scene; noise has its own random stream, so it can be turned on for the same truth
+(it is not mirrored).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from getagrip import se3
-from getagrip.camera import project
+from getagrip.camera import bounding_boxes, project
 from getagrip.clip import Clip, HandTrack, Masks, Truth
 from getagrip.datasets import shapes
 from getagrip.datasets.grasp import Grasper, Grip, SignedDistance
@@ -323,10 +324,16 @@ def ragged(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> B
     """The mask with its boundary moved by a random field of ``px`` root mean square, smooth over about 5 px."""
     import cv2
 
-    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
-    outside = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
-    field = cv2.GaussianBlur(rng.normal(size=mask.shape).astype(np.float32), (0, 0), 5.0)
-    return np.asarray(inside - outside > field * (px / field.std()))
+    margin = int(np.ceil(4.0 * px)) + 2
+    left, top, right, bottom = bounding_boxes(mask[None])[0] + [-margin, -margin, margin, margin]
+    window = slice(max(top, 0), bottom), slice(max(left, 0), right)
+    part = mask[window]
+    inside = cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 3)
+    outside = cv2.distanceTransform((~part).astype(np.uint8), cv2.DIST_L2, 3)
+    field = cv2.GaussianBlur(rng.normal(size=part.shape).astype(np.float32), (0, 0), 5.0)
+    moved = mask.copy()
+    moved[window] = inside - outside > field * (px / field.std())
+    return moved
 
 
 def pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
