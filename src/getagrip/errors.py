@@ -16,10 +16,10 @@ class UsageError(GetagripError):
 class InputError(GetagripError):
     """A file is missing, malformed or holds impossible values (exit status 1).
 
-    The message reads ``<file>: <key>: got <given>, expected <expected>``.
+    The message reads ``<file>: <key>: got <given>, expected <expected>``, on one line.
     """
 
     def __init__(self, path: str | Path, key: str, given: str, expected: str) -> None:
         self.path, self.key, self.given, self.expected = Path(path), key, given, expected
         where = f"{path}: {key}" if key else f"{path}"
-        super().__init__(f"{where}: got {given}, expected {expected}")
+        super().__init__(" ".join(f"{where}: got {given}, expected {expected}".split()))

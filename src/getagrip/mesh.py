@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip import files
 from getagrip.errors import InputError
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
@@ -141,12 +143,17 @@ def read_mesh(path: Path) -> Mesh:
         raise InputError(path, "mesh", "no such file", "a triangle mesh")
     import trimesh
 
+    content = io.BytesIO(files.read_bytes(path))  # without a path nothing beside the file is ever opened
     try:
-        loaded = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        loaded = trimesh.load(
+            content, file_type=path.suffix[1:].lower(), force="mesh", process=False, skip_materials=True
+        )
     except Exception as error:  # trimesh's readers raise whatever their parsers meet
         raise InputError(path, "mesh", f"a file that does not parse ({error})", "a triangle mesh") from error
-    vertices = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=float)
-    faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
+    vertices = np.asarray(getattr(loaded, "vertices", ()), dtype=float)
+    faces = np.asarray(getattr(loaded, "faces", ()), dtype=np.int64)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        raise InputError(path, "faces", f"{len(vertices)} vertices and {len(faces)} faces", "a mesh with faces")
     return checked_mesh(path, vertices, faces)
 
 
