@@ -13,7 +13,8 @@ from getagrip.datasets import shapes
 from getagrip.datasets.loft import Tube, loft, together, torus
 from getagrip.mesh import LARGEST, Mesh
 
-OBJECTS = "bottle bowl box can cup glass kettle ketchup laptop mug pan phone plate saucepan scissors spoon".split()
+OBJECTS = ("bottle", "bowl", "box", "can", "cup", "glass", "kettle", "ketchup")
+OBJECTS += ("laptop", "mug", "pan", "phone", "plate", "saucepan", "scissors", "spoon")
 HANDLES = {"mug": 1, "cup": 1, "kettle": 1}
 """Genus, where it is not 0."""
 
@@ -70,7 +71,7 @@ def test_a_cylinder_has_its_volume() -> None:
     n, r, h = 200, 0.5, 2.0
     phi = np.arange(n) * 2 * np.pi / n
     circle = np.stack([r * np.cos(phi), r * np.sin(phi), np.zeros(n)], axis=-1)
-    mesh = loft(np.stack([circle, circle + [0, 0, h]]))
+    mesh = loft(np.stack([circle, circle + np.array([0.0, 0.0, h])]))
     assert mesh.volume == pytest.approx(np.pi * r**2 * h, rel=1e-3)
 
 

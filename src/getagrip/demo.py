@@ -15,7 +15,7 @@ from getagrip.result import write_result
 from getagrip.run.batch import progress_bar
 from getagrip.view.report import write_report
 
-CATEGORY, SEED = "mug", 1
+CATEGORY, SEED = "mug", 2
 CLIP = ClipOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)
 """Small noise on hands and masks; everything else as usual: 30 frames, 1-DoF motion with a small residual."""
 

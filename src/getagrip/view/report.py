@@ -32,7 +32,7 @@ TURN = np.radians(80.0)
 """The turned view looks from this far to the left."""
 HAND, OBJECT = (0.87, 0.72, 0.63), (0.44, 0.58, 0.69)
 PAPER, INK, FAINT, LINE = "#f4f4f1", "#2b2f33", "#8a9096", "#d9dad6"
-FOUND, AXIS, TRUE = "#c8553d", "#2a9d8f", "#6c757d"
+FOUND, AXIS, HIDDEN, TRUE = "#c8553d", "#2a9d8f", "#a8e0d5", "#6c757d"
 SEEN, IGNORED = (126, 158, 184), (216, 200, 186)
 METHODS = {
     "one-dof": "1-DoF",
@@ -253,7 +253,7 @@ def _axis_line(
     in_sight = line[:, 2] < depth[row, column] + 1e-3
     axes.plot(*np.where(in_sight[:, None], uv, np.nan).T, color="white", linewidth=3.0, alpha=0.7)
     axes.plot(*np.where(in_sight[:, None], uv, np.nan).T, color=AXIS, linewidth=1.6)
-    axes.plot(*np.where(in_sight[:, None], np.nan, uv).T, color=AXIS, linewidth=1.2, linestyle=(0, (1, 2)))
+    axes.plot(*np.where(in_sight[:, None], np.nan, uv).T, color=HIDDEN, linewidth=1.3, linestyle=(0, (1, 1.6)))
 
 
 def _along(view: _View, point: Float[ndarray, 3], direction: Float[ndarray, 3]) -> float:
