@@ -8,13 +8,15 @@ that all starts of a search are solved at once. The object is centred: ``T`` pla
 - ``Hinge`` (the paper's 1-DoF, Eq. 3): one pose turned by an angle per frame about one line in the hand frame;
   S = 6 + scale + 2 (direction) + 2 (location), L = 1. The angles' common offset and the base pose do the same; the
   solver's damping keeps them still and ``zero_mean`` settles it.
-- ``Free`` (the paper's Dynamic): a pose per frame; S = scale (+ 6 with a ridge that ties the frames to a shared pose), L = 6.
+- ``Free`` (the paper's Dynamic): a pose per frame; S = scale, L = 6.
+- ``Soft``: one of the first two, and a small deviation per frame under a ridge; L grows by 6.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -65,20 +67,28 @@ class Motion(Protocol):
         ...
 
 
+Core = TypeVar("Core", "Fixed", "Hinge")
+
+
 @dataclass(frozen=True)
 class _Batch:
-    """Hypotheses side by side: every array field has the same leading axis."""
+    """Hypotheses side by side: every array field, here and in models within, has the same leading axis."""
 
     def take(self, index: ndarray) -> Self:
-        return replace(self, **{k: v[index] for k, v in vars(self).items() if isinstance(v, ndarray)})
+        return self._each(lambda v: v[index])
 
     def where(self, mask: Bool[ndarray, "B"], other: Self) -> Self:
-        merged = {
-            k: np.where(mask.reshape(-1, *[1] * (v.ndim - 1)), v, getattr(other, k))
-            for k, v in vars(self).items()
-            if isinstance(v, ndarray)
-        }
-        return replace(self, **merged)
+        return self._each(lambda v, w: np.where(mask.reshape(-1, *[1] * (v.ndim - 1)), v, w), other)
+
+    def _each(self, change: Callable[..., ndarray], *others: Self) -> Self:
+        changed: dict[str, object] = {}
+        for name, value in vars(self).items():
+            rest = [getattr(o, name) for o in others]
+            if isinstance(value, ndarray):
+                changed[name] = change(value, *rest)
+            elif isinstance(value, _Batch):
+                changed[name] = value._each(change, *rest)
+        return replace(self, **changed)
 
 
 @dataclass(frozen=True)
@@ -130,17 +140,17 @@ class Hinge(_Batch):
     free_scale: bool = False
     free_location: bool = True
 
-    def _turned(self) -> tuple[Float[ndarray, "B N 3 3"], Float[ndarray, "B N 3"]]:
+    def _swung(self) -> tuple[Float[ndarray, "B N 3 3"], Float[ndarray, "B N 3"]]:
         turn = se3.exp_so3(self.angle[..., None] * self.direction[:, None])
         arm = turn @ (self.centre - self.point)[:, None, :, None]
         return turn, self.point[:, None] + arm[..., 0]
 
     def poses(self) -> InHand:
-        turn, centre = self._turned()
+        turn, centre = self._swung()
         return InHand(turn @ self.R[:, None], centre, np.exp(self.log_scale))
 
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
-        turn, centre = self._turned()
+        turn, centre = self._swung()
         B, N = self.angle.shape
         across = tangents(self.direction)
         arm = centre - self.point[:, None]
@@ -163,7 +173,7 @@ class Hinge(_Batch):
         return J, local
 
     def prior(self) -> Prior:
-        return _no_prior(*self.angle.shape, 1)
+        return _no_prior(len(self.angle), self.angle.shape[1], 1)
 
     def moved(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Hinge:
         across = tangents(self.direction)
@@ -198,10 +208,7 @@ class Hinge(_Batch):
 
 @dataclass(frozen=True)
 class Free(_Batch):
-    """A pose per frame. With a ridge, the poses are tied to a shared one that is then a parameter too.
-
-    ridge: energy per m^2 and per rad^2 of a frame's deviation; zeros for the paper's Dynamic.
-    """
+    """A pose per frame."""
 
     R: Float[ndarray, "B N 3 3"]
     centre: Float[ndarray, "B N 3"]
@@ -218,7 +225,7 @@ class Free(_Batch):
         return shared, np.broadcast_to(eye[:, :6], (B, N, 7, 6))
 
     def prior(self) -> Prior:
-        return _no_prior(*self.centre.shape[:2], 6)
+        return _no_prior(len(self.centre), self.centre.shape[1], 6)
 
     def moved(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Free:
         return replace(
@@ -230,49 +237,51 @@ class Free(_Batch):
 
 
 @dataclass(frozen=True)
-class Loose(_Batch):
-    """One pose, and a small deviation per frame under a ridge: what the search fits before it knows an axis.
+class Soft(_Batch, Generic[Core]):
+    """A fixed or hinged motion, and a small deviation per frame under a ridge.
 
-    Deviations turn about the object's centre, in the hand frame: ``R_n = exp(w_n) R``, ``centre_n = centre + v_n``.
+    Deviations (v, w) shift the object and turn it about its centre, in the hand frame:
+    ``R_n = exp(w_n) R_core, centre_n = centre_core + v_n``. They take up what the model inside cannot: an object that
+    is not quite on a hinge, a hand that the estimator has put a little wrong.
     """
 
-    R: Float[ndarray, "B 3 3"]
-    centre: Float[ndarray, "B 3"]
-    log_scale: Float[ndarray, "B"]
+    core: Core
     deviation: Float[ndarray, "B N 6"]
     ridge: tuple[float, float]
     """Energy per m^2 and per rad^2 of deviation, times 1/2."""
-    free_scale: bool = False
 
     def poses(self) -> InHand:
-        R = se3.exp_so3(self.deviation[..., 3:]) @ self.R[:, None]
-        return InHand(R, self.centre[:, None] + self.deviation[..., :3], np.exp(self.log_scale))
+        held = self.core.poses()
+        R = se3.exp_so3(self.deviation[..., 3:]) @ held.R
+        return InHand(R, held.centre + self.deviation[..., :3], held.scale)
 
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
+        shared, angles = self.core.jacobian()
+        turn = se3.exp_so3(self.deviation[..., 3:])
         B, N = self.deviation.shape[:2]
-        shared = np.zeros((B, N, 7, 6 + self.free_scale))
-        shared[..., :3, :3] = np.eye(3)
-        shared[..., 3:6, 3:6] = se3.exp_so3(self.deviation[..., 3:])
-        if self.free_scale:
-            shared[..., 6, 6] = 1.0
-        local = np.zeros((B, N, 7, 6))
-        local[..., :3, :3] = np.eye(3)
-        local[..., 3:6, 3:6] = left_jacobian(self.deviation[..., 3:])
-        return shared, local
+        own = np.zeros((B, N, 7, 6))
+        own[..., :3, :3] = np.eye(3)
+        own[..., 3:6, 3:] = left_jacobian(self.deviation[..., 3:])
+        return _turned(turn, shared), np.concatenate([_turned(turn, angles), own], axis=-1)
 
     def prior(self) -> Prior:
         stiffness = np.repeat(self.ridge, 3)
         pull = stiffness * self.deviation
-        return Prior(0.5 * np.sum(pull * self.deviation, axis=(1, 2)), pull, stiffness)
-
-    def moved(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Loose:
-        return replace(
-            self,
-            R=se3.exp_so3(shared[:, 3:6]) @ self.R,
-            centre=self.centre + shared[:, :3],
-            log_scale=self.log_scale + (shared[:, 6] if self.free_scale else 0.0),
-            deviation=self.deviation + local,
+        inside = self.core.prior()
+        return Prior(
+            inside.value + 0.5 * np.sum(pull * self.deviation, axis=(1, 2)),
+            np.concatenate([inside.g, pull], axis=-1),
+            np.concatenate([inside.diagonal, stiffness]),
         )
+
+    def moved(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Soft[Core]:
+        core = self.core.moved(shared, local[..., :-6])
+        return replace(self, core=core, deviation=self.deviation + local[..., -6:])
+
+
+def _turned(turn: Float[ndarray, "B N 3 3"], J: Float[ndarray, "B N 7 k"]) -> Float[ndarray, "B N 7 k"]:
+    """Local 7-vectors whose rotations are followed by another."""
+    return np.concatenate([J[..., :3, :], turn @ J[..., 3:6, :], J[..., 6:, :]], axis=-2)
 
 
 def tangents(direction: Float[ndarray, "B 3"]) -> Float[ndarray, "B 2 3"]:

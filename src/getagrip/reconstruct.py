@@ -21,7 +21,7 @@ from getagrip.energy.push import PushTerm
 from getagrip.errors import GetagripError, UsageError
 from getagrip.kernels.silhouette import silhouettes, unpack
 from getagrip.mesh import decimate
-from getagrip.motion import Fixed, Free, Hinge, Loose, Motion
+from getagrip.motion import Fixed, Free, Hinge, Motion, Soft
 from getagrip.observation import Observation, observe
 from getagrip.result import Axis, Candidates, Reconstruction
 from getagrip.search import Schedule, Stage, hinge_from, search, spread
@@ -92,7 +92,7 @@ def reconstruct(
     clock("prepare")
     solution = search(
         starts=_starts(clip, masks, options),
-        model=_model(clip, options),
+        model=_model(options),
         terms_at=_energy(clip, observation, options),
         T_cam_hand=clip.hand.T_cam_hand,
         corners=corners,
@@ -149,15 +149,15 @@ def _energy(clip: Clip, observation: Observation, options: Options) -> Callable[
     return terms
 
 
-def _model(clip: Clip, options: Options) -> Callable[[Loose], Motion]:
+def _model(options: Options) -> Callable[[Soft[Fixed]], Motion]:
     """From the search's loose fit to the motion model of the method."""
     if options.method == "static":
-        return lambda loose: Fixed(loose.R, loose.centre, loose.log_scale, loose.deviation.shape[1], loose.free_scale)
+        return lambda loose: loose.core
     if options.method == "dynamic":
 
-        def free(loose: Loose) -> Free:
+        def free(loose: Soft[Fixed]) -> Free:
             held = loose.poses()
-            return Free(held.R, held.centre, loose.log_scale, loose.free_scale)
+            return Free(held.R, held.centre, loose.core.log_scale, loose.core.free_scale)
 
         return free
     return lambda loose: hinge_from(loose, options.axis == "free", np.zeros(3))
@@ -196,7 +196,9 @@ def _grip_point(clip: Clip, uv: Float[ndarray, "T 2"]) -> Float[ndarray, "3"]:
     return np.linalg.solve(A, ray_weight * (across @ eye[..., None])[..., 0].sum(axis=0) + grip_weight * grip)
 
 
-def _poses(solution: Solution[Motion], centre: Float[ndarray, "3"]) -> tuple[Float[ndarray, "K T 4 4"], Float[ndarray, "K"]]:
+def _poses(
+    solution: Solution[Motion], centre: Float[ndarray, "3"]
+) -> tuple[Float[ndarray, "K T 4 4"], Float[ndarray, "K"]]:
     """T_hand_obj of the mesh as it is, not about its centre, and the scale."""
     held = solution.motion.poses()
     offset = held.scale[:, None, None] * (held.R @ centre)

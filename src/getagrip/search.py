@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from getagrip import se3
 from getagrip.energy import Term
-from getagrip.motion import Fixed, Free, Hinge, Loose, Motion
+from getagrip.motion import Fixed, Free, Hinge, Motion, Soft
 from getagrip.solve import Solution, minimise
 
 M = TypeVar("M", bound=Motion)
@@ -64,29 +64,30 @@ def spread(frames: int, wanted: int) -> Int[ndarray, "n"]:
     return np.unique(np.round(np.linspace(0, frames - 1, min(wanted, frames))).astype(int))
 
 
-def hinge_from(loose: Loose, free_location: bool, anchor: Float[ndarray, "3"]) -> Hinge:
+def hinge_from(loose: Soft[Fixed], free_location: bool, anchor: Float[ndarray, "3"]) -> Hinge:
     """The hinge nearest to a loose fit: principal direction of its rotation vectors, angles along it.
 
     With ``free_location`` the line passes where the deviations' translations ask for, held near the object's centre by a
     ridge; otherwise through ``anchor`` (hand frame, m).
     """
+    base = loose.core
     v, w = loose.deviation[..., :3], loose.deviation[..., 3:]
     mean = w.mean(axis=1, keepdims=True)
     _, _, Vt = np.linalg.svd(w - mean)
     direction = Vt[:, 0]
     angle = np.sum((w - mean) * direction[:, None], axis=-1)
     offset = v - v.mean(axis=1, keepdims=True)
-    centre = loose.centre + v.mean(axis=1)
+    centre = base.centre + v.mean(axis=1)
     if free_location:
-        # v_n = angle_n d x (centre - point): least squares for the arm, 5 cm as likely as 5 degrees of noise.
+        # v_n = angle_n d x (centre - point): least squares for the arm, against 5 degrees of noise per frame.
         arm = np.cross(np.sum(angle[..., None] * offset, axis=1), direction)
         arm /= np.sum(angle**2, axis=1)[:, None] + v.shape[1] * np.radians(5.0) ** 2
         reach = np.linalg.norm(arm, axis=1, keepdims=True)
         point = centre - arm * np.minimum(1.0, 0.1 / np.maximum(reach, 1e-9))
     else:
         point = np.broadcast_to(anchor, centre.shape).copy()
-    R = se3.exp_so3(mean[:, 0]) @ loose.R
-    return Hinge(R, centre, loose.log_scale, point, direction, angle, loose.free_scale, free_location)
+    R = se3.exp_so3(mean[:, 0]) @ base.R
+    return Hinge(R, centre, base.log_scale, point, direction, angle, base.free_scale, free_location)
 
 
 def resampled(motion: M, old: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> M:
@@ -95,6 +96,9 @@ def resampled(motion: M, old: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> M:
         return replace(motion, frames=len(new))
     if isinstance(motion, Hinge):
         return replace(motion, angle=np.stack([np.interp(new, old, a) for a in motion.angle]))
+    if isinstance(motion, Soft):
+        between = [[np.interp(new, old, column) for column in d.T] for d in motion.deviation]
+        return replace(motion, core=resampled(motion.core, old, new), deviation=np.swapaxes(between, 1, 2))
     if isinstance(motion, Free):
         nearest = np.abs(new[:, None] - old[None]).argmin(axis=1)
         return replace(motion, R=motion.R[:, nearest], centre=motion.centre[:, nearest])
@@ -121,7 +125,7 @@ def distinct(motion: Motion, energy: Float[ndarray, "B"], corners: Float[ndarray
 
 def search(
     starts: Fixed,
-    model: Callable[[Loose], M],
+    model: Callable[[Soft[Fixed]], M],
     terms_at: TermsAt,
     T_cam_hand: Float[ndarray, "N 4 4"],
     corners: Float[ndarray, "8 3"],
@@ -139,8 +143,7 @@ def search(
     terms = terms_at(first, index)
     T = T_cam_hand[index]
     static = minimise(replace(starts, frames=len(index)), terms, T, schedule.static_iterations)
-    m = static.motion
-    loose = Loose(m.R, m.centre, m.log_scale, np.zeros((len(m.R), len(index), 6)), RIDGE, m.free_scale)
+    loose = Soft(static.motion, np.zeros((len(starts.R), len(index), 6)), RIDGE)
     motion = model(minimise(loose, terms, T, schedule.loose_iterations).motion)
     for k, stage in enumerate(schedule.stages):
         if k:

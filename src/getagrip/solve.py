@@ -130,7 +130,9 @@ def minimise(
         evaluations += active.size * N
         better = trial.energy < now.energy
         gain = np.where(better, now.energy - trial.energy, 0.0)
-        small[active] = np.where(better & (gain < tolerance * now.energy), small[active] + 1, np.where(better, 0, small[active]))
+        small[active] = np.where(
+            better & (gain < tolerance * now.energy), small[active] + 1, np.where(better, 0, small[active])
+        )
         rejects[active] = np.where(better, 0, rejects[active] + 1)
         lam[active] = np.clip(lam[active] * np.where(better, _ACCEPTED, _REJECTED), 1e-7, 1e7)
         state = _merge(state, trial, active, better)
@@ -170,7 +172,9 @@ def _step(
         shared = -np.linalg.solve(schur, reduced[..., None])[..., 0] if S else np.zeros_like(g_s)
         local = -(solved[..., S] + (solved[..., :S] @ shared[:, None, :, None])[..., 0])
     moved = (J_shared @ shared[:, None, :, None] + J_local @ local[..., None])[..., 0]
-    reach = np.maximum(np.linalg.norm(moved[..., 3:6], axis=-1), 10.0 * np.linalg.norm(moved[..., :3], axis=-1)).max(axis=1)
+    reach = np.maximum(np.linalg.norm(moved[..., 3:6], axis=-1), 10.0 * np.linalg.norm(moved[..., :3], axis=-1)).max(
+        axis=1
+    )
     shrink = np.minimum(1.0, _LONGEST / np.maximum(reach, 1e-12))
     return shared * shrink[:, None], local * shrink[:, None, None]
 

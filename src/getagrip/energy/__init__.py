@@ -38,7 +38,8 @@ class Local:
 class Term(Protocol):
     """One term of the energy."""
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
         """Evaluate at the poses. Where the sum of values over frames exceeds ``bound`` the derivatives may be left zero:
