@@ -11,7 +11,7 @@ from hypothesis import settings
 from jaxtyping import install_import_hook
 
 # Modules of plain functions and data, without compiled kernels; `hands` refuses wrong shapes itself.
-PLAIN = ("se3", "camera", "mesh", "arrays", "files", "clip", "result", "motion", "metrics")
+PLAIN = ("se3", "camera", "mesh", "arrays", "files", "clip", "result", "metrics")
 install_import_hook([f"getagrip.{name}" for name in PLAIN], "beartype.beartype")
 
 settings.register_profile("here", deadline=None, max_examples=30)

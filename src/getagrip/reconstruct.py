@@ -70,6 +70,8 @@ class Options:
     def __post_init__(self) -> None:
         if self.inits < 1 or self.frames < 2:
             raise UsageError(f"inits and frames: got {self.inits} and {self.frames}, expected at least 1 and 2")
+        if self.seed < 0:
+            raise UsageError(f"seed: got {self.seed}, expected 0 or more")
         if not (0 <= self.push < np.inf and 0 <= self.pull < np.inf):
             raise UsageError(f"push and pull: got {self.push} and {self.pull}, expected finite weights of 0 or more")
 

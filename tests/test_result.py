@@ -1,0 +1,173 @@
+"""Results: round trips, and each fault named in one line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from getagrip import se3
+from getagrip.errors import InputError, UsageError
+from getagrip.result import Axis, Candidates, Reconstruction, is_result, read_result, write_result
+
+Refused = Callable[..., str]
+
+
+def small_result(frames: int = 3, candidates: int = 2, hinged: bool = True, seed: int = 0) -> Reconstruction:
+    """A valid result of random numbers."""
+    rng = np.random.default_rng(seed)
+    T = se3.rigid(
+        se3.exp_so3(rng.standard_normal((candidates, frames, 3))), rng.standard_normal((candidates, frames, 3))
+    )
+    direction = rng.standard_normal(3)
+    direction /= np.linalg.norm(direction)
+    return Reconstruction(
+        clip="small",
+        method="one-dof" if hinged else "static",
+        frames=tuple(f"{n:04d}" for n in range(frames)),
+        T_hand_obj=T[0],
+        scale=1.25,
+        iou=rng.uniform(size=frames),
+        axis=Axis(rng.standard_normal(3), direction, rng.standard_normal(frames)) if hinged else None,
+        candidates=Candidates(T, rng.uniform(0.5, 2.0, candidates), np.sort(rng.uniform(size=candidates))),
+        energy={"total": 3.0, "mask": 2.0, "push": 1.0},
+        status="converged",
+        ambiguous=True,
+        seconds={"total": 0.5},
+        options={"inits": 50},
+        seed=7,
+        notes=("a note",),
+    )
+
+
+@given(frames=st.integers(1, 4), candidates=st.integers(1, 3), hinged=st.booleans(), seed=st.integers(0, 99))
+def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, candidates: int, hinged: bool, seed: int) -> None:
+    result = small_result(frames, candidates, hinged, seed)
+    folder = write_result(result, tmp_path_factory.mktemp("round") / "trip", "sum", {"add": 1.5}, clip_folder="clip")
+    back, record = read_result(folder)
+    for name in (
+        "clip",
+        "method",
+        "frames",
+        "scale",
+        "energy",
+        "status",
+        "ambiguous",
+        "seconds",
+        "options",
+        "seed",
+        "notes",
+    ):
+        assert getattr(back, name) == getattr(result, name)
+    np.testing.assert_array_equal(back.T_hand_obj, result.T_hand_obj)
+    np.testing.assert_array_equal(back.iou, result.iou)
+    for name in ("T_hand_obj", "scale", "energy"):
+        np.testing.assert_array_equal(getattr(back.candidates, name), getattr(result.candidates, name))
+    assert (back.axis is None) == (result.axis is None)
+    if back.axis and result.axis:
+        np.testing.assert_array_equal(back.axis.point, result.axis.point)
+        np.testing.assert_array_equal(back.axis.angle, result.axis.angle)
+    assert record["input_sha256"] == "sum"
+    assert record["metrics"] == {"add": 1.5}
+    assert record["clip_folder"] == str(Path("clip").resolve())
+    assert record["software"]["numpy"] == np.__version__
+
+
+def test_numbers_that_json_lacks_become_null(tmp_path: Path) -> None:
+    metrics = {"nan": float("nan"), "list": np.array([1.0, np.inf]), "count": np.int64(3)}
+    _, record = read_result(write_result(small_result(), tmp_path / "r", "sum", metrics))
+    assert record["metrics"] == {"nan": None, "list": [1.0, None], "count": 3}
+
+
+def test_only_results_are_overwritten_and_only_on_request(tmp_path: Path) -> None:
+    folder = write_result(small_result(), tmp_path / "r", "sum")
+    with pytest.raises(UsageError, match="exists already"):
+        write_result(small_result(), folder, "other")
+    write_result(replace(small_result(), status="again"), folder, "other", overwrite=True)
+    assert read_result(folder)[0].status == "again"
+    foreign = tmp_path / "mine"
+    foreign.mkdir()
+    (foreign / "letter.txt").write_text("dear")
+    with pytest.raises(UsageError, match="exists already"):
+        write_result(small_result(), foreign, "sum", overwrite=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "r"]
+    assert not is_result(foreign)
+
+
+def edited(folder: Path, arrays: dict[str, object], fields: dict[str, object]) -> None:
+    """Set arrays and fields of a result; None removes one."""
+    with np.load(folder / "result.npz") as loaded:
+        changed = dict(loaded) | arrays
+    np.savez(folder / "result.npz", **{key: value for key, value in changed.items() if value is not None})
+    record = json.loads((folder / "result.json").read_text()) | fields
+    (folder / "result.json").write_text(json.dumps({k: v for k, v in record.items() if v is not None}))
+
+
+EYE = np.tile(np.eye(4), (3, 1, 1))
+BROKEN: dict[str, tuple[dict[str, object], dict[str, object], str]] = {
+    "no version": ({}, {"version": None}, "result.json: version"),
+    "other version": ({}, {"version": 2}, "result.json: version"),
+    "no method": ({}, {"method": None}, "result.json: method"),
+    "clip a path": ({}, {"clip": "../x"}, "result.json: clip"),
+    "seed a text": ({}, {"seed": "7"}, "result.json: seed"),
+    "energy a number": ({}, {"energy": 7}, "result.json: energy"),
+    "no poses": ({"T_hand_obj": None}, {}, "result.npz: T_hand_obj"),
+    "poses short": ({"T_hand_obj": EYE[:2]}, {}, "result.npz: T_hand_obj"),
+    "poses not rigid": ({"T_hand_obj": 2 * EYE}, {}, "result.npz: T_hand_obj"),
+    "poses NaN": ({"T_hand_obj": np.nan * EYE}, {}, "result.npz: T_hand_obj"),
+    "scale negative": ({"scale": np.array(-1.0)}, {}, "result.npz: scale"),
+    "frames numbers": ({"frames": np.arange(3)}, {}, "result.npz: frames"),
+    "frames objects": ({"frames": np.array(["a", None, "b"])}, {}, "result.npz: frames"),
+    "no frames": ({"frames": None}, {}, "result.npz: frames"),
+    "iou long": ({"iou": np.ones(4)}, {}, "result.npz: iou"),
+    "no axis": ({"axis_point": None}, {}, "result.npz: axis_point"),
+    "axis long": ({"axis_direction": np.ones(3)}, {}, "result.npz: axis_direction"),
+    "no angle": ({"angle": None}, {}, "result.npz: angle"),
+    "candidates short": ({"candidate_scale": np.ones(1)}, {}, "result.npz: candidate_scale"),
+    "no candidates": ({"candidate_energy": None}, {}, "result.npz: candidate"),
+    "candidates not rigid": ({"candidate_T_hand_obj": np.ones((2, 3, 4, 4))}, {}, "result.npz: candidate_T_hand_obj"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_each_fault_is_named_in_one_line(tmp_path: Path, refused: Refused, case: str) -> None:
+    arrays, fields, culprit = BROKEN[case]
+    folder = write_result(small_result(), tmp_path / "r", "sum")
+    edited(folder, arrays, fields)
+    refused(lambda: read_result(folder), culprit)
+
+
+@pytest.mark.parametrize("file", ["result.json", "result.npz"])
+def test_missing_files(tmp_path: Path, refused: Refused, file: str) -> None:
+    folder = write_result(small_result(), tmp_path / "r", "sum")
+    (folder / file).unlink()
+    refused(lambda: read_result(folder), file, "no such file")
+    refused(lambda: read_result(tmp_path / "none"), "none", "no such folder")
+
+
+@pytest.fixture(scope="module")
+def damaged_folder(tmp_path_factory: Any) -> Path:
+    return write_result(small_result(), tmp_path_factory.mktemp("damaged") / "r", "sum")
+
+
+@pytest.mark.parametrize("file", ["result.json", "result.npz"])
+@given(data=st.data())
+def test_a_damaged_file_is_an_input_error_or_still_valid(damaged_folder: Path, file: str, data: st.DataObject) -> None:
+    whole = (damaged_folder / file).read_bytes()
+    broken = bytearray(whole)
+    for _ in range(data.draw(st.integers(1, 4))):
+        broken[data.draw(st.integers(0, len(whole) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    (damaged_folder / file).write_bytes(broken[: data.draw(st.integers(0, len(whole)) | st.just(len(whole)))])
+    try:
+        with suppress(InputError):
+            read_result(damaged_folder)
+    finally:
+        (damaged_folder / file).write_bytes(whole)
