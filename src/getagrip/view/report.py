@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 TILES = 5
 """Frames shown."""
-TILE = 400
+TILE = 320
 """Side of a tile [px]."""
 TURN = np.radians(80.0)
 """The turned view looks from this far to the left."""
@@ -188,8 +188,10 @@ def _seen(axes: Axes, view: _View, n: int, crops: Crops, k: int, K: Float[ndarra
         picture, warp, (TILE, TILE), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=grey
     )
     axes.imshow(tile, extent=(0, TILE, TILE, 0), interpolation="antialiased")
-    drawn = depth_and_face(view.object(n), view.clip.mesh.faces, K, (TILE, TILE))[1] >= 0
-    for line in _outlines(drawn):
+    fine = np.diag([2.0, 2.0, 1.0]) @ K  # else the outline shows the tile's pixels
+    drawn = depth_and_face(view.object(n), view.clip.mesh.faces, fine, (2 * TILE, 2 * TILE))[1] >= 0
+    for fine_line in _outlines(drawn):
+        line = fine_line / 2.0
         axes.plot(*line.T, color="white", linewidth=2.6, alpha=0.8, solid_joinstyle="round")
         axes.plot(*line.T, color=FOUND, linewidth=1.3, solid_joinstyle="round")
     axes.set_title(view.result.frames[n], fontsize=8.5, color=FAINT, pad=4)
