@@ -15,7 +15,7 @@ from numpy import ndarray
 from getagrip import arrays, files, se3
 from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth
 from getagrip.errors import InputError
-from getagrip.mesh import check_size, read_mesh
+from getagrip.mesh import Mesh, check_size, read_mesh
 
 VERSION = 1
 REQUIRED = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")
@@ -54,7 +54,7 @@ def read_clip(folder: str | Path) -> Clip:
         mesh=mesh,
         scale=fields["scale"],
         hand=hand,
-        truth=_read_truth(folder, hand, fields["scale"], mesh.diameter) if has_truth else None,
+        truth=_read_truth(folder, hand, fields["scale"], mesh) if has_truth else None,
         provenance=fields["provenance"],
     )
 
@@ -235,7 +235,7 @@ def _mano_regions() -> dict[str, Int[ndarray, "_"]]:
     return {name: np.array(ids, dtype=np.int64) for name, ids in json.loads(text)["regions"].items()}
 
 
-def _read_truth(folder: Path, hand: HandTrack, scale: str, diameter: float) -> Truth:
+def _read_truth(folder: Path, hand: HandTrack, scale: str, mesh: Mesh) -> Truth:
     """The truth of ``truth.npz``; what it leaves out is the clip's own."""
     path = files.inside(folder, "truth.npz", "", "the truth of a clip")
     named = ("T_cam_obj", "scale", "T_cam_hand", "hand_vertices")
@@ -246,7 +246,7 @@ def _read_truth(folder: Path, hand: HandTrack, scale: str, diameter: float) -> T
         size = float(arrays.floats(path, given, "scale", (), kinds="fiu"))
     if size <= 0:
         raise InputError(path, "scale", f"{size:g}", "a number above 0")
-    check_size(path, "scale", size * diameter, "the scaled object")
+    check_size(path, "scale", size * mesh.diameter, "the scaled object")
     vertices = hand.vertices
     if "hand_vertices" in given:
         vertices = arrays.floats(path, given, "hand_vertices", hand.vertices.shape)
@@ -254,7 +254,8 @@ def _read_truth(folder: Path, hand: HandTrack, scale: str, diameter: float) -> T
     T_cam_hand = hand.T_cam_hand
     if "T_cam_hand" in given:
         T_cam_hand = _poses(path, given, "T_cam_hand", frames, vertices.mean(axis=1), "the hand")
-    T_cam_obj = _poses(path, given, "T_cam_obj", frames, np.zeros((frames, 3)), "the object")
+    centres = np.tile(size * mesh.centre, (frames, 1))
+    T_cam_obj = _poses(path, given, "T_cam_obj", frames, centres, "the object")
     return Truth(T_cam_obj, size, T_cam_hand, vertices)
 
 
