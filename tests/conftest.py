@@ -7,14 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
 # Modules of plain functions and data, without compiled kernels; `hands` refuses wrong shapes itself.
 PLAIN = ("se3", "camera", "mesh", "arrays", "files", "clip", "result", "metrics")
 install_import_hook([f"getagrip.{name}" for name in PLAIN], "beartype.beartype")
 
-settings.register_profile("here", deadline=None, max_examples=30)
+# The same examples on every machine, however busy it is.
+settings.register_profile(
+    "here", deadline=None, max_examples=30, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("here")
 
 from getagrip.clip import FINGERS, Clip, HandTrack, Masks, Truth, write_clip  # noqa: E402
