@@ -1,0 +1,29 @@
+"""Measure and write docs/benchmarks.md: ``python -m benchmarks`` for all of it, or the names of some sections."""
+
+from __future__ import annotations
+
+import sys
+
+from benchmarks import against_deodr, page, reconstruct_speed, scaling
+
+SECTIONS = {
+    "reconstruct-speed": reconstruct_speed.section,
+    "against-deodr": against_deodr.section,
+    "scaling": scaling.section,
+}
+
+
+def main(names: list[str]) -> None:
+    """Measure the named sections, all of them if none is named, and put each into the page as soon as it is done."""
+    unknown = sorted(set(names) - set(SECTIONS))
+    if unknown:
+        sys.exit(f"no such section: {', '.join(unknown)}; expected some of {', '.join(SECTIONS)}")
+    for name in names or SECTIONS:
+        before = page.circumstances()
+        text = SECTIONS[name]()
+        page.write(name, f"{before}\n\n{text}")
+        print(f"## {name}\n\n{before}\n\n{text}\n", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,42 @@
+"""A reconstruction in a fresh process, for what only happens once: ``python -m benchmarks.fresh CLIP`` prints JSON."""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+
+def peak_memory() -> float:
+    """Most memory this process has held so far [MB].
+
+    Linux's own count and not ``getrusage``, whose maximum a process inherits from the one that started it.
+    """
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+
+
+def main(folder: str) -> dict[str, float]:
+    """Import, read the clip, reconstruct it twice; seconds of processor time and megabytes along the way."""
+    from getagrip.clip import read_clip, read_masks
+    from getagrip.reconstruct import reconstruct
+
+    imported, memory_imported = time.process_time(), peak_memory()
+    clip = read_clip(folder)
+    masks = read_masks(clip)
+    read, memory_read = time.process_time(), peak_memory()
+    reconstruct(clip, masks)
+    first = time.process_time()
+    reconstruct(clip, masks)
+    return {
+        "imports": imported,
+        "read": read - imported,
+        "first": first - read,
+        "second": time.process_time() - first,
+        "memory imports": memory_imported,
+        "memory read": memory_read,
+        "memory": peak_memory(),
+    }
+
+
+if __name__ == "__main__":
+    print(json.dumps(main(sys.argv[1])))

@@ -1,0 +1,56 @@
+"""The page of measurements, docs/benchmarks.md: prose by hand, each section's numbers by machine between markers."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+LIBRARIES = ("numpy", "numba", "scipy", "deodr")
+
+
+def write(name: str, text: str) -> None:
+    """Put a section's text between its markers. Raises ``ValueError`` where the page has no such markers."""
+    path = DOCS / "benchmarks.md"
+    start, end = f"<!-- {name}: measured -->", f"<!-- {name}: end -->"
+    page = path.read_text(encoding="utf-8")
+    if page.count(start) != 1 or page.count(end) != 1:
+        raise ValueError(f"{path}: expected the markers {start} and {end} once each")
+    before, rest = page.split(start)
+    path.write_text(f"{before}{start}\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table: the first column to the left, numbers to the right."""
+    rule = ["---"] + ["---:"] * (len(header) - 1)
+    return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
+
+
+def circumstances() -> str:
+    """One line that says where, with what and how undisturbed a measurement was made."""
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in LIBRARIES)
+    load = os.getloadavg()[0]
+    return (
+        f"*{_processor()}, {os.cpu_count()} cores, load before the run {load:.1f}; one thread. "
+        f"Python {platform.python_version()}, {versions}; getagrip {_commit()}.*"
+    )
+
+
+def _processor() -> str:
+    """The processor's name, as Linux tells it."""
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def _commit() -> str:
+    """The commit measured; ``dirty`` where the package's files differ from it."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=DOCS, capture_output=True, text=True, check=True).stdout.strip()
+
+    changed = git("status", "--porcelain", "--", "../src")
+    return git("rev-parse", "--short", "HEAD") + (" (dirty)" if changed else "")

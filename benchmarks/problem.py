@@ -1,0 +1,75 @@
+"""What is reconstructed: made-up clips, and how good an answer is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.clip import Clip, Masks
+from getagrip.datasets.synthetic import synthesise
+from getagrip.energy import Poses, no_bound
+from getagrip.energy.mask import MaskTerm, Surface
+from getagrip.mesh import Mesh
+from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
+from getagrip.metrics.symmetry import find_symmetries
+from getagrip.observation import Observation, observe
+from getagrip.reconstruct import Options, reconstruct
+from getagrip.result import Reconstruction
+
+CLIPS = (("mug", 0), ("pan", 0), ("kettle", 0), ("scissors", 0))
+"""Category and seed: a hollow object with a handle, a large one, one of several parts, a thin one."""
+
+
+DEFAULT = Options()
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A clip of known scale, its masks, and what the mask term reads of them."""
+
+    clip: Clip
+    masks: Masks
+    observation: Observation
+
+    @property
+    def centre(self) -> Float[ndarray, "3"]:
+        return self.clip.mesh.centre
+
+    def mask_term(self, level: int, step: float = 2.0) -> MaskTerm:
+        """E_mask of the whole mesh, not decimated."""
+        return MaskTerm(Surface.of(self.clip.mesh, self.centre), self.observation, level, step=step)
+
+    def in_camera(self, T_hand_obj: Float[ndarray, "T 4 4"]) -> Poses:
+        """A sequence of poses as the terms read it."""
+        T = self.clip.hand.T_cam_hand @ T_hand_obj
+        return Poses(T[None, :, :3, :3], se3.transform(T, self.centre[None])[None, :, 0], np.ones(1))
+
+    def energy(self, T_hand_obj: Float[ndarray, "T 4 4"]) -> float:
+        """Exact E_mask at 256 pixels [px per frame]."""
+        poses = self.in_camera(T_hand_obj)
+        return float(self.mask_term(256)(poses, no_bound(poses)).value.mean())
+
+    def add(self, T_hand_obj: Float[ndarray, "T 4 4"]) -> float:
+        """ADD up to the object's symmetries, as a share of its diameter."""
+        clip, truth = self.clip, self.clip.truth
+        assert truth is not None
+        true = ObjectTrack(se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj, truth.scale)
+        found = ObjectTrack(T_hand_obj, 1.0)
+        symmetry = best_symmetry(clip.mesh, found, true, find_symmetries(clip.mesh))
+        return float(pose_errors(clip.mesh, found, true, symmetry).add.mean()) / clip.mesh.diameter
+
+
+def make(category: str, seed: int) -> Problem:
+    """A made-up clip of 30 frames."""
+    clip, masks = synthesise(category, seed)
+    return Problem(clip, masks, observe(masks, clip.K))
+
+
+def reconstruction(clip: Clip, masks: Masks, options: Options = DEFAULT) -> Callable[[], Reconstruction]:
+    """A call that reconstructs the clip as if it had just been read: meshes keep their tables, a new one has none."""
+    return lambda: reconstruct(replace(clip, mesh=Mesh(clip.mesh.vertices, clip.mesh.faces)), masks, options)

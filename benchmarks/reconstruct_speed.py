@@ -1,0 +1,72 @@
+"""The whole ``reconstruct`` with default options: time, its split by stage, memory, and what a first start costs."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+
+from benchmarks.page import table
+from benchmarks.problem import CLIPS, Problem, make, reconstruction
+from benchmarks.timing import timed
+from getagrip.clip import write_clip
+
+REPEATS = 15
+
+
+def section() -> str:
+    """Measure; the section's text."""
+    times, stages = [], []
+    problems = [make(category, seed) for category, seed in CLIPS]
+    for problem in problems:
+        call = reconstruction(problem.clip, problem.masks)
+        call()  # compiles, or loads what was compiled
+        timing, results = timed(call, REPEATS)
+        fastest = min(results, key=lambda result: result.seconds["total"])
+        T = results[0].T_hand_obj
+        name = problem.clip.name
+        times.append([
+            name, str(len(problem.clip.mesh.faces)), *(_ms(f(s)) for s in (timing.cpu, timing.wall) for f in (median, min)),
+            f"{results[0].iou.mean():.3f}", f"{100 * problem.add(T):.1f}",
+        ])  # fmt: skip
+        stages.append([name, *(_ms(seconds) for stage, seconds in fastest.seconds.items() if stage != "total")])
+    split = [stage for stage in fastest.seconds if stage != "total"]
+    columns = ["CPU median, ms", "CPU least", "wall median", "wall least", "IOU", "ADD, % of diameter"]
+    return "\n\n".join([
+        f"{len(problems[0].clip)} frames, {results[0].options['inits']} starts, all three terms, {REPEATS} runs after "
+        "one to warm up:",
+        table(["clip", "faces", *columns], times),
+        "The fastest run (wall), by stage, in ms:",
+        table(["clip", *split], stages),
+        "A fresh process, on the first of these clips:",
+        _fresh(problems[0]),
+    ])  # fmt: skip
+
+
+def _fresh(problem: Problem) -> str:
+    """Start a process twice: with an empty cache of compiled kernels, then with the one that left behind."""
+    rows = []
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = write_clip(problem.clip, problem.masks, Path(scratch) / "clip")
+        environment = os.environ | {"NUMBA_CACHE_DIR": str(Path(scratch) / "cache")}
+        for name in ("kernels compiled", "kernels from the cache"):
+            timing, (output,) = timed(lambda: _child(folder, environment))
+            told = json.loads(output)
+            seconds = [timing.wall[0], *(told[key] for key in ("imports", "read", "first", "second"))]
+            memory = [told[key] for key in ("memory imports", "memory read", "memory")]
+            rows.append([name, *(f"{s:.2f}" for s in seconds), *(f"{m:.0f}" for m in memory)])
+    header = ["", "process, wall s", "imports, CPU s", "reading, CPU s", "1st reconstruction, CPU s", "2nd, CPU s"]
+    return table([*header, "peak memory after imports, MB", "after reading, MB", "at the end, MB"], rows)
+
+
+def _child(folder: Path, environment: dict[str, str]) -> str:
+    command = [sys.executable, "-m", "benchmarks.fresh", str(folder)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.0f}"

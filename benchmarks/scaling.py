@@ -1,0 +1,114 @@
+"""How the cost of a reconstruction grows with frames, starts and faces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.page import DOCS, table
+from benchmarks.problem import reconstruction
+from benchmarks.timing import timed
+from getagrip.datasets.synthetic import Options as ClipOptions
+from getagrip.datasets.synthetic import synthesise
+from getagrip.mesh import Mesh, decimate
+from getagrip.reconstruct import Options
+from getagrip.result import Reconstruction
+
+CATEGORY = "kettle"
+FRAMES = (10, 20, 30, 50, 100, 200, 300)
+STARTS = (10, 20, 50, 100, 200, 400)
+FACES = (200, 500, 1000, 2000, 5000, 10_000, 20_000)
+REPEATS = 3
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Cost against one size, everything else as by default."""
+
+    name: str
+    sizes: tuple[int, ...]
+    seconds: list[float]
+    """Processor time, the least of the repetitions."""
+    stages: list[dict[str, float]]
+    """Wall time by stage of the fastest repetition."""
+
+    @property
+    def exponents(self) -> list[float]:
+        """Slope between neighbouring sizes in the logarithms: 1 is linear, below is better."""
+        return list(np.diff(np.log(self.seconds)) / np.diff(np.log(self.sizes)))
+
+    @property
+    def overall(self) -> float:
+        """Slope from the smallest to the largest size."""
+        return float(np.log(self.seconds[-1] / self.seconds[0]) / np.log(self.sizes[-1] / self.sizes[0]))
+
+
+def section() -> str:
+    """Measure and draw docs/images/scaling.png; the section's text."""
+    long, long_masks = synthesise(CATEGORY, 0, ClipOptions(frames=max(FRAMES)))
+    clip, masks = synthesise(CATEGORY, 0)
+    fine = _subdivided(clip.mesh, max(FACES))
+    curves = [
+        _measure("frames", FRAMES, lambda n: reconstruction(long, long_masks, Options(frames=n))),
+        _measure("starts", STARTS, lambda n: reconstruction(clip, masks, Options(inits=n))),
+        _measure("faces", FACES, lambda n: reconstruction(replace(clip, mesh=decimate(fine, n)), masks)),
+    ]
+    _draw(curves)
+    return "\n\n".join(_describe(curve) for curve in curves)
+
+
+def _measure(name: str, sizes: tuple[int, ...], call_at: Callable[[int], Callable[[], Reconstruction]]) -> Curve:
+    seconds, stages = [], []
+    for size in sizes:
+        call = call_at(size)
+        call()
+        timing, results = timed(call, REPEATS)
+        seconds.append(min(timing.cpu))
+        stages.append(min((result.seconds for result in results), key=lambda spent: spent["total"]))
+    return Curve(name, sizes, seconds, stages)
+
+
+def _subdivided(mesh: Mesh, faces: int) -> Mesh:
+    """The same surface in at least so many faces, each split in four as often as it takes."""
+    import trimesh
+
+    vertices, triangles = mesh.vertices, mesh.faces
+    while len(triangles) < faces:
+        vertices, triangles = trimesh.remesh.subdivide(vertices, triangles)  # type: ignore[no-untyped-call]
+    return Mesh(np.asarray(vertices), np.asarray(triangles, dtype=np.int64))
+
+
+def _describe(curve: Curve) -> str:
+    split = [stage for stage in curve.stages[0] if stage != "total"]
+    slopes = ["", *(f"{slope:.2f}" for slope in curve.exponents)]
+    rows = [
+        [f"{size:,}", f"{1e3 * seconds:.0f}", slope, *(f"{1e3 * spent[stage]:.0f}" for stage in split)]
+        for size, seconds, slope, spent in zip(curve.sizes, curve.seconds, slopes, curve.stages, strict=True)
+    ]
+    return (
+        f"{curve.name.capitalize()}: cost grows as {curve.name} to the power {curve.overall:.2f} over the whole range, "
+        f"{max(curve.exponents):.2f} at most between neighbours.\n\n"
+        + table([curve.name, "CPU, ms", "power", *(f"{stage}, wall" for stage in split)], rows)
+    )
+
+
+def _draw(curves: list[Curve]) -> None:
+    """One panel a curve, logarithmic, with a line of slope 1 through the default size's cost."""
+    import matplotlib.pyplot as plt
+
+    figure, panels = plt.subplots(1, len(curves), figsize=(11, 3.6), sharey=True, constrained_layout=True)
+    for panel, curve in zip(panels, curves, strict=True):
+        sizes = np.array(curve.sizes, dtype=float)
+        panel.loglog(sizes, curve.seconds[0] * sizes / sizes[0], "--", color="0.6", label="linear")
+        panel.loglog(sizes, curve.seconds, "o-", color="#1f5a8a", label="measured")
+        panel.set_xticks(sizes, [f"{size:,}" for size in curve.sizes], fontsize=8)
+        panel.set_xlabel(curve.name)
+        panel.minorticks_off()
+        panel.grid(color="0.92")
+        panel.spines[["top", "right"]].set_visible(False)
+    panels[0].set_ylabel("one reconstruction, CPU s")
+    panels[0].legend(frameon=False)
+    figure.savefig(DOCS / "images" / "scaling.png", dpi=110)
+    plt.close(figure)
