@@ -1,7 +1,8 @@
 """Signed distance to a rigid mesh, quickly: a coarse grid remembers which face is near, the distance to it is exact.
 
 Fingers are never far from the object, so a grid of about 10^5 nodes around it suffices. A plain distance grid would
-round off walls thinner than its cells (a mug's, a plate's); the distance to a remembered face does not.
+round off walls thinner than its cells (a mug's, a plate's); the distance to the nearest of the faces that the nodes
+around a point remember does not.
 ``reference.signed_distance`` is the readable specification.
 """
 
@@ -13,7 +14,6 @@ import numpy as np
 from numba import njit
 
 from getagrip.kernels.silhouette import OPTIONS
-
 
 SLACK = 0.867
 """No point of a grid is farther from its nearest node than this many spacings."""
@@ -37,7 +37,7 @@ class FaceGrid:
     """Distance of neighbouring nodes [m]."""
 
     @staticmethod
-    def of(corners: np.ndarray, normals: np.ndarray, margin: float, nodes: int = 36) -> FaceGrid:
+    def of(corners: np.ndarray, normals: np.ndarray, margin: float, nodes: int = 64) -> FaceGrid:
         """The grid around faces (F, 3, 3), reaching ``margin`` beyond them, with ``nodes`` along its longest side."""
         low, high = corners.min(axis=(0, 1)) - margin, corners.max(axis=(0, 1)) + margin
         spacing = float((high - low).max() / (nodes - 1))
@@ -54,7 +54,7 @@ class FaceGrid:
 
 @njit(**OPTIONS)
 def closest_on_face(x, y, z, t, f):
-    """The point of face f of corners t (F, 3, 3) nearest to (x, y, z) (Ericson, "Real-Time Collision Detection", 5.1.5)."""
+    """The point of face f of corners t (F, 3, 3) nearest to a point (Ericson, Real-Time Collision Detection, 5.1.5)."""
     ax, ay, az = t[f, 0, 0], t[f, 0, 1], t[f, 0, 2]
     abx, aby, abz = t[f, 1, 0] - ax, t[f, 1, 1] - ay, t[f, 1, 2] - az
     acx, acy, acz = t[f, 2, 0] - ax, t[f, 2, 1] - ay, t[f, 2, 2] - az
@@ -147,8 +147,8 @@ def _spread(low, spacing, face, squared, point):
 def screen(points, R, centre, scale, distance, origin, spacing, local, rough):
     """Points (Q, 3) in the frame of an object posed at (R, centre, scale) and the distance of the node next to each.
 
-    Fills local (Q, 3) [m, of the unscaled object], rough (Q,) [m, likewise]: infinite beyond the grid. The exact distance
-    differs from the rough one by at most ``SLACK * spacing``, so that most points need no more.
+    Fills local (Q, 3) [m, of the unscaled object], rough (Q,) [m, likewise]: infinite beyond the grid. The exact
+    distance differs from the rough one by at most ``SLACK * spacing``, so that most points need no more.
     """
     inverse = 1.0 / scale
     nx, ny, nz = distance.shape
@@ -167,15 +167,27 @@ def screen(points, R, centre, scale, distance, origin, spacing, local, rough):
 def signed_distance(x, y, z, corners, normals, face, origin, spacing):
     """Signed distance to the mesh and its direction: (d, n0, n1, n2), d < 0 inside, n the unit gradient of d.
 
-    The point must lie within the grid.
+    Of the faces that the eight nodes around the point remember the nearest counts; of faces equally near, as those
+    around an edge, the one seen most face-on, which knows inside from outside. The point must lie within the grid.
     """
-    f = face[
-        int((x - origin[0]) / spacing + 0.5), int((y - origin[1]) / spacing + 0.5), int((z - origin[2]) / spacing + 0.5)
-    ]
-    px, py, pz = closest_on_face(x, y, z, corners, f)
-    dx, dy, dz = x - px, y - py, z - pz
-    d = np.sqrt(dx * dx + dy * dy + dz * dz)
-    n0, n1, n2 = normals[f, 0], normals[f, 1], normals[f, 2]
+    i = min(max(int((x - origin[0]) / spacing), 0), face.shape[0] - 2)
+    j = min(max(int((y - origin[1]) / spacing), 0), face.shape[1] - 2)
+    k = min(max(int((z - origin[2]) / spacing), 0), face.shape[2] - 2)
+    least, facing, nearest, seen, seen_before = np.inf, -1.0, -1, -1, -1
+    dx, dy, dz = 0.0, 0.0, 0.0
+    for node in range(8):
+        f = face[i + (node & 1), j + (node >> 1 & 1), k + (node >> 2)]
+        if f in (nearest, seen, seen_before):
+            continue
+        seen, seen_before = f, seen
+        px, py, pz = closest_on_face(x, y, z, corners, f)
+        ex, ey, ez = x - px, y - py, z - pz
+        squared = ex * ex + ey * ey + ez * ez
+        on = abs(normals[f, 0] * ex + normals[f, 1] * ey + normals[f, 2] * ez)
+        if squared < least * 0.999999 or (squared < least * 1.000001 and on > facing):
+            least, facing, nearest, dx, dy, dz = squared, on, f, ex, ey, ez
+    d = np.sqrt(least)
+    n0, n1, n2 = normals[nearest, 0], normals[nearest, 1], normals[nearest, 2]
     sign = 1.0 if n0 * dx + n1 * dy + n2 * dz >= 0.0 else -1.0
     if d > 1e-6:
         n0, n1, n2 = sign * dx / d, sign * dy / d, sign * dz / d
