@@ -7,12 +7,13 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 SOURCES := $(shell find src -name '*.py')
 
-.PHONY: help demo test check lint imports types lock clean
+.PHONY: help demo test check lint imports types bench lock clean
 
 help:
 	@echo "make demo    install, then reconstruct and evaluate a synthetic clip into out/demo"
 	@echo "make test    install, then run the tests"
 	@echo "make check   lint, layering and types"
+	@echo "make bench   measure speed against a peer, which it installs, and write docs/benchmarks.md"
 	@echo "make lock    recompile requirements.lock from pyproject.toml"
 	@echo "make clean   remove the virtual environment and all caches"
 
@@ -33,6 +34,10 @@ imports: $(VENV)/installed
 
 types: $(VENV)/installed
 	$(BIN)/mypy
+
+bench: $(VENV)/kernels
+	$(PIP) install --no-build-isolation --editable '.[bench]'
+	$(BIN)/python -m benchmarks
 
 # Only wheels, pinned and hash-checked; the package itself is linked, built by the locked back end.
 $(VENV)/installed: requirements.lock pyproject.toml | $(BIN)/python

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -71,5 +73,15 @@ def make(category: str, seed: int) -> Problem:
 
 
 def reconstruction(clip: Clip, masks: Masks, options: Options = DEFAULT) -> Callable[[], Reconstruction]:
-    """A call that reconstructs the clip as if it had just been read: meshes keep their tables, a new one has none."""
-    return lambda: reconstruct(replace(clip, mesh=Mesh(clip.mesh.vertices, clip.mesh.faces)), masks, options)
+    """A call that reconstructs the clip as if it had just been read: meshes keep their tables, a new one has none.
+
+    The ``seconds`` of its results are processor time.
+    """
+
+    def call() -> Reconstruction:
+        marks = [("start", time.process_time())]
+        new = replace(clip, mesh=Mesh(clip.mesh.vertices, clip.mesh.faces))
+        result = reconstruct(new, masks, options, lambda stage, _: marks.append((stage, time.process_time())))
+        return replace(result, seconds={stage: now - before for (_, before), (stage, now) in pairwise(marks)})
+
+    return call

@@ -12,7 +12,7 @@ from statistics import median
 
 from benchmarks.page import table
 from benchmarks.problem import CLIPS, Problem, make, reconstruction
-from benchmarks.timing import timed
+from benchmarks.timing import timed, typical
 from getagrip.clip import write_clip
 
 REPEATS = 15
@@ -26,21 +26,19 @@ def section() -> str:
         call = reconstruction(problem.clip, problem.masks)
         call()  # compiles, or loads what was compiled
         timing, results = timed(call, REPEATS)
-        fastest = min(results, key=lambda result: result.seconds["total"])
-        T = results[0].T_hand_obj
-        name = problem.clip.name
+        name, faces = problem.clip.name, len(problem.clip.mesh.faces)
         times.append([
-            name, str(len(problem.clip.mesh.faces)), *(_ms(f(s)) for s in (timing.cpu, timing.wall) for f in (median, min)),
-            f"{results[0].iou.mean():.3f}", f"{100 * problem.add(T):.1f}",
+            name, str(faces), _ms(median(timing.cpu)), _ms(min(timing.cpu)), _ms(median(timing.wall)),
+            f"{results[0].iou.mean():.3f}", f"{100 * problem.add(results[0].T_hand_obj):.1f}",
         ])  # fmt: skip
-        stages.append([name, *(_ms(seconds) for stage, seconds in fastest.seconds.items() if stage != "total")])
-    split = [stage for stage in fastest.seconds if stage != "total"]
-    columns = ["CPU median, ms", "CPU least", "wall median", "wall least", "IOU", "ADD, % of diameter"]
+        split = typical([result.seconds for result in results])
+        stages.append([name, *map(_ms, split.values())])
+    columns = ["CPU median, ms", "CPU least, ms", "wall median, ms", "IOU", "ADD, % of diameter"]
     return "\n\n".join([
         f"{len(problems[0].clip)} frames, {results[0].options['inits']} starts, all three terms, {REPEATS} runs after "
         "one to warm up:",
         table(["clip", "faces", *columns], times),
-        "The fastest run (wall), by stage, in ms:",
+        "The same by stage, median CPU time in ms:",
         table(["clip", *split], stages),
         "A fresh process, on the first of these clips:",
         _fresh(problems[0]),

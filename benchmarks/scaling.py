@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.page import DOCS, table
 from benchmarks.problem import reconstruction
-from benchmarks.timing import timed
+from benchmarks.timing import timed, typical
 from getagrip.datasets.synthetic import Options as ClipOptions
 from getagrip.datasets.synthetic import synthesise
 from getagrip.mesh import Mesh, decimate
@@ -32,7 +32,7 @@ class Curve:
     seconds: list[float]
     """Processor time, the least of the repetitions."""
     stages: list[dict[str, float]]
-    """Wall time by stage of the fastest repetition."""
+    """The median of processor time by stage."""
 
     @property
     def exponents(self) -> list[float]:
@@ -66,7 +66,7 @@ def _measure(name: str, sizes: tuple[int, ...], call_at: Callable[[int], Callabl
         call()
         timing, results = timed(call, REPEATS)
         seconds.append(min(timing.cpu))
-        stages.append(min((result.seconds for result in results), key=lambda spent: spent["total"]))
+        stages.append(typical([result.seconds for result in results]))
     return Curve(name, sizes, seconds, stages)
 
 
@@ -81,16 +81,15 @@ def _subdivided(mesh: Mesh, faces: int) -> Mesh:
 
 
 def _describe(curve: Curve) -> str:
-    split = [stage for stage in curve.stages[0] if stage != "total"]
     slopes = ["", *(f"{slope:.2f}" for slope in curve.exponents)]
     rows = [
-        [f"{size:,}", f"{1e3 * seconds:.0f}", slope, *(f"{1e3 * spent[stage]:.0f}" for stage in split)]
+        [f"{size:,}", f"{1e3 * seconds:.0f}", slope, *(f"{1e3 * part:.0f}" for part in spent.values())]
         for size, seconds, slope, spent in zip(curve.sizes, curve.seconds, slopes, curve.stages, strict=True)
     ]
     return (
         f"{curve.name.capitalize()}: cost grows as {curve.name} to the power {curve.overall:.2f} over the whole range, "
         f"{max(curve.exponents):.2f} at most between neighbours.\n\n"
-        + table([curve.name, "CPU, ms", "power", *(f"{stage}, wall" for stage in split)], rows)
+        + table([curve.name, "CPU, ms", "power", *curve.stages[0]], rows)
     )
 
 
@@ -108,6 +107,9 @@ def _draw(curves: list[Curve]) -> None:
         panel.minorticks_off()
         panel.grid(color="0.92")
         panel.spines[["top", "right"]].set_visible(False)
+    ticks = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0]
+    panels[0].set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    panels[0].set_ylim(0.1, 12.0)
     panels[0].set_ylabel("one reconstruction, CPU s")
     panels[0].legend(frameon=False)
     figure.savefig(DOCS / "images" / "scaling.png", dpi=110)

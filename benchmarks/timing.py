@@ -22,10 +22,6 @@ class Timing:
     def __add__(self, other: Timing) -> Timing:
         return Timing(self.wall + other.wall, self.cpu + other.cpu)
 
-    @property
-    def median_cpu(self) -> float:
-        return median(self.cpu)
-
 
 def timed(call: Callable[[], T], repeats: int = 1) -> tuple[Timing, list[T]]:
     """Time a call, and keep what each repetition returned."""
@@ -36,3 +32,8 @@ def timed(call: Callable[[], T], repeats: int = 1) -> tuple[Timing, list[T]]:
         cpu.append(time.process_time() - spent)
         wall.append(time.perf_counter() - since)
     return Timing(wall, cpu), results
+
+
+def typical(parts: list[dict[str, float]]) -> dict[str, float]:
+    """The median of each part over the repetitions."""
+    return {name: median(part[name] for part in parts) for name in parts[0]}
