@@ -65,10 +65,10 @@ def section() -> str:
     header = ["clip", "method", "CPU s", "wall s", "times ours", "E_mask, px per frame", "ADD, % of diameter"]
     return "\n\n".join([
         f"On the mask term, from {STARTS} starts, ours is {min(faster):,.0f} to {max(faster):,.0f} times as fast "
-        f"(processor time) as Adam on DEODR; our silhouettes alone make {min(kernels):.0f} to {max(kernels):.0f} of it. "
-        f"It ends at {min(lower):.2f} to {max(lower):.2f} times the mask energy of the better of the two starts from "
-        f"which Adam on DEODR was run. {len(problem.clip)} frames, {adam.ITERATIONS} iterations of Adam; final "
-        "energies are all the exact one at 256 pixels, without antialiasing.",
+        f"(processor time) as Adam on DEODR: a factor of {min(kernels):.0f} to {max(kernels):.0f} from the silhouettes "
+        f"and the rest from the search. It ends at {min(lower):.2f} to {max(lower):.2f} times the mask energy of the "
+        f"better of the two starts from which Adam on DEODR was run. {len(problem.clip)} frames, {adam.ITERATIONS} "
+        "iterations of Adam; final energies are all the exact one at 256 pixels, without antialiasing.",
         table(header, rows),
         "\n".join(notes),
     ])  # fmt: skip
