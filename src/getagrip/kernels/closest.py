@@ -2,7 +2,9 @@
 
 Fingers are never far from the object, so a grid of about 10^5 nodes around it suffices. A plain distance grid would
 round off walls thinner than its cells (a mug's, a plate's); the distance to the nearest of the faces that the nodes
-around a point remember does not.
+around a point remember does not. Inside is told from outside by the pseudonormal of the face, edge or corner that is
+nearest (Baerentzen and Aanaes, "Signed Distance Computation Using the Angle Weighted Pseudonormal", 2005): by the
+faces' own normals, points far off a thin edge, a spoon's, would lie deep inside.
 ``reference.signed_distance`` is the readable specification.
 """
 
@@ -26,7 +28,7 @@ class FaceGrid:
     corners: np.ndarray
     """(F, 3, 3) corners of each face [m]."""
     normals: np.ndarray
-    """(F, 3) unit normals, outward."""
+    """(F, 7, 3) unit pseudonormals, outward: at the corners a, b, c of each face, its edges ab, bc, ca, and itself."""
     face: np.ndarray
     """(X, Y, Z) the nearest face of each node."""
     distance: np.ndarray
@@ -37,47 +39,74 @@ class FaceGrid:
     """Distance of neighbouring nodes [m]."""
 
     @staticmethod
-    def of(corners: np.ndarray, normals: np.ndarray, margin: float, nodes: int = 64) -> FaceGrid:
+    def of(corners: np.ndarray, margin: float, nodes: int = 64) -> FaceGrid:
         """The grid around faces (F, 3, 3), reaching ``margin`` beyond them, with ``nodes`` along its longest side."""
+        corners = np.ascontiguousarray(corners)
         low, high = corners.min(axis=(0, 1)) - margin, corners.max(axis=(0, 1)) + margin
         spacing = float((high - low).max() / (nodes - 1))
         shape = np.ceil((high - low) / spacing).astype(int) + 1
-        face = np.full(tuple(shape), -1, np.int32)
+        face, part = np.full(tuple(shape), -1, np.int32), np.zeros(tuple(shape), np.int8)
         squared, point = np.full(face.shape, np.inf), np.zeros((*face.shape, 3))
-        _seed(corners, normals, low, spacing, face, squared, point)
-        _spread(low, spacing, face, squared, point)
-        nodes_at = low + np.stack(np.indices(face.shape), axis=-1) * spacing
-        inside = np.sum(normals[face] * (nodes_at - point), axis=-1) < 0.0
+        _seed(corners, low, spacing, face, part, squared, point)
+        _spread(low, spacing, face, part, squared, point)
+        normals = pseudonormals(corners)
+        nodes_at = low + np.moveaxis(np.indices(face.shape), 0, -1) * spacing
+        inside = np.sum(normals[face, part] * (nodes_at - point), axis=-1) < 0.0
         distance = np.where(inside, -1.0, 1.0) * np.sqrt(squared)
-        return FaceGrid(np.ascontiguousarray(corners), np.ascontiguousarray(normals), face, distance, low, spacing)
+        return FaceGrid(corners, normals, face, distance, low, spacing)
+
+
+def pseudonormals(corners: np.ndarray) -> np.ndarray:
+    """Unit normals (F, 7, 3) at the corners, edges and inside of faces (F, 3, 3), those shared weighted by angle."""
+    F = len(corners)
+    _, vertex = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    vertex = vertex.reshape(F, 3)
+    along = np.roll(corners, -1, axis=1) - corners
+    normal = np.cross(along[:, 0], along[:, 1])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    unit = along / np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-300)
+    angle = np.arccos(np.clip(-np.sum(unit * np.roll(unit, 1, axis=1), axis=2), -1.0, 1.0))
+    _, edge = np.unique(
+        np.sort(np.stack([vertex, np.roll(vertex, -1, axis=1)], axis=-1).reshape(-1, 2)), axis=0, return_inverse=True
+    )
+    out = np.empty((F, 7, 3))
+    out[:, 6] = normal
+    for at, ids, weight in ((slice(0, 3), vertex, angle), (slice(3, 6), edge.reshape(F, 3), np.ones((F, 3)))):
+        total = np.zeros((ids.max() + 1, 3))
+        np.add.at(total, ids, weight[..., None] * normal[:, None])
+        out[:, at] = (total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300))[ids]
+    return out
 
 
 @njit(**OPTIONS)
 def closest_on_face(x, y, z, t, f):
-    """The point of face f of corners t (F, 3, 3) nearest to a point (Ericson, Real-Time Collision Detection, 5.1.5)."""
+    """The point of face f of corners t (F, 3, 3) nearest to a point, and its part that holds it (``FaceGrid.normals``).
+
+    After Ericson, Real-Time Collision Detection, 5.1.5.
+    """
     ax, ay, az = t[f, 0, 0], t[f, 0, 1], t[f, 0, 2]
     abx, aby, abz = t[f, 1, 0] - ax, t[f, 1, 1] - ay, t[f, 1, 2] - az
     acx, acy, acz = t[f, 2, 0] - ax, t[f, 2, 1] - ay, t[f, 2, 2] - az
     apx, apy, apz = x - ax, y - ay, z - az
     d1, d2 = abx * apx + aby * apy + abz * apz, acx * apx + acy * apy + acz * apz
     if d1 <= 0.0 and d2 <= 0.0:
-        return ax, ay, az
+        return ax, ay, az, 0
     bpx, bpy, bpz = x - t[f, 1, 0], y - t[f, 1, 1], z - t[f, 1, 2]
     d3, d4 = abx * bpx + aby * bpy + abz * bpz, acx * bpx + acy * bpy + acz * bpz
     if d3 >= 0.0 and d4 <= d3:
-        return t[f, 1, 0], t[f, 1, 1], t[f, 1, 2]
+        return t[f, 1, 0], t[f, 1, 1], t[f, 1, 2], 1
     vc = d1 * d4 - d3 * d2
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
         v = d1 / (d1 - d3)
-        return ax + v * abx, ay + v * aby, az + v * abz
+        return ax + v * abx, ay + v * aby, az + v * abz, 3
     cpx, cpy, cpz = x - t[f, 2, 0], y - t[f, 2, 1], z - t[f, 2, 2]
     d5, d6 = abx * cpx + aby * cpy + abz * cpz, acx * cpx + acy * cpy + acz * cpz
     if d6 >= 0.0 and d5 <= d6:
-        return t[f, 2, 0], t[f, 2, 1], t[f, 2, 2]
+        return t[f, 2, 0], t[f, 2, 1], t[f, 2, 2], 2
     vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
         w = d2 / (d2 - d6)
-        return ax + w * acx, ay + w * acy, az + w * acz
+        return ax + w * acx, ay + w * acy, az + w * acz, 5
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 >= d3 and d5 >= d6:
         w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
@@ -85,18 +114,18 @@ def closest_on_face(x, y, z, t, f):
             t[f, 1, 0] + w * (t[f, 2, 0] - t[f, 1, 0]),
             t[f, 1, 1] + w * (t[f, 2, 1] - t[f, 1, 1]),
             t[f, 1, 2] + w * (t[f, 2, 2] - t[f, 1, 2]),
+            4,
         )
     inverse = 1.0 / (va + vb + vc)
     v, w = vb * inverse, vc * inverse
-    return ax + v * abx + w * acx, ay + v * aby + w * acy, az + v * abz + w * acz
+    return ax + v * abx + w * acx, ay + v * aby + w * acy, az + v * abz + w * acz, 6
 
 
 @njit(**OPTIONS)
-def _seed(corners, normals, low, spacing, face, squared, point):
-    """Give the nodes next to each face their exact nearest point; of equally near faces the one seen most face-on."""
-    facing = np.zeros(face.shape)
+def _seed(corners, low, spacing, face, part, squared, point):
+    """Give the nodes next to each face their exact nearest point."""
+    begin, end = np.empty(3, np.int64), np.empty(3, np.int64)
     for f in range(len(corners)):
-        begin, end = np.empty(3, np.int64), np.empty(3, np.int64)
         for k in range(3):
             least, most = corners[f, :, k].min(), corners[f, :, k].max()
             begin[k] = max(0, int(np.floor((least - low[k]) / spacing)))
@@ -107,18 +136,15 @@ def _seed(corners, normals, low, spacing, face, squared, point):
                 y = low[1] + j * spacing
                 for k in range(begin[2], end[2]):
                     z = low[2] + k * spacing
-                    px, py, pz = closest_on_face(x, y, z, corners, f)
+                    px, py, pz, on = closest_on_face(x, y, z, corners, f)
                     d = (x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2
-                    if d > squared[i, j, k] * 1.000001:
-                        continue
-                    on = abs(normals[f, 0] * (x - px) + normals[f, 1] * (y - py) + normals[f, 2] * (z - pz))
-                    if d < squared[i, j, k] * 0.999999 or on > facing[i, j, k]:
-                        squared[i, j, k], face[i, j, k], facing[i, j, k] = d, f, on
+                    if d < squared[i, j, k]:
+                        squared[i, j, k], face[i, j, k], part[i, j, k] = d, f, on
                         point[i, j, k, 0], point[i, j, k, 1], point[i, j, k, 2] = px, py, pz
 
 
 @njit(**OPTIONS)
-def _spread(low, spacing, face, squared, point):
+def _spread(low, spacing, face, part, squared, point):
     """Hand nearest points on from node to node, in eight sweeps."""
     nx, ny, nz = face.shape
     for sweep in range(8):
@@ -138,7 +164,7 @@ def _spread(low, spacing, face, squared, point):
                             continue
                         d = (x - point[a, b, c, 0]) ** 2 + (y - point[a, b, c, 1]) ** 2 + (z - point[a, b, c, 2]) ** 2
                         if d < squared[i, j, k]:
-                            squared[i, j, k], face[i, j, k] = d, face[a, b, c]
+                            squared[i, j, k], face[i, j, k], part[i, j, k] = d, face[a, b, c], part[a, b, c]
                             for m in range(3):
                                 point[i, j, k, m] = point[a, b, c, m]
 
@@ -167,27 +193,25 @@ def screen(points, R, centre, scale, distance, origin, spacing, local, rough):
 def signed_distance(x, y, z, corners, normals, face, origin, spacing):
     """Signed distance to the mesh and its direction: (d, n0, n1, n2), d < 0 inside, n the unit gradient of d.
 
-    Of the faces that the eight nodes around the point remember the nearest counts; of faces equally near, as those
-    around an edge, the one seen most face-on, which knows inside from outside. The point must lie within the grid.
+    Of the faces that the eight nodes around the point remember the nearest counts. The point must lie within the grid.
     """
     i = min(max(int((x - origin[0]) / spacing), 0), face.shape[0] - 2)
     j = min(max(int((y - origin[1]) / spacing), 0), face.shape[1] - 2)
     k = min(max(int((z - origin[2]) / spacing), 0), face.shape[2] - 2)
-    least, facing, nearest, seen, seen_before = np.inf, -1.0, -1, -1, -1
+    least, nearest, part, seen, seen_before = np.inf, -1, 0, -1, -1
     dx, dy, dz = 0.0, 0.0, 0.0
     for node in range(8):
         f = face[i + (node & 1), j + (node >> 1 & 1), k + (node >> 2)]
         if f in (nearest, seen, seen_before):
             continue
         seen, seen_before = f, seen
-        px, py, pz = closest_on_face(x, y, z, corners, f)
+        px, py, pz, on = closest_on_face(x, y, z, corners, f)
         ex, ey, ez = x - px, y - py, z - pz
         squared = ex * ex + ey * ey + ez * ez
-        on = abs(normals[f, 0] * ex + normals[f, 1] * ey + normals[f, 2] * ez)
-        if squared < least * 0.999999 or (squared < least * 1.000001 and on > facing):
-            least, facing, nearest, dx, dy, dz = squared, on, f, ex, ey, ez
+        if squared < least:
+            least, nearest, part, dx, dy, dz = squared, f, on, ex, ey, ez
     d = np.sqrt(least)
-    n0, n1, n2 = normals[nearest, 0], normals[nearest, 1], normals[nearest, 2]
+    n0, n1, n2 = normals[nearest, part, 0], normals[nearest, part, 1], normals[nearest, part, 2]
     sign = 1.0 if n0 * dx + n1 * dy + n2 * dz >= 0.0 else -1.0
     if d > 1e-6:
         n0, n1, n2 = sign * dx / d, sign * dy / d, sign * dz / d
