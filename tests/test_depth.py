@@ -59,7 +59,7 @@ def test_equals_the_ray_caster_also_through_the_near_plane(seed, distance):
 def test_a_plane_has_its_depth_and_pixel_rule():
     vertices = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0], [1.0, 1.0, 2.0], [0.0, 1.0, 2.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
-    depth, face = depth_and_face(vertices, faces, np.diag([10.0, 10.0, 1.0]) , (8, 8))
+    depth, face = depth_and_face(vertices, faces, np.diag([10.0, 10.0, 1.0]), (8, 8))
     assert np.all(depth[:5, :5] == 2.0)  # pixels with centres in [0, 5]^2
     assert np.all(face[:5, :5] >= 0)
     assert np.all(np.isinf(depth[5:]))

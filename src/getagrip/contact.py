@@ -13,7 +13,7 @@ from getagrip import se3
 from getagrip.clip import FINGERS, HandTrack
 from getagrip.kernels.closest import FaceGrid
 from getagrip.kernels.silhouette import OPTIONS
-from getagrip.mesh import Mesh, vertex_normals
+from getagrip.mesh import Mesh
 
 REACH = 0.03
 """How far around the object contact is looked for [m]."""

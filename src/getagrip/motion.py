@@ -66,6 +66,10 @@ class Motion(Protocol):
         """Some of the hypotheses."""
         ...
 
+    def joined(self, other: Self) -> Self:
+        """This model's hypotheses, then the other's."""
+        ...
+
 
 Core = TypeVar("Core", "Fixed", "Hinge")
 
@@ -78,7 +82,13 @@ class _Batch:
         return self._each(lambda v: v[index])
 
     def where(self, mask: Bool[ndarray, "B"], other: Self) -> Self:
-        return self._each(lambda v, w: np.where(mask.reshape(-1, *[1] * (v.ndim - 1)), v, w), other)
+        def choose(mine: ndarray, theirs: ndarray) -> ndarray:
+            return np.asarray(np.where(mask.reshape(-1, *[1] * (mine.ndim - 1)), mine, theirs))
+
+        return self._each(choose, other)
+
+    def joined(self, other: Self) -> Self:
+        return self._each(lambda mine, theirs: np.concatenate([mine, theirs]), other)
 
     def _each(self, change: Callable[..., ndarray], *others: Self) -> Self:
         changed: dict[str, object] = {}
@@ -192,7 +202,7 @@ class Hinge(_Batch):
         )
 
     def zero_mean(self) -> Hinge:
-        """The same motion with angles of zero mean, and the point of the line that is nearest to the object's centre."""
+        """The same motion, its angles of zero mean, its point the one of the line nearest to the object's centre."""
         mean = self.angle.mean(axis=1)
         turn = se3.exp_so3(mean[:, None] * self.direction)
         centre = self.point + (turn @ (self.centre - self.point)[..., None])[..., 0]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from dataclasses import asdict, dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,11 +20,11 @@ from getagrip.energy.pull import PullTerm
 from getagrip.energy.push import PushTerm
 from getagrip.errors import GetagripError, UsageError
 from getagrip.kernels.silhouette import silhouettes, unpack
-from getagrip.mesh import decimate
+from getagrip.mesh import Mesh, decimate
 from getagrip.motion import Fixed, Free, Hinge, Motion, Soft
 from getagrip.observation import Observation, observe
 from getagrip.result import Axis, Candidates, Reconstruction
-from getagrip.search import Schedule, Stage, hinge_from, search, spread
+from getagrip.search import Schedule, Shape, Stage, hinge_from, search, spread
 from getagrip.solve import Solution, Status
 
 Method = Literal["one-dof", "static", "dynamic"]
@@ -38,8 +38,8 @@ CONTACTS = {64: 8, 128: None, 256: None}
 COARSE_FACES, FINE_FACES = 1000, 4000
 """Objects of more faces are decimated: to so many for 64-pixel silhouettes and contact, and for the finer ones."""
 PHYSICAL = 0.25
-"""The paper sums E_mask over pixels, which leaves push and pull without effect; the authors' code divides it by the area
-of the mask. Ours multiplies push and pull by this fraction of the mean area of the masks instead."""
+"""The paper sums E_mask over pixels, which leaves push and pull without effect; the authors' code divides it by the
+area of the mask. Ours multiplies push and pull by this fraction of the mean area of the masks instead."""
 AMBIGUOUS = 1.05
 """A distinct candidate within this factor of the best energy makes a result ambiguous."""
 SAME = 0.02
@@ -90,14 +90,13 @@ def reconstruct(
     clip, masks = clip.take(index), Masks(masks.object[index], masks.ignore[index])
     centre = clip.mesh.centre
     observation = observe(masks, clip.K, use_ignore=options.occlusion)
-    corners = _box(clip.mesh.vertices - centre)
     clock("prepare")
     solution = search(
         starts=_starts(clip, masks, options),
         model=_model(options),
         terms_at=_energy(clip, observation, options),
         T_cam_hand=clip.hand.T_cam_hand,
-        corners=corners,
+        shape=_shape(clip.mesh, centre),
         schedule=Schedule(),
         watch=clock,
     )
@@ -232,8 +231,9 @@ def mask_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scal
     K = np.stack([clip.K[:, 0, 0], clip.K[:, 1, 1], clip.K[:, 0, 2], clip.K[:, 1, 2]], axis=1)
     width, height = clip.size
     bits = np.empty((len(clip), height, -(-width // 64)), np.uint64)
+    R, t = np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3])
     silhouettes(
-        np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3]), np.full(len(clip), scale),
+        R, t, np.full(len(clip), scale),
         surface.vertices, surface.planes, surface.edges, surface.closed, K, bits,
     )  # fmt: skip
     care = masks.object | ~masks.ignore
@@ -247,10 +247,13 @@ def _axis(hinge: Hinge) -> Axis:
     return Axis(hinge.point[0], hinge.direction[0], hinge.angle[0])
 
 
-def _box(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "8 3"]:
-    """Corners of the bounding box, the first and the last opposite."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    return np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)])
+def _shape(mesh: Mesh, centre: Float[ndarray, "3"]) -> Shape:
+    """The bounding box and, as the likeliest mirror planes, those across the surface's principal axes."""
+    v = mesh.vertices - centre
+    low, high = v.min(axis=0), v.max(axis=0)
+    corners = np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)])
+    _, axes = np.linalg.eigh(np.cov(v.T, aweights=mesh.vertex_areas))
+    return Shape(corners, axes.T)
 
 
 def _notes(clip: Clip, dropped: tuple[str, ...], scale: float) -> tuple[str, ...]:

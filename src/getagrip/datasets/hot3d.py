@@ -217,5 +217,3 @@ def _objects(root: Path, note: Callable[[str], None]) -> tuple[dict[str, str], d
             except InputError as error:
                 note(f"left out: {error}")
     return names, meshes
-
-

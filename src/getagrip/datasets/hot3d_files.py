@@ -110,8 +110,10 @@ def read_recording(name: str, files: dict[str, Path]) -> Recording:
     T_world_device, _ = _at(times, headset)
     objects = {uid: Poses(*_at(times, poses)) for uid, poses in _poses_csv(need(*OBJECTS)).items()}
     calibration = need("online_calibration.jsonl", "camera_models.json")
-    camera = _aria(calibration, times, T_world_device) if calibration.suffix == ".jsonl" else _quest(
-        calibration, T_world_device
+    camera = (
+        _aria(calibration, times, T_world_device)
+        if calibration.suffix == ".jsonl"
+        else _quest(calibration, T_world_device)
     )
     model = umetrack.load(need("umetrack_hand_user_profile.json"))
     hands = _hands(need("umetrack_hand_pose_trajectory.jsonl"), model, times)

@@ -1,7 +1,7 @@
 """The energy (Eq. 4): one term per file. A term maps posed objects to the same small object, ``Local``.
 
-A term is called with ``Poses`` of B hypotheses in N frames and answers with its value, gradient and Hessian per frame, in
-the frame's local 7-vector (``se3``). The solver only sums and solves.
+A term is called with ``Poses`` of B hypotheses in N frames and answers with its value, gradient and Hessian per frame,
+in the frame's local 7-vector (``se3``). The solver only sums and solves.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class Term(Protocol):
     def name(self) -> str: ...
 
     def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
-        """Evaluate at the poses. Where the sum of values over frames exceeds ``bound`` the derivatives may be left zero:
-        the solver is going to reject that step."""
+        """Evaluate at the poses. Where the sum of values over frames exceeds ``bound`` the derivatives may be left
+        zero: the solver is going to reject that step."""
         ...
 
 

@@ -55,7 +55,6 @@ class MaskTerm:
     """Distances below this count as this in the curvature [px of the crop]."""
     coverage: float = 0.0
     """Weight of the pull from observed boundary points to the rendered contour; it finds thin objects."""
-    weight: float = 1.0
     name: str = "mask"
 
     def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
@@ -64,14 +63,15 @@ class MaskTerm:
         o, s = self.observation, self.surface
         _evaluate(
             poses.R, poses.centre, poses.scale, s.vertices, s.planes, s.edges, s.closed, o.K, o.seen[self.level],
-            o.care[self.level], o.field, o.targets, self.step, self.delta, self.coverage, bound / self.weight, value, g, H,
+            o.care[self.level], o.field, o.targets, self.step, self.delta, self.coverage, bound, value, g, H,
         )  # fmt: skip
-        return Local(self.weight * value, self.weight * g, self.weight * H)
+        return Local(value, g, H)
 
 
 @njit(**OPTIONS)
 def _evaluate(
-    R, centre, scale, vertices, planes, edges, closed, K, seen, care, field, targets, step, delta, coverage, bound, value, g, H
+    R, centre, scale, vertices, planes, edges, closed, K, seen, care, field, targets, step, delta, coverage, bound,
+    value, g, H,
 ):  # fmt: skip
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape

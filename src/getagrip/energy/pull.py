@@ -17,7 +17,7 @@ from getagrip.kernels.silhouette import OPTIONS
 
 @dataclass(frozen=True)
 class PullTerm:
-    """``weight * mean over the five fingertips of min over their vertices of |d|``, d the signed distance to the object.
+    """``weight * mean over the five fingertips of min over their vertices of |d|``, d the distance to the object.
 
     The paper takes ``<v_h - v_o, n_o>``, the height over the tangent plane of an object vertex, without an absolute
     value, which is unbounded below; the authors' later code takes the absolute value at the nearest vertex. The

@@ -2,7 +2,7 @@
 
 Walking the outline's edges gives points with an outward normal; those whose outside neighbour is uncovered lie on the
 true contour. The boundary integral over them is the exact gradient of E_mask, and their signed distance d to the
-observed mask gives its curvature: weight h = step / max(|d|, delta), gradient sum(h d a), Hessian sum(h a a^T), with a
+observed mask gives its curvature: weight h = step / max(|d|, delta), gradient sum(h d a), Hessian sum(h a a^T), a being
 the derivative of the point along its normal by the local 7-vector (see ``se3``). For |d| > delta the gradient is that of
 E_mask, and one step is a majorise-minimise step on it. ``reference.contour_points`` and ``reference.normal_equations``
 are the readable specifications.
@@ -16,7 +16,7 @@ from numba import njit
 from getagrip.kernels.silhouette import OPTIONS
 
 U, V, Z, NX, NY, DISTANCE, WEIGHT = range(7)
-"""Rows of a table of contour points: position [px of the full crop], depth [m], outward normal, signed distance, weight."""
+"""Rows of a table of contour points: position [px of the full crop], depth [m], outward normal, distance, weight."""
 
 _ONE = np.uint64(1)
 
@@ -66,7 +66,7 @@ def walk(uvz, edges, n_edges, zoom, step, bits, care, points):
 
 @njit(**OPTIONS)
 def look_up(points, n, field, zoom, spacing, delta):
-    """Fill in distance (bilinear in the signed distance field, ``zoom`` field pixels a pixel) and weight of n points."""
+    """Fill in distance (bilinear in the signed distance field, ``zoom`` field pixels a pixel) and weight."""
     last = field.shape[0] - 1.000001
     for k in range(n):
         x = min(max(points[U, k] * zoom - 0.5, 0.0), last)

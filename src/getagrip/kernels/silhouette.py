@@ -131,7 +131,7 @@ def mismatch(bits, observed, care):
 
 @njit(**OPTIONS)
 def silhouettes(R, centre, scale, vertices, planes, edges, closed, K, bits):
-    """Masks of one object in many poses: R (P, 3, 3), centre (P, 3), scale (P,), K (P, 4) -> bits (P, height, words)."""
+    """Masks of one object in many poses: R (P, 3, 3), centre (P, 3), scale (P,), K (P, 4) -> bits (P, height, W)."""
     uvz = np.empty_like(vertices)
     sign = np.empty(planes.shape[1] + 1, np.int64)
     edge = np.empty((3, edges.shape[1] + 1), np.int64)

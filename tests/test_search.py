@@ -1,0 +1,123 @@
+"""Laws of the search's steps: which frames, which axis, which hypotheses go on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.energy.mask import Surface
+from getagrip.kernels.silhouette import silhouettes, unpack
+from getagrip.motion import Fixed, Free, Hinge, Soft
+from getagrip.search import Shape, distinct, hinge_from, resampled, reversed_in_depth, spread
+
+CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]) * [0.1, 0.06, 0.04] - [0.05, 0.03, 0.02]
+
+
+@given(st.integers(1, 400), st.integers(2, 60))
+def test_frames_are_spread_over_the_clip(frames: int, wanted: int) -> None:
+    index = spread(frames, wanted)
+    assert index[0] == 0
+    assert index[-1] == frames - 1
+    assert len(index) == min(frames, wanted)
+    gaps = np.diff(index)
+    assert len(gaps) == 0 or (gaps.min() >= 1 and gaps.max() - gaps.min() <= 1)
+
+
+def hinge(frames: int = 8, arm: float = 0.03, seed: int = 0) -> Hinge:
+    rng = np.random.default_rng(seed)
+    direction = rng.normal(size=(2, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    R, centre = se3.exp_so3(rng.normal(size=(2, 3))), rng.normal(0.0, 0.05, (2, 3))
+    across = np.cross(direction, rng.normal(size=(2, 3)))
+    point = centre + arm * across / np.linalg.norm(across, axis=1, keepdims=True)
+    angle = 0.3 * np.sin(np.linspace(0.0, 4.0, frames)) * np.ones((2, 1))
+    return Hinge(R, centre, np.zeros(2), point, direction, angle)
+
+
+def loosened(motion: Hinge) -> Soft[Fixed]:
+    """The same poses as a fixed one and a deviation per frame."""
+    held, frames = motion.poses(), motion.angle.shape[1]
+    core = Fixed(motion.R, motion.centre, motion.log_scale, frames)
+    w = se3.log_so3(held.R @ np.swapaxes(motion.R[:, None], -1, -2))
+    return Soft(core, np.concatenate([held.centre - motion.centre[:, None], w], axis=-1), (1.0, 1.0))
+
+
+@pytest.mark.parametrize("arm", [0.0, 0.03, 0.06])
+def test_the_axis_of_a_hinge_is_found_in_its_deviations(arm: float) -> None:
+    true = hinge(arm=arm)
+    found = hinge_from(loosened(true), free_location=True, anchor=np.zeros(3))
+    np.testing.assert_allclose(np.abs(np.sum(found.direction * true.direction, axis=1)), 1.0, atol=1e-6)
+    turned = se3.angle_between(found.poses().R, true.poses().R)
+    np.testing.assert_allclose(turned, 0.0, atol=1e-6)
+    # The arm is held short by a ridge, and the circle's chord stands for its arc.
+    np.testing.assert_allclose(found.poses().centre, true.poses().centre, atol=0.1 * arm + 1e-9)
+
+
+def test_an_axis_at_its_place_goes_through_the_anchor() -> None:
+    anchor = np.array([0.1, 0.2, 0.3])
+    found = hinge_from(loosened(hinge()), free_location=False, anchor=anchor)
+    np.testing.assert_array_equal(found.point, [anchor, anchor])
+    assert not found.free_location
+
+
+def test_a_still_object_gives_a_still_hinge() -> None:
+    still = replace(hinge(), angle=np.zeros((2, 8)))
+    found = hinge_from(loosened(still), free_location=True, anchor=np.zeros(3))
+    np.testing.assert_allclose(found.angle, 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(found.direction, axis=1), 1.0)
+    np.testing.assert_allclose(found.poses().centre, still.poses().centre, atol=1e-9)
+
+
+def test_motions_at_more_frames_keep_those_they_had() -> None:
+    old, new = np.array([0, 3, 6, 9]), np.arange(10)
+    true = hinge(frames=4)
+    held = true.poses()
+    loose = loosened(true)
+    free = Free(held.R, held.centre, true.log_scale)
+    for motion in (loose.core, true, free, loose, Soft(true, loose.deviation, (1.0, 1.0))):
+        more = resampled(motion, old, new).poses()
+        assert more.R.shape == (2, 10, 3, 3)
+        np.testing.assert_allclose(more.R[:, old], motion.poses().R, atol=1e-12)
+        np.testing.assert_allclose(more.centre[:, old], motion.poses().centre, atol=1e-12)
+    between = resampled(true, old, new).angle
+    np.testing.assert_allclose(between[:, 1], (2.0 * true.angle[:, 0] + true.angle[:, 1]) / 3.0)
+
+
+def test_near_copies_of_a_better_hypothesis_are_dropped() -> None:
+    eye = np.tile(np.eye(3), (5, 1, 1))
+    centre = np.array([[0.0, 0, 0], [1e-4, 0, 0], [0.05, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
+    motion = Fixed(eye, centre, np.zeros(5), 3)
+    energy = np.array([2.0, 1.0, 5.0, 3.0, np.inf])
+    np.testing.assert_array_equal(distinct(motion, energy, CORNERS, keep=9), [1, 3, 2])
+    np.testing.assert_array_equal(distinct(motion, energy, CORNERS, keep=2), [1, 3])
+    assert len(distinct(motion, np.full(5, np.inf), CORNERS, keep=2)) == 0
+
+
+def _seen(surface: Surface, R: ndarray, centre: ndarray) -> ndarray:
+    """The object from 4 m away through a long lens."""
+    bits = np.empty((len(R), 256, 4), np.uint64)
+    K = np.tile([6000.0, 6000.0, 128.0, 128.0], (len(R), 1))
+    silhouettes(R, centre, np.ones(len(R)), surface.vertices, surface.planes, surface.edges, surface.closed, K, bits)
+    return unpack(bits, 256)
+
+
+@given(st.integers(0, 10**6))
+def test_from_far_away_an_object_looks_like_its_reversal(seed: int) -> None:
+    from conftest import box
+
+    rng = np.random.default_rng(seed)
+    T_cam_hand = se3.rigid(se3.exp_so3(rng.normal(size=3)), np.array([0.0, 0.0, 4.0]))
+    start = Fixed(se3.exp_so3(rng.normal(size=(1, 3))), rng.normal(0.0, 0.01, (1, 3)), np.zeros(1), 1)
+    R, centre = reversed_in_depth(start.poses(), T_cam_hand, Shape(CORNERS, np.eye(3)), frame=0)
+    assert se3.is_rigid(se3.rigid(R, centre)).all()
+    surface = Surface.of(box(0.1, 0.06, 0.04), np.zeros(3))
+    all_R, all_centre = np.concatenate([start.R, R]), np.concatenate([start.centre, centre])
+    masks = _seen(surface, T_cam_hand[:3, :3] @ all_R, se3.transform(T_cam_hand, all_centre))
+    for other in masks[1:]:
+        assert (masks[0] & other).sum() > 0.93 * (masks[0] | other).sum()
