@@ -1,5 +1,5 @@
 # Everything from a fresh clone, with Python 3.11+ (and its venv module) and make: `make demo`, `make test`.
-# Where packages come from is pip's own configuration; nothing here names an index.
+# Where packages come from is uv's and pip's own configuration; nothing here names an index.
 
 PYTHON ?= python3
 VENV := .venv
@@ -39,9 +39,11 @@ bench: $(VENV)/kernels
 	$(PIP) install --no-build-isolation --editable '.[bench]'
 	$(BIN)/python -m benchmarks
 
-# Only wheels, pinned and hash-checked; the package itself is linked, built by the locked back end.
+# uv is quick; pip steps in where only pip has been told of an index. Only wheels, pinned and hash-checked; the package itself is linked, built by the locked back end.
 $(VENV)/installed: requirements.lock pyproject.toml | $(BIN)/python
-	$(PIP) install --require-hashes --only-binary :all: -r requirements.lock
+	$(PIP) install uv
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes --only-binary :all: -r requirements.lock \
+		|| $(PIP) install --require-hashes --only-binary :all: -r requirements.lock
 	$(PIP) install --no-deps --no-build-isolation --editable .
 	@touch $@
 

@@ -1,8 +1,9 @@
 """Multi-start, coarse-to-fine search: many rotations at low resolution and few frames, fewer and fewer at higher.
 
 Pruning waits until the wanted motion model has been fitted: on the energy of a static fit the right start is often
-lost. The axis of a hinge comes from the data: after a static fit, a fit with a small free deviation per frame, whose rotation
-vectors' principal direction is the axis. (Angle zero about any axis is a dead start: the energy does not see the axis.)
+lost. The axis of a hinge comes from the data: after a static fit, a fit with a small free deviation per frame, whose
+rotation vectors' principal direction is the axis. (Angle zero about any axis is a dead start: the energy does not see
+the axis there.) The best coarse fits are tried again reversed in depth, which silhouettes can hardly tell apart.
 """
 
 from __future__ import annotations
