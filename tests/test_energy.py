@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from getagrip import se3
 from getagrip.clip import Masks
-from getagrip.contact import REACH, HandContacts, solid, spread_points
+from getagrip.contact import HandContacts, solid, spread_points
 from getagrip.datasets import shapes
 from getagrip.energy import Local, Poses, Term, no_bound
 from getagrip.energy.mask import MaskTerm, Surface
@@ -255,7 +255,7 @@ def test_push_and_pull_are_what_the_specification_says(which: str) -> None:
             d = heights(mesh, hand, poses, b, n)
             # A distance grid knows the nearest face but for a few points, most of them halfway between two.
             assert pushed[b, n] == pytest.approx(reference.push(d, push.weight[n]), abs=1e-4 * push.weight[n])
-            expected = reference.pull(d, hand.region, pull.weight[n], REACH)
+            expected = reference.pull(d, hand.region, pull.weight[n], pull.reach)
             assert pulled[b, n] == pytest.approx(expected, abs=1e-4 * pull.weight[n])
 
 
@@ -317,7 +317,7 @@ def test_a_far_finger_holds_nothing() -> None:
     hand.position[:] = poses.centre[0] + [0.5, 0.0, 0.0]
     push, pull = physical_terms(MESHES["mug"], hand)
     local = pull(poses, no_bound(poses))
-    np.testing.assert_allclose(local.value, pull.weight[0] * REACH)
+    np.testing.assert_allclose(local.value, pull.weight[0] * pull.reach)
     assert not local.g.any()
     assert not push(poses, no_bound(poses)).value.any()
 

@@ -15,13 +15,13 @@ from getagrip.kernels.closest import FaceGrid
 from getagrip.kernels.silhouette import OPTIONS
 from getagrip.mesh import Mesh
 
-REACH = 0.03
+MARGIN = 0.03
 """How far around the object contact is looked for [m]."""
 
 
 def solid(mesh: Mesh, centre: Float[ndarray, "3"]) -> FaceGrid:
     """The object as contact sees it, about its centre."""
-    return FaceGrid.of(mesh.vertices[mesh.faces] - centre, margin=REACH)
+    return FaceGrid.of(mesh.vertices[mesh.faces] - centre, margin=MARGIN)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numba import njit
 from numpy import ndarray
 
-from getagrip.contact import REACH, HandContacts, add_height, mirror_upper
+from getagrip.contact import HandContacts, add_height, mirror_upper
 from getagrip.energy import Local, Poses
 from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
 from getagrip.kernels.silhouette import OPTIONS
@@ -21,13 +21,16 @@ class PullTerm:
 
     The paper takes ``<v_h - v_o, n_o>``, the height over the tangent plane of an object vertex, without an absolute
     value, which is unbounded below; the authors' later code takes the absolute value at the nearest vertex. The
-    distance to the surface is what both stand for. A finger farther than ``REACH`` holds nothing and feels no pull.
+    distance to the surface is what both stand for. A finger farther than ``reach`` is taken to hold
+    nothing and feels no pull: in a pinch three of five fingers are in the air.
     """
 
     solid: FaceGrid
     hand: HandContacts
     weight: Float[ndarray, "N"]
     """Energy per metre of mean distance, per frame [px^2 / m]."""
+    reach: float = 0.01
+    """Largest distance that pulls [m]."""
     delta: float = 0.002
     """Distances below this count as this in the curvature [m]."""
     name: str = "pull"
@@ -38,14 +41,15 @@ class PullTerm:
         s = self.solid
         _evaluate(
             poses.R, poses.centre, poses.scale, s.corners, s.normals, s.face, s.distance, s.origin, s.spacing,
-            self.hand.position, self.hand.region, self.weight, self.delta, value, g, H,
+            self.hand.position, self.hand.region, self.weight, self.reach, self.delta, value, g, H,
         )  # fmt: skip
         return Local(value, g, H)
 
 
 @njit(**OPTIONS)
 def _evaluate(
-    R, centre, scale, corners, normals, face, distance, origin, spacing, hand, region, weight, delta, value, g, H
+    R, centre, scale, corners, normals, face, distance, origin, spacing, hand, region, weight, reach, delta,
+    value, g, H,
 ):  # fmt: skip
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape
@@ -54,12 +58,12 @@ def _evaluate(
     local, rough = np.empty((tips, 3)), np.empty(tips)
     slack = SLACK * spacing
     for b in range(B):
-        reach = REACH / scale[b]
+        farthest = reach / scale[b]
         for n in range(N):
             unit = weight[n] / fingers
             screen(hand[n, :tips], R[b, n], centre[b, n], scale[b], distance, origin, spacing, local, rough)
             for f in range(fingers):
-                least, tip, d, n0, n1, n2 = reach, -1, 0.0, 0.0, 0.0, 0.0
+                least, tip, d, n0, n1, n2 = farthest, -1, 0.0, 0.0, 0.0, 0.0
                 for q in range(region[f], region[f + 1]):
                     if abs(rough[q]) - slack > least:
                         continue

@@ -4,8 +4,8 @@ Walking the outline's edges gives points with an outward normal; those whose out
 true contour. The boundary integral over them is the exact gradient of E_mask, and their signed distance d to the
 observed mask gives its curvature: weight h = step / max(|d|, delta), gradient sum(h d a), Hessian sum(h a a^T), a
 being the derivative of the point along its normal by the local 7-vector (``se3``). For |d| > delta the gradient is that
-of E_mask, and one step is a majorise-minimise step on it. ``reference.contour_points`` and ``reference.normal_equations``
-are the readable specifications.
+of E_mask, and one step is a majorise-minimise step on it. ``reference.contour_points`` and
+``reference.normal_equations`` are the readable specifications.
 """
 
 from __future__ import annotations
