@@ -176,14 +176,6 @@ def test_hidden_pixels_say_nothing() -> None:
         assert not array.any()
 
 
-def test_the_weight_scales_everything() -> None:
-    term, truth = scene("box")
-    off = moved(truth, np.full(7, 0.01))
-    once, thrice = (replace(term, weight=w)(off, no_bound(off)) for w in (1.0, 3.0))
-    for name in ("value", "g", "H"):
-        np.testing.assert_allclose(getattr(thrice, name), 3.0 * getattr(once, name))
-
-
 def test_beyond_the_bound_only_the_value_is_known() -> None:
     term, truth = scene("box")
     off = moved(truth, np.full(7, 0.03))
