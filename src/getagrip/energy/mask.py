@@ -99,7 +99,7 @@ def _evaluate(
             fill(uvz[n], edge[n], n_edges[n], closed, zoom, counters, bits[n])
             value[b, n] = pixel * mismatch(bits[n], seen[n], care[n])
             total += value[b, n]
-        if total > bound[b]:
+        if total > bound[b] or total == np.inf:
             continue
         for n in range(N):
             found = walk(uvz[n], edge[n], n_edges[n], zoom, step, bits[n], care[n], points)
