@@ -66,10 +66,6 @@ class Motion(Protocol):
         """Some of the hypotheses."""
         ...
 
-    def joined(self, other: Self) -> Self:
-        """This model's hypotheses, then the other's."""
-        ...
-
 
 Core = TypeVar("Core", "Fixed", "Hinge")
 
@@ -86,9 +82,6 @@ class _Batch:
             return np.asarray(np.where(mask.reshape(-1, *[1] * (mine.ndim - 1)), mine, theirs))
 
         return self._each(choose, other)
-
-    def joined(self, other: Self) -> Self:
-        return self._each(lambda mine, theirs: np.concatenate([mine, theirs]), other)
 
     def _each(self, change: Callable[..., ndarray], *others: Self) -> Self:
         changed: dict[str, object] = {}

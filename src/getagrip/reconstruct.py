@@ -20,11 +20,11 @@ from getagrip.energy.pull import PullTerm
 from getagrip.energy.push import PushTerm
 from getagrip.errors import GetagripError, UsageError
 from getagrip.kernels.silhouette import silhouettes, unpack
-from getagrip.mesh import Mesh, decimate
+from getagrip.mesh import decimate
 from getagrip.motion import Fixed, Free, Hinge, Motion, Soft
 from getagrip.observation import Observation, observe
 from getagrip.result import Axis, Candidates, Reconstruction
-from getagrip.search import Schedule, Shape, Stage, hinge_from, search, spread
+from getagrip.search import Schedule, Stage, hinge_from, search, spread
 from getagrip.solve import Solution, Status
 
 Method = Literal["one-dof", "static", "dynamic"]
@@ -96,7 +96,7 @@ def reconstruct(
         model=_model(options),
         terms_at=_energy(clip, observation, options),
         T_cam_hand=clip.hand.T_cam_hand,
-        shape=_shape(clip.mesh, centre),
+        corners=_box(clip.mesh.vertices - centre),
         schedule=Schedule(),
         watch=clock,
     )
@@ -247,13 +247,10 @@ def _axis(hinge: Hinge) -> Axis:
     return Axis(hinge.point[0], hinge.direction[0], hinge.angle[0])
 
 
-def _shape(mesh: Mesh, centre: Float[ndarray, "3"]) -> Shape:
-    """The bounding box and, as the likeliest mirror planes, those across the surface's principal axes."""
-    v = mesh.vertices - centre
-    low, high = v.min(axis=0), v.max(axis=0)
-    corners = np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)])
-    _, axes = np.linalg.eigh(np.cov(v.T, aweights=mesh.vertex_areas))
-    return Shape(corners, axes.T)
+def _box(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "8 3"]:
+    """Corners of the bounding box, the first and the last opposite."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)])
 
 
 def _notes(clip: Clip, dropped: tuple[str, ...], scale: float) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 Pruning waits until the wanted motion model has been fitted: on the energy of a static fit the right start is often
 lost. The axis of a hinge comes from the data: after a static fit, a fit with a small free deviation per frame, whose
 rotation vectors' principal direction is the axis. (Angle zero about any axis is a dead start: the energy does not see
-the axis there.) The best coarse fits are tried again reversed in depth, which silhouettes can hardly tell apart.
+the axis there.)
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy import ndarray
 
 from getagrip import se3
 from getagrip.energy import Term
-from getagrip.motion import Fixed, Free, Hinge, InHand, Motion, Soft
+from getagrip.motion import Fixed, Free, Hinge, Motion, Soft
 from getagrip.solve import Solution, minimise
 
 M = TypeVar("M", bound=Motion)
@@ -46,10 +46,8 @@ class Stage:
 class Schedule:
     """The whole search."""
 
-    static_iterations: int = 4
+    static_iterations: int = 6
     loose_iterations: int = 3
-    reversed: int = 6
-    """How many of the best coarse fits are also tried reversed in depth."""
     stages: tuple[Stage, ...] = (
         Stage("coarse", level=64, frames=8, iterations=5, keep=16),
         Stage("middle", level=64, frames=15, iterations=6, keep=6),
@@ -126,46 +124,20 @@ def distinct(motion: Motion, energy: Float[ndarray, "B"], corners: Float[ndarray
     return np.array(chosen, dtype=int)
 
 
-@dataclass(frozen=True)
-class Shape:
-    """What the search knows of the object, about its centre."""
-
-    corners: Float[ndarray, "8 3"]
-    """Corners of the bounding box, the first and the last opposite [m]."""
-    axes: Float[ndarray, "3 3"]
-    """Rows: unit normals of the planes the object is nearest to being its own mirror image in."""
-
-
-def reversed_in_depth(
-    held: InHand, T_cam_hand: Float[ndarray, "4 4"], shape: Shape, frame: int
-) -> tuple[Float[ndarray, "k 3 3"], Float[ndarray, "k 3"]]:
-    """The poses that look the same from far away: mirrored along the line of sight and in a plane of the object.
-
-    A silhouette does not tell front from back (Necker's reversal). For an object that is its own mirror image in the
-    plane with normal m the reversal ``(I - 2 v v^T) R (I - 2 m m^T)`` is a rotation; v is the line of sight.
-    """
-    R_cam_hand = T_cam_hand[:3, :3]
-    sight = held.centre[:, frame] @ R_cam_hand.T + T_cam_hand[:3, 3]
-    sight = sight / np.linalg.norm(sight, axis=-1, keepdims=True) @ R_cam_hand
-    flip = np.eye(3) - 2.0 * sight[:, :, None] * sight[:, None, :]
-    mirror = np.eye(3) - 2.0 * shape.axes[:, :, None] * shape.axes[:, None, :]
-    R = flip[:, None] @ held.R[:, None, frame] @ mirror
-    return R.reshape(-1, 3, 3), np.repeat(held.centre[:, frame], 3, axis=0)
-
-
 def search(
     starts: Fixed,
     model: Callable[[Soft[Fixed]], M],
     terms_at: TermsAt,
     T_cam_hand: Float[ndarray, "N 4 4"],
-    shape: Shape,
+    corners: Float[ndarray, "8 3"],
     schedule: Schedule,
     watch: Callable[[str], None],
 ) -> Solution[M]:
     """Run the stages from B starting poses; the distinct solutions of the last stage, best first.
 
-    ``model`` turns a loose fit into the wanted motion, ``watch`` is told the name of each stage when it ends. The
-    result is empty when every start is behind the camera.
+    ``model`` turns a loose fit into the wanted motion, ``corners`` are those of the object's bounding box about its
+    centre, ``watch`` is told the name of each stage when it ends. The result is empty when every start is behind the
+    camera.
     """
     N = len(T_cam_hand)
     first = schedule.stages[0]
@@ -173,29 +145,18 @@ def search(
     terms = terms_at(first, index)
     T = T_cam_hand[index]
 
-    def settle(start: Fixed) -> Solution[M]:
-        static = minimise(replace(start, frames=len(index)), terms, T, schedule.static_iterations).motion
-        loose = Soft(static, np.zeros((len(start.R), len(index), 6)), RIDGE)
-        motion = model(minimise(loose, terms, T, schedule.loose_iterations).motion)
-        return minimise(motion, terms, T, first.iterations)
-
-    solution = settle(starts)
-    seeds = solution.take(distinct(solution.motion, solution.energy, shape.corners, schedule.reversed))
-    if not len(seeds.energy):
-        return seeds
-    middle = len(index) // 2
-    held = seeds.motion.poses()
-    R, centre = reversed_in_depth(held, T[middle], shape, middle)
-    turned = settle(Fixed(R, centre, np.repeat(np.log(held.scale), 3), len(index), starts.free_scale))
-    energy = np.concatenate([solution.energy, turned.energy])
-    motion = solution.motion.joined(turned.motion)
-    motion = motion.take(distinct(motion, energy, shape.corners, first.keep))
-    watch(first.name)
-    for stage in schedule.stages[1:]:
-        wanted = spread(N, stage.frames)
-        motion, index = resampled(motion, index, wanted), wanted
-        solution = minimise(motion, terms_at(stage, index), T_cam_hand[index], stage.iterations)
-        solution = solution.take(distinct(solution.motion, solution.energy, shape.corners, stage.keep))
+    static = minimise(replace(starts, frames=len(index)), terms, T, schedule.static_iterations).motion
+    loose = Soft(static, np.zeros((len(starts.R), len(index), 6)), RIDGE)
+    motion = model(minimise(loose, terms, T, schedule.loose_iterations).motion)
+    for k, stage in enumerate(schedule.stages):
+        if k:
+            wanted = spread(N, stage.frames)
+            motion, index = resampled(motion, index, wanted), wanted
+            terms = terms_at(stage, index)
+        solution = minimise(motion, terms, T_cam_hand[index], stage.iterations)
+        solution = solution.take(distinct(solution.motion, solution.energy, corners, stage.keep))
         motion = solution.motion
         watch(stage.name)
+        if not len(solution.energy):
+            break
     return solution
