@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy import ndarray
 
 from getagrip import se3
-from getagrip.energy.mask import Surface
-from getagrip.kernels.silhouette import silhouettes, unpack
 from getagrip.motion import Fixed, Free, Hinge, Soft
-from getagrip.search import Shape, distinct, hinge_from, resampled, reversed_in_depth, spread
+from getagrip.search import distinct, hinge_from, resampled, spread
 
 CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]) * [0.1, 0.06, 0.04] - [0.05, 0.03, 0.02]
 
@@ -97,27 +94,3 @@ def test_near_copies_of_a_better_hypothesis_are_dropped() -> None:
     np.testing.assert_array_equal(distinct(motion, energy, CORNERS, keep=9), [1, 3, 2])
     np.testing.assert_array_equal(distinct(motion, energy, CORNERS, keep=2), [1, 3])
     assert len(distinct(motion, np.full(5, np.inf), CORNERS, keep=2)) == 0
-
-
-def _seen(surface: Surface, R: ndarray, centre: ndarray) -> ndarray:
-    """The object from 4 m away through a long lens."""
-    bits = np.empty((len(R), 256, 4), np.uint64)
-    K = np.tile([6000.0, 6000.0, 128.0, 128.0], (len(R), 1))
-    silhouettes(R, centre, np.ones(len(R)), surface.vertices, surface.planes, surface.edges, surface.closed, K, bits)
-    return unpack(bits, 256)
-
-
-@given(st.integers(0, 10**6))
-def test_from_far_away_an_object_looks_like_its_reversal(seed: int) -> None:
-    from conftest import box
-
-    rng = np.random.default_rng(seed)
-    T_cam_hand = se3.rigid(se3.exp_so3(rng.normal(size=3)), np.array([0.0, 0.0, 4.0]))
-    start = Fixed(se3.exp_so3(rng.normal(size=(1, 3))), rng.normal(0.0, 0.01, (1, 3)), np.zeros(1), 1)
-    R, centre = reversed_in_depth(start.poses(), T_cam_hand, Shape(CORNERS, np.eye(3)), frame=0)
-    assert se3.is_rigid(se3.rigid(R, centre)).all()
-    surface = Surface.of(box(0.1, 0.06, 0.04), np.zeros(3))
-    all_R, all_centre = np.concatenate([start.R, R]), np.concatenate([start.centre, centre])
-    masks = _seen(surface, T_cam_hand[:3, :3] @ all_R, se3.transform(T_cam_hand, all_centre))
-    for other in masks[1:]:
-        assert (masks[0] & other).sum() > 0.93 * (masks[0] | other).sum()
