@@ -134,8 +134,6 @@ def test_poses_are_rigid_and_hypotheses_side_by_side(make: Callable[[np.random.G
     one = a.take(np.array([2])).poses()
     np.testing.assert_array_equal(one.R[0], held.R[2])
     np.testing.assert_array_equal(one.scale, held.scale[[2]])
-    both = a.joined(b).poses()
-    np.testing.assert_array_equal(both.centre, np.concatenate([held.centre, b.poses().centre]))
     mixed = a.where(np.array([True, False, True]), b).poses()
     np.testing.assert_array_equal(mixed.R[[0, 2]], held.R[[0, 2]])
     np.testing.assert_array_equal(mixed.R[1], b.poses().R[1])
