@@ -67,7 +67,7 @@ class Motion(Protocol):
         ...
 
 
-Core = TypeVar("Core", "Fixed", "Hinge")
+Core = TypeVar("Core", bound=Motion)
 
 
 @dataclass(frozen=True)

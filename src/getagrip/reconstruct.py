@@ -27,7 +27,7 @@ from getagrip.result import Axis, Candidates, Reconstruction
 from getagrip.search import Schedule, Stage, hinge_from, search, spread
 from getagrip.solve import Solution, Status
 
-Method = Literal["one-dof", "static", "dynamic"]
+Method = Literal["one-dof", "soft-hinge", "static", "dynamic"]
 
 STEP = {64: 1.0, 128: 2.0, 256: 3.0}
 """Distance of contour points at each level [px of the level]."""
@@ -51,7 +51,8 @@ class Options:
     """How to reconstruct a clip."""
 
     method: Method = "one-dof"
-    """How the object may move in the hand: turn about one axis (one-dof), not at all (static), freely (dynamic)."""
+    """How the object may move in the hand: turn about one axis (one-dof); also deviate from that a little in each frame
+    (soft-hinge); not at all (static); freely (dynamic)."""
     inits: int = 50
     """Starting rotations, spread evenly over all rotations; 50 is about the least, 100 is safe."""
     seed: int = 0
@@ -97,7 +98,7 @@ def reconstruct(
         terms_at=_energy(clip, observation, options),
         T_cam_hand=clip.hand.T_cam_hand,
         corners=_box(clip.mesh.vertices - centre),
-        schedule=Schedule(),
+        schedule=Schedule().softened() if options.method == "soft-hinge" else Schedule(),
         watch=clock,
     )
     if not len(solution.energy):
@@ -115,7 +116,7 @@ def reconstruct(
         T_hand_obj=T[0],
         scale=float(scale[0]),
         iou=iou,
-        axis=_axis(motion.zero_mean()) if isinstance(motion, Hinge) else None,
+        axis=_axis(motion.core if isinstance(motion, Soft) else motion),
         candidates=Candidates(T, scale, solution.energy),
         energy={"total": float(solution.energy[0]), **{k: float(v[0]) for k, v in solution.terms.items()}},
         status=solution.status[0].value,
@@ -242,8 +243,11 @@ def mask_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scal
     return np.asarray((rendered & masks.object).sum(axis=(1, 2)) / np.maximum(union, 1))
 
 
-def _axis(hinge: Hinge) -> Axis:
-    """The axis of the best candidate."""
+def _axis(motion: Motion) -> Axis | None:
+    """The axis of the best candidate, where there is one."""
+    if not isinstance(motion, Hinge):
+        return None
+    hinge = motion.zero_mean()
     return Axis(hinge.point[0], hinge.direction[0], hinge.angle[0])
 
 

@@ -25,6 +25,8 @@ M = TypeVar("M", bound=Motion)
 
 RIDGE = (2e5 / 16, 1.2e3 / 16)
 """Stiffness of the deviations while the axis is looked for [px^2 per m^2, px^2 per rad^2]."""
+SOFT_RIDGE = (3e5, 2e3)
+"""Stiffness of the deviations of a soft hinge, likewise."""
 
 
 MAX = 10**9
@@ -40,6 +42,8 @@ class Stage:
     frames: int
     iterations: int
     keep: int
+    soft: bool = False
+    """Whether each frame may deviate a little from the motion, from this stage on."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,11 @@ class Schedule:
         Stage("fine", level=128, frames=MAX, iterations=8, keep=4),
         Stage("finest", level=256, frames=MAX, iterations=8, keep=4),
     )
+
+    def softened(self) -> Schedule:
+        """The schedule whose two finest stages are soft: they fit, and rank, what is not quite on a hinge."""
+        *coarse, fine, finest = self.stages
+        return replace(self, stages=(*coarse, replace(fine, soft=True), replace(finest, soft=True)))
 
 
 TermsAt = Callable[[Stage, Int[ndarray, "n"]], Sequence[Term]]
@@ -126,13 +135,13 @@ def distinct(motion: Motion, energy: Float[ndarray, "B"], corners: Float[ndarray
 
 def search(
     starts: Fixed,
-    model: Callable[[Soft[Fixed]], M],
+    model: Callable[[Soft[Fixed]], Motion],
     terms_at: TermsAt,
     T_cam_hand: Float[ndarray, "N 4 4"],
     corners: Float[ndarray, "8 3"],
     schedule: Schedule,
     watch: Callable[[str], None],
-) -> Solution[M]:
+) -> Solution[Motion]:
     """Run the stages from B starting poses; the distinct solutions of the last stage, best first.
 
     ``model`` turns a loose fit into the wanted motion, ``corners`` are those of the object's bounding box about its
@@ -147,12 +156,14 @@ def search(
 
     static = minimise(replace(starts, frames=len(index)), terms, T, schedule.static_iterations).motion
     loose = Soft(static, np.zeros((len(starts.R), len(index), 6)), RIDGE)
-    motion = model(minimise(loose, terms, T, schedule.loose_iterations).motion)
+    motion: Motion = model(minimise(loose, terms, T, schedule.loose_iterations).motion)
     for k, stage in enumerate(schedule.stages):
         if k:
             wanted = spread(N, stage.frames)
             motion, index = resampled(motion, index, wanted), wanted
             terms = terms_at(stage, index)
+        if stage.soft and not isinstance(motion, Soft):
+            motion = Soft[Motion](motion, np.zeros((len(motion.poses().scale), len(index), 6)), SOFT_RIDGE)
         solution = minimise(motion, terms, T_cam_hand[index], stage.iterations)
         solution = solution.take(distinct(solution.motion, solution.energy, corners, stage.keep))
         motion = solution.motion
