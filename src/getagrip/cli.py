@@ -54,8 +54,8 @@ class Reconstruct(Command):
     """Clip folders, or folders of clips."""
     out: Folder
     """Where the results go: a folder for each clip, of the clip's name. Those that are there already are kept."""
-    method: Literal["one-dof", "soft-hinge", "static", "dynamic"] = "one-dof"
-    """How the object may move in the hand: about one axis, also a little off it in each frame, not at all, freely."""
+    method: Literal["one-dof", "soft-hinge", "static", "dynamic"] = "soft-hinge"
+    """How the object may move in the hand: about one axis (the paper's), a little off it too, not at all, freely."""
     inits: Annotated[int, arg(metavar="N")] = 50
     """Rotations to start from, spread evenly."""
     seed: Annotated[int, arg(metavar="S")] = 0

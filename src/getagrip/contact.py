@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from getagrip import se3
 from getagrip.clip import FINGERS, HandTrack
-from getagrip.kernels.closest import FaceGrid
+from getagrip.kernels.closest import FaceGrid, screen, signed_distance
 from getagrip.kernels.silhouette import OPTIONS
 from getagrip.mesh import Mesh
 
@@ -22,6 +22,19 @@ MARGIN = 0.03
 def solid(mesh: Mesh, centre: Float[ndarray, "3"]) -> FaceGrid:
     """The object as contact sees it, about its centre."""
     return FaceGrid.of(mesh.vertices[mesh.faces] - centre, margin=MARGIN)
+
+
+@njit(**OPTIONS)
+def distances(points, corners, normals, face, distance, origin, spacing):
+    """Unsigned distance of points (P, 3) in the frame of a ``FaceGrid`` to its mesh [m]; ``MARGIN`` beyond the grid."""
+    P = len(points)
+    local, rough, out = np.empty((P, 3)), np.empty(P), np.full(P, MARGIN)
+    screen(points, np.eye(3), np.zeros(3), 1.0, distance, origin, spacing, local, rough)
+    for p in range(P):
+        if np.isfinite(rough[p]):
+            x, y, z = local[p, 0], local[p, 1], local[p, 2]
+            out[p] = abs(signed_distance(x, y, z, corners, normals, face, origin, spacing)[0])
+    return out
 
 
 @dataclass(frozen=True)

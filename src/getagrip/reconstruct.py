@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from getagrip import camera, se3
 from getagrip.clip import FINGERS, Clip, Masks, seen_frames
-from getagrip.contact import HandContacts, solid
+from getagrip.contact import HandContacts, distances, solid
 from getagrip.energy import Term
 from getagrip.energy.mask import MaskTerm, Surface
 from getagrip.energy.pull import PullTerm
@@ -50,9 +50,9 @@ SAME = 0.02
 class Options:
     """How to reconstruct a clip."""
 
-    method: Method = "one-dof"
-    """How the object may move in the hand: turn about one axis (one-dof); also deviate from that a little in each frame
-    (soft-hinge); not at all (static); freely (dynamic)."""
+    method: Method = "soft-hinge"
+    """How the object may move in the hand: turn about one axis, as in the paper (one-dof); deviate from that a little
+    in each frame (soft-hinge); not at all (static); freely (dynamic)."""
     inits: int = 50
     """Starting rotations, spread evenly over all rotations; 50 is about the least, 100 is safe."""
     seed: int = 0
@@ -209,20 +209,18 @@ def _poses(
 
 def _distinct_shapes(clip: Clip, T: Float[ndarray, "K T 4 4"], scale: Float[ndarray, "K"]) -> Int[ndarray, "n"]:
     """Candidates that place the object's surface differently; turning a bottle about its axis makes no new one."""
+    surface = solid(decimate(clip.mesh, COARSE_FACES), np.zeros(3))
     points = clip.mesh.vertices[spread(len(clip.mesh.vertices), 200)]
-    placed = se3.transform(T[:, spread(len(clip), 3)], scale[:, None, None, None] * points)
+    T = T[:, spread(len(clip), 3)]
+    placed = se3.transform(T, scale[:, None, None, None] * points)
     chosen: list[int] = []
-    for k, candidate in enumerate(placed):
-        gaps = [_surface_gap(candidate, placed[c]) for c in chosen]
+    for k in range(len(T)):
+        back = [se3.transform(se3.inverse(T[c]), placed[k]).reshape(-1, 3) / scale[c] for c in chosen]
+        grid = (surface.corners, surface.normals, surface.face, surface.distance, surface.origin, surface.spacing)
+        gaps = [float(distances(x, *grid).mean()) for x in back]
         if all(gap > SAME * clip.mesh.diameter for gap in gaps):
             chosen.append(k)
     return np.array(chosen)
-
-
-def _surface_gap(a: Float[ndarray, "n P 3"], b: Float[ndarray, "n P 3"]) -> float:
-    """Mean distance of each point of a to the nearest of b [m]."""
-    squared = np.sum((a[:, :, None] - b[:, None]) ** 2, axis=-1)
-    return float(np.sqrt(squared.min(axis=2)).mean())
 
 
 def mask_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:

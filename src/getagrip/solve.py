@@ -66,7 +66,8 @@ def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> Poses:
     held = motion.poses()
     R_cam_hand = T_cam_hand[:, :3, :3]
     centre = (R_cam_hand @ held.centre[..., None])[..., 0] + T_cam_hand[:, :3, 3]
-    return Poses(R_cam_hand @ held.R, centre, held.scale)
+    # Kernels are compiled for one layout; another would compile each of them again.
+    return Poses(np.ascontiguousarray(R_cam_hand @ held.R), np.ascontiguousarray(centre), held.scale)
 
 
 @dataclass
@@ -93,8 +94,8 @@ def evaluate(
     values[:, -1] = prior
     total: Local | None = None
     for k, term in enumerate(terms):
-        spent = prior + values[:, :k].sum(axis=1)
-        local = term(poses, bound - spent)
+        with np.errstate(invalid="ignore"):  # behind the camera: no bound, and nothing of it left
+            local = term(poses, bound - prior - values[:, :k].sum(axis=1))
         values[:, k] = local.value.sum(axis=1)
         total = local if total is None else total + local
     assert total is not None
