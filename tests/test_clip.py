@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from conftest import BOX_FACES, box, small_clip
+from conftest import small_clip
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -103,15 +103,6 @@ def test_ignore_masks_and_truth_may_be_absent(clip_folder: Path) -> None:
 def test_arrays_beyond_the_format_are_ignored(clip_folder: Path) -> None:
     edit_npz("hand.npz", extra=np.array([None, "object"], dtype=object), weights=np.zeros(3))(clip_folder)
     assert set(read_clip(clip_folder).hand.regions) == {"thumb", "index", "middle", "ring", "pinky", "palm_edge"}
-
-
-def test_a_bare_mano_mesh_gets_its_regions(clip_folder: Path) -> None:
-    rng = np.random.default_rng(0)
-    vertices = 0.01 * rng.uniform(-1, 1, (3, 778, 3))
-    vertices[:, :8] = box(0.2, 0.1, 0.03).vertices
-    content = {"vertices": vertices, "faces": BOX_FACES, "T_cam_hand": small_clip()[0].hand.T_cam_hand}
-    np.savez(clip_folder / "hand.npz", **content)
-    assert sum(len(ids) for ids in read_clip(clip_folder).hand.regions.values()) == 214
 
 
 def test_images_are_written_as_given(tmp_path: Path) -> None:

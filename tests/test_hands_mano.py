@@ -46,19 +46,19 @@ def holding(kind: type, **state: Any) -> Any:
 
 
 def fake_mano(monkeypatch: pytest.MonkeyPatch, side: Side = "right") -> dict[str, Any]:
-    """Random numbers in the layout of the published file; the fingertips are those of the generic hand."""
+    """Random numbers in the layout of the published file; vertices and weights are some of the generic hand's."""
     ch = make_class(monkeypatch, "chumpy.ch", "Ch")
     select = make_class(monkeypatch, "chumpy.reordering", "Select")
     csc = make_class(monkeypatch, "scipy.sparse.csc", "csc_matrix")
     rng = np.random.default_rng(0)
     hand = generic.load(side)
-    v = rng.normal(scale=0.05, size=(778, 3))
+    some = rng.permutation(len(hand.template))[:778]
+    v, weights = hand.template[some], hand.weights[some]
     J_regressor = np.zeros((16, 778))
     for j in range(16):  # each joint is the mean of two vertices
         pair = np.array([2 * j, 2 * j + 1])
         J_regressor[j, pair] = 0.5
         v[pair] = hand.joints[j] + 0.01 * np.array([[1.0], [-1.0]])
-    weights = rng.uniform(size=(778, 16)) ** 8
     for n, tip in enumerate(mano.TIPS[side]):
         v[tip] = hand.template[hand.tips[n]]
         weights[tip] = np.arange(16) == KNUCKLES[n] + 2
@@ -112,7 +112,23 @@ def test_published_layout_is_read(right: tuple[Path, dict[str, Any]]) -> None:
     np.testing.assert_allclose(model.joints, values["J"], atol=1e-15)
     np.testing.assert_array_equal(model.faces, values["f"])
     assert tuple(model.regions) == (*FINGERS, *PALM_REGIONS)
-    assert [len(ids) for ids in model.regions.values()] == [26, 24, 16, 25, 21, 23, 59, 20]
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_regions_follow_from_skinning(side: Side) -> None:
+    """What is done for MANO finds the generic hand's regions, which were placed by its bones."""
+    hand = generic.load(side)
+    regions = mano.regions(hand.template, hand.faces, hand.joints, hand.weights)
+    assert tuple(regions) == (*FINGERS, *PALM_REGIONS)
+    everything = np.concatenate(list(regions.values()))
+    assert len(everything) == len(np.unique(everything))
+    for finger in FINGERS:
+        assert len(regions[finger]) >= 12
+        assert np.isin(regions[finger], hand.regions[finger]).mean() > 0.9
+    normals = hand.with_shape().with_pose().normals
+    for name in PALM_REGIONS:
+        assert np.isin(regions[name], hand.regions[name]).mean() > 0.5
+        assert normals[regions[name], 1].mean() < -0.3
 
 
 def smplx_vertices(values: dict[str, Any], betas: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -245,6 +261,7 @@ def test_damaged_pickles_are_refused(tmp_path: Path, content: bytes) -> None:
     ("key", "value", "message"),
     [
         ("weights", None, "weights: got nothing"),
+        ("weights", np.eye(1, 16) * np.ones((778, 1)), "weights: got no vertex in the region thumb"),
         ("weights", np.zeros((778, 15)), r"weights: got shape \(778, 15\)"),
         ("posedirs", np.full((778, 3, 135), np.nan), "posedirs: got NaN"),
         ("f", np.full((1538, 3), 778), "f: got vertex 778"),

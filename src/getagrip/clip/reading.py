@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +21,6 @@ FARTHEST = 20.0
 """Plausible distance of a hand from the camera [m]."""
 LARGEST_IMAGE = 16384
 """Plausible side of an image [px]."""
-MANO_VERTICES = 778
-WIDEST_PAD = 0.05
-"""No fingertip's pad is as wide [m]."""
 
 
 def read_clip(folder: str | Path) -> Clip:
@@ -208,31 +203,19 @@ def _read_hand(folder: Path, frames: int) -> HandTrack:
         vertices=vertices,
         faces=faces,
         T_cam_hand=_poses(path, given, "T_cam_hand", frames, vertices.mean(axis=1), "the hand"),
-        regions=_regions(path, given, vertices),
+        regions=_regions(path, given, vertices.shape[1]),
         joints=arrays.floats(path, given, "joints", (frames, 21, 3)) if "joints" in given else None,
     )
 
 
-def _regions(path: Path, given: dict[str, ndarray], vertices: Float[ndarray, "T V 3"]) -> dict[str, Int[ndarray, "_"]]:
-    """Contact regions of a hand: its own, or MANO's where it has none and is a MANO mesh."""
-    own = [key for key in given if key.removeprefix("region_") in FINGERS or key.startswith("region_palm_")]
-    if not own and vertices.shape[1] == MANO_VERTICES:
-        regions = _mano_regions()
-        widest = max(np.ptp(vertices[:, regions[finger]], axis=1).max() for finger in FINGERS)
-        if widest < WIDEST_PAD:  # else the vertices are in another order than MANO's
-            return regions
+def _regions(path: Path, given: dict[str, ndarray], count: int) -> dict[str, Int[ndarray, "_"]]:
+    """Contact regions of a hand; a bare mesh does not tell where they are."""
     missing = [f"region_{finger}" for finger in FINGERS if f"region_{finger}" not in given]
     if missing:
         expected = f"{', '.join(missing)}: the vertex ids of each fingertip's pad"
-        raise InputError(path, missing[0], f"a mesh of {vertices.shape[1]} vertices without this region", expected)
-    palm = sorted(key.removeprefix("region_") for key in own if key.startswith("region_palm_"))
-    return {name: arrays.indices(path, given, f"region_{name}", vertices.shape[1], (-1,)) for name in (*FINGERS, *palm)}
-
-
-def _mano_regions() -> dict[str, Int[ndarray, "_"]]:
-    """The contact regions that the package has for MANO's meshes."""
-    text = resources.files("getagrip").joinpath("hands/mano_contact_regions.json").read_text("utf-8")
-    return {name: np.array(ids, dtype=np.int64) for name, ids in json.loads(text)["regions"].items()}
+        raise InputError(path, missing[0], f"a mesh of {count} vertices without this region", expected)
+    palm = sorted(key.removeprefix("region_") for key in given if key.startswith("region_palm_"))
+    return {name: arrays.indices(path, given, f"region_{name}", count, (-1,)) for name in (*FINGERS, *palm)}
 
 
 def _read_truth(folder: Path, hand: HandTrack, scale: str, mesh: Mesh) -> Truth:

@@ -1,7 +1,6 @@
 """MANO hands, from the user's own licensed ``MANO_RIGHT.pkl`` and ``MANO_LEFT.pkl`` (https://mano.is.tue.mpg.de).
 
-Nothing of MANO is in this package but two small lists of vertex numbers: the fingertips in common use (manopth) and the
-contact regions of objects-along-hit (``mano_contact_regions.json``, MIT licence, named there).
+Nothing of MANO is in this package but the numbers of five vertices, the fingertips in common use (manopth).
 
 The published left hand has the x displacements of its shape space with the wrong sign; ``load`` turns them
 (https://github.com/vchoutas/smplx/issues/48). It expects the file as published: one that somebody has repaired already
@@ -11,19 +10,20 @@ would be broken by it.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.mano_pickle import read_pickle
-from getagrip.hands.model import PARENTS, HandModel, Side
+from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, Side
+from getagrip.hands.regions import contact_regions, position_on_palm
+from getagrip.mesh import vertex_normals
 
 ARRAYS = {
     "v_template": (778, 3),
@@ -39,7 +39,9 @@ ARRAYS = {
 """What is read of a MANO file, and its shapes."""
 TIPS = {"right": (745, 317, 444, 556, 673), "left": (745, 317, 445, 556, 673)}
 """Vertices at the tips of thumb, index, middle, ring and little finger, as in manopth, DexYCB and HO-3D."""
-REGIONS = Path(__file__).with_name("mano_contact_regions.json")
+PALM_FACES = np.array([0.0, -1.0, 0.0])
+THUMB_FACES = np.array([0.0, -1.0, -2.0])
+"""Where palm and fingers, and the thumb, face on the flat hand: the thumb is turned towards the fingers."""
 
 
 @dataclass(frozen=True)
@@ -118,15 +120,20 @@ def _hand(path: Path, arrays: dict[str, ndarray], side: Side) -> Mano:
         raise InputError(path, "v_template", f"a {found} hand", f"a {side} hand")
     if side == "left":
         shape[:, 0] *= -1.0
+    weights = arrays["weights"] / arrays["weights"].sum(axis=1, keepdims=True)
+    found_regions = regions(template, arrays["f"], joints, weights)
+    empty = next((name for name, ids in found_regions.items() if len(ids) == 0), None)
+    if empty is not None:
+        raise InputError(path, "weights", f"no vertex in the region {empty}", "MANO's skinning weights")
     model = HandModel(
         name="mano",
         side=side,
         template=template,
         faces=arrays["f"],
         joints=joints,
-        weights=arrays["weights"] / arrays["weights"].sum(axis=1, keepdims=True),
+        weights=weights,
         tips=np.array(TIPS[side]),
-        regions={name: np.array(ids) for name, ids in json.loads(REGIONS.read_text())["regions"].items()},
+        regions=found_regions,
         shape_names=tuple(f"beta{k}" for k in range(10)),
         shape_directions=shape,
         joint_directions=np.tensordot(arrays["J_regressor"], shape, axes=1),
@@ -134,6 +141,30 @@ def _hand(path: Path, arrays: dict[str, ndarray], side: Side) -> Mano:
         pose_directions=arrays["posedirs"],
     )
     return Mano(model, arrays["hands_components"], arrays["hands_mean"])
+
+
+def regions(
+    template: Float[ndarray, "778 3"],
+    faces: Int[ndarray, "F 3"],
+    joints: Float[ndarray, "16 3"],
+    weights: Float[ndarray, "778 16"],
+) -> dict[str, Int[ndarray, "_"]]:
+    """Contact regions of a flat hand of either side, skinned to MANO's joints; see ``hands.regions``.
+
+    A fingertip's pad faces where its finger does, at right angles to the finger.
+    """
+    normals = vertex_normals(template, faces)
+    of_fingers = np.stack([weights[:, knuckle : knuckle + 3] for knuckle in KNUCKLES], axis=1)
+    length, across = position_on_palm(template, joints[0], joints[KNUCKLES[1]], joints[KNUCKLES[4]])
+    last = np.array(KNUCKLES) + 2
+    along = _unit(joints[last] - joints[last - 1])
+    faced = np.stack([THUMB_FACES, *[PALM_FACES] * 4])
+    faced = _unit(faced - np.sum(faced * along, axis=1, keepdims=True) * along)
+    return contact_regions(weights[:, 0], of_fingers, normals @ faced.T, normals @ PALM_FACES, length, across)
+
+
+def _unit(v: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
+    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
 
 
 def _cache_folder() -> Path:

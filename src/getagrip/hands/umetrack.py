@@ -20,15 +20,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip import se3
-from getagrip.clip import FINGERS
 from getagrip.errors import InputError
 from getagrip.files import read_json
 from getagrip.hands.generic_skeleton import WRIST
-from getagrip.hands.model import MIRROR, PALM_REGIONS, PosedHand, Side, mirrored
+from getagrip.hands.model import MIRROR, PosedHand, Side, mirrored
+from getagrip.hands.regions import contact_regions, position_on_palm
 from getagrip.mesh import Mesh, check_size, edge_table
 
 SHAPES = {
@@ -46,9 +46,6 @@ ROTATION_WRIST_HAND = np.radians([2.45, -3.75, 0.25])
 """Rotation vector [rad]."""
 ROOT_IN_WRIST = np.array([0.0160, -0.0036, -0.0001])
 """MANO's root joint in the UmeTrack wrist frame [m]."""
-
-BELONGS = 0.5
-"""A vertex belongs to a bone that has more than this share of its weight."""
 
 
 @dataclass(frozen=True)
@@ -103,27 +100,20 @@ class UmeTrackHand:
     def regions(self) -> dict[str, Int[ndarray, "_"]]:
         """Contact regions: the palmar side of the last phalanges, and three areas of the palm.
 
-        Found on the hand at rest from skinning weights and normals, after MANO's regions: the ball of the thumb, the
-        cushions below the fingers' roots, and the edge below the little finger.
+        Found on the hand at rest (``hands.regions``); a last phalanx faces where its tip goes when it bends.
         """
         x, normals = self.rest.vertices, self.rest.normals
-        of_finger = self.weights[:, 2:].reshape(-1, 5, 3)
-        regions: dict[str, Bool[ndarray, "V"]] = {}
-        for n, finger in enumerate(FINGERS):
-            along = self.tips[n] - self.pivots[4 * n + 3]
-            palmar = np.cross(self.axes[4 * n + 3], along / np.linalg.norm(along))  # where the tip goes when it bends
-            regions[finger] = (of_finger[:, n, 2] > BELONGS) & (normals @ palmar > 0.2)
-        palm, roots = self.weights[:, :2].sum(axis=1) > BELONGS, of_finger[:, :, 0] > BELONGS
-        down = -normals[:, 1]
-        index, pinky = self.pivots[5], self.pivots[17]
-        # Fractions of the palm: 0 at the wrist and 1 at the knuckles; 0 below the index and 1 below the little finger.
-        length = x[:, 0] / (0.5 * (index + pinky)[0])
-        across = (x - index) @ (pinky - index) / np.sum((pinky - index) ** 2)
-        ball = (palm | roots[:, 0]) & (down > 0.2) & (length > 0.1) & (length < 0.75) & (across < 0.35)
-        cushions = (palm | roots[:, 1:].any(axis=1)) & (down > 0.5) & (length > 0.75) & (length < 1.1)
-        edge = palm & (down > -0.3) & (length > 0.2) & (length <= 0.75) & (across > 0.85)
-        regions |= dict(zip(PALM_REGIONS, (ball, cushions, edge), strict=True))
-        return {name: np.flatnonzero(inside) for name, inside in regions.items()}
+        along = self.tips - self.pivots[3::4]
+        palmar = np.cross(self.axes[3::4], along / np.linalg.norm(along, axis=1, keepdims=True))
+        length, across = position_on_palm(x, np.zeros(3), self.pivots[5], self.pivots[17])
+        return contact_regions(
+            of_palm=self.weights[:, :2].sum(axis=1),
+            of_fingers=self.weights[:, 2:].reshape(-1, 5, 3),
+            towards_pads=normals @ palmar.T,
+            towards_palm=-normals[:, 1],
+            length=length,
+            across=across,
+        )
 
 
 def load(path: Path) -> UmeTrackHand:
