@@ -1,7 +1,8 @@
 """Contact regions of a skinned hand at rest: the pads of the fingertips and three areas of the palm.
 
-They follow from skinning weights, normals and joints, so any hand model with bones has them. The areas of
-the palm are, as in objects-along-hit, the ball of the thumb, the cushions below the fingers' roots, the edge below the little finger.
+They follow from skinning weights, normals and joints, so any hand model with bones has them. The areas of the palm are,
+as in objects-along-hit, the ball of the thumb, the cushions below the fingers' roots, and the edge below the little
+finger.
 """
 
 from __future__ import annotations
