@@ -17,8 +17,9 @@ from benchmarks.timing import Timing, timed
 from getagrip import se3
 from getagrip.energy import Term
 from getagrip.motion import Hinge
-from getagrip.reconstruct import Options, _starts
+from getagrip.options import Options
 from getagrip.solve import in_camera
+from getagrip.starts import starting_poses
 
 STARTS = 50
 NEAR = np.radians(30.0)
@@ -134,7 +135,7 @@ def _compare(problem: Problem) -> tuple[list[Run], str]:
 
 def _all_starts(problem: Problem) -> Hinge:
     """The starts of our own search."""
-    fixed = _starts(problem.clip, problem.masks, MASK_ONLY)
+    fixed = starting_poses(problem.clip, problem.masks, MASK_ONLY.inits)
     return adam.start(fixed.R, fixed.centre, -problem.centre, len(problem.clip))
 
 

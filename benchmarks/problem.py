@@ -20,7 +20,8 @@ from getagrip.mesh import Mesh
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import find_symmetries
 from getagrip.observation import Observation, observe
-from getagrip.reconstruct import Options, reconstruct
+from getagrip.options import Options
+from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction
 
 CLIPS = (("mug", 0), ("pan", 0), ("kettle", 0), ("scissors", 0))

@@ -13,7 +13,7 @@ from benchmarks.timing import timed, typical
 from getagrip.datasets.synthetic import Options as ClipOptions
 from getagrip.datasets.synthetic import synthesise
 from getagrip.mesh import Mesh, decimate
-from getagrip.reconstruct import Options
+from getagrip.options import Options
 from getagrip.result import Reconstruction
 
 CATEGORY = "kettle"

@@ -21,7 +21,7 @@ from getagrip.errors import GetagripError, InputError, UsageError
 if TYPE_CHECKING:
     from getagrip.clip import Clip, HandTrack, Masks, Truth, read_clip, read_masks, write_clip
     from getagrip.mesh import Mesh, read_mesh, write_mesh
-    from getagrip.reconstruct import Options
+    from getagrip.options import Options
     from getagrip.result import Axis, Candidates, Reconstruction, read_result, write_result
 
 __version__ = metadata.version("getagrip")

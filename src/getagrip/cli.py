@@ -70,7 +70,7 @@ class Reconstruct(Command):
     """Make results again that are there already."""
 
     def run(self) -> int:
-        from getagrip.reconstruct import Options
+        from getagrip.options import Options
         from getagrip.run.batch import reconstruct_clips
 
         options = Options(method=self.method, inits=self.inits, seed=self.seed, frames=self.frames)

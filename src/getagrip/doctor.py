@@ -74,7 +74,7 @@ def _try_out() -> None:
     from getagrip.clip import read_clip, read_masks, write_clip
     from getagrip.datasets import synthetic
     from getagrip.evaluate import evaluate_result
-    from getagrip.reconstruct import Options
+    from getagrip.options import Options
     from getagrip.run.job import Job, reconstruct_one
 
     with TemporaryDirectory() as folder:

@@ -88,17 +88,13 @@ def observe(masks: Masks, K: Float[ndarray, "T 3 3"], use_ignore: bool = True) -
 def _reduce(
     seen: Bool[ndarray, "N 256 256"], care: Bool[ndarray, "N 256 256"], size: int
 ) -> tuple[Bool[ndarray, "N s s"], Bool[ndarray, "N s s"]]:
-    """Masks at a lower resolution: a pixel counts if most of it does, and is the object if most of what counts is.
-
-    Halves go to the object on the black squares of a chessboard only, or masks would grow.
-    """
+    """Masks at a lower resolution: a pixel counts if most of it does, and is the object if most of what counts is."""
     counts = []
     for mask in (seen, care):
         small = [cv2.resize(m.view(np.uint8) * 255, (size, size), interpolation=cv2.INTER_AREA) for m in mask]
         counts.append(np.stack(small).astype(np.int16))
     n_seen, n_care = counts
-    chessboard = np.where(np.indices((size, size)).sum(axis=0) % 2, 2, -2)
-    return 2 * n_seen > n_care + chessboard, (n_care > 127) | (2 * n_seen > 255)
+    return 2 * n_seen > n_care, (n_care > 127) | (2 * n_seen > 255)
 
 
 def _signed_distance(seen: Bool[ndarray, "s s"], care: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:

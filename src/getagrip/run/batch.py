@@ -16,7 +16,7 @@ from getagrip.run.pool import cores, in_processes
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-    from getagrip.reconstruct import Options
+    from getagrip.options import Options
 
 FEW = 3
 """Up to so many clips are done in this process: others take longer to start."""

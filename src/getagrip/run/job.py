@@ -15,7 +15,7 @@ from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.result import is_result, read_record, write_result
 
 if TYPE_CHECKING:
-    from getagrip.reconstruct import Options
+    from getagrip.options import Options
 
 Progress = Callable[[str, float], None]
 """Told the stage in words, and how much of it is done, 0 to 1."""

@@ -1,0 +1,19 @@
+"""What the hand hides, where nobody says so: the hand as it is given, drawn over the object."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from getagrip import se3
+from getagrip.clip import Clip, Masks
+
+
+def hidden_by_hand(clip: Clip, masks: Masks) -> Masks:
+    """Masks whose ignored pixels are those that the clip's hand covers and the object's mask does not."""
+    from getagrip.kernels.depth import depth_and_face
+
+    ignore = np.empty_like(masks.ignore)
+    vertices = se3.transform(clip.hand.T_cam_hand, clip.hand.vertices)
+    for n, K in enumerate(clip.K):
+        ignore[n] = depth_and_face(vertices[n], clip.hand.faces, K, clip.size)[1] >= 0
+    return Masks(masks.object, ignore & ~masks.object)

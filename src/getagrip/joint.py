@@ -1,0 +1,78 @@
+"""All frames fitted at once, the object moving in the hand as a motion model allows: 1-DoF, Static and Dynamic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.errors import GetagripError
+from getagrip.motion import Fixed, Free, Hinge, Motion, Soft
+from getagrip.objective import energy_of
+from getagrip.options import Options
+from getagrip.problem import Found, Problem
+from getagrip.result import Axis
+from getagrip.search import Schedule, hinge_from, search
+from getagrip.solve import Status
+from getagrip.starts import starting_poses
+
+
+def fit(problem: Problem, watch: Callable[[str], None]) -> Found:
+    """Take the motion model of the problem's method through all stages of the search.
+
+    ``watch`` is told the name of each stage when it ends. Raises ``GetagripError`` when nothing can be rendered.
+    """
+    clip, options, centre = problem.clip, problem.options, problem.clip.mesh.centre
+    solution = search(
+        starts=starting_poses(clip, problem.masks, options.inits, options.seed),
+        model=_model(options),
+        terms_at=energy_of(clip, problem.observation, options.push, options.pull),
+        T_cam_hand=clip.hand.T_cam_hand,
+        corners=_box(clip.mesh.vertices - centre),
+        schedule=Schedule().softened() if options.method == "soft-hinge" else Schedule(),
+        watch=watch,
+    )
+    if not len(solution.energy):
+        raise GetagripError(str(Status.INVISIBLE))
+    held = solution.motion.poses()
+    offset = held.scale[:, None, None] * (held.R @ centre)
+    motion = solution.motion
+    return Found(
+        T_hand_obj=se3.rigid(held.R, held.centre - offset),
+        scale=held.scale,
+        energy=solution.energy,
+        terms={name: float(value[0]) for name, value in solution.terms.items()},
+        status=solution.status[0].value,
+        axis=_axis(motion.core if isinstance(motion, Soft) else motion),
+    )
+
+
+def _model(options: Options) -> Callable[[Soft[Fixed]], Motion]:
+    """From the search's loose fit to the motion model of the method."""
+    if options.method == "static":
+        return lambda loose: loose.core
+    if options.method == "dynamic":
+
+        def free(loose: Soft[Fixed]) -> Free:
+            held = loose.poses()
+            return Free(held.R, held.centre, loose.core.log_scale, loose.core.free_scale)
+
+        return free
+    return lambda loose: hinge_from(loose, options.axis == "free", np.zeros(3))
+
+
+def _axis(motion: Motion) -> Axis | None:
+    """The axis of the best candidate, where there is one."""
+    if not isinstance(motion, Hinge):
+        return None
+    hinge = motion.zero_mean()
+    return Axis(hinge.point[0], hinge.direction[0], hinge.angle[0])
+
+
+def _box(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "8 3"]:
+    """Corners of the bounding box, the first and the last opposite."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)])

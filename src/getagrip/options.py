@@ -1,0 +1,42 @@
+"""What a user may choose about a reconstruction."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from getagrip.errors import UsageError
+
+Method = Literal["one-dof", "soft-hinge", "static", "dynamic"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to reconstruct a clip."""
+
+    method: Method = "soft-hinge"
+    """How the object may move in the hand: turn about one axis, as in the paper (one-dof); deviate from that a little
+    in each frame (soft-hinge); not at all (static); freely (dynamic)."""
+    inits: int = 50
+    """Starting rotations, spread evenly over all rotations; 50 is about the least, 100 is safe."""
+    seed: int = 0
+    """Turns the set of starting rotations; the same seed gives the same result."""
+    frames: int = 30
+    """Frames sampled linearly from the clip."""
+    push: float = 0.1
+    """Weight of E_push, the paper's lambda_2 without the focal length."""
+    pull: float = 0.1
+    """Weight of E_pull, the paper's lambda_3 without the focal length."""
+    axis: Literal["free", "hand"] = "free"
+    """Where the axis of one-dof lies: anywhere (free), or through the origin of the hand frame (hand)."""
+    occlusion: bool = True
+    """Leave out pixels hidden by the hand (the paper's C_o)."""
+
+    def __post_init__(self) -> None:
+        if self.inits < 1 or self.frames < 2:
+            raise UsageError(f"inits and frames: got {self.inits} and {self.frames}, expected at least 1 and 2")
+        if self.seed < 0:
+            raise UsageError(f"seed: got {self.seed}, expected 0 or more")
+        if not (0 <= self.push < math.inf and 0 <= self.pull < math.inf):
+            raise UsageError(f"push and pull: got {self.push} and {self.pull}, expected finite weights of 0 or more")

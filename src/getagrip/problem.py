@@ -1,0 +1,149 @@
+"""What every method is given and gives back: a clip prepared for fitting, poses made into a reconstruction."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.clip import Clip, Masks, seen_frames
+from getagrip.contact import distances, solid
+from getagrip.energy.mask import Surface
+from getagrip.hidden import hidden_by_hand
+from getagrip.kernels.silhouette import silhouettes, unpack
+from getagrip.mesh import decimate
+from getagrip.objective import COARSE_FACES
+from getagrip.observation import Observation, observe
+from getagrip.options import Options
+from getagrip.result import Axis, Candidates, Reconstruction
+from getagrip.search import spread
+
+AMBIGUOUS = 1.05
+"""A distinct candidate within this factor of the best energy makes a result ambiguous."""
+SAME = 0.02
+"""Candidates whose surfaces are nearer than this, in diameters, on average, are one."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A clip at the frames that are used."""
+
+    clip: Clip
+    masks: Masks
+    observation: Observation
+    options: Options
+    notes: tuple[str, ...]
+    """Dropped frames, guesses, what was made up for what was not given."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """Solutions of a method, best first: K of them."""
+
+    T_hand_obj: Float[ndarray, "K T 4 4"]
+    scale: Float[ndarray, "K"]
+    energy: Float[ndarray, "K"]
+    terms: dict[str, float]
+    """The best one's energy per term."""
+    status: str
+    axis: Axis | None = None
+    """The best one's, where the method has one."""
+
+
+def prepare(clip: Clip, masks: Masks, options: Options) -> Problem:
+    """Leave out frames without an object, sample the rest linearly, crop. Raises ``InputError`` for fewer than 2."""
+    clip, masks, dropped = seen_frames(clip, masks)
+    index = spread(len(clip), options.frames)
+    clip, masks = clip.take(index), Masks(masks.object[index], masks.ignore[index])
+    notes = []
+    if dropped:
+        notes.append(f"{len(dropped)} frames without a visible object were left out: {', '.join(dropped)}")
+    if options.occlusion and not masks.ignore.any():
+        masks = hidden_by_hand(clip, masks)
+        notes.append("no ignore masks: what the drawn hand covers outside the object's mask counts as hidden")
+    notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
+    return Problem(clip, masks, observe(masks, clip.K, options.occlusion), options, tuple(notes))
+
+
+def answer(problem: Problem, found: Found, clock: Clock) -> Reconstruction:
+    """The reconstruction that a method's solutions stand for."""
+    clip, options = problem.clip, problem.options
+    order = distinct_shapes(clip, found.T_hand_obj, found.scale)
+    T, scale, energy = found.T_hand_obj[order], found.scale[order], found.energy[order]
+    iou = mask_iou(clip, problem.masks, T[0], float(scale[0]))
+    guess = f"the scale {scale[0]:.3f} is a guess from the masks and the hand's size, not a measurement"
+    clock("finish")
+    return Reconstruction(
+        clip=clip.name,
+        method=options.method,
+        frames=clip.frames,
+        T_hand_obj=T[0],
+        scale=float(scale[0]),
+        iou=iou,
+        axis=found.axis,
+        candidates=Candidates(T, scale, energy),
+        energy={"total": float(energy[0]), **found.terms},
+        status=found.status,
+        ambiguous=bool(len(order) > 1 and energy[1] < AMBIGUOUS * energy[0]),
+        seconds=clock.seconds(),
+        options=asdict(options),
+        seed=options.seed,
+        notes=(*problem.notes, *([guess] if clip.scale == "free" else [])),
+    )
+
+
+def distinct_shapes(clip: Clip, T: Float[ndarray, "K T 4 4"], scale: Float[ndarray, "K"]) -> Int[ndarray, "n"]:
+    """Candidates that place the object's surface differently; turning a bottle about its axis makes no new one."""
+    surface = solid(decimate(clip.mesh, COARSE_FACES), np.zeros(3))
+    points = clip.mesh.vertices[spread(len(clip.mesh.vertices), 200)]
+    T = T[:, spread(len(clip), 3)]
+    placed = se3.transform(T, scale[:, None, None, None] * points)
+    chosen: list[int] = []
+    for k in range(len(T)):
+        back = [se3.transform(se3.inverse(T[c]), placed[k]).reshape(-1, 3) / scale[c] for c in chosen]
+        grid = (surface.corners, surface.normals, surface.face, surface.distance, surface.origin, surface.spacing)
+        gaps = [float(distances(x, *grid).mean()) for x in back]
+        if all(gap > SAME * clip.mesh.diameter for gap in gaps):
+            chosen.append(k)
+    return np.array(chosen)
+
+
+def mask_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:
+    """IOU of rendered and observed object mask on the full image, outside ignored pixels."""
+    T_cam_obj = clip.hand.T_cam_hand @ T_hand_obj
+    surface = Surface.of(clip.mesh, np.zeros(3))
+    K = np.stack([clip.K[:, 0, 0], clip.K[:, 1, 1], clip.K[:, 0, 2], clip.K[:, 1, 2]], axis=1)
+    width, height = clip.size
+    bits = np.empty((len(clip), height, -(-width // 64)), np.uint64)
+    R, t = np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3])
+    silhouettes(
+        R, t, np.full(len(clip), scale),
+        surface.vertices, surface.planes, surface.edges, surface.closed, K, bits,
+    )  # fmt: skip
+    care = masks.object | ~masks.ignore
+    rendered = unpack(bits, width) & care
+    union = (rendered | masks.object).sum(axis=(1, 2))
+    return np.asarray((rendered & masks.object).sum(axis=(1, 2)) / np.maximum(union, 1))
+
+
+class Clock:
+    """Seconds per stage, and the caller's progress."""
+
+    STAGES = ("prepare", "coarse", "middle", "fine", "finest", "finish")
+
+    def __init__(self, progress: Callable[[str, float], None] | None) -> None:
+        self.progress, self.spent, self.since = progress, dict[str, float](), time.perf_counter()
+
+    def __call__(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.spent[stage], self.since = now - self.since, now
+        if self.progress:
+            self.progress(stage, len(self.spent) / len(self.STAGES))
+
+    def seconds(self) -> dict[str, float]:
+        return {"total": sum(self.spent.values()), **self.spent}

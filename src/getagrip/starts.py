@@ -1,0 +1,44 @@
+"""Where the search starts: rotations spread over SO(3), the place from the hand and the masks, never from the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip import camera, se3
+from getagrip.clip import FINGERS, Clip, Masks
+from getagrip.motion import Fixed
+
+
+def starting_poses(clip: Clip, masks: Masks, inits: int, seed: int = 0) -> Fixed:
+    """Rotations spread over SO(3); the object's centre where the hand grips and the masks' centres cross."""
+    turn = se3.exp_so3(np.random.default_rng(seed).uniform(-1.0, 1.0, 3)) if seed else np.eye(3)
+    R = turn @ se3.super_fibonacci(inits)
+    boxes = camera.bounding_boxes(masks.object).astype(float)
+    point = grip_point(clip, (boxes[:, :2] + boxes[:, 2:]) / 2.0)
+    scale = 1.0
+    if clip.scale == "free":
+        depth = se3.transform(clip.hand.T_cam_hand, point[None, None])[:, 0, 2]
+        seen = np.linalg.norm(boxes[:, 2:] - boxes[:, :2], axis=1) * depth / clip.K[:, 0, 0]
+        scale = float(np.clip(np.median(seen) / clip.mesh.diameter, 0.2, 5.0))
+    B = inits
+    return Fixed(R, np.tile(point, (B, 1)), np.full(B, np.log(scale)), len(clip), clip.scale == "free")
+
+
+def grip_point(clip: Clip, uv: Float[ndarray, "T 2"]) -> Float[ndarray, "3"]:
+    """The point of the hand frame nearest to the rays through the masks' centres and to the hand's grip [m].
+
+    The grip is the mean of the contact regions; a ray counts as much as the grip at 2 cm against 5 cm of spread,
+    all rays together as four, since what the hand hides biases them all alike.
+    """
+    hand = clip.hand
+    grip = np.mean([hand.vertices[:, hand.regions[name]].mean(axis=(0, 1)) for name in FINGERS], axis=0)
+    R_hand_cam = np.swapaxes(hand.T_cam_hand[:, :3, :3], 1, 2)
+    eye = -(R_hand_cam @ hand.T_cam_hand[:, :3, 3, None])[..., 0]
+    ray = (R_hand_cam @ camera.backproject(clip.K, uv[:, None])[:, 0, :, None])[..., 0]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+    ray_weight, grip_weight = 4.0 / (len(ray) * 0.02**2), 1.0 / 0.05**2
+    A = ray_weight * across.sum(axis=0) + grip_weight * np.eye(3)
+    return np.linalg.solve(A, ray_weight * (across @ eye[..., None])[..., 0].sum(axis=0) + grip_weight * grip)
