@@ -15,6 +15,7 @@ from getagrip import files, se3
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.mesh import Mesh
+from getagrip.hidden import hidden_by_hand
 from getagrip.metrics.contact import (
     SIDES,
     THRESHOLDS,
@@ -55,6 +56,8 @@ def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> dict
         raise InputError(folder / "result.npz", "frames", f"the frame {files.shown(unknown)}", known)
     clip = clip.take(np.array([index[name] for name in result.frames]))
     masks = read_masks(clip) if (clip.folder / "masks" / "object").exists() else None
+    if masks is not None and not masks.ignore.any():
+        masks = hidden_by_hand(clip, masks)  # as the methods do
     return {"result": str(folder), **evaluate(result, clip, masks)}
 
 
