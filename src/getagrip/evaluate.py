@@ -56,8 +56,6 @@ def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> dict
         raise InputError(folder / "result.npz", "frames", f"the frame {files.shown(unknown)}", known)
     clip = clip.take(np.array([index[name] for name in result.frames]))
     masks = read_masks(clip) if (clip.folder / "masks" / "object").exists() else None
-    if masks is not None and not masks.ignore.any():
-        masks = hidden_by_hand(clip, masks)  # as the methods do
     return {"result": str(folder), **evaluate(result, clip, masks)}
 
 
@@ -80,6 +78,8 @@ def evaluate(result: Reconstruction, clip: Clip, masks: Masks | None) -> dict[st
             metrics[f"sca_add{key}"] = value * metrics["add_success"]
             metrics[f"sca_add_sym{key}"] = value * metrics["add_sym_success"]
     if masks is not None:
+        if not masks.ignore.any():
+            masks = hidden_by_hand(clip, masks)  # as the methods do
         ious = mask_iou(clip.mesh, result.scale, clip.hand.T_cam_hand @ result.T_hand_obj, clip.K, masks)
         per_frame |= {"iou": ious.crop, "iou_soft": ious.soft, "iou_full": ious.full}
         metrics |= {key: _mean(per_frame[key]) for key in ("iou", "iou_soft", "iou_full")}
