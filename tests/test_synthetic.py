@@ -11,7 +11,8 @@ from getagrip import se3
 from getagrip.clip import Clip, read_clip, read_masks, write_clip
 from getagrip.datasets.categories import CATEGORIES
 from getagrip.datasets.grasp import SignedDistance
-from getagrip.datasets.synthetic import Options, make_scene, pictures, ragged, synthesise
+from getagrip.datasets.noise import ragged
+from getagrip.datasets.synthetic import Options, make_scene, pictures, synthesise
 from getagrip.errors import UsageError
 from getagrip.mesh import Mesh
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from getagrip.clip import Clip, input_sha256, read_clip, read_masks, write_clip
+from getagrip.datasets.noise import perturbed
 from getagrip.datasets.synthetic import Options as ClipOptions
-from getagrip.datasets.synthetic import clip_name, make_scene, pictures, seen_masks, with_hand_noise
+from getagrip.datasets.synthetic import clip_name, make_scene, pictures, seen_masks
 from getagrip.evaluate import evaluate, tables
 from getagrip.reconstruct import reconstruct
 from getagrip.result import write_result
@@ -58,7 +57,5 @@ def _clip(folder: Path) -> Clip:
     there = folder / clip_name(CATEGORY, SEED, CLIP)
     if not there.exists():
         scene = make_scene(CATEGORY, SEED, CLIP)
-        noise = np.random.default_rng(SEED)
-        clip = with_hand_noise(scene.clip, CLIP, noise)
-        write_clip(clip, seen_masks(scene, noise), there, pictures(scene))
+        write_clip(*perturbed(scene.clip, seen_masks(scene), CLIP, SEED), there, pictures(scene))
     return read_clip(there)

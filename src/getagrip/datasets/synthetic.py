@@ -14,14 +14,15 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from getagrip import se3
-from getagrip.camera import bounding_boxes, project
+from getagrip.camera import project
 from getagrip.clip import Clip, HandTrack, Masks, Truth
 from getagrip.datasets.categories import CATEGORIES
 from getagrip.datasets.grasp import Grasper, SignedDistance
+from getagrip.datasets.noise import Noise, perturbed
 from getagrip.errors import UsageError
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track, mirrored
@@ -34,8 +35,8 @@ DEEPEST = 0.0035
 
 
 @dataclass(frozen=True)
-class Options:
-    """What a made-up clip is like."""
+class Options(Noise):
+    """What a made-up clip is like; the noise on top of its truth is ``Noise``'s."""
 
     frames: int = 30
     fps: float = 30.0
@@ -56,16 +57,6 @@ class Options:
     """Largest shift of the object in the hand."""
     other_hand: bool = False
     """Whether the other hand comes in front."""
-    hand_bias_deg: float = 0.0
-    """Turn of the given hand against the true one, the same in all frames, about a random axis."""
-    hand_bias_mm: float = 0.0
-    """Shift of the given hand against the true one, the same in all frames, in a random direction."""
-    hand_jitter_deg: float = 0.0
-    """Root mean square turn of the given hand, new in every frame."""
-    hand_jitter_mm: float = 0.0
-    """Root mean square shift of the given hand, new in every frame."""
-    mask_ragged_px: float = 0.0
-    """Root mean square distance of the given masks' boundaries from the true ones [px]."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +87,12 @@ def synthesise(category: str, seed: int, options: Options | None = None) -> tupl
     Raises ``UsageError`` for an unknown category.
     """
     scene = make_scene(category, seed, options or Options())
-    noise = np.random.default_rng([seed, *category.encode(), 1])
-    return with_hand_noise(scene.clip, scene.options, noise), seen_masks(scene, noise)
+    return perturbed(scene.clip, seen_masks(scene), scene.options, noise_seed(category, seed))
+
+
+def noise_seed(category: str, seed: int) -> list[int]:
+    """The seed of a clip's noise."""
+    return [seed, *category.encode(), 1]
 
 
 def make_scene(category: str, seed: int, options: Options) -> Scene:
@@ -259,45 +254,14 @@ def _mirror_image(scene: Scene) -> Scene:
     return replace(scene, clip=mirrored_clip, axis=turned, other_hand=other)
 
 
-def with_hand_noise(clip: Clip, options: Options, rng: np.random.Generator) -> Clip:
-    """The clip with its given hand displaced about the middle of the hand; the truth keeps the true one."""
-    frames = len(clip)
-    turn = _of_length(rng.normal(size=3), np.radians(options.hand_bias_deg))
-    shift = _of_length(rng.normal(size=3), 1e-3 * options.hand_bias_mm)
-    turns = turn + np.radians(options.hand_jitter_deg) / np.sqrt(3.0) * rng.normal(size=(frames, 3))
-    shifts = shift + 1e-3 * options.hand_jitter_mm / np.sqrt(3.0) * rng.normal(size=(frames, 3))
-    noise = _about(clip.hand.vertices.mean(axis=(0, 1)), turns, shifts)
-    return replace(clip, hand=replace(clip.hand, T_cam_hand=clip.hand.T_cam_hand @ noise))
-
-
-def seen_masks(scene: Scene, rng: np.random.Generator) -> Masks:
-    """Masks of the scene, their boundaries ragged as the options say."""
+def seen_masks(scene: Scene) -> Masks:
+    """True masks of the scene."""
     pairs = []
     for n in range(len(scene.clip)):
         held, hands = scene.surfaces(n)
-        seen, ignore = true_masks(held, hands, [], scene.clip.K[n], scene.clip.size)
-        if scene.options.mask_ragged_px > 0.0:
-            ignore = ragged(ignore, scene.options.mask_ragged_px, rng)
-            seen = ragged(seen, scene.options.mask_ragged_px, rng) & ~ignore
-        pairs.append((seen, ignore))
+        pairs.append(true_masks(held, hands, [], scene.clip.K[n], scene.clip.size))
     objects, ignored = zip(*pairs, strict=True)
     return Masks(np.stack(objects), np.stack(ignored))
-
-
-def ragged(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> Bool[ndarray, "H W"]:
-    """The mask with its boundary moved by a random field of ``px`` root mean square, smooth over about 5 px."""
-    import cv2
-
-    margin = int(np.ceil(4.0 * px)) + 2
-    left, top, right, bottom = bounding_boxes(mask[None])[0] + [-margin, -margin, margin, margin]
-    window = slice(max(top, 0), bottom), slice(max(left, 0), right)
-    part = mask[window]
-    inside = cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 3)
-    outside = cv2.distanceTransform((~part).astype(np.uint8), cv2.DIST_L2, 3)
-    field = cv2.GaussianBlur(rng.normal(size=part.shape).astype(np.float32), (0, 0), 5.0)
-    moved = mask.copy()
-    moved[window] = inside - outside > field * (px / field.std())
-    return moved
 
 
 def pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
@@ -336,7 +300,3 @@ def _about(
     """Turn by rotation vectors [rad] about a point, then shift [m]."""
     R = se3.exp_so3(turn)
     return se3.rigid(R, point + shift - R @ point)
-
-
-def _of_length(v: Float[ndarray, 3], length: float) -> Float[ndarray, 3]:
-    return np.asarray(v / np.linalg.norm(v) * length)
