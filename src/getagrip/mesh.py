@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import json
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,10 +15,13 @@ from numpy import ndarray
 
 from getagrip import files
 from getagrip.errors import InputError
+from getagrip.obj import parse_obj
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 LARGEST, SMALLEST = 2.0, 0.005
 """Plausible sizes of hands and objects [m]."""
+LARGEST_FILE = 128 * 2**20
+"""Limit in bytes: parsing takes several times as much memory."""
 
 
 @dataclass(frozen=True)
@@ -132,51 +137,98 @@ def diameter(points: Float[ndarray, "V 3"]) -> float:
 
 
 def read_mesh(path: Path) -> Mesh:
-    """Read and check a triangle mesh in metres.
+    """Read and check a triangle mesh in metres, its parts where the file's own transforms put them.
 
     Closed meshes that are wound inward are turned outward. Raises ``InputError`` for an unreadable file, no faces,
     degenerate faces, non-finite vertices or an absurd size.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(path, "mesh", f"the suffix {path.suffix!r}", f"one of {', '.join(SUFFIXES)}")
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(path, "mesh", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")
     if not path.is_file():
         raise InputError(path, "mesh", "no such file", "a triangle mesh")
-    import trimesh
-
-    content = io.BytesIO(files.read_bytes(path))  # without a path nothing beside the file is ever opened
-    try:
-        loaded = trimesh.load(
-            content, file_type=path.suffix[1:].lower(), force="mesh", process=False, skip_materials=True
-        )
-    except Exception as error:  # trimesh's readers raise whatever their parsers meet
-        raise InputError(path, "mesh", f"a file that does not parse ({error})", "a triangle mesh") from error
-    vertices = np.asarray(getattr(loaded, "vertices", ()), dtype=float)
-    faces = np.asarray(getattr(loaded, "faces", ()), dtype=np.int64)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
-        raise InputError(path, "faces", f"{len(vertices)} vertices and {len(faces)} faces", "a mesh with faces")
+    content = files.read_bytes(path, LARGEST_FILE)
+    vertices, faces = parse_obj(path, content) if suffix == ".obj" else _parse(path, suffix, content)
+    if suffix == ".ply" and len(faces) < (promised := _ply_faces(content)):
+        raise InputError(path, "faces", f"{len(faces)} faces", f"{promised}, as its header says; is it cut short?")
     return checked_mesh(path, vertices, faces)
 
 
-def checked_mesh(path: Path, vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> Mesh:
+def _parse(path: Path, suffix: str, content: bytes) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
+    """Vertices and faces of a .ply, .stl or .glb file, by trimesh. ``path`` is only named in errors."""
+    import trimesh
+
+    kind, stream = suffix[1:], io.BytesIO(content)  # without a path nothing beside the file is ever opened
+    if suffix == ".glb":
+        _check_glb(path, content)
+    binary = len(content) >= 84 and len(content) == 84 + 50 * int.from_bytes(content[80:84], "little")
+    if suffix == ".stl" and not binary:
+        kind, stream = "stl_ascii", io.BytesIO(content.decode("utf-8", "replace").encode())
+        if not stream.getvalue().lstrip().startswith(b"solid"):
+            raise InputError(path, "mesh", "a file that does not parse", "a whole .stl file, binary or text")
+    try:
+        loaded = trimesh.load(stream, file_type=kind, force="mesh", process=False, skip_materials=True)
+    except Exception as error:  # trimesh's readers raise whatever their parsers meet
+        raise InputError(path, "mesh", f"a file that does not parse ({error})", f"a whole {suffix} file") from error
+    vertices, faces = getattr(loaded, "vertices", ()), getattr(loaded, "faces", ())
+    return np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64)
+
+
+_PLY_FACES = re.compile(rb"^element face (\d{1,18})\s*$", re.MULTILINE)
+
+
+def _ply_faces(content: bytes) -> int:
+    """How many faces the header of a .ply file promises."""
+    found = _PLY_FACES.search(content[: content.find(b"end_header")])
+    return int(found[1]) if found else 0
+
+
+def _check_glb(path: Path, content: bytes) -> None:
+    """Refuse a .glb whose vertices or faces are not stored plainly (trimesh reads zeros), or too often repeated."""
+    try:
+        if content[:4] != b"glTF" or content[16:20] != b"JSON":
+            raise ValueError("no glTF header")
+        tree = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+        compressed = [name for name in tree.get("extensionsRequired", []) if "compress" in name]
+        corners = []
+        for mesh in tree.get("meshes", []):
+            used = [(part["attributes"]["POSITION"], part.get("indices")) for part in mesh["primitives"]]
+            arrays = [[tree["accessors"][n] for n in pair if n is not None] for pair in used]
+            stored = all("bufferView" in array for pair in arrays for array in pair)
+            compressed += [] if stored else ["arrays without data"]
+            corners.append(sum(pair[-1]["count"] for pair in arrays))
+        total = sum(corners[node["mesh"]] for node in tree.get("nodes", []) if "mesh" in node)
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(path, "mesh", f"a file that does not parse ({error})", "a whole .glb file") from error
+    if compressed:
+        raise InputError(path, "mesh", files.plain(str(compressed[0])), "a .glb exported without compression")
+    if total > LARGEST_FILE // 12:
+        raise InputError(path, "nodes", f"{total} corners of faces in all", f"at most {LARGEST_FILE // 12}")
+
+
+def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Mesh:
     """The mesh, vertices merged and wound outward, or an ``InputError`` that says what is wrong with it."""
-    if len(faces) == 0 or len(vertices) == 0:
-        raise InputError(path, "faces", f"{len(vertices)} vertices and {len(faces)} faces", "a mesh with faces")
+    if faces.size == 0 or vertices.size == 0:
+        raise InputError(path, "faces", "no faces", "a mesh with faces")
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise InputError(path, "vertices", f"the shape {vertices.shape}", "three coordinates for each vertex")
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise InputError(path, "faces", f"the shape {faces.shape}", "triangles")
     if not np.isfinite(vertices).all():
         raise InputError(path, "vertices", "NaN or infinite coordinates", "finite coordinates [m]")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise InputError(path, "faces", f"vertex index {faces.max()}", f"indices below {len(vertices)}")
-    faces = merged(vertices)[faces]  # formats like .stl repeat vertices
-    corners = vertices[faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        bad = faces.min() if faces.min() < 0 else faces.max()
+        raise InputError(path, "faces", f"the vertex index {bad}", f"0 to {len(vertices) - 1}, counted from 0")
+    used, remapped = np.unique(merged(vertices)[faces], return_inverse=True)  # formats like .stl repeat vertices
+    vertices, faces = vertices[used], remapped.reshape(faces.shape)
     extent = float(np.ptp(vertices, axis=0).max())
     check_size(path, "vertices", extent, "the object")
+    corners = vertices[faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     bad = np.flatnonzero(area < 1e-12 * extent**2)
     if bad.size:
         raise InputError(path, "faces", f"{bad.size} faces without area (first: {bad[0]})", "triangles with an area")
-    used = np.unique(faces)
-    remap = np.zeros(len(vertices), dtype=np.int64)
-    remap[used] = np.arange(len(used))
-    mesh = Mesh(vertices[used], remap[faces])
+    mesh = Mesh(vertices, faces)
     return Mesh(mesh.vertices, mesh.faces[:, ::-1].copy()) if mesh.is_closed and mesh.volume < 0 else mesh
 
 
