@@ -17,6 +17,7 @@ from getagrip.errors import GetagripError, UsageError
 Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
 Results = Annotated[Positional[tuple[Path, ...]], arg(metavar="RESULT...", help_behavior_hint="")]
 Folder = Annotated[Path, arg(metavar="DIR")]
+Workers = Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core for more than 3 clips)")]
 Flag = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
 
 
@@ -62,9 +63,7 @@ class Reconstruct(Command):
     """Seed of all that is random."""
     frames: Annotated[int, arg(metavar="N")] = 30
     """Frames to use, spread evenly over the clip."""
-    workers: Annotated[
-        int | None, arg(metavar="N", help_behavior_hint="(default: one per core for more than 3 clips)")
-    ] = None
+    workers: Workers = None
     """Processes to share the clips between."""
     overwrite: Flag = False
     """Make results again that are there already."""
@@ -92,6 +91,37 @@ class Evaluate(Command):
         from getagrip.run.scores import evaluate_results
 
         return evaluate_results(self.results, self.clips, self.json, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment(Command):
+    """Find the stable grasps in clips with true poses; no masks are needed."""
+
+    clips: Clips = ()
+    """Clip folders, or folders of clips."""
+    tau: float = 0.5
+    """In a stable grasp, the contacts of every two frames have an intersection over union above this."""
+    contact_mm: Annotated[float, arg(metavar="MM")] = 0.0
+    """Points of the object so near to the hand's surface, or inside it, are in contact."""
+    points: Literal["vertices", "area", "fragments"] = "vertices"
+    """Contact is a set of vertices, of points spread evenly over the object's area, or of patches."""
+    rule: Literal["all-pairs", "first", "consecutive"] = "all-pairs"
+    """Frames that are compared: all (the paper's definition), all with the first, or neighbours (two weaker tests)."""
+    shortest: Annotated[int, arg(metavar="N")] = 20
+    """Frames of the shortest grasp."""
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """Write segments.csv and a picture of each clip here."""
+    json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Write every number here, unrounded."""
+    workers: Workers = None
+    """Processes to share the clips between."""
+
+    def run(self) -> int:
+        from getagrip.grasps import Definition
+        from getagrip.run.segments import segment_clips
+
+        definition = Definition(self.tau, self.contact_mm / 1e3, self.points, self.rule, self.shortest)
+        return segment_clips(self.clips, definition, self.out, self.json, self.workers, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +168,7 @@ Commands = (
     Annotated[Demo, subcommand("demo")]
     | Annotated[Reconstruct, subcommand("reconstruct")]
     | Annotated[Evaluate, subcommand("evaluate")]
+    | Annotated[Segment, subcommand("segment")]
     | Annotated[Import, subcommand("import")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Doctor, subcommand("doctor")]

@@ -14,7 +14,7 @@ import shutil
 import struct
 import tempfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -151,23 +151,23 @@ def _png_chunks(path: Path, content: bytes) -> Iterator[tuple[bytes, bytes]]:
         at += 12 + length
 
 
-def sha256(folder: Path, names: Iterable[str]) -> str:
-    """Checksum of some of a folder's files, their names and lengths included."""
+def sha256(paths: Mapping[str, Path]) -> str:
+    """Checksum of some files by name, their names and lengths included."""
     total = hashlib.sha256()
-    for name in names:
-        content = read_bytes(folder / name)
+    for name, path in paths.items():
+        content = read_bytes(path)
         total.update(f"{name}\0{len(content)}\0".encode())
         total.update(content)
     return total.hexdigest()
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a JSON object; arrays become lists, numbers that are not finite become null."""
+def write_json(path: Path, content: Mapping[str, Any] | list[Any]) -> None:
+    """Write a JSON object or list; arrays become lists, numbers that are not finite become null."""
     path.write_text(to_json(content) + "\n", "utf-8")
 
 
-def to_json(content: Mapping[str, Any]) -> str:
-    """A JSON object as ``write_json`` writes it."""
+def to_json(content: Mapping[str, Any] | list[Any]) -> str:
+    """A JSON object or list as ``write_json`` writes it."""
     return json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False)
 
 

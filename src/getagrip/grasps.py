@@ -6,11 +6,18 @@ interval, then the longest of those that do not overlap it, and so on.
 
 Every part of a stable interval is stable. So the earliest start of the stable intervals that end in a frame never moves
 back from frame to frame, and all pairs are tested by looking, in each frame, no further back than the start before.
+
+What counts as a point of the object is a choice (``Points``):
+
+- ``vertices``: its vertices: the paper's;
+- ``area``: points spread evenly over it, so that shares of them are shares of its area however its mesh is cut into
+  triangles: those of the metric of the same name;
+- ``fragments``: patches, each in contact where a vertex of it is: those of the authors' ARCTIC grasps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -18,13 +25,100 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.errors import UsageError
+from getagrip import se3
+from getagrip.clip import Clip
+from getagrip.errors import InputError, UsageError
+from getagrip.metrics.contact import AREA_POINTS, close_holes, signed_distance
+from getagrip.metrics.symmetry import surface_points
 
+Points = Literal["vertices", "area", "fragments"]
 Rule = Literal["all-pairs", "first", "consecutive"]
 """Which pairs of frames are tested: all (Eq. 2), or those of the authors' codes, see ``stable_grasps``."""
 RULES: tuple[Rule, ...] = get_args(Rule)
 BLOCK = 128
 """Frames whose IOU is computed at once."""
+FRAGMENTS = 0.01
+"""Fragments of an object, as a share of its vertices."""
+OPENED = np.radians(5.0)
+"""An object whose joint has turned by more than this [rad] has been opened or closed."""
+
+
+@dataclass(frozen=True)
+class Definition:
+    """What a stable grasp is."""
+
+    tau: float = 0.5
+    """Every pair of frames has a contact IOU above this."""
+    contact: float = 0.0
+    """Points of the object so near to the hand's surface, or inside it, are in contact [m]."""
+    points: Points = "vertices"
+    """Points of the object whose contact counts."""
+    rule: Rule = "all-pairs"
+    """Which pairs are tested."""
+    shortest: int = 20
+    """Frames of the shortest grasp."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.tau < 1.0:
+            raise UsageError(f"tau: got {self.tau:g}, expected at least 0 and below 1")
+        if not 0.0 <= self.contact <= 0.05:
+            raise UsageError(f"contact: got {1e3 * self.contact:g} mm, expected 0 to 50 mm")
+        if self.shortest < 1:
+            raise UsageError(f"shortest: got {self.shortest}, expected 1 frame or more")
+
+
+def segment(
+    clip: Clip, definition: Definition | None = None, progress: Callable[[float], None] = lambda _: None
+) -> tuple[PairwiseIou, list[tuple[int, int]]]:
+    """Contact IOU of a clip's frames, and its stable grasps as ``stable_grasps`` gives them, all from the truth.
+
+    Where an object has a joint, frames between which it has turned by more than ``OPENED`` are not alike: opening or
+    closing an object ends a grasp. ``progress`` is told what share of the frames is done. Raises ``InputError`` for a
+    clip without truth.
+    """
+    wanted = definition or Definition()
+    contact = contact_sets(clip, wanted.contact, wanted.points, progress)
+    iou = PairwiseIou.of(contact, articulation=None if clip.truth is None else clip.truth.articulation)
+    return iou, stable_grasps(iou, wanted.tau, wanted.shortest, wanted.rule)
+
+
+def contact_sets(
+    clip: Clip,
+    threshold: float = 0.0,
+    points: Points = "vertices",
+    progress: Callable[[float], None] = lambda _: None,
+) -> Bool[ndarray, "T P"]:
+    """Which points of the object touch the true hand in each frame: signed distance to it at most ``threshold`` [m].
+
+    Holes of the hand (MANO's wrist) are closed. Raises ``InputError`` for a clip without truth.
+    """
+    truth = clip.truth
+    if truth is None:
+        raise InputError(clip.folder / "truth.npz", "", "no such file", "the true poses: grasps are found in them")
+    local = surface_points(clip.mesh, AREA_POINTS) if points == "area" else clip.mesh.vertices
+    T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
+    hands, faces = close_holes(truth.hand_vertices, clip.hand.faces)
+    contact = np.zeros((len(clip), len(local)), dtype=bool)
+    for n, (T, hand) in enumerate(zip(T_hand_obj, hands, strict=True)):
+        contact[n] = signed_distance(se3.transform(T, truth.scale * local), hand, faces, threshold) <= threshold
+        progress((n + 1) / len(clip))
+    if points == "fragments":
+        patch = fragments(clip.mesh.vertices)
+        return np.stack([contact[:, patch == k].any(axis=1) for k in range(patch.max() + 1)], axis=1)
+    return contact
+
+
+def fragments(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
+    """The patch of each vertex: that of the nearest of some vertices spread over the object.
+
+    Each is the vertex farthest from those before it and from the mean of all (Hodan et al., "EPOS", CVPR 2020).
+    """
+    nearest = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1)
+    distances = []
+    for _ in range(max(1, int(FRAGMENTS * len(vertices)))):
+        distances.append(np.linalg.norm(vertices - vertices[np.argmax(nearest)], axis=1))
+        nearest = np.minimum(nearest, distances[-1])
+    return np.argmin(distances, axis=0)
 
 
 @dataclass(frozen=True)
@@ -34,22 +128,31 @@ class PairwiseIou:
     Sums of counts, and of weights rounded as ``of`` does, are exact in any order: a pair has the same IOU in any slice.
     """
 
-    sets: Float[ndarray, "T P"]
-    """1 where a point is in contact."""
-    weighted: Float[ndarray, "T P"]
+    sets: Float[ndarray, "T Q"]
+    """1 where a point is in contact; points that never are have been left out."""
+    weighted: Float[ndarray, "T Q"]
     """The same times the points' weights."""
     size: Float[ndarray, "T"]
     """Weight of each frame's set."""
+    articulation: Float[ndarray, "T"]
+    """Angle of the object's joint [rad]; frames that differ by more than ``OPENED`` have IOU 0."""
 
     @staticmethod
-    def of(contact: Bool[ndarray, "T P"], weights: Float[ndarray, "P"] | None = None) -> PairwiseIou:
+    def of(
+        contact: Bool[ndarray, "T P"],
+        weights: Float[ndarray, "P"] | None = None,
+        articulation: Float[ndarray, "T"] | None = None,
+    ) -> PairwiseIou:
         """Of contact sets (frame, point); ``weights`` of the points, not negative, equal where left out."""
+        angle = np.zeros(len(contact)) if articulation is None else articulation
+        touched = contact.any(axis=0)
         if weights is None:
-            sets = contact.astype(np.float32)
-            return PairwiseIou(sets, sets, contact.sum(axis=1, dtype=float))
-        sets = contact.astype(float)
-        weighted = sets * np.round(weights * (2.0**50 / max(weights.sum(), 1e-300)))
-        return PairwiseIou(sets, weighted, weighted.sum(axis=1))
+            sets = contact[:, touched].astype(np.float32)
+            return PairwiseIou(sets, sets, sets.sum(axis=1, dtype=float), angle)
+        whole = np.round(weights * (2.0**50 / max(weights.sum(), 1e-300)))
+        sets = contact[:, touched].astype(float)
+        weighted = sets * whole[touched]
+        return PairwiseIou(sets, weighted, weighted.sum(axis=1), angle)
 
     def __len__(self) -> int:
         return len(self.sets)
@@ -58,7 +161,8 @@ class PairwiseIou:
         rows, columns = at
         both = (self.weighted[rows] @ self.sets[columns].T).astype(float)
         either = self.size[rows, None] + self.size[None, columns] - both
-        return np.divide(both, either, out=np.zeros_like(both), where=either > 0)
+        alike = np.abs(self.articulation[rows, None] - self.articulation[None, columns]) <= OPENED
+        return np.divide(both, either, out=np.zeros_like(both), where=alike & (either > 0))
 
 
 def contact_iou(contact: Bool[ndarray, "T P"], weights: Float[ndarray, "P"] | None = None) -> Float[ndarray, "T T"]:

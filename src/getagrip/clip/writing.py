@@ -67,6 +67,8 @@ def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Float[ndarray, "..."]]:
         out["T_cam_hand"] = truth.T_cam_hand
     if not np.array_equal(truth.hand_vertices, clip.hand.vertices):
         out["hand_vertices"] = truth.hand_vertices
+    if truth.articulation is not None:
+        out["articulation"] = truth.articulation
     return out
 
 

@@ -37,11 +37,11 @@ def reconstruct_clips(
         raise UsageError(f"--out: got {out}, which is no folder")
     jobs, failed = plan(paths, out, options, overwrite)
     for outcome in failed:
-        _tell(outcome, debug)
+        tell(outcome, debug)
     counts = {"done": 0, "kept": 0, "failed": len(failed)}
     with progress_bar() as bar:
         for outcome in _outcomes(jobs, workers, bar):
-            _tell(outcome, debug)
+            tell(outcome, debug)
             counts[outcome.state] += 1
     if len(jobs) + len(failed) > 1:
         print(f"{counts['done']} done, {counts['kept']} already done, {counts['failed']} failed")
@@ -84,7 +84,7 @@ def _show(bar: Progress, task: TaskID, name: str, stage: str, part: float) -> No
     bar.update(task, description=f"{name}: {stage}", completed=part)
 
 
-def _tell(outcome: Outcome, debug: bool) -> None:
+def tell(outcome: Outcome, debug: bool) -> None:
     """One line about a clip: failures on stderr, the rest on stdout."""
     failed = outcome.state == "failed"
     parts = ["failed"] * failed + [outcome.name] * bool(outcome.name) + [outcome.message]

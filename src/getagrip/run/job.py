@@ -53,12 +53,18 @@ def failure(name: str, error: Exception) -> Outcome:
 
 
 def plan(paths: Sequence[Path], out: Path, options: Options, overwrite: bool) -> tuple[list[Job], list[Outcome]]:
-    """A job for each clip, and the outcome of those that cannot have one.
+    """A job for each clip, and the outcome of those that cannot have one. Raises ``UsageError`` as ``by_name`` does."""
+    clips, failed = by_name(paths)
+    return [Job(name, clip, out / name, options, overwrite) for name, clip in clips.items()], failed
 
-    A path is a clip, or a folder of clips. Raises ``UsageError`` where two clips have the same name, and their results
-    thus the same folder.
+
+def by_name(paths: Sequence[Path]) -> tuple[dict[str, Path], list[Outcome]]:
+    """The folder of each clip by its name, and the outcome of those that have none.
+
+    A path is a clip, or a folder of clips. Raises ``UsageError`` where two clips have the same name: what is made of
+    them would have the same name too.
     """
-    jobs: dict[str, Job] = {}
+    found: dict[str, Path] = {}
     failed: list[Outcome] = []
     for path in paths:
         try:
@@ -72,10 +78,10 @@ def plan(paths: Sequence[Path], out: Path, options: Options, overwrite: bool) ->
             except InputError as error:
                 failed.append(failure(clip.name, error))
                 continue
-            if name in jobs:
-                raise UsageError(f"{clip} and {jobs[name].clip} are both named {name!r}; give one at a time")
-            jobs[name] = Job(name, clip, out / name, options, overwrite)
-    return list(jobs.values()), failed
+            if name in found:
+                raise UsageError(f"{clip} and {found[name]} are both named {name!r}; give one at a time")
+            found[name] = clip
+    return found, failed
 
 
 def clips_in(path: Path) -> list[Path]:
