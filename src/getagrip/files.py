@@ -14,7 +14,7 @@ import shutil
 import struct
 import tempfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -151,11 +151,11 @@ def _png_chunks(path: Path, content: bytes) -> Iterator[tuple[bytes, bytes]]:
         at += 12 + length
 
 
-def sha256(paths: Mapping[str, Path]) -> str:
-    """Checksum of some files by name, their names and lengths included."""
+def sha256(folder: Path, names: Iterable[str]) -> str:
+    """Checksum of some of a folder's files, their names and lengths included."""
     total = hashlib.sha256()
-    for name, path in paths.items():
-        content = read_bytes(path)
+    for name in names:
+        content = read_bytes(folder / name)
         total.update(f"{name}\0{len(content)}\0".encode())
         total.update(content)
     return total.hexdigest()

@@ -52,15 +52,6 @@ class Masks:
     object: Bool[ndarray, "T H W"]
     ignore: Bool[ndarray, "T H W"]
 
-    @property
-    def seen(self) -> Bool[ndarray, "T"]:
-        """Frames in which a pixel of the object is not ignored."""
-        return np.asarray((self.object & ~self.ignore).any(axis=(1, 2)))
-
-    def take(self, index: Int[ndarray, "n"]) -> Masks:
-        """The masks of some of the frames, in the given order."""
-        return Masks(self.object[index], self.ignore[index])
-
 
 @dataclass(frozen=True)
 class Clip:
@@ -105,13 +96,16 @@ class Clip:
         return replace(self, frames=frames, K=self.K[index], hand=hand, truth=truth)
 
 
-def seen_frames(clip: Clip, seen: Bool[ndarray, "T"]) -> Int[ndarray, "n"]:
-    """Indices of the frames in which something of the object is seen.
+def seen_frames(clip: Clip, masks: Masks) -> tuple[Clip, Masks, tuple[str, ...]]:
+    """The clip and its masks without the frames in which nothing of the object is seen, and their names.
 
-    Raises ``InputError`` for fewer than two: one silhouette says nothing about a motion.
+    Raises ``InputError`` when fewer than two frames are left: one silhouette says nothing about a motion.
     """
-    index = np.flatnonzero(seen)
-    if len(index) < 2:
-        given = f"{len(index)} of {len(clip)} masks with a pixel that is not ignored"
+    seen = np.flatnonzero((masks.object & ~masks.ignore).any(axis=(1, 2)))
+    if len(seen) == len(clip):
+        return clip, masks, ()
+    if len(seen) < 2:
+        given = f"{len(seen)} of {len(clip)} masks with a pixel that is not ignored"
         raise InputError(clip.folder / "masks" / "object", "", given, "at least 2")
-    return index
+    dropped = tuple(name for n, name in enumerate(clip.frames) if n not in set(seen))
+    return clip.take(seen), Masks(masks.object[seen], masks.ignore[seen]), dropped

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip import arrays, files, se3
-from getagrip.clip.data import FINGERS, Clip, HandTrack, Truth
+from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth
 from getagrip.errors import InputError
 from getagrip.mesh import Mesh, check_size, read_mesh
 
@@ -34,7 +34,7 @@ def read_clip(folder: str | Path) -> Clip:
     fields = _fields(folder)
     frames = _frame_names(path, fields["frames"])
     size = _size(path, fields["size"])
-    mesh = read_mesh(_mesh(folder, fields))
+    mesh = read_mesh(files.inside(folder, fields["mesh"], "mesh", "a triangle mesh", given_in=path))
     hand = _read_hand(folder, len(frames))
     has_truth = (folder / "truth.npz").exists() or (folder / "truth.npz").is_symlink()
     return Clip(
@@ -60,20 +60,35 @@ def read_name(folder: str | Path) -> str:
     return name
 
 
-def input_sha256(folder: str | Path) -> str:
-    """Checksum of what a reconstruction depends on: ``clip.json``, hands, mesh and masks; not images, not truth.
+def read_masks(clip: Clip) -> Masks:
+    """Read and check the masks of a clip's frames.
 
-    Raises ``InputError`` where one of them is missing.
+    Raises ``InputError`` for a missing or unsuitable image, and where no frame shows the object. The folder
+    ``masks/ignore`` may be absent; where it is there, it has an image for each frame.
     """
+    width, height = clip.size
+    seen = np.zeros((len(clip), height, width), dtype=bool)
+    ignore = np.zeros_like(seen)
+    for n, name in enumerate(clip.frames):
+        seen[n] = files.read_png(_mask(clip.folder, "object", name), clip.size) != 0
+    if not seen.any():
+        folder = clip.folder / "masks" / "object"
+        raise InputError(folder, "", f"{len(clip)} masks without a pixel", "masks that show the object")
+    if (clip.folder / "masks" / "ignore").exists():
+        for n, name in enumerate(clip.frames):
+            ignore[n] = files.read_png(_mask(clip.folder, "ignore", name), clip.size) != 0
+    return Masks(seen, ignore)
+
+
+def input_sha256(folder: str | Path) -> str:
+    """Checksum of what a reconstruction depends on: ``clip.json``, hands, mesh and masks; not images, not truth."""
     folder = _folder(folder)
     fields = _fields(folder)
-    hand = files.inside(folder, "hand.npz", "", "the hands of a clip")
-    paths = {"clip.json": folder / "clip.json", "hand.npz": hand, fields["mesh"]: _mesh(folder, fields)}
+    names = ["clip.json", "hand.npz", fields["mesh"]]
     for kind in ("object", "ignore"):
         if (folder / "masks" / kind).exists():
-            names = [f"masks/{kind}/{name}.png" for name in _frame_names(folder / "clip.json", fields["frames"])]
-            paths |= {name: files.inside(folder, name, "", "a mask for each frame of clip.json") for name in names}
-    return files.sha256(paths)
+            names += [f"masks/{kind}/{frame}.png" for frame in _frame_names(folder / "clip.json", fields["frames"])]
+    return files.sha256(folder, names)
 
 
 def _folder(path: str | Path) -> Path:
@@ -82,9 +97,9 @@ def _folder(path: str | Path) -> Path:
     return path.parent if path.name == "clip.json" else path
 
 
-def _mesh(folder: Path, fields: dict[str, Any]) -> Path:
-    """The path of the mesh, checked."""
-    return files.inside(folder, fields["mesh"], "mesh", "a triangle mesh", given_in=folder / "clip.json")
+def _mask(folder: Path, kind: str, frame: str) -> Path:
+    """The path of a mask, checked."""
+    return files.inside(folder, f"masks/{kind}/{frame}.png", "", "a mask for each frame of clip.json")
 
 
 def _fields(folder: Path) -> dict[str, Any]:
