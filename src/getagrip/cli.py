@@ -13,6 +13,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg, subcommand
 
 from getagrip.errors import GetagripError, UsageError
+from getagrip.options import Method
 
 Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
 Results = Annotated[Positional[tuple[Path, ...]], arg(metavar="RESULT...", help_behavior_hint="")]
@@ -55,8 +56,9 @@ class Reconstruct(Command):
     """Clip folders, or folders of clips."""
     out: Folder
     """Where the results go: a folder for each clip, of the clip's name. Those that are there already are kept."""
-    method: Literal["one-dof", "soft-hinge", "static", "dynamic"] = "soft-hinge"
-    """How the object may move in the hand: about one axis (the paper's), a little off it too, not at all, freely."""
+    method: Method = "soft-hinge"
+    """How the object may move in the hand: about one axis (the paper's), a little off it too, not at all, freely. The
+    last three are other people's methods, to compare with."""
     inits: Annotated[int, arg(metavar="N")] = 50
     """Rotations to start from, spread evenly."""
     seed: Annotated[int, arg(metavar="S")] = 0

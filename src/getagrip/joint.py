@@ -15,23 +15,24 @@ from getagrip.objective import energy_of
 from getagrip.options import Options
 from getagrip.problem import Found, Problem
 from getagrip.result import Axis
-from getagrip.search import Schedule, hinge_from, search
+from getagrip.search import Schedule, TermsAt, hinge_from, search
 from getagrip.solve import Status
 from getagrip.starts import starting_poses
 
 
-def fit(problem: Problem, watch: Callable[[str], None]) -> Found:
-    """Take the motion model of the problem's method through all stages of the search.
+def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = None) -> Found:
+    """Take the motion model of the problem's method through all stages of the search, with ``more`` terms if given.
 
     ``watch`` is told the name of each stage when it ends. Raises ``GetagripError`` when nothing can be rendered.
     """
     clip, options, centre = problem.clip, problem.options, problem.clip.mesh.centre
+    energy = energy_of(clip, problem.observation, options.push, options.pull)
     solution = search(
         starts=starting_poses(clip, problem.masks, options.inits, options.seed),
         model=_model(options),
-        terms_at=energy_of(clip, problem.observation, options.push, options.pull),
+        terms_at=energy if more is None else lambda stage, index: [*energy(stage, index), *more(stage, index)],
         T_cam_hand=clip.hand.T_cam_hand,
-        corners=_box(clip.mesh.vertices - centre),
+        corners=box(clip.mesh.vertices - centre),
         schedule=Schedule().softened() if options.method == "soft-hinge" else Schedule(),
         watch=watch,
     )
@@ -72,7 +73,7 @@ def _axis(motion: Motion) -> Axis | None:
     return Axis(hinge.point[0], hinge.direction[0], hinge.angle[0])
 
 
-def _box(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "8 3"]:
+def box(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "8 3"]:
     """Corners of the bounding box, the first and the last opposite."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     return np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)])

@@ -8,7 +8,7 @@ from typing import Literal
 
 from getagrip.errors import UsageError
 
-Method = Literal["one-dof", "soft-hinge", "static", "dynamic"]
+Method = Literal["one-dof", "soft-hinge", "static", "dynamic", "single-frame", "homan", "contact-consistency"]
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,8 @@ class Options:
 
     method: Method = "soft-hinge"
     """How the object may move in the hand: turn about one axis, as in the paper (one-dof); deviate from that a little
-    in each frame (soft-hinge); not at all (static); freely (dynamic)."""
+    in each frame (soft-hinge); not at all (static); freely (dynamic). Or as others do it: each frame on its own
+    (single-frame); HOMan (homan); freely, but for distances to the hand that stay (contact-consistency)."""
     inits: int = 50
     """Starting rotations, spread evenly over all rotations; 50 is about the least, 100 is safe."""
     seed: int = 0

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from getagrip import joint
 from getagrip.clip import Clip, Masks
 from getagrip.options import Options
-from getagrip.problem import Clock, answer, prepare
+from getagrip.problem import Clock, Found, Problem, answer, prepare
 from getagrip.result import Reconstruction
 
 
@@ -22,4 +22,23 @@ def reconstruct(
     clock = Clock(progress)
     problem = prepare(clip, masks, options or Options())
     clock("prepare")
-    return answer(problem, joint.fit(problem, clock), clock)
+    return answer(problem, _fit(problem, clock), clock)
+
+
+def _fit(problem: Problem, watch: Callable[[str], None]) -> Found:
+    """The solutions of the method that the options name."""
+    match problem.options.method:
+        case "single-frame":
+            from getagrip.baselines import single_frame
+
+            return single_frame.fit(problem, watch)
+        case "homan":
+            from getagrip.baselines import homan
+
+            return homan.fit(problem, watch)
+        case "contact-consistency":
+            from getagrip.baselines import contact_consistency
+
+            return contact_consistency.fit(problem, watch)
+        case _:
+            return joint.fit(problem, watch)

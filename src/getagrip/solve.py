@@ -2,7 +2,7 @@
 
 The energy is a sum of terms over frames plus the motion model's own prior. Terms give gradient and Hessian by each
 frame's local 7-vector, the motion model its Jacobian; here they are summed, the per-frame parameters are eliminated
-(Schur complement), and a step is kept only if the energy itself has fallen.
+(Schur complement; not where a term ties frames to each other), and a step is kept only if the energy itself has fallen.
 """
 
 from __future__ import annotations
@@ -161,9 +161,15 @@ def _step(
     H_ss, g_s = A[..., :S, :S].sum(axis=1), b[..., :S].sum(axis=1)
     H_sl, H_ll, g_l = A[..., :S, S:], A[..., S:, S:], b[..., S:] + prior.g
     H_ll = H_ll + np.diag(prior.diagonal)
+    across = None
+    if state.local.across is not None:
+        across = Jt[:, :, None] @ state.local.across @ J_cam[:, None]
+        H_ss = H_ss + across[..., :S, :S].sum(axis=(1, 2))
     H_ss = H_ss + _diagonal(lam[:, None] * (np.diagonal(H_ss, axis1=-2, axis2=-1) + _FLOOR))
     H_ll = H_ll + _diagonal(lam[:, None, None] * (np.diagonal(H_ll, axis1=-2, axis2=-1) + _FLOOR))
-    if L == 0:
+    if across is not None:
+        shared, local = _coupled(H_ss, H_sl + across[..., :S, S:].sum(axis=1), H_ll, across[..., S:, S:], g_s, g_l)
+    elif L == 0:
         shared, local = -np.linalg.solve(H_ss, g_s[..., None])[..., 0], np.zeros((*b.shape[:2], 0))
     else:
         right = np.concatenate([np.swapaxes(H_sl, -1, -2), g_l[..., None]], axis=-1)
@@ -180,13 +186,35 @@ def _step(
     return shared * shrink[:, None], local * shrink[:, None, None]
 
 
+def _coupled(
+    H_ss: Float[ndarray, "B S S"],
+    H_sl: Float[ndarray, "B N S L"],
+    H_ll: Float[ndarray, "B N L L"],
+    across: Float[ndarray, "B N N L L"],
+    g_s: Float[ndarray, "B S"],
+    g_l: Float[ndarray, "B N L"],
+) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
+    """The step where terms tie frames to each other: nothing can be eliminated, the system is solved as it is."""
+    B, N, L = g_l.shape
+    S = g_s.shape[1]
+    n = np.arange(N)
+    A = np.empty((B, S + N * L, S + N * L))
+    A[:, :S, :S] = H_ss
+    A[:, :S, S:] = np.swapaxes(H_sl, 1, 2).reshape(B, S, N * L)
+    A[:, S:, :S] = np.swapaxes(A[:, :S, S:], 1, 2)
+    blocks = across.copy()
+    blocks[:, n, n] += H_ll
+    A[:, S:, S:] = np.swapaxes(blocks, 2, 3).reshape(B, N * L, N * L)
+    step = -np.linalg.solve(A, np.concatenate([g_s, g_l.reshape(B, N * L)], axis=1)[..., None])[..., 0]
+    return step[:, :S], step[:, S:].reshape(B, N, L)
+
+
 def _diagonal(values: Float[ndarray, "*batch n"]) -> Float[ndarray, "*batch n n"]:
     return values[..., None] * np.eye(values.shape[-1])
 
 
 def _take(state: _State[M], index: ndarray) -> _State[M]:
-    local = Local(state.local.value[index], state.local.g[index], state.local.H[index])
-    return _State(state.motion.take(index), local, state.terms[index])
+    return _State(state.motion.take(index), state.local.take(index), state.terms[index])
 
 
 def _merge(state: _State[M], trial: _State[M], active: ndarray, better: Bool[ndarray, "n"]) -> _State[M]:
@@ -201,5 +229,7 @@ def _merge(state: _State[M], trial: _State[M], active: ndarray, better: Bool[nda
     motion = trial.motion.take(position).where(accepted, state.motion)
     local, new = state.local, trial.local
     local.value[rows], local.g[rows], local.H[rows] = new.value[better], new.g[better], new.H[better]
+    if local.across is not None and new.across is not None:
+        local.across[rows] = new.across[better]
     state.terms[rows] = trial.terms[better]
     return _State(motion, local, state.terms)

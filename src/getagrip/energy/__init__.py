@@ -30,9 +30,18 @@ class Local:
     value: Float[ndarray, "B N"]
     g: Float[ndarray, "B N 7"]
     H: Float[ndarray, "B N 7 7"]
+    across: Float[ndarray, "B N N 7 7"] | None = None
+    """The Hessian between frames, of terms that tie frames to each other; nothing in ``[:, n, n]``, which is ``H``."""
 
     def __add__(self, other: Local) -> Local:
-        return Local(self.value + other.value, self.g + other.g, self.H + other.H)
+        across = [a for a in (self.across, other.across) if a is not None]
+        total = across[0] + across[1] if len(across) == 2 else across[0] if across else None
+        return Local(self.value + other.value, self.g + other.g, self.H + other.H, total)
+
+    def take(self, index: ndarray) -> Local:
+        """Some of the hypotheses."""
+        across = None if self.across is None else self.across[index]
+        return Local(self.value[index], self.g[index], self.H[index], across)
 
 
 class Term(Protocol):

@@ -1,0 +1,1 @@
+"""What the method is compared with: each ``fit(problem, watch) -> Found``, as in ``joint``."""
