@@ -130,16 +130,23 @@ class Segment(Command):
 class Import(Command):
     """Make clips from other people's layouts."""
 
-    source: Positional[Literal["hot3d"]]
-    """hot3d: raw HOT3D recordings, every hold of an object by a hand."""
+    source: Positional[Literal["hot3d", "dexycb"]]
+    """hot3d: raw HOT3D recordings, every hold of an object by a hand. dexycb: DexYCB or a packed file of its sequences,
+    every stable grasp that is seen."""
     root: Annotated[Positional[Path], arg(metavar="ROOT")]
     """The folder that holds them, as it came."""
     out: Folder
     """Where the clips go, a folder each."""
+    meshes: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: ROOT/models)")] = None
+    """Folder of the YCB models; for dexycb only."""
 
     def run(self) -> int:
-        from getagrip.run.imports import import_hot3d
+        from getagrip.run.imports import import_dexycb, import_hot3d
 
+        if self.source == "dexycb":
+            return import_dexycb(self.root, self.meshes, self.out, self.debug)
+        if self.meshes is not None:
+            raise UsageError("--meshes: got a folder, expected none: HOT3D's meshes are in ROOT")
         return import_hot3d(self.root, self.out)
 
 
