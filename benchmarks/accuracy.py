@@ -14,7 +14,7 @@ from statistics import mean, median
 import numpy as np
 
 from getagrip import se3
-from getagrip.clip import Clip, Masks, seen_frames
+from getagrip.clip import Clip, Masks
 from getagrip.datasets.categories import CATEGORIES
 from getagrip.datasets.synthetic import Options as ClipOptions
 from getagrip.datasets.synthetic import synthesise
@@ -57,7 +57,6 @@ class Score:
 
 def score(category: str, clip: Clip, masks: Masks) -> Score:
     """Reconstruct a clip and compare with its truth."""
-    clip, masks, _ = seen_frames(clip, masks)
     result = reconstruct(clip, masks)
     index = [clip.frames.index(name) for name in result.frames]
     truth = clip.truth

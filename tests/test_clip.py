@@ -20,7 +20,18 @@ from conftest import small_clip
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks, read_name, seen_frames, write_clip
+from getagrip import files
+from getagrip.clip import (
+    Clip,
+    Masks,
+    input_sha256,
+    read_clip,
+    read_masks,
+    read_name,
+    read_seen,
+    seen_frames,
+    write_clip,
+)
 from getagrip.errors import InputError, UsageError
 
 Break = Callable[[Path], None]
@@ -135,15 +146,37 @@ def test_unseen_frames_are_dropped_and_named() -> None:
     clip, masks = small_clip(4)
     masks.object[1] = False
     masks.ignore[2] = True
-    short, fewer, dropped = seen_frames(clip, masks)
-    assert (short.frames, dropped) == (("0000", "0003"), ("0001", "0002"))
-    assert len(fewer.object) == len(fewer.ignore) == len(short.hand.vertices) == 2
+    short = seen_frames(clip, masks.seen)
+    assert (short.frames, short.left_out) == (("0000", "0003"), ("0001", "0002"))
+    assert len(short.hand.vertices) == 2
+
+
+@given(hidden=st.lists(st.booleans(), min_size=5, max_size=5))
+def test_reading_some_frames_is_reading_all_and_choosing(five_frames: Path, hidden: list[bool]) -> None:
+    clip = read_clip(five_frames)
+    whole = read_masks(clip)
+    np.testing.assert_array_equal(read_seen(clip), whole.seen)
+    index = np.flatnonzero(hidden)
+    if index.size:
+        some = read_masks(clip.take(index))
+        np.testing.assert_array_equal(some.object, whole.object[index])
+        np.testing.assert_array_equal(some.ignore, whole.ignore[index])
+
+
+@pytest.fixture(scope="module")
+def five_frames(tmp_path_factory: Any) -> Path:
+    """A clip whose frames differ, and of which the object is hidden in one."""
+    clip, masks = small_clip(5)
+    for n in range(5):
+        masks.object[n] = np.roll(masks.object[n], n, axis=1)
+    masks.ignore[3] = True
+    return write_clip(clip, masks, tmp_path_factory.mktemp("five") / "small")
 
 
 def test_one_seen_frame_is_too_few(refused: Refused) -> None:
     clip, masks = small_clip(3)
     masks.object[1:] = False
-    refused(lambda: seen_frames(clip, masks), "masks/object", "1 of 3 masks", "at least 2")
+    refused(lambda: seen_frames(clip, masks.seen), "masks/object", "1 of 3 masks", "at least 2")
 
 
 # Everything that can be wrong. Each case: how to break the clip, the file that is named, and words of the message.
@@ -310,6 +343,8 @@ BROKEN: dict[str, tuple[Break, str, tuple[str, ...]]] = {
     "size negative": (edit_json(size=[32, -24]), "clip.json: size", ("-24",)),
     "size huge": (edit_json(size=[10**9, 24]), "clip.json: size", ()),
     "size swapped": (edit_json(size=[24, 32]), "masks/object/0000.png: size", ("32 x 24", "24 x 32")),
+    "size of a continent": (edit_json(size=[16384, 16384]), "clip.json: size", ("million pixels",)),
+    "frames many times": (edit_json(frames=["0000", *["0001"] * 10**5]), "clip.json: frames", ("'0001' twice",)),
     "camera a list": (edit_json(camera=[1]), "clip.json: camera", ("3x3",)),
     "camera with more": (edit_json(camera={"K": K, "k1": 0.1}), "clip.json: camera", ()),
     "K for two frames": (edit_json(camera={"K": [K, K]}), "clip.json: camera.K", ("2 matrices", "3 frames")),
@@ -320,7 +355,20 @@ BROKEN: dict[str, tuple[Break, str, tuple[str, ...]]] = {
     "K too deep": (edit_json(camera={"K": [[K]]}), "clip.json: camera.K", ("3x3",)),
     "focal zero": (edit_json(camera={"K": [[0, 0, 16], *K[1:]]}), "clip.json: camera.K", ("focal", "got")),
     "focal negative": (edit_json(camera={"K": [[-40, 0, 16], *K[1:]]}), "clip.json: camera.K", ("-40",)),
-    "focal of unit images": (edit_json(camera={"K": [[0.9, 0, 0.5], [0, 0.9, 0.5], K[2]]}), "camera.K", ("pixels",)),
+    "focal of unit images": (
+        edit_json(camera={"K": [[0.9, 0, 0.5], [0, 0.9, 0.5], K[2]]}),
+        "camera.K",
+        ("0.9", "1.6 to 3200 px"),
+    ),
+    "focal tiny": (edit_json(camera={"K": [[40, 0, 16], [0, 1, 12], K[2]]}), "clip.json: camera.K", ("32 x 24",)),
+    "focal vast": (edit_json(camera={"K": [[1e5, 0, 16], *K[1:]]}), "clip.json: camera.K", ("100000", "3200")),
+    "centre far": (edit_json(camera={"K": [[40, 0, 1e6], *K[1:]]}), "clip.json: camera.K", ("1e+06, 12", "-32 to 64")),
+    "centre beyond": (edit_json(camera={"K": [[40, 0, -33], *K[1:]]}), "clip.json: camera.K", ("-33, 12",)),
+    "centre of one": (
+        edit_json(camera={"K": [K, K, [K[0], [0, 41, 49], K[2]]]}),
+        "clip.json: camera.K",
+        ("principal point 16, 49", "-24 to 48"),
+    ),
     "K transposed": (edit_json(camera={"K": np.transpose(K).tolist()}), "clip.json: camera.K", ("[0, 0, 1]",)),
     "K with shear": (edit_json(camera={"K": [[40, 2, 16], *K[1:]]}), "clip.json: camera.K", ("without shear",)),
     # the mesh
@@ -389,7 +437,23 @@ BROKEN: dict[str, tuple[Break, str, tuple[str, ...]]] = {
     "hand behind": (
         edit_npz("hand.npz", T_cam_hand=at((2, 2, 3), -0.5)),
         "hand.npz: T_cam_hand",
-        ("behind", "frame 2"),
+        ("behind", "frame 2", "inverse"),
+    ),
+    "hand in the camera": (edit_npz("hand.npz", T_cam_hand=at((1, 2, 3), 0.02)), "T_cam_hand", ("at least 0.05 m",)),
+    "hand in the camera's frame": (
+        edit_npz("hand.npz", vertices=lambda v: v + np.array([0.0, 0.0, 0.5])),
+        "hand.npz: vertices",
+        ("0.5 m from the origin", "are these camera coordinates", "apply again"),
+    ),
+    "joints in the camera's frame": (
+        edit_npz("hand.npz", joints=lambda j: j + np.array([0.0, 0.0, 0.5])),
+        "hand.npz: joints",
+        ("are these camera coordinates",),
+    ),
+    "hand never in view": (
+        edit_npz("hand.npz", T_cam_hand=lambda T: T + 0.9 * at((slice(None), 0, 3), 1)(np.zeros_like(T))),
+        "hand.npz: T_cam_hand",
+        ("outside the image in every frame", "32 x 24", "camera"),
     ),
     "hand far away": (edit_npz("hand.npz", T_cam_hand=at((2, 2, 3), 500)), "hand.npz: T_cam_hand", ("millimetres?",)),
     "joints of 20": (edit_npz("hand.npz", joints=lambda j: j[:, :20]), "hand.npz: joints", ("(3, 20, 3)",)),
@@ -443,6 +507,31 @@ def test_each_fault_is_named_in_one_line(clip_folder: Path, refused: Refused, ca
     breaks, culprit, words = BROKEN[case]
     breaks(clip_folder)
     refused(lambda: read_all(clip_folder), culprit, *words)
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_the_checksum_of_a_broken_clip_is_refused_or_reads_nothing_else(clip_folder: Path, case: str) -> None:
+    """Whatever the clip says, only files inside it are opened."""
+    BROKEN[case][0](clip_folder)
+    opened: list[Path] = []
+    read = files.read_bytes
+    with pytest.MonkeyPatch.context() as patch, suppress(InputError):
+        patch.setattr(files, "read_bytes", lambda path, *limit: opened.append(path) or read(path, *limit))
+        input_sha256(clip_folder)
+    assert all(path.resolve().is_relative_to(clip_folder.resolve()) for path in opened)
+
+
+def test_the_checksum_names_what_is_missing(clip_folder: Path, refused: Refused) -> None:
+    for file in ("masks/object/0001.png", "object.obj", "hand.npz", "clip.json"):
+        (clip_folder / file).unlink()
+        refused(lambda: input_sha256(clip_folder), file, "no such file")
+
+
+def test_hands_at_the_border_are_real(clip_folder: Path) -> None:
+    """Half out of the image in every frame, and wholly out of it in some."""
+    edit_npz("hand.npz", T_cam_hand=at((slice(None), 0, 3), 0.25))(clip_folder)
+    edit_npz("hand.npz", T_cam_hand=at((1, 0, 3), 3.0))(clip_folder)
+    read_clip(clip_folder)
 
 
 def test_no_folder(tmp_path: Path, refused: Refused) -> None:

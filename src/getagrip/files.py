@@ -14,7 +14,8 @@ import shutil
 import struct
 import tempfile
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -91,8 +92,7 @@ def read_json(path: Path) -> dict[str, Any]:
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         out = dict(pairs)
         if len(out) < len(pairs):
-            keys = [key for key, _ in pairs]
-            twice = next(key for key in keys if keys.count(key) > 1)
+            twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
             raise InputError(path, plain(twice), "the key twice", "each key once")
         return out
 
@@ -151,11 +151,11 @@ def _png_chunks(path: Path, content: bytes) -> Iterator[tuple[bytes, bytes]]:
         at += 12 + length
 
 
-def sha256(folder: Path, names: Iterable[str]) -> str:
-    """Checksum of some of a folder's files, their names and lengths included."""
+def sha256(paths: Mapping[str, Path]) -> str:
+    """Checksum of some files by name, their names and lengths included."""
     total = hashlib.sha256()
-    for name in names:
-        content = read_bytes(folder / name)
+    for name, path in paths.items():
+        content = read_bytes(path)
         total.update(f"{name}\0{len(content)}\0".encode())
         total.update(content)
     return total.hexdigest()

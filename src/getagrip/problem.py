@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip import se3
-from getagrip.clip import Clip, Masks, seen_frames
+from getagrip.clip import Clip, Masks, read_masks, read_seen, seen_frames
 from getagrip.contact import distances, solid
 from getagrip.energy.mask import Surface
 from getagrip.hidden import hidden_by_hand
@@ -55,14 +55,26 @@ class Found:
     """The best one's, where the method has one."""
 
 
+def read_sampled(clip: Clip, frames: int) -> tuple[Clip, Masks]:
+    """The frames of a clip that ``prepare`` uses, and their masks: the others' are read one by one, and not kept."""
+    if len(clip) > frames:
+        clip = seen_frames(clip, read_seen(clip))
+        clip = clip.take(spread(len(clip), frames))
+    return clip, read_masks(clip)
+
+
 def prepare(clip: Clip, masks: Masks, options: Options) -> Problem:
     """Leave out frames without an object, sample the rest linearly, crop. Raises ``InputError`` for fewer than 2."""
-    clip, masks, dropped = seen_frames(clip, masks)
+    seen = masks.seen
+    clip = seen_frames(clip, seen)
     index = spread(len(clip), options.frames)
-    clip, masks = clip.take(index), Masks(masks.object[index], masks.ignore[index])
+    clip = clip.take(index)
+    if len(clip) < len(seen):
+        masks = masks.take(np.flatnonzero(seen)[index])
     notes = []
-    if dropped:
-        notes.append(f"{len(dropped)} frames without a visible object were left out: {', '.join(dropped)}")
+    if clip.left_out:
+        names = ", ".join(clip.left_out)
+        notes.append(f"{len(clip.left_out)} frames without a visible object were left out: {names}")
     if options.occlusion and not masks.ignore.any():
         masks = hidden_by_hand(clip, masks)
         notes.append("no ignore masks: what the drawn hand covers outside the object's mask counts as hidden")

@@ -7,20 +7,27 @@ from collections.abc import Callable
 from getagrip import joint
 from getagrip.clip import Clip, Masks
 from getagrip.options import Options
-from getagrip.problem import Clock, Found, Problem, answer, prepare
+from getagrip.problem import Clock, Found, Problem, answer, prepare, read_sampled
 from getagrip.result import Reconstruction
 
 
 def reconstruct(
-    clip: Clip, masks: Masks, options: Options | None = None, progress: Callable[[str, float], None] | None = None
+    clip: Clip,
+    masks: Masks | None = None,
+    options: Options | None = None,
+    progress: Callable[[str, float], None] | None = None,
 ) -> Reconstruction:
     """Find the object's pose in the hand in every frame by comparing rendered and observed masks (Eq. 4).
 
+    ``masks`` are those of the clip's frames; without them, those of the frames that are used are read from its folder.
     ``progress`` is called with the name of the stage that has ended and the fraction done. Raises ``InputError`` when
     the object is seen in fewer than two frames and ``GetagripError`` when nothing can be rendered.
     """
+    options = options or Options()
+    if masks is None:
+        clip, masks = read_sampled(clip, options.frames)
     clock = Clock(progress)
-    problem = prepare(clip, masks, options or Options())
+    problem = prepare(clip, masks, options)
     clock("prepare")
     return answer(problem, _fit(problem, clock), clock)
 

@@ -1,7 +1,8 @@
 """Clips: what they hold, and their folders, whose format is fixed (docs/formats.md)."""
 
 from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth, seen_frames
-from getagrip.clip.reading import input_sha256, read_clip, read_masks, read_name
+from getagrip.clip.masks import read_masks, read_seen
+from getagrip.clip.reading import input_sha256, read_clip, read_name
 from getagrip.clip.writing import write_clip
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "read_clip",
     "read_masks",
     "read_name",
+    "read_seen",
     "seen_frames",
     "write_clip",
 ]

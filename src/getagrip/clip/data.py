@@ -52,6 +52,15 @@ class Masks:
     object: Bool[ndarray, "T H W"]
     ignore: Bool[ndarray, "T H W"]
 
+    @property
+    def seen(self) -> Bool[ndarray, "T"]:
+        """Frames in which a pixel of the object is not ignored."""
+        return np.asarray((self.object & ~self.ignore).any(axis=(1, 2)))
+
+    def take(self, index: Int[ndarray, "n"]) -> Masks:
+        """The masks of some of the frames, in the given order."""
+        return Masks(self.object[index], self.ignore[index])
+
 
 @dataclass(frozen=True)
 class Clip:
@@ -73,6 +82,8 @@ class Clip:
     hand: HandTrack
     truth: Truth | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    """Names of frames that are gone because nothing of the object is seen in them (``seen_frames``)."""
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -96,16 +107,13 @@ class Clip:
         return replace(self, frames=frames, K=self.K[index], hand=hand, truth=truth)
 
 
-def seen_frames(clip: Clip, masks: Masks) -> tuple[Clip, Masks, tuple[str, ...]]:
-    """The clip and its masks without the frames in which nothing of the object is seen, and their names.
+def seen_frames(clip: Clip, seen: Bool[ndarray, "T"]) -> Clip:
+    """The clip at the frames in which something of the object is seen.
 
-    Raises ``InputError`` when fewer than two frames are left: one silhouette says nothing about a motion.
+    Raises ``InputError`` for fewer than two: one silhouette says nothing about a motion.
     """
-    seen = np.flatnonzero((masks.object & ~masks.ignore).any(axis=(1, 2)))
-    if len(seen) == len(clip):
-        return clip, masks, ()
-    if len(seen) < 2:
-        given = f"{len(seen)} of {len(clip)} masks with a pixel that is not ignored"
+    if seen.sum() < 2:
+        given = f"{seen.sum()} of {len(clip)} masks with a pixel that is not ignored"
         raise InputError(clip.folder / "masks" / "object", "", given, "at least 2")
-    dropped = tuple(name for n, name in enumerate(clip.frames) if n not in set(seen))
-    return clip.take(seen), Masks(masks.object[seen], masks.ignore[seen]), dropped
+    unseen = tuple(name for name, is_seen in zip(clip.frames, seen, strict=True) if not is_seen)
+    return replace(clip.take(np.flatnonzero(seen)), left_out=(*clip.left_out, *unseen))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +11,16 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip import arrays, files, se3
-from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth
+from getagrip import arrays, files
+from getagrip.clip.data import FINGERS, Clip, HandTrack, Truth
+from getagrip.clip.plausible import check_in_hand, check_in_view, check_intrinsics, check_poses
 from getagrip.errors import InputError
 from getagrip.mesh import Mesh, check_size, read_mesh
 
 VERSION = 1
 REQUIRED = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")
-FARTHEST = 20.0
-"""Plausible distance of a hand from the camera [m]."""
-LARGEST_IMAGE = 16384
-"""Plausible side of an image [px]."""
+LARGEST_SIDE, LARGEST_IMAGE = 16384, 40_000_000
+"""Plausible side [px] and number of pixels of an image; of video, 8K has the most."""
 
 
 def read_clip(folder: str | Path) -> Clip:
@@ -34,8 +34,10 @@ def read_clip(folder: str | Path) -> Clip:
     fields = _fields(folder)
     frames = _frame_names(path, fields["frames"])
     size = _size(path, fields["size"])
-    mesh = read_mesh(files.inside(folder, fields["mesh"], "mesh", "a triangle mesh", given_in=path))
+    mesh = read_mesh(_mesh(folder, fields))
+    K = _intrinsics(path, fields["camera"], len(frames), size)
     hand = _read_hand(folder, len(frames))
+    check_in_view(folder / "hand.npz", hand, K, size)
     has_truth = (folder / "truth.npz").exists() or (folder / "truth.npz").is_symlink()
     return Clip(
         folder=folder,
@@ -45,7 +47,7 @@ def read_clip(folder: str | Path) -> Clip:
         fps=float(fields["fps"]),
         frames=frames,
         size=size,
-        K=_intrinsics(path, fields["camera"], len(frames), size),
+        K=K,
         mesh=mesh,
         scale=fields["scale"],
         hand=hand,
@@ -60,35 +62,20 @@ def read_name(folder: str | Path) -> str:
     return name
 
 
-def read_masks(clip: Clip) -> Masks:
-    """Read and check the masks of a clip's frames.
-
-    Raises ``InputError`` for a missing or unsuitable image, and where no frame shows the object. The folder
-    ``masks/ignore`` may be absent; where it is there, it has an image for each frame.
-    """
-    width, height = clip.size
-    seen = np.zeros((len(clip), height, width), dtype=bool)
-    ignore = np.zeros_like(seen)
-    for n, name in enumerate(clip.frames):
-        seen[n] = files.read_png(_mask(clip.folder, "object", name), clip.size) != 0
-    if not seen.any():
-        folder = clip.folder / "masks" / "object"
-        raise InputError(folder, "", f"{len(clip)} masks without a pixel", "masks that show the object")
-    if (clip.folder / "masks" / "ignore").exists():
-        for n, name in enumerate(clip.frames):
-            ignore[n] = files.read_png(_mask(clip.folder, "ignore", name), clip.size) != 0
-    return Masks(seen, ignore)
-
-
 def input_sha256(folder: str | Path) -> str:
-    """Checksum of what a reconstruction depends on: ``clip.json``, hands, mesh and masks; not images, not truth."""
+    """Checksum of what a reconstruction depends on: ``clip.json``, hands, mesh and masks; not images, not truth.
+
+    Raises ``InputError`` where one of them is missing.
+    """
     folder = _folder(folder)
     fields = _fields(folder)
-    names = ["clip.json", "hand.npz", fields["mesh"]]
+    hand = files.inside(folder, "hand.npz", "", "the hands of a clip")
+    paths = {"clip.json": folder / "clip.json", "hand.npz": hand, fields["mesh"]: _mesh(folder, fields)}
     for kind in ("object", "ignore"):
         if (folder / "masks" / kind).exists():
-            names += [f"masks/{kind}/{frame}.png" for frame in _frame_names(folder / "clip.json", fields["frames"])]
-    return files.sha256(folder, names)
+            names = [f"masks/{kind}/{name}.png" for name in _frame_names(folder / "clip.json", fields["frames"])]
+            paths |= {name: files.inside(folder, name, "", "a mask for each frame of clip.json") for name in names}
+    return files.sha256(paths)
 
 
 def _folder(path: str | Path) -> Path:
@@ -97,9 +84,9 @@ def _folder(path: str | Path) -> Path:
     return path.parent if path.name == "clip.json" else path
 
 
-def _mask(folder: Path, kind: str, frame: str) -> Path:
-    """The path of a mask, checked."""
-    return files.inside(folder, f"masks/{kind}/{frame}.png", "", "a mask for each frame of clip.json")
+def _mesh(folder: Path, fields: dict[str, Any]) -> Path:
+    """The path of the mesh, checked."""
+    return files.inside(folder, fields["mesh"], "mesh", "a triangle mesh", given_in=folder / "clip.json")
 
 
 def _fields(folder: Path) -> dict[str, Any]:
@@ -146,7 +133,7 @@ def _frame_names(path: Path, names: object) -> tuple[str, ...]:
     if bad is not None:
         raise InputError(path, "frames", f"the name {files.shown(bad)}", "names of files, without folder and suffix")
     if len(set(names)) < len(names):
-        twice = next(name for n, name in enumerate(names) if name in names[:n])
+        twice = Counter(names).most_common(1)[0][0]
         raise InputError(path, "frames", f"the name {files.shown(twice)} twice", "each frame once")
     return tuple(names)
 
@@ -154,9 +141,11 @@ def _frame_names(path: Path, names: object) -> tuple[str, ...]:
 def _size(path: Path, size: object) -> tuple[int, int]:
     """Width and height [px]."""
     sides = size if isinstance(size, list) else []
-    if len(sides) != 2 or not all(type(side) is int and 0 < side <= LARGEST_IMAGE for side in sides):
-        expected = f"[width, height] in whole pixels, 1 to {LARGEST_IMAGE} each"
+    if len(sides) != 2 or not all(type(side) is int and 0 < side <= LARGEST_SIDE for side in sides):
+        expected = f"[width, height] in whole pixels, 1 to {LARGEST_SIDE} each"
         raise InputError(path, "size", files.shown(size), expected)
+    if sides[0] * sides[1] > LARGEST_IMAGE:
+        raise InputError(path, "size", files.shown(size), f"at most {LARGEST_IMAGE / 1e6:g} million pixels")
     return sides[0], sides[1]
 
 
@@ -173,17 +162,7 @@ def _intrinsics(path: Path, camera: object, frames: int, size: tuple[int, int]) 
     if K.ndim == 3 and len(K) != frames:
         raise InputError(path, "camera.K", f"{len(K)} matrices", f"one, or one for each of the {frames} frames")
     K = np.broadcast_to(K.astype(float), (frames, 3, 3)).copy()
-    focal = K[:, [0, 1], [0, 1]]
-    if not np.all(focal > 0):
-        raise InputError(path, "camera.K", f"the focal length {focal.min():g}", "focal lengths above 0 px")
-    if focal.min() < 0.05 * max(size) or focal.max() > 100 * max(size):
-        odd = focal.min() if focal.min() < 0.05 * max(size) else focal.max()
-        raise InputError(path, "camera.K", f"the focal length {odd:g}", f"pixels of a {size[0]} x {size[1]} image")
-    shear = np.abs(K[:, [0, 1], [1, 0]]).max(axis=1) > 1e-6 * focal.min()
-    other = shear | np.any(K[:, 2] != [0.0, 0.0, 1.0], axis=1)
-    if other.any():
-        given = files.shown(K[np.argmax(other)].tolist())
-        raise InputError(path, "camera.K", given, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]: pixels without shear")
+    check_intrinsics(path, K, size)
     return K
 
 
@@ -195,17 +174,18 @@ def _read_hand(folder: Path, frames: int) -> HandTrack:
     vertices = arrays.floats(path, given, "vertices", (frames, -1, 3))
     for extent in (np.ptp(vertices, axis=1).max(axis=-1).max(), np.ptp(vertices, axis=1).max(axis=-1).min()):
         check_size(path, "vertices", float(extent), "a hand")
+    check_in_hand(path, "vertices", vertices, "a hand")
     faces = arrays.indices(path, given, "faces", vertices.shape[1], (-1, 3))
     corners = (vertices[0] - vertices[0].mean(axis=0))[faces]
     if np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) < 0:
         raise InputError(path, "faces", "faces that look inward", "faces counter-clockwise seen from outside")
-    return HandTrack(
-        vertices=vertices,
-        faces=faces,
-        T_cam_hand=_poses(path, given, "T_cam_hand", frames, vertices.mean(axis=1), "the hand"),
-        regions=_regions(path, given, vertices.shape[1]),
-        joints=arrays.floats(path, given, "joints", (frames, 21, 3)) if "joints" in given else None,
-    )
+    T_cam_hand = arrays.floats(path, given, "T_cam_hand", (frames, 4, 4))
+    check_poses(path, "T_cam_hand", T_cam_hand, vertices.mean(axis=1), "the hand")
+    joints = None
+    if "joints" in given:
+        joints = arrays.floats(path, given, "joints", (frames, 21, 3))
+        check_in_hand(path, "joints", joints, "joints")
+    return HandTrack(vertices, faces, T_cam_hand, _regions(path, given, vertices.shape[1]), joints)
 
 
 def _regions(path: Path, given: dict[str, ndarray], count: int) -> dict[str, Int[ndarray, "_"]]:
@@ -234,11 +214,13 @@ def _read_truth(folder: Path, hand: HandTrack, scale: str, mesh: Mesh) -> Truth:
     if "hand_vertices" in given:
         vertices = arrays.floats(path, given, "hand_vertices", hand.vertices.shape)
         check_size(path, "hand_vertices", float(np.ptp(vertices, axis=1).max()), "a hand")
+        check_in_hand(path, "hand_vertices", vertices, "a hand")
     T_cam_hand = hand.T_cam_hand
     if "T_cam_hand" in given:
-        T_cam_hand = _poses(path, given, "T_cam_hand", frames, vertices.mean(axis=1), "the hand")
-    centres = np.tile(size * mesh.centre, (frames, 1))
-    T_cam_obj = _poses(path, given, "T_cam_obj", frames, centres, "the object")
+        T_cam_hand = arrays.floats(path, given, "T_cam_hand", (frames, 4, 4))
+        check_poses(path, "T_cam_hand", T_cam_hand, vertices.mean(axis=1), "the hand")
+    T_cam_obj = arrays.floats(path, given, "T_cam_obj", (frames, 4, 4))
+    check_poses(path, "T_cam_obj", T_cam_obj, np.tile(size * mesh.centre, (frames, 1)), "the object")
     articulation = None
     if "articulation" in given:
         articulation = arrays.floats(path, given, "articulation", (frames,))
@@ -246,25 +228,3 @@ def _read_truth(folder: Path, hand: HandTrack, scale: str, mesh: Mesh) -> Truth:
             most = f"the angle {np.abs(articulation).max():g}"
             raise InputError(path, "articulation", most, "at most a full turn [rad]; are these degrees?")
     return Truth(T_cam_obj, size, T_cam_hand, vertices, articulation)
-
-
-def _poses(
-    path: Path, given: dict[str, ndarray], key: str, frames: int, centres: Float[ndarray, "T 3"], what: str
-) -> Float[ndarray, "T 4 4"]:
-    """Rigid motions into the camera that put ``centres`` in front of it, at a plausible distance."""
-    T = arrays.floats(path, given, key, (frames, 4, 4))
-    with np.errstate(over="ignore", invalid="ignore"):
-        rigid = se3.is_rigid(T)
-        posed = se3.transform(T, centres[:, None])[:, 0]
-    if not rigid.all():
-        bad = f"a matrix that is no rigid motion in frame {int(np.argmin(rigid))}"
-        raise InputError(path, key, bad, "rotations and translations [m], the last row 0 0 0 1")
-    behind, distance = posed[:, 2] <= 0, np.linalg.norm(posed, axis=1)
-    if behind.any():
-        n = int(np.argmax(behind))
-        raise InputError(path, key, f"{what} behind the camera in frame {n} (z = {posed[n, 2]:.3g} m)", "z above 0")
-    if distance.max() > FARTHEST:
-        n = int(np.argmax(distance))
-        far = f"{what} {distance[n]:.4g} m from the camera in frame {n}"
-        raise InputError(path, key, far, f"at most {FARTHEST:g} m; are these millimetres?")
-    return T

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from getagrip import files
-from getagrip.clip import input_sha256, read_clip, read_masks, read_name
+from getagrip.clip import input_sha256, read_clip, read_name
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.result import is_result, read_record, write_result
 
@@ -104,9 +104,9 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
     try:
         from getagrip.reconstruct import reconstruct
 
-        checksum = input_sha256(job.clip)
         clip = read_clip(job.clip)
-        result = reconstruct(clip, read_masks(clip), job.options, progress)
+        checksum = input_sha256(job.clip)
+        result = reconstruct(clip, None, job.options, progress)
         metrics = {"iou_full": float(result.iou.mean())}
         write_result(result, job.out, checksum, metrics, clip_folder=job.clip, overwrite=job.overwrite)
     except Exception as error:  # one clip's trouble must not end the others

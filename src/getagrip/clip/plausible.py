@@ -1,0 +1,90 @@
+"""What hands and objects before a camera can be; what they cannot be is told with the mistake that it points to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.camera import project
+from getagrip.clip.data import HandTrack
+from getagrip.errors import InputError
+
+NEAREST, FARTHEST = 0.05, 20.0
+"""Plausible distances from the camera [m]."""
+OFF_ORIGIN = 0.25
+"""Largest distance of a hand's middle from the origin of the hand frame, which lies in the hand [m]."""
+
+
+def check_intrinsics(path: Path, K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> None:
+    """Raise ``InputError`` for matrices that are no pinhole's with square-on pixels, or not of such an image."""
+    image = f"a {size[0]} x {size[1]} image"
+    focal, centre = K[:, [0, 1], [0, 1]], K[:, :2, 2]
+    if not np.all(focal > 0):
+        raise InputError(path, "camera.K", f"the focal length {focal.min():g}", "focal lengths above 0 px")
+    shear = np.abs(K[:, [0, 1], [1, 0]]).max(axis=1) > 1e-6 * focal.min()
+    other = shear | np.any(K[:, 2] != [0.0, 0.0, 1.0], axis=1)
+    if other.any():
+        given = str(K[np.argmax(other)].tolist())
+        raise InputError(path, "camera.K", given, "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]: pixels without shear")
+    least, most = 0.05 * max(size), 100.0 * max(size)
+    if focal.min() < least or focal.max() > most:
+        odd = focal.min() if focal.min() < least else focal.max()
+        raise InputError(path, "camera.K", f"the focal length {odd:g}", f"{least:g} to {most:g} px for {image}")
+    off = np.any((centre < -np.array(size)) | (centre > 2 * np.array(size)), axis=1)
+    if off.any():
+        u, v = centre[np.argmax(off)]
+        expected = f"{-size[0]} to {2 * size[0]}, {-size[1]} to {2 * size[1]} px for {image}"
+        raise InputError(path, "camera.K", f"the principal point {u:g}, {v:g}", expected)
+
+
+def check_poses(
+    path: Path, key: str, T_cam: Float[ndarray, "T 4 4"], centres: Float[ndarray, "T 3"], what: str
+) -> None:
+    """Raise ``InputError`` for motions that are not rigid, or that put ``centres`` nowhere before the camera."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        rigid = se3.is_rigid(T_cam)
+        posed = se3.transform(T_cam, centres[:, None])[:, 0]
+    if not rigid.all():
+        bad = f"a matrix that is no rigid motion in frame {int(np.argmin(rigid))}"
+        raise InputError(path, key, bad, "rotations and translations [m], the last row 0 0 0 1")
+    behind, distance = posed[:, 2] <= 0, np.linalg.norm(posed, axis=1)
+    if behind.any():
+        n = int(np.argmax(behind))
+        given = f"{what} behind the camera in frame {n} (z = {posed[n, 2]:.3g} m)"
+        raise InputError(path, key, given, "z above 0, forward; is it the inverse, or of a camera that looks along -z?")
+    if distance.max() > FARTHEST:
+        n = int(np.argmax(distance))
+        given = f"{what} {distance[n]:.4g} m from the camera in frame {n}"
+        raise InputError(path, key, given, f"at most {FARTHEST:g} m; are these millimetres?")
+    if distance.min() < NEAREST:
+        n = int(np.argmin(distance))
+        given = f"{what} {distance[n]:.2g} m from the camera in frame {n}"
+        raise InputError(path, key, given, f"at least {NEAREST:g} m, from its own frame into the camera's")
+
+
+def check_in_hand(path: Path, key: str, points: Float[ndarray, "T P 3"], what: str) -> None:
+    """Raise ``InputError`` where points of a hand are not about the origin of its frame."""
+    distance = np.linalg.norm(points.mean(axis=1), axis=1)
+    if distance.max() > OFF_ORIGIN:
+        n = int(np.argmax(distance))
+        given = f"{what} {distance[n]:.2g} m from the origin of the hand frame in frame {n}"
+        expected = f"at most {OFF_ORIGIN:g} m; are these camera coordinates, to which T_cam_hand would apply again?"
+        raise InputError(path, key, given, expected)
+
+
+def check_in_view(path: Path, hand: HandTrack, K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> None:
+    """Raise ``InputError`` for a hand that is outside the image in every frame."""
+    posed = se3.transform(hand.T_cam_hand, hand.vertices)
+    before = posed[..., 2] > NEAREST / 10.0
+    uv = project(K, np.where(before[..., None], posed, [0.0, 0.0, 1.0]))
+    low = np.where(before[..., None], uv, np.inf).min(axis=1)
+    high = np.where(before[..., None], uv, -np.inf).max(axis=1)
+    if not np.any(np.all((high > 0) & (low < size), axis=1)):
+        u, v = project(K[:1], posed[:1].mean(axis=1, keepdims=True))[0, 0]
+        given = f"a hand outside the image in every frame (in the first at u = {u:.0f}, v = {v:.0f} px)"
+        expected = f"a hand in the {size[0]} x {size[1]} image; do T_cam_hand and clip.json's camera belong together?"
+        raise InputError(path, "T_cam_hand", given, expected)
