@@ -127,6 +127,54 @@ class Segment(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Bench(Command):
+    """Compare methods on a dataset: the paper's tables, with intervals. What is done already is kept."""
+
+    dataset: Annotated[Positional[str], arg(metavar="DATASET")]
+    """synthetic, dexycb, or a folder of clips with their truth."""
+    out: Folder
+    """Where clips, results, tables and plots go. Called again with the same folder, it goes on where it stopped."""
+    methods: Annotated[tuple[Method, ...], arg(help_behavior_hint="(default: all)")] = ()
+    """What to compare. An ablation compares one-dof and soft-hinge, unless others are named."""
+    ablation: Annotated[
+        Literal["physical", "occlusion", "axis", "inits", "hand-noise", "mask-noise", "scale", "sca"] | None,
+        arg(help_behavior_hint="(default: none)"),
+    ] = None
+    """Instead of methods as they are, compare each in several settings."""
+    split: Annotated[
+        Literal["train", "test", "all"] | None, arg(help_behavior_hint="(default: test; all of a folder)")
+    ] = None
+    """Which part of a dataset: train is for tuning."""
+    clips: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
+    """So many clips of it, spread evenly."""
+    root: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """dexycb: where it is, as for the command import."""
+    meshes: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """dexycb: where the YCB meshes are."""
+    init: Literal["uniform", "clusters", "priors"] = "uniform"
+    """Where the search starts: rotations spread evenly."""
+    inits: Annotated[int, arg(metavar="N")] = 50
+    """Rotations to start from."""
+    seed: Annotated[int, arg(metavar="S")] = 0
+    """Seed of all that is random."""
+    workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
+    """Processes to share the clips between."""
+    json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Write every number here, unrounded."""
+    overwrite: Flag = False
+    """Make results again that are there already."""
+
+    def run(self) -> int:
+        from getagrip.bench.command import Plan, bench
+        from getagrip.bench.sources import Source
+
+        source = Source(self.dataset, self.out / "clips", self.split, self.clips, self.root, self.meshes)
+        options = Options(inits=self.inits, seed=self.seed)
+        choice = (self.methods, self.ablation, self.init, options)
+        return bench(Plan(source, self.out, *choice, self.workers, self.overwrite, self.json), self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Import(Command):
     """Make clips from other people's layouts."""
 
@@ -178,6 +226,7 @@ Commands = (
     | Annotated[Reconstruct, subcommand("reconstruct")]
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Segment, subcommand("segment")]
+    | Annotated[Bench, subcommand("bench")]
     | Annotated[Import, subcommand("import")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Doctor, subcommand("doctor")]

@@ -1,0 +1,123 @@
+"""Which clips a benchmark is made of: folders, or made-up clips that are made when they are needed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from getagrip import files
+from getagrip.bench.trials import Sample
+from getagrip.clip import write_clip
+from getagrip.errors import UsageError
+from getagrip.run.job import Outcome, by_name
+from getagrip.search import spread
+
+if TYPE_CHECKING:
+    from getagrip.datasets.synthetic import Options
+
+Split = Literal["train", "test", "all"]
+NAMED = ("synthetic", "dexycb")
+
+
+@dataclass(frozen=True)
+class Source:
+    """What the user asks for."""
+
+    dataset: str
+    """``synthetic``, ``dexycb``, or a folder of clips."""
+    clips: Path
+    """Where clips are made."""
+    split: Split | None = None
+    """None: the test split of the named datasets, all of a folder's clips."""
+    count: int | None = None
+    """So many clips, spread evenly."""
+    root: Path | None = None
+    """Where DexYCB is."""
+    meshes: Path | None = None
+    """Where the YCB models are."""
+
+    @property
+    def named(self) -> bool:
+        """Whether the dataset is one that the package knows."""
+        return self.dataset in NAMED
+
+    @property
+    def part(self) -> Split:
+        """The split, where the user names none."""
+        return self.split or ("test" if self.named else "all")
+
+
+def samples(source: Source, debug: bool) -> tuple[list[Sample], list[Outcome]]:
+    """The clips, and what became of folders that are none.
+
+    Raises ``UsageError`` where an option is wrong or missing, ``InputError`` where there are no clips.
+    """
+    if source.count is not None and source.count < 1:
+        raise UsageError(f"--clips: got {source.count}, expected 1 or more")
+    if source.dataset != "dexycb" and (source.root is not None or source.meshes is not None):
+        raise UsageError(f"--root and --meshes: got them for {source.dataset}, expected them for dexycb only")
+    if source.dataset == "synthetic":
+        found, bad = _synthetic(source), list[Outcome]()
+    elif source.dataset == "dexycb":
+        found, bad = _dexycb(source, debug)
+    else:
+        found, bad = _folder(Path(source.dataset), source.part)
+    if source.count is not None and source.count < len(found):
+        found = [found[n] for n in spread(len(found), source.count)]
+    return found, bad
+
+
+def _folder(folder: Path, part: Split) -> tuple[list[Sample], list[Outcome]]:
+    """The clips of a folder."""
+    if part != "all":
+        raise UsageError(f"--split: got {part} for a folder of clips, expected all")
+    found, bad = by_name([folder])
+    return [Sample(name, path) for name, path in sorted(found.items())], bad
+
+
+def _dexycb(source: Source, debug: bool) -> tuple[list[Sample], list[Outcome]]:
+    """DexYCB's grasps, imported where that is not done yet; of every three subjects the first is for training."""
+    from getagrip.datasets.dexycb import subject_of
+    from getagrip.run.imports import import_dexycb
+
+    if source.root is None:
+        raise UsageError("--root: say where DexYCB is")
+    done = source.clips / "imported.json"
+    origin = {"root": str(source.root.resolve()), "meshes": source.meshes and str(source.meshes.resolve())}
+    if not done.exists():
+        status = import_dexycb(source.root, source.meshes, source.clips, debug)
+        if status == 0:  # else what failed is tried again next time
+            files.write_json(done, origin)
+    elif files.read_json(done) != origin:
+        raise UsageError(
+            f"--root and --meshes: other than those that {source.clips} was imported from; use another --out"
+        )
+    found, bad = by_name([source.clips])
+    subjects = sorted({subject_of(name) for name in found})
+    train = subjects[::3]
+    wanted = {"train": train, "test": [s for s in subjects if s not in train], "all": subjects}[source.part]
+    return [Sample(name, path) for name, path in sorted(found.items()) if subject_of(name) in wanted], bad
+
+
+def _synthetic(source: Source) -> list[Sample]:
+    """Made-up clips, made by whoever needs them first."""
+    from getagrip.datasets.categories import CATEGORIES
+    from getagrip.datasets.synthetic import Options, clip_name
+
+    seeds = {"train": range(6), "test": range(1000, 1012), "all": [*range(6), *range(1000, 1012)]}
+    out = []
+    for category in CATEGORIES:
+        for seed in seeds[source.part]:
+            options = Options(side="left" if seed % 2 else "right")
+            name = clip_name(category, seed, options)
+            out.append(Sample(name, source.clips / name, partial(_synthesise, category, seed, options)))
+    return out
+
+
+def _synthesise(category: str, seed: int, options: Options, folder: Path) -> None:
+    """Make a clip."""
+    from getagrip.datasets.synthetic import synthesise
+
+    write_clip(*synthesise(category, seed, options), folder)
