@@ -304,6 +304,7 @@ def test_subjects_are_told_by_the_name():
         ("meta.yml", "ycb_ids:\n- 2\n- 14", "ycb_ids: 14"),
         ("meta.yml", META, "- 1"),
         ("meta.yml", META, "a: [1"),
+        ("meta.yml", "ycb_ids:\n- 2\n- 14", "a: &a [2, 14]\nycb_ids: *a"),
         ("meta.yml", META, "a: !!python/object/apply:os.system ['true']"),
         ("836212060125_640x480.yml", "fx: 616.6", "fx: -1"),
         ("836212060125_640x480.yml", "ppy: 248.5", "ppy: .nan"),

@@ -174,6 +174,8 @@ def bent_side(joints: Float[ndarray, "N 21 3"]) -> Side:
 def _read_folder(root: Path, folder: Path) -> Recording:
     """Read a sequence of DexYCB's own layout, in the camera that sees most of the held object at the end."""
     path = folder / "meta.yml"
+    if not (_is_name(folder.parent.name) and _is_name(folder.name)):
+        raise InputError(path, "", "a folder name that cannot be part of a clip's", "<subject>/<sequence>")
     meta = _yaml(path)
     frames = _whole(path, meta, "num_frames", 1, MOST_FRAMES)
     ids = _list(path, meta, "ycb_ids")
@@ -249,7 +251,12 @@ def _yaml(path: Path) -> dict[str, Any]:
     import yaml
 
     class Loader(yaml.SafeLoader):  # type: ignore[misc]
-        """YAML's own types, and tuples."""
+        """YAML's own types and tuples, without aliases, by which a small file can unfold to a huge one."""
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.AliasEvent):
+                raise yaml.YAMLError("an alias")
+            return super().compose_node(parent, index)
 
     Loader.add_constructor("tag:yaml.org,2002:python/tuple", Loader.construct_sequence)
     try:
