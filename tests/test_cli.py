@@ -100,6 +100,20 @@ def test_wrong_calls_exit_with_2(run: Run, args: tuple[str, ...], tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("out", ["/proc/u1", "/dev/null", "/dev/null/sub", "a" * 300])
+def test_places_that_cannot_be_written_are_refused_first(run: Run, out: str, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    for call in (("reconstruct", "a", "--out"), ("demo", "--out"), ("import", "hot3d", "a", "--out")):
+        status, said, err = run(*call, out)
+        assert (status, said) == (2, "")
+        assert err.startswith(f"getagrip: --out: got {out}, expected a folder that can be written (")
+        assert err.count("\n") == 1
+    status, _, err = run("evaluate", "a", "--json", f"{out}/x.json")
+    assert status == 2
+    assert "--json: got " in err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     status, said, _ = run("reconstruct", made, "--out", out, *QUICK, "--workers", 2)

@@ -33,6 +33,15 @@ class Command:
         """Do it, and return the exit status."""
         raise NotImplementedError
 
+    def check(self) -> None:
+        """Raise ``UsageError`` where what it writes has no place, before any work is done."""
+        from getagrip import files
+
+        if (out := getattr(self, "out", None)) is not None:
+            files.check_folder("--out", out)
+        if (json := getattr(self, "json", None)) is not None:
+            files.check_file("--json", json)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(Command):
@@ -240,6 +249,7 @@ def main(args: Sequence[str] | None = None) -> int:
         Commands, prog="getagrip", description=DESCRIPTION, args=args, config=(OmitArgPrefixes,)
     )
     try:
+        command.check()
         return command.run()
     except KeyboardInterrupt:
         print("interrupted; what was finished is kept", file=sys.stderr)

@@ -184,6 +184,28 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
+def check_folder(option: str, folder: Path) -> None:
+    """Raise ``UsageError``, in the name of an option, where a folder cannot be made or written; leaves no trace."""
+    try:
+        there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        os.rmdir(tempfile.mkdtemp(prefix=".getagrip.", dir=there))  # permissions alone do not tell: /proc, full disks
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise UsageError(f"{option}: got {folder}, expected a folder that can be written ({reason})") from error
+
+
+def check_file(option: str, file: Path) -> None:
+    """Raise ``UsageError``, in the name of an option, where a file cannot be written; leaves no trace."""
+    try:
+        new = not file.exists()
+        file.open("ab").close()
+        if new:
+            file.unlink()
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise UsageError(f"{option}: got {file}, expected a file that can be written ({reason})") from error
+
+
 @contextmanager
 def new_folder(target: Path, replace: bool = False) -> Iterator[Path]:
     """An empty folder beside ``target`` that takes its name once the block has ended well, and is removed if not.

@@ -27,14 +27,12 @@ def reconstruct_clips(
 ) -> int:
     """Reconstruct clips into ``out/<clip name>/`` and tell what became of each; 1 if any failed, else 0.
 
-    Raises ``UsageError`` where there is nothing to do, no room for it, or where two clips have the same name.
+    Raises ``UsageError`` where there is nothing to do, or where two clips have the same name.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
     if workers is not None and workers < 1:
         raise UsageError(f"--workers: got {workers}, expected 1 or more")
-    if out.exists() and not out.is_dir():
-        raise UsageError(f"--out: got {out}, which is no folder")
     jobs, failed = plan(paths, out, options, overwrite)
     for outcome in failed:
         tell(outcome, debug)

@@ -22,8 +22,6 @@ def evaluate_results(paths: Sequence[Path], clips: Path | None, json: Path | Non
     """
     if not paths:
         raise UsageError("RESULT: name at least one result")
-    if json is not None and not json.resolve().parent.is_dir():
-        raise UsageError(f"--json: got {json}, whose folder does not exist")
     evaluations = []
     failures = 0
     with progress_bar() as bar:
