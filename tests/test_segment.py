@@ -281,7 +281,7 @@ def test_a_picture_is_drawn_of_any_length(frames: int, tmp_path: Path) -> None:
     contact = np.tile(np.arange(5) < 3, (frames, 1))
     iou = contact_iou(contact)
     bare = cv2.imread(str(write_matrix(tmp_path / "a.png", iou, [], 30.0, 0.5, "a", "b")))
-    marked = cv2.imread(str(write_matrix(tmp_path / "b.png", iou, [(0, frames - 1)], 30.0, 0.5, "a", "b")))
+    marked = cv2.imread(str(write_matrix(tmp_path / "b.png", iou, [(0, frames - 1)], 30.0, 0.0, "$a$_{", 99 * "b")))
     assert bare is not None
     assert marked is not None
     assert bare.shape == marked.shape

@@ -46,10 +46,15 @@ def write_matrix(
     }
     with rc_context(style):
         figure = _draw(iou, grasps, fps, tau)
-        figure.text(0.085, 0.972, title, fontsize=13, fontweight="bold", va="top")
-        figure.text(0.085, 0.937, subtitle, fontsize=9.5, color=FAINT, va="top")
+        # Names are anybody's: a dollar sign in one begins no formula.
+        figure.text(0.085, 0.972, _short(title, 62), fontsize=13, fontweight="bold", va="top", parse_math=False)
+        figure.text(0.085, 0.937, _short(subtitle, 105), fontsize=9.5, color=FAINT, va="top", parse_math=False)
         figure.savefig(path, facecolor="white")
     return Path(path)
+
+
+def _short(words: str, longest: int) -> str:
+    return words if len(words) <= longest else f"{words[: longest - 3]}..."
 
 
 def _draw(
@@ -83,7 +88,8 @@ def _draw(
     bar = figure.colorbar(drawn, cax=figure.add_axes((0.89, 0.13, 0.02, 0.722)))
     bar.outline.set_edgecolor(LINE)
     bar.ax.axhline(tau, color=FOUND, linewidth=2)
-    bar.set_ticks([0, 1, tau], labels=["0", "1", f"τ {tau:g}"])
+    ends = [end for end in (0, 1) if abs(end - tau) > 0.03]
+    bar.set_ticks([*ends, tau], labels=[*map(str, ends), f"τ {tau:g}"])
     bar.ax.set_title("contact\nIOU", fontsize=8.5, color=FAINT, pad=8)
     return figure
 
