@@ -72,16 +72,12 @@ def segment_clips(
     """Print the stable grasps of clips, and write them to files; 1 if any clip could not be read, else 0.
 
     A path is a clip, or a folder of clips. ``out`` gets ``segments.csv`` and a picture for each clip. Raises
-    ``UsageError`` where there is nothing to do, no room for it, or where two clips have the same name.
+    ``UsageError`` where there is nothing to do, and where two clips have the same name.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
     if workers is not None and workers < 1:
         raise UsageError(f"--workers: got {workers}, expected 1 or more")
-    if out is not None and out.exists() and not out.is_dir():
-        raise UsageError(f"--out: got {out}, which is no folder")
-    if json is not None and not json.resolve().parent.is_dir():
-        raise UsageError(f"--json: got {json}, whose folder does not exist")
     clips, failed = by_name(paths)
     for outcome in failed:
         tell(outcome, debug)
