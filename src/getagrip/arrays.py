@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,7 @@ from numpy import ndarray
 from getagrip import files
 from getagrip.errors import InputError
 
-LARGEST = 2 * 2**30
+LARGEST = 2**29
 """Limit in bytes of the arrays of one file, unpacked."""
 
 
@@ -54,13 +55,13 @@ def _array(path: Path, key: str, content: bytes) -> Shaped[ndarray, "..."]:
         raise InputError(path, key, f"an array whose header does not parse ({error})", "a .npy array") from error
     if dtype.hasobject:
         raise InputError(path, key, "an array of Python objects", "an array of numbers")
-    data = content[stream.tell() :]
-    count = 1
-    for length in shape:
-        count *= length  # exact integers: a hostile header must not overflow
-    if min(shape, default=1) < 0 or count * dtype.itemsize != len(data):
-        raise InputError(path, key, f"{len(data)} bytes for the shape {shape}", f"{count * dtype.itemsize} bytes")
-    return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if fortran else "C").copy()
+    start, count = stream.tell(), math.prod(shape)  # exact integers: a hostile header must not overflow
+    if min(shape, default=1) < 0 or count * dtype.itemsize != len(content) - start:
+        given = f"{len(content) - start} bytes for the shape {shape}"
+        raise InputError(path, key, given, f"{count * dtype.itemsize} bytes")
+    if count == 0:
+        return np.zeros(shape, dtype)
+    return np.frombuffer(content, dtype, offset=start).reshape(shape, order="F" if fortran else "C")
 
 
 def floats(

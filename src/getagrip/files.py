@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
 import shutil
 import struct
 import tempfile
@@ -30,7 +29,6 @@ LARGEST_JSON = 64 * 2**20
 LARGEST_FILE = 2**30
 """Limits in bytes."""
 
-_PLAIN_NAME = re.compile(r"[^/\\\x00-\x1f\x7f]{1,200}")
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_COLOURS = {0: "grey", 2: "RGB", 3: "palette", 4: "grey and alpha", 6: "RGB and alpha"}
 
@@ -47,8 +45,9 @@ def plain(text: str) -> str:
 
 
 def is_plain_name(name: str) -> bool:
-    """Whether a text can name a file or folder: no separators, no control characters, not hidden, not ``..``."""
-    return _PLAIN_NAME.fullmatch(name) is not None and not name.startswith((".", "~")) and name == name.strip()
+    """Whether a text can name a file or folder: printable, no separators, not hidden, not ``..``, of 1 to 200 bytes."""
+    plain = name.isprintable() and name == name.strip() and not name.startswith((".", "~")) and not {*"/\\"} & {*name}
+    return plain and 0 < len(name.encode()) <= 200
 
 
 def inside(folder: Path, relative: str, key: str, what: str, given_in: Path | None = None) -> Path:
@@ -215,7 +214,7 @@ def new_folder(target: Path, replace: bool = False) -> Iterator[Path]:
     if target.exists() and not replace:
         raise UsageError(f"{target}: exists already; it is not overwritten")
     target.parent.mkdir(parents=True, exist_ok=True)
-    beside = Path(tempfile.mkdtemp(prefix=f".{target.name[:100]}.", dir=target.parent))
+    beside = Path(tempfile.mkdtemp(prefix=f".{target.name[:20]}.", dir=target.parent))
     try:
         work = beside / "new"
         work.mkdir()

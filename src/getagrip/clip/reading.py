@@ -108,7 +108,11 @@ def _fields(folder: Path) -> dict[str, Any]:
 
     version, name, mesh, category = fields["version"], fields["name"], fields["mesh"], fields["category"]
     require("version", type(version) is int and version == VERSION, str(VERSION))
-    require("name", isinstance(name, str) and files.is_plain_name(name), "a text fit to name a folder")
+    require(
+        "name",
+        isinstance(name, str) and files.is_plain_name(name),
+        "a text that can name a folder: printable, no slash, at most 200 bytes",
+    )
     require("category", isinstance(category, str) and category != "", "a text")
     require("side", fields["side"] in ("left", "right"), '"left" or "right"')
     require("fps", _is_number(fields["fps"]) and fields["fps"] > 0, "frames per second, above 0")
@@ -176,6 +180,10 @@ def _read_hand(folder: Path, frames: int) -> HandTrack:
         check_size(path, "vertices", float(extent), "a hand")
     check_in_hand(path, "vertices", vertices, "a hand")
     faces = arrays.indices(path, given, "faces", vertices.shape[1], (-1, 3))
+    twice = np.any(faces == np.roll(faces, 1, axis=1), axis=1)
+    if twice.any():
+        bad = f"{np.count_nonzero(twice)} faces with a vertex twice (first: {np.argmax(twice)})"
+        raise InputError(path, "faces", bad, "triangles")
     corners = (vertices[0] - vertices[0].mean(axis=0))[faces]
     if np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) < 0:
         raise InputError(path, "faces", "faces that look inward", "faces counter-clockwise seen from outside")
