@@ -1,4 +1,4 @@
-"""The page of measurements, docs/benchmarks.md: prose by hand, each section's numbers by machine between markers."""
+"""Pages of measurements: prose by hand, each section's numbers by machine between markers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 LIBRARIES = ("numpy", "numba", "scipy", "deodr")
 
 
-def write(name: str, text: str) -> None:
+def write(name: str, text: str, file: str = "benchmarks.md") -> None:
     """Put a section's text between its markers. Raises ``ValueError`` where the page has no such markers."""
-    path = DOCS / "benchmarks.md"
+    path = DOCS / file
     start, end = f"<!-- {name}: measured -->", f"<!-- {name}: end -->"
     page = path.read_text(encoding="utf-8")
     if page.count(start) != 1 or page.count(end) != 1:

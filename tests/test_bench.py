@@ -232,7 +232,7 @@ def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: 
     assert mean == pytest.approx(np.mean([float(row["iou"]) for row in rows if row["method"] == "one-dof"]))
     page = (out / "methods.md").read_text()
     assert f"{100 * mean:.1f}" in page
-    assert "## Box: 1 clip" in page
+    assert "Box: 1 clip" in page
     assert run("evaluate", out / "results" / "static")[0] == 0  # they are results like any other
 
 

@@ -51,10 +51,6 @@ class Plan:
             raise UsageError(f"--init: got {self.init}, which does not exist yet, expected uniform")
         if self.workers is not None and self.workers < 1:
             raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
-        if self.out.exists() and not self.out.is_dir():
-            raise UsageError(f"--out: got {self.out}, which is no folder")
-        if self.json is not None and not self.json.resolve().parent.is_dir():
-            raise UsageError(f"--json: got {self.json}, whose folder does not exist")
         if self.ablation is not None and self.ablation not in ABLATIONS:
             raise UsageError(f"--ablation: got {self.ablation!r}, expected one of {', '.join(ABLATIONS)}")
 

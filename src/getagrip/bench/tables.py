@@ -103,14 +103,19 @@ def _differences(table: Table, style: Style) -> list[list[str]]:
 
 
 def markdown(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
-    """A page: what was run, the table over all clips, the differences, a table for each category."""
+    """A page: what was run, the table over all clips, the differences, a table for each category folded away."""
     lines = [f"# {title}", "", *(f"- {line}" for line in about)]
-    for table in tables:
-        lines += ["", f"## {_heading(table)}", "", *_grid([_headings(table), *_body(table, MARKDOWN)])]
+    for table in tables[:1]:
+        lines += ["", f"{_heading(table)}:", "", *_grid([_headings(table), *_body(table, MARKDOWN)])]
         differences = _differences(table, MARKDOWN)
-        if len(differences) > 1 and table is tables[0]:
+        if len(differences) > 1:
             lines += ["", "Differences, clip by clip; bold where the interval leaves out zero:", ""]
             lines += _grid(differences)
+    if tables[1:]:
+        lines += ["", "<details><summary>Each category</summary>"]
+        for table in tables[1:]:
+            lines += ["", f"{_heading(table)}:", "", *_grid([_headings(table), *_body(table, MARKDOWN)])]
+        lines += ["", "</details>"]
     return "\n".join(lines) + "\n"
 
 

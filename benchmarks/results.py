@@ -1,0 +1,38 @@
+"""Put the tables and plots of ``getagrip bench`` into docs/results.md: ``python -m benchmarks.results DIR...``.
+
+Each folder is one that was given to ``bench --out``, and is named like the dataset: its ``methods.md`` goes between the
+markers "<name>-methods", and so does each ablation that the page has markers for, with its plot.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+from benchmarks import page
+
+
+def main(folders: list[Path]) -> None:
+    """Update the page."""
+    text = (page.DOCS / "results.md").read_text(encoding="utf-8")
+    for folder in folders:
+        for tables in sorted(folder.glob("*.md")):
+            name = f"{folder.name}-{tables.stem}"
+            if f"<!-- {name}: measured -->" in text:
+                page.write(name, section(name, tables), "results.md")
+                print(name)
+
+
+def section(name: str, tables: Path) -> str:
+    """A page of ``bench`` without its title, the plot beside it moved to the pictures of the docs."""
+    body = tables.read_text(encoding="utf-8").split("\n", 1)[1].strip()
+    plot = tables.with_suffix(".png")
+    if not plot.exists():
+        return body
+    shutil.copy(plot, page.DOCS / "images" / f"results-{name}.png")
+    return f"![{name}](images/results-{name}.png)\n\n{body}"
+
+
+if __name__ == "__main__":
+    main([Path(name) for name in sys.argv[1:]])
