@@ -189,5 +189,6 @@ def _progress() -> Iterator[Progress]:
         disable=not console.is_terminal,
         transient=True,
         redirect_stdout=sys.stdout.isatty(),
+        speed_estimate_period=600.0,  # clips take seconds each: the default half minute sees only a few
     ) as bar:
         yield bar

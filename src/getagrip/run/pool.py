@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from typing import TypeVar
 
 J = TypeVar("J")
@@ -46,7 +47,7 @@ def _until_broken(work: Callable[[J], R], waiting: deque[J], workers: int, suspe
     """Work off the waiting jobs in one pool, until none is left or a process dies."""
     running: dict[Future[R], J] = {}
     spawn = get_context("spawn")  # forked threads and locks of numerical libraries hang
-    with ProcessPoolExecutor(min(workers, len(waiting)), spawn, initializer=_ignore_interrupts) as pool:
+    with ProcessPoolExecutor(min(workers, len(waiting)), spawn, initializer=_settle_in) as pool:
         while waiting or running:
             try:
                 while waiting and len(running) < workers:
@@ -63,9 +64,18 @@ def _until_broken(work: Callable[[J], R], waiting: deque[J], workers: int, suspe
                 yield job, future.result()
 
 
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent, which hands out no more jobs."""
+def _settle_in() -> None:
+    """Leave Ctrl-C to the parent, which hands out no more jobs, and end when the parent is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Pools tell their processes when they close, but a parent that is killed closes nothing."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 @contextmanager
