@@ -25,8 +25,8 @@ from getagrip.search import Stage, distinct
 from getagrip.solve import Status, minimise
 from getagrip.starts import starting_poses
 
-FIRST = Stage("coarse", level=64, frames=1, iterations=12, keep=0)
-LATER = Stage("coarse", level=64, frames=1, iterations=6, keep=0)
+FIRST = Stage("coarse", level=64, frames=1, iterations=24, keep=0)
+LATER = Stage("coarse", level=64, frames=1, iterations=12, keep=0)
 """The object alone: in the first frame, in each later one."""
 TRACKS = 4
 """Tracks that are refined; the published code takes the best one."""
@@ -43,10 +43,10 @@ def fit(problem: Problem, watch: Callable[[str], None]) -> Found:
     tracks, loss = object_tracks(problem)
     chosen = distinct(tracks, loss, box(clip.mesh.vertices - centre), TRACKS)
     watch("coarse")
-    if not len(chosen):
-        raise GetagripError(str(Status.INVISIBLE))
     refined = [homan_joint.refine(problem, tracks.take(chosen[k : k + 1])) for k in range(len(chosen))]
-    refined.sort(key=lambda r: r.energy)
+    refined = sorted((r for r in refined if np.isfinite(r.energy)), key=lambda r: r.energy)
+    if not refined:
+        raise GetagripError(str(Status.INVISIBLE))
     watch("finest")
     scale = np.array([r.bodies.scale for r in refined])
     T = np.stack([r.bodies.T_hand_obj(centre) for r in refined])

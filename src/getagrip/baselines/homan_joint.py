@@ -29,11 +29,11 @@ STAGES = (
     Stage("fine", level=128, frames=0, iterations=15, keep=0),
     Stage("finest", level=256, frames=0, iterations=15, keep=0),
 )
-SMOOTH = 1e5
+SMOOTH = 3e5
 """Weight of the smoothness of either body [px^2 / m^2]."""
 REPROJECT = 50.0
 """Weight of the hand's squared reprojection error."""
-INTERACT = 1e4
+INTERACT = 1e3
 """Weight of the squared distance between the centres [px^2 / m^2]."""
 SEEN_POINTS = 30
 """Vertices of the hand that are reprojected."""
