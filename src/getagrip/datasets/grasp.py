@@ -3,12 +3,12 @@
 The object comes to one of two places of the hand: the ``palm`` (power grasp) or the ``pinch`` between the pads of thumb
 and fingers (precision grasp). A finger bends all its joints together until one of its segments touches; the joints up
 to that segment stop, the others go on (the automatic grasp of Miller and Allen, "GraspIt!", 2004). The thumb comes
-last and stops at the fingers as well.
+last and stops at the fingers as well; where it would miss the object, or stand in it, it is steered aside.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -23,6 +23,12 @@ from getagrip.mesh import Mesh, vertex_normals
 
 TOUCH = 0.0005
 """A segment touches when it is this deep in the object [m]: soft flesh."""
+NEAR = 0.002
+"""A finger no farther than this holds on to the object [m]."""
+SOFT = 0.0015
+"""How deep flesh gives way [m]."""
+ASIDE = (-10.0, 10.0, -20.0, 20.0, -30.0, 30.0)
+"""How far the thumb's metacarpal may turn aside [deg]."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,17 @@ class Grip:
     """The direction away from the hand."""
     aside: tuple[float, float, float]
     """Palm: the direction that comes to lie on the thumb's side. Pinch: from the thumb to the fingers."""
+
+
+def varied(grip: Grip, turn_deg: float, shift_mm: float, rng: np.random.Generator) -> Grip:
+    """The grip, turned about a random axis and shifted, by these root mean squares."""
+    R = se3.exp_so3(np.radians(turn_deg) / np.sqrt(3.0) * rng.normal(size=3))
+    at = np.array(grip.at) + 1e-3 * shift_mm / np.sqrt(3.0) * rng.normal(size=3)
+    return Grip(grip.hold, _triple(at), _triple(R @ grip.into), _triple(R @ grip.aside))
+
+
+def _triple(v: Float[ndarray, 3]) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])
 
 
 @dataclass(frozen=True)
@@ -107,6 +124,8 @@ class Grasper:
     hand: ShapedHand
     distance: SignedDistance
     hold: Literal["palm", "pinch"]
+    steer: tuple[float, float] = (0.0, 0.0)
+    """Turns of the opposed thumb's metacarpal: aside, and about itself [deg]."""
 
     def posed(self, angles: Float[ndarray, "*batch 5 3"]) -> PosedHand:
         """The hand with its joints bent by ``angles`` [rad], thumb first, each finger from the palm to the tip."""
@@ -119,6 +138,8 @@ class Grasper:
         if hold.thumb_aim is not None:
             along, _, back = rest["thumb"].axes[0]
             opposed = _frame(np.array(hold.thumb_aim), np.array(hold.thumb_pad), np.zeros(3))[:3, :3]
+            aside, roll = np.radians(self.steer)
+            opposed = opposed @ se3.exp_so3(np.array([0.0, aside, 0.0])) @ se3.exp_so3(np.array([roll, 0.0, 0.0]))
             R = opposed @ np.stack([along, -back, np.cross(along, -back)])
             first = KNUCKLES[0] - 1
             pose[..., first, :] = se3.log_so3(R @ se3.exp_so3(pose[..., first, :]))
@@ -143,27 +164,67 @@ class Grasper:
         first = int(np.argmax(touching)) if touching.any() else len(away) - 1
         return se3.rigid(None, offset[first]) @ T_hand_obj
 
-    def close(self, T_hand_obj: Float[ndarray, "A 4 4"], steps: int = 14) -> Float[ndarray, "A 5 3"]:
+    def close(self, T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 5 3"]:
         """Joint angles [rad] of the hand closed on the object at each of its poses."""
-        hold = _HOLDS[self.hold]
-        angles = np.broadcast_to(np.radians(hold.opened), (len(T_hand_obj), 5, 3)).copy()
-        closed = np.radians(hold.closed)
+        angles = np.broadcast_to(np.radians(_HOLDS[self.hold].opened), (len(T_hand_obj), 5, 3))
+        return self._close_thumb(self._sweep(angles, T_hand_obj, range(1, 5)), T_hand_obj)
+
+    def _close_thumb(
+        self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]
+    ) -> Float[ndarray, "A 5 3"]:
+        """The thumb closed, from where it is open, on the object and the other fingers."""
+        angles = angles.copy()
+        angles[:, 0] = np.radians(_HOLDS[self.hold].opened[0])
+        return self._sweep(angles, T_hand_obj, range(1), self.posed(angles))
+
+    def _sweep(
+        self,
+        angles: Float[ndarray, "A 5 3"],
+        T_hand_obj: Float[ndarray, "A 4 4"],
+        fingers: range,
+        obstacles: PosedHand | None = None,
+        steps: int = 14,
+    ) -> Float[ndarray, "A 5 3"]:
+        """Bend fingers, joint by joint, until they touch the object or, given other fingers as obstacles, those."""
+        angles, closed = angles.copy(), np.radians(_HOLDS[self.hold].closed)
         t = np.linspace(0.0, 1.0, steps)[:, None, None, None]
         T_obj_hand = se3.inverse(T_hand_obj)
-        for fingers in (range(1, 5), range(1)):
-            obstacles = None if 0 not in fingers else self.posed(angles)
-            for stage in range(3):
-                goal = angles.copy()
-                goal[:, list(fingers), stage:] = closed[list(fingers), stage:]
-                sweep = self.posed(angles + t * (goal - angles)).vertices
-                for f in fingers:
-                    X = sweep[:, :, self._members(f, stage)]
-                    gap = self.distance(se3.transform(T_obj_hand, X)).min(axis=-1)
-                    if obstacles is not None:
-                        gap = np.minimum(gap, self._gap_to_fingers(X, obstacles))
-                    reach = _first_below(gap, -TOUCH)[:, None]
-                    angles[:, f] += reach * (goal[:, f] - angles[:, f])
+        for stage in range(3):
+            goal = angles.copy()
+            goal[:, list(fingers), stage:] = closed[list(fingers), stage:]
+            sweep = self.posed(angles + t * (goal - angles)).vertices
+            for f in fingers:
+                X = sweep[:, :, self._members(f, stage)]
+                gap = self.distance(se3.transform(T_obj_hand, X)).min(axis=-1)
+                if obstacles is not None:
+                    gap = np.minimum(gap, self._gap_to_fingers(X, obstacles))
+                reach = _first_below(gap, -TOUCH)[:, None]
+                angles[:, f] += reach * (goal[:, f] - angles[:, f])
         return angles
+
+    def gaps(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 6"]:
+        """Smallest signed distance of each finger, thumb first, and of the palm to the object [m]."""
+        gap = self.distance(se3.transform(se3.inverse(T_hand_obj), self.posed(angles).vertices))
+        parts = [self._members(f) for f in range(5)] + [self._members(0, wrist=True)]
+        return np.stack([gap[:, part].min(axis=1) for part in parts], axis=-1)
+
+    def steered(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Grasper:
+        """The same with the thumb turned as little as lets it touch the object at its first, middle and last pose.
+
+        ``angles`` are those of the closed hand.
+        """
+        some = [0, len(angles) // 2, -1]
+
+        def miss(grasper: Grasper) -> float:
+            closed = grasper._close_thumb(angles[some], T_hand_obj[some])
+            return thumb_miss(grasper.gaps(closed, T_hand_obj[some]))
+
+        best, least = self, miss(self)
+        for rolls in ((0.0,), (-20.0, 20.0)):
+            for steer in [(aside, roll) for aside in ASIDE for roll in rolls]:
+                if least > NEAR and (off := miss(replace(self, steer=steer))) < least - NEAR / 2.0:
+                    best, least = replace(self, steer=steer), off
+        return best
 
     def _members(self, finger: int, stage: int = 0, wrist: bool = False) -> Bool[ndarray, "V"]:
         """Vertices that move with a finger's joints from ``stage`` on; or with no joint (the palm)."""
@@ -185,6 +246,17 @@ class Grasper:
             side = np.sum((X[:, a] - points[nearest]) * n[nearest], axis=-1)
             gap[:, a] = (np.where(side < 0.0, -1.0, 1.0) * distance).min(axis=-1)
         return gap
+
+
+def looseness(gaps: Float[ndarray, "6"], hold: Literal["palm", "pinch"]) -> float:
+    """How badly a closed hand holds: the gaps of the parts that ought to touch, and tenfold their excess depth [m]."""
+    parts = gaps if hold == "palm" else gaps[:3]
+    return float(np.clip(parts, 0.0, 0.02).sum() + 10.0 * np.maximum(-gaps - SOFT, 0.0).sum())
+
+
+def thumb_miss(gaps: Float[ndarray, "A 6"]) -> float:
+    """How far the thumb stays from the object, or stands in it beyond what flesh gives way [m]."""
+    return float(np.maximum(gaps[:, 0], -gaps[:, 0] - SOFT).max())
 
 
 def _first_below(gap: Float[ndarray, "S A"], level: float) -> Float[ndarray, "A"]:

@@ -21,17 +21,20 @@ from getagrip import se3
 from getagrip.camera import project
 from getagrip.clip import Clip, HandTrack, Masks, Truth
 from getagrip.datasets.categories import CATEGORIES
-from getagrip.datasets.grasp import Grasper, SignedDistance
+from getagrip.datasets.egocentric import about, other_hand, seen_from_head, smooth
+from getagrip.datasets.grasp import NEAR, Grasper, Grip, SignedDistance, looseness, thumb_miss, varied
 from getagrip.datasets.noise import Noise, perturbed
 from getagrip.errors import UsageError
 from getagrip.hands import generic
-from getagrip.hands.model import hand_track, mirrored
+from getagrip.hands.model import PosedHand, hand_track, mirrored
 from getagrip.mesh import Mesh
 from getagrip.render import Surface, render_rgb, true_masks
 from getagrip.result import Axis
 
 DEEPEST = 0.0035
 """How deep the object may turn into the open hand [m]."""
+DRAWS = 3
+"""Grips to choose from, where they vary."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,10 @@ class Options(Noise):
     """Free: the clip's mesh is the true object divided by an unknown scale between 0.8 and 1.25."""
     vary: float = 0.08
     """How much each axis of the object may be stretched or shrunk."""
+    cad: Literal["exact", "mean"] = "exact"
+    """Whether the clip's mesh is the object that is seen, or only the mean shape of its category."""
+    grip_deg: float = 0.0
+    """Root mean square turn of the object in the hand from a usual grip; above zero, rarer grips occur as well."""
     turn_deg: tuple[float, float] = (10.0, 60.0)
     """Least and largest range of the angle about the axis over the clip."""
     residual_deg: float = 1.0
@@ -64,6 +71,8 @@ class Scene:
     """A clip without noise, and what a clip does not hold."""
 
     clip: Clip
+    object: Mesh
+    """The object that is seen, at its true size, in the frame of ``truth.T_cam_obj`` [m]."""
     axis: Axis
     """The line that the object turns about, in the hand frame."""
     other_hand: Float[ndarray, "T V 3"] | None
@@ -74,11 +83,11 @@ class Scene:
         """The held object and the hands in the camera frame."""
         clip, truth = self.clip, self.clip.truth
         assert truth is not None
-        held = se3.transform(truth.T_cam_obj[frame], truth.scale * clip.mesh.vertices)
+        held = se3.transform(truth.T_cam_obj[frame], self.object.vertices)
         hands = [(se3.transform(truth.T_cam_hand[frame], truth.hand_vertices[frame]), clip.hand.faces)]
         if self.other_hand is not None:
             hands.append((self.other_hand[frame], clip.hand.faces[:, ::-1]))
-        return (held, clip.mesh.faces), hands
+        return (held, self.object.faces), hands
 
 
 def synthesise(category: str, seed: int, options: Options | None = None) -> tuple[Clip, Masks]:
@@ -104,32 +113,25 @@ def make_scene(category: str, seed: int, options: Options) -> Scene:
     kind = CATEGORIES[category]
     rng, moves = np.random.default_rng([seed, *category.encode()]).spawn(2)
     stretch = 1.0 + options.vary * rng.uniform(-1.0, 1.0, 3)
-    made = kind.make()
-    mesh = Mesh(made.vertices * stretch, made.faces)
+    mean = kind.make()
+    held = Mesh(mean.vertices * stretch, mean.faces)
     grip = kind.grips[rng.integers(len(kind.grips))]
     grip = replace(grip, at=tuple(stretch * grip.at + rng.normal(0.0, 0.002, 3)))
     model = generic.load("right")
     hand = model.with_shape(rng.normal(0.0, 0.04, len(model.shape_names)))
-    grasper = Grasper(hand, SignedDistance(mesh), grip.hold)
+    if options.grip_deg > 0.0:
+        grip = _drawn_grip(category, seed, stretch, options, Grasper(hand, SignedDistance(held), grip.hold))
+    grasper = Grasper(hand, SignedDistance(held), grip.hold)
 
     T_base = grasper.approach(grip)
     axis = _axis(grasper, T_base, options, rng)
-    line = se3.rotation_about_line(axis.point, axis.direction, axis.angle)
-    residual = _about(
-        axis.point,
-        np.radians(options.residual_deg) * _smooth(rng, options.frames, 3),
-        1e-3 * options.residual_mm * _smooth(rng, options.frames, 3),
-    )
-    T_hand_obj = residual @ line @ T_base
-    keys = np.linspace(axis.angle.min(), axis.angle.max(), 5)
-    T_keys = se3.rotation_about_line(axis.point, axis.direction, keys) @ T_base
-    closed = grasper.close(T_keys)
-    bent = np.stack([np.interp(axis.angle, keys, joint) for joint in closed.reshape(len(keys), 15).T], axis=-1)
-    posed = grasper.posed(bent.reshape(-1, 5, 3))
-
-    middle = (posed.joints[:, 9].mean(axis=0) + se3.transform(T_hand_obj, mesh.centre[None]).mean(axis=0)[0]) / 2.0
-    T_cam_hand = _seen_from_head(T_hand_obj[0], middle, mesh.diameter, options.frames, moves)
-    scale = 1.0 if options.scale == "known" else float(rng.uniform(0.8, 1.25))
+    T_hand_held, posed = _turned(grasper, T_base, axis, options, rng)
+    middle = (posed.joints[:, 9].mean(axis=0) + se3.transform(T_hand_held, held.centre[None]).mean(axis=0)[0]) / 2.0
+    T_cam_hand = seen_from_head(T_hand_held[0], middle, held.diameter, options.frames, moves)
+    unknown = 1.0 if options.scale == "known" else float(rng.uniform(0.8, 1.25))
+    T_held_cad, size = np.eye(4), 1.0
+    if options.cad == "mean":
+        T_held_cad, size = aligned(mean, held, resize=options.scale == "free")
     track = hand_track(posed, T_cam_hand)
     width, height = options.size
     K = np.array([[options.focal, 0.0, width / 2.0], [0.0, options.focal, height / 2.0], [0.0, 0.0, 1.0]])
@@ -142,15 +144,67 @@ def make_scene(category: str, seed: int, options: Options) -> Scene:
         frames=tuple(f"{n:06d}" for n in range(options.frames)),
         size=options.size,
         K=np.broadcast_to(K, (options.frames, 3, 3)).copy(),
-        mesh=Mesh(mesh.vertices / scale, mesh.faces),
+        mesh=Mesh((mean if options.cad == "mean" else held).vertices / unknown, held.faces),
         scale=options.scale,
         hand=track,
-        truth=Truth(T_cam_hand @ T_hand_obj, scale, T_cam_hand, track.vertices),
+        truth=Truth(T_cam_hand @ T_hand_held @ T_held_cad, size * unknown, T_cam_hand, track.vertices),
         provenance={"source": "made up by getagrip", "seed": seed, "options": asdict(options)},
     )
-    other = _other_hand(grasper, T_cam_hand, middle, moves) if options.other_hand else None
-    scene = Scene(clip, axis, other, options)
+    other = other_hand(grasper, T_cam_hand, middle, moves) if options.other_hand else None
+    seen = Mesh(se3.transform(se3.inverse(T_held_cad), held.vertices), held.faces)
+    scene = Scene(clip, seen, axis, other, options)
     return scene if options.side == "right" else _mirror_image(scene)
+
+
+def aligned(cad: Mesh, held: Mesh, resize: bool) -> tuple[Float[ndarray, "4 4"], float]:
+    """``T_held_cad`` and the scale that bring a CAD nearest to the object that it stands for, vertex by vertex.
+
+    Minimised is sum_i a_i |x_i - (R s y_i + t)|^2 over corresponding vertices x of ``held`` and y of ``cad``, with a_i
+    the areas of ``held``; s stays 1 unless ``resize`` (Umeyama, "Least-squares estimation of transformation
+    parameters", 1991).
+    """
+    a = held.vertex_areas / held.vertex_areas.sum()
+    x0, y0 = a @ held.vertices, a @ cad.vertices
+    x, y = held.vertices - x0, cad.vertices - y0
+    R = se3.nearest_rotation((a[:, None] * x).T @ y)
+    size = float(np.sum(a[:, None] * x * (y @ R.T)) / np.sum(a[:, None] * y * y)) if resize else 1.0
+    return se3.rigid(R, x0 - size * R @ y0), size
+
+
+def _drawn_grip(category: str, seed: int, stretch: Float[ndarray, 3], options: Options, grasper: Grasper) -> Grip:
+    """Any grip of the category, at random off the usual: of a few draws the one that holds the object best."""
+    kind = CATEGORIES[category]
+    rng = np.random.default_rng([seed, *category.encode(), 2])
+    grips = (*kind.grips, *kind.rarer)
+    usual = grips[rng.integers(len(grips))]
+    usual = replace(usual, at=tuple(stretch * usual.at))
+    grasper = replace(grasper, hold=usual.hold)
+
+    def badness(grip: Grip) -> float:
+        T = grasper.approach(grip)[None]
+        return looseness(grasper.gaps(grasper.close(T), T)[0], grip.hold)
+
+    return min((varied(usual, options.grip_deg, 8.0, rng) for _ in range(DRAWS)), key=badness)
+
+
+def _turned(
+    grasper: Grasper, T_base: Float[ndarray, "4 4"], axis: Axis, options: Options, rng: np.random.Generator
+) -> tuple[Float[ndarray, "T 4 4"], PosedHand]:
+    """``T_hand_obj`` of the object as it turns about the axis, nearly, and the hand that follows it."""
+    line = se3.rotation_about_line(axis.point, axis.direction, axis.angle)
+    residual = about(
+        axis.point,
+        np.radians(options.residual_deg) * smooth(rng, options.frames, 3),
+        1e-3 * options.residual_mm * smooth(rng, options.frames, 3),
+    )
+    keys = np.linspace(axis.angle.min(), axis.angle.max(), 5)
+    T_keys = se3.rotation_about_line(axis.point, axis.direction, keys) @ T_base
+    closed = grasper.close(T_keys)
+    if thumb_miss(grasper.gaps(closed, T_keys)) > NEAR:
+        grasper = grasper.steered(closed, T_keys)
+        closed = grasper.close(T_keys)
+    bent = np.stack([np.interp(axis.angle, keys, joint) for joint in closed.reshape(len(keys), 15).T], axis=-1)
+    return residual @ line @ T_base, grasper.posed(bent.reshape(-1, 5, 3))
 
 
 def clip_name(category: str, seed: int, options: Options) -> str:
@@ -166,7 +220,7 @@ def _axis(grasper: Grasper, T_base: Float[ndarray, "4 4"], options: Options, rng
     directions = rng.normal(size=(24, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     points = contact.mean(axis=0) + rng.normal(0.0, 0.008, (24, 3))
-    curve = _smooth(rng, options.frames, 1)[:, 0]
+    curve = smooth(rng, options.frames, 1)[:, 0]
     curve = (curve - curve.min()) / np.ptp(curve) - 0.5
     least, most = np.radians(options.turn_deg)
     turn = rng.uniform(least, most)
@@ -178,54 +232,6 @@ def _axis(grasper: Grasper, T_base: Float[ndarray, "4 4"], options: Options, rng
         if depth[best] < DEEPEST or turn <= least:
             return Axis(points[best], directions[best], turn * curve)
         turn = max(0.8 * turn, least)
-
-
-def _seen_from_head(
-    T_hand_obj: Float[ndarray, "4 4"],
-    middle: Float[ndarray, 3],
-    diameter: float,
-    frames: int,
-    rng: np.random.Generator,
-) -> Float[ndarray, "T 4 4"]:
-    """``T_cam_hand`` of a hand that lifts, carries and tilts, before a head that follows it.
-
-    World: x right, y ahead, z up, the middle of hand and object near the origin. The object starts upright, turned
-    such that the forearm comes from the right shoulder.
-    """
-    forearm = (T_hand_obj[:3, :3].T @ [1.0, 0.0, 0.0])[:2]
-    yaw = np.arctan2(-0.8, 0.6) - np.arctan2(forearm[1], forearm[0]) + rng.normal(0.0, 0.25)
-    upright = se3.exp_so3(np.array([0.0, 0.0, yaw])) @ T_hand_obj[:3, :3].T
-    tilt = np.radians(rng.uniform(15.0, 45.0)) * _smooth(rng, frames, 3)
-    carried = np.array([0.06, 0.04, 0.05]) * _smooth(rng, frames, 3)
-    T_world_hand = _about(np.zeros(3), tilt, carried) @ se3.rigid(upright, -upright @ middle)
-
-    away = np.clip(0.24 + 1.05 * diameter, 0.36, 0.62)
-    down = np.radians(rng.uniform(30.0, 60.0))
-    eye = away * np.array([0.0, -np.cos(down), np.sin(down)]) + 0.025 * _smooth(rng, frames, 3)
-    target = 0.6 * carried + 0.02 * _smooth(rng, frames, 3)
-    z = target - eye
-    z /= np.linalg.norm(z, axis=1, keepdims=True)
-    x = np.cross(z, np.array([0.0, 0.0, 1.0]) + 0.06 * _smooth(rng, frames, 3))
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    T_world_cam = se3.rigid(np.stack([x, np.cross(z, x), z], axis=-1), eye)
-    return se3.inverse(T_world_cam) @ T_world_hand
-
-
-def _other_hand(
-    grasper: Grasper, T_cam_hand: Float[ndarray, "T 4 4"], middle: Float[ndarray, 3], rng: np.random.Generator
-) -> Float[ndarray, "T V 3"]:
-    """A relaxed left hand that drifts over part of the object, in the camera frame [m]."""
-    frames = len(T_cam_hand)
-    relaxed = np.radians([(0.0, 10.0, 10.0), *((25.0, 30.0, 15.0),) * 4])
-    vertices = mirrored(grasper.posed(relaxed).vertices)
-    vertices = vertices - vertices.mean(axis=0)
-    turn = se3.exp_so3(rng.normal(0.0, 0.25, 3))
-    # Seen from the head: back of the hand towards the eye, fingers up and to the right.
-    facing = np.array([[-0.45, 0.0, 0.9], [-0.9, 0.0, -0.45], [0.0, -1.0, 0.0]]).T
-    about = se3.transform(T_cam_hand, middle[None])[:, 0].mean(axis=0)
-    place = about * rng.uniform(0.72, 0.82) + np.array([-0.09, 0.03, 0.0])
-    moves = _about(np.zeros(3), 0.2 * _smooth(rng, frames, 3), 0.03 * _smooth(rng, frames, 3))
-    return se3.transform(se3.rigid(None, place) @ moves, vertices @ (turn @ facing).T)
 
 
 def _mirror_image(scene: Scene) -> Scene:
@@ -245,13 +251,18 @@ def _mirror_image(scene: Scene) -> Scene:
     mirrored_clip = replace(
         clip,
         side="left",
-        mesh=Mesh(clip.mesh.vertices * np.array([1.0, -1.0, 1.0]), clip.mesh.faces[:, ::-1].copy()),
+        mesh=_flipped(clip.mesh),
         hand=hand,
         truth=Truth(flip @ truth.T_cam_obj @ own, truth.scale, hand.T_cam_hand, hand.vertices),
     )
     other = None if scene.other_hand is None else mirrored(scene.other_hand)
     turned = Axis(mirrored(axis.point), -mirrored(axis.direction), axis.angle)  # a mirror turns rotations round
-    return replace(scene, clip=mirrored_clip, axis=turned, other_hand=other)
+    return replace(scene, clip=mirrored_clip, object=_flipped(scene.object), axis=turned, other_hand=other)
+
+
+def _flipped(mesh: Mesh) -> Mesh:
+    """The mesh with its own y axis turned round."""
+    return Mesh(mesh.vertices * np.array([1.0, -1.0, 1.0]), mesh.faces[:, ::-1].copy())
 
 
 def seen_masks(scene: Scene) -> Masks:
@@ -283,20 +294,3 @@ def pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
         window[:] = render_rgb(meshes, K - shift, (window.shape[1], window.shape[0]), window)
         images.append(image)
     return images
-
-
-def _smooth(rng: np.random.Generator, frames: int, curves: int) -> Float[ndarray, "T curves"]:
-    """Random slow curves with values in [-1, 1]: a few low frequencies over the clip."""
-    t = np.linspace(0.0, 1.0, frames)[:, None, None]
-    frequency = np.pi * np.array([1.0, 2.0, 3.0])[:, None]
-    amplitude = rng.normal(size=(3, curves)) / np.array([1.0, 2.0, 4.0])[:, None]
-    curve = np.sum(amplitude * np.sin(frequency * t + rng.uniform(0.0, 2.0 * np.pi, (3, curves))), axis=1)
-    return np.asarray(curve / np.abs(amplitude).sum(axis=0))
-
-
-def _about(
-    point: Float[ndarray, 3], turn: Float[ndarray, "T 3"], shift: Float[ndarray, "T 3"]
-) -> Float[ndarray, "T 4 4"]:
-    """Turn by rotation vectors [rad] about a point, then shift [m]."""
-    R = se3.exp_so3(turn)
-    return se3.rigid(R, point + shift - R @ point)
