@@ -1,0 +1,104 @@
+"""Are the methods starved? Final energy and error against the number of starts and of iterations.
+
+    python -m benchmarks.baselines [seeds]
+
+Prints a table: each method as it is, with two and four times the starts, and with two and four times the iterations of
+every stage. A method is not starved where more of either hardly lowers its energy.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from statistics import mean, median
+from unittest.mock import patch
+
+from benchmarks.problem import Problem
+from getagrip import joint
+from getagrip.baselines import homan, homan_joint, single_frame
+from getagrip.datasets.categories import CATEGORIES
+from getagrip.datasets.noise import NOISE
+from getagrip.datasets.synthetic import Options as ClipOptions
+from getagrip.datasets.synthetic import synthesise
+from getagrip.observation import observe
+from getagrip.options import Method, Options
+from getagrip.reconstruct import reconstruct
+from getagrip.search import Schedule, Stage
+
+METHODS: tuple[Method, ...] = ("one-dof", "dynamic", "contact-consistency", "homan", "single-frame")
+FACTORS = ((1, 1), (2, 1), (4, 1), (1, 2), (1, 4))
+"""Of starts and of iterations."""
+CONDITIONS = {"exact": ClipOptions(), "hamer": ClipOptions(**vars(NOISE["hamer"]))}
+CLOSE = 1.02
+"""An energy within this factor of the least that the method found with any setting counts as found."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """One method on one clip."""
+
+    energy: float
+    """Per frame."""
+    add: float
+    """Up to symmetries, as a share of the diameter."""
+    seconds: float
+
+
+@contextmanager
+def longer(factor: int) -> Iterator[None]:
+    """All methods with so many times the iterations."""
+
+    def stage(of: Stage) -> Stage:
+        return replace(of, iterations=factor * of.iterations)
+
+    def schedule(of: Schedule) -> Schedule:
+        static, loose = factor * of.static_iterations, factor * of.loose_iterations
+        stages = tuple(stage(s) for s in of.stages)
+        return replace(of, static_iterations=static, loose_iterations=loose, stages=stages)
+
+    with ExitStack() as stack:
+        stack.enter_context(patch.object(joint, "Schedule", lambda: schedule(Schedule())))
+        stack.enter_context(patch.object(single_frame, "SCHEDULE", schedule(single_frame.SCHEDULE)))
+        stack.enter_context(patch.object(homan, "FIRST", stage(homan.FIRST)))
+        stack.enter_context(patch.object(homan, "LATER", stage(homan.LATER)))
+        stack.enter_context(patch.object(homan_joint, "STAGES", tuple(stage(s) for s in homan_joint.STAGES)))
+        yield
+
+
+def score(problem: Problem, method: Method, starts: int, iterations: int) -> Score:
+    """Reconstruct with so many times the starts and iterations."""
+    with longer(iterations):
+        result = reconstruct(problem.clip, problem.masks, Options(method=method, inits=starts * Options().inits))
+    frames = len(result.frames)
+    return Score(result.energy["total"] / frames, problem.add(result.T_hand_obj), result.seconds["total"])
+
+
+def main(seeds: int) -> None:
+    """Print the table."""
+    problems = []
+    for options in CONDITIONS.values():
+        for category in sorted(CATEGORIES):
+            for seed in range(seeds):
+                clip, masks = synthesise(category, seed, options)
+                problems.append(Problem(clip, masks, observe(masks, clip.K)))
+    print(f"{len(problems)} clips: {len(CATEGORIES)} categories, seeds 0 to {seeds - 1}, {' and '.join(CONDITIONS)}.\n")
+    heads = ["method", "starts", "iterations", "energy per frame", "median", "found %", "ADD %", "ADD median %", "s"]
+    print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
+    for method in METHODS:
+        scores = {factors: [score(p, method, *factors) for p in problems] for factors in FACTORS}
+        least = [min(s.energy for s in of_clip) for of_clip in zip(*scores.values(), strict=True)]
+        for (starts, iterations), group in scores.items():
+            energies = [s.energy for s in group]
+            found = mean(s.energy < CLOSE * e for s, e in zip(group, least, strict=True))
+            print(
+                f"| {method} | x{starts} | x{iterations} | {mean(energies):.1f} | {median(energies):.1f} "
+                f"| {100 * found:.0f} | {100 * mean(s.add < 0.1 for s in group):.0f} "
+                f"| {100 * median(s.add for s in group):.1f} | {median(s.seconds for s in group):.2f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1)
