@@ -140,6 +140,25 @@ def test_poses_are_rigid_and_hypotheses_side_by_side(make: Callable[[np.random.G
 
 
 @EVERY
+def test_turned_objects_stay_where_they_are(make: Callable[[np.random.Generator], Motion]) -> None:
+    rng = np.random.default_rng(5)
+    motion, R = make(rng), se3.exp_so3(rng.normal(size=(B, 3)))
+    before, after = motion.poses(), motion.turned(R).poses()
+    np.testing.assert_allclose(after.R, before.R @ R[:, None], atol=1e-12)
+    np.testing.assert_array_equal(after.centre, before.centre)
+    np.testing.assert_array_equal(after.scale, before.scale)
+
+
+@EVERY
+def test_hypotheses_are_joined_in_order(make: Callable[[np.random.Generator], Motion]) -> None:
+    rng = np.random.default_rng(6)
+    one, other = make(rng), make(rng)
+    both = one.joined(other).poses()
+    np.testing.assert_array_equal(both.R, np.concatenate([one.poses().R, other.poses().R]))
+    np.testing.assert_array_equal(both.centre, np.concatenate([one.poses().centre, other.poses().centre]))
+
+
+@EVERY
 def test_priors_are_quadratic(make: Callable[[np.random.Generator], Motion]) -> None:
     motion = make(np.random.default_rng(6))
     S, L = sizes(motion)

@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip import se3
+from getagrip.joint import box
 from getagrip.motion import Fixed, Free, Hinge, Soft
-from getagrip.search import distinct, hinge_from, resampled, spread
+from getagrip.search import distinct, hinge_from, resampled, spread, turns
 
 CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]) * [0.1, 0.06, 0.04] - [0.05, 0.03, 0.02]
 
@@ -94,3 +95,24 @@ def test_near_copies_of_a_better_hypothesis_are_dropped() -> None:
     np.testing.assert_array_equal(distinct(motion, energy, CORNERS, keep=9), [1, 3, 2])
     np.testing.assert_array_equal(distinct(motion, energy, CORNERS, keep=2), [1, 3])
     assert len(distinct(motion, np.full(5, np.inf), CORNERS, keep=2)) == 0
+
+
+def test_turns_are_small_ones_and_half_ones_of_the_box() -> None:
+    """A half turn puts the box on itself; a small one is of 10 to 40 degrees."""
+    R = turns(CORNERS, 30, np.random.default_rng(3))
+    small = np.degrees(se3.angle_between(R[:30], np.eye(3)))
+    assert ((small >= 10.0) & (small <= 40.0)).all()
+    assert len(np.unique(R[30:].round(6), axis=0)) == 3
+    for turn in R[30:]:
+        gaps = np.linalg.norm((CORNERS @ turn.T)[:, None] - CORNERS[None], axis=-1)
+        np.testing.assert_allclose(gaps.min(axis=1), 0.0, atol=1e-12)
+
+
+def test_the_box_lies_along_the_object() -> None:
+    """However the CAD is turned in its frame, the box is the same; opposite corners are opposite."""
+    rng = np.random.default_rng(4)
+    vertices = rng.uniform(-1.0, 1.0, (200, 3)) * [0.1, 0.05, 0.02]
+    R = se3.exp_so3(rng.normal(size=3))
+    sides = [np.sort(np.linalg.norm(b[[1, 2, 4]] - b[0], axis=1)) for b in (box(vertices), box(vertices @ R.T))]
+    np.testing.assert_allclose(sides[0], sides[1], atol=1e-12)
+    assert np.linalg.norm(box(vertices)[7] - box(vertices)[0]) == pytest.approx(np.linalg.norm(sides[0]))

@@ -74,6 +74,8 @@ def _axis(motion: Motion) -> Axis | None:
 
 
 def box(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "8 3"]:
-    """Corners of the bounding box, the first and the last opposite."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    return np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)])
+    """Corners of the bounding box along the principal axes: corner i at the high end of axis k if bit k of i is set."""
+    _, axes = np.linalg.eigh(np.cov(vertices.T))
+    along = vertices @ axes
+    low, high = along.min(axis=0), along.max(axis=0)
+    return np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)]) @ axes.T

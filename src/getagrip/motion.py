@@ -66,6 +66,14 @@ class Motion(Protocol):
         """Some of the hypotheses."""
         ...
 
+    def joined(self, other: Self) -> Self:
+        """This model's hypotheses, then the other's."""
+        ...
+
+    def turned(self, R: Float[ndarray, "B 3 3"]) -> Self:
+        """The object turned about its centre by R (object frame), in all frames alike."""
+        ...
+
 
 Core = TypeVar("Core", bound=Motion)
 
@@ -76,6 +84,9 @@ class _Batch:
 
     def take(self, index: ndarray) -> Self:
         return self._each(lambda v: v[index])
+
+    def joined(self, other: Self) -> Self:
+        return self._each(lambda mine, theirs: np.concatenate([mine, theirs]), other)
 
     def where(self, mask: Bool[ndarray, "B"], other: Self) -> Self:
         def choose(mine: ndarray, theirs: ndarray) -> ndarray:
@@ -108,6 +119,9 @@ class Fixed(_Batch):
         B, N = len(self.R), self.frames
         R = np.broadcast_to(self.R[:, None], (B, N, 3, 3))
         return InHand(R, np.broadcast_to(self.centre[:, None], (B, N, 3)), np.exp(self.log_scale))
+
+    def turned(self, R: Float[ndarray, "B 3 3"]) -> Fixed:
+        return replace(self, R=self.R @ R)
 
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
         J = np.eye(7)[:, : 6 + self.free_scale]
@@ -151,6 +165,9 @@ class Hinge(_Batch):
     def poses(self) -> InHand:
         turn, centre = self._swung()
         return InHand(turn @ self.R[:, None], centre, np.exp(self.log_scale))
+
+    def turned(self, R: Float[ndarray, "B 3 3"]) -> Hinge:
+        return replace(self, R=self.R @ R)
 
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
         turn, centre = self._swung()
@@ -221,6 +238,9 @@ class Free(_Batch):
     def poses(self) -> InHand:
         return InHand(self.R, self.centre, np.exp(self.log_scale))
 
+    def turned(self, R: Float[ndarray, "B 3 3"]) -> Free:
+        return replace(self, R=self.R @ R[:, None])
+
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
         B, N = self.centre.shape[:2]
         eye = np.eye(7)
@@ -257,6 +277,9 @@ class Soft(_Batch, Generic[Core]):
         held = self.core.poses()
         R = se3.exp_so3(self.deviation[..., 3:]) @ held.R
         return InHand(R, held.centre + self.deviation[..., :3], held.scale)
+
+    def turned(self, R: Float[ndarray, "B 3 3"]) -> Soft[Core]:
+        return replace(self, core=self.core.turned(R))
 
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
         shared, angles = self.core.jacobian()

@@ -1,9 +1,10 @@
 """Multi-start, coarse-to-fine search: many rotations at low resolution and few frames, fewer and fewer at higher.
 
 Pruning waits until the wanted motion model has been fitted: on the energy of a static fit the right start is often
-lost. The axis of a hinge comes from the data: after a static fit, a fit with a small free deviation per frame, whose
-rotation vectors' principal direction is the axis. (Angle zero about any axis is a dead start: the energy does not see
-the axis there.)
+lost. Then the best are turned and fitted again, a few rounds of it: local minima lie side by side, and in pairs. The
+axis of a hinge comes from the data: after a static fit, a fit with a small free deviation per frame, whose rotation
+vectors' principal direction is the axis. (Angle zero about any axis is a dead start: the energy does not see the axis
+there.)
 """
 
 from __future__ import annotations
@@ -52,6 +53,10 @@ class Schedule:
 
     static_iterations: int = 6
     loose_iterations: int = 3
+    rounds: int = 6
+    """How often the best of the first stage are turned and fitted again."""
+    parents: int = 8
+    """How many of them."""
     stages: tuple[Stage, ...] = (
         Stage("coarse", level=64, frames=8, iterations=5, keep=16),
         Stage("middle", level=64, frames=15, iterations=6, keep=6),
@@ -133,6 +138,35 @@ def distinct(motion: Motion, energy: Float[ndarray, "B"], corners: Float[ndarray
     return np.array(chosen, dtype=int)
 
 
+def turns(corners: Float[ndarray, "8 3"], count: int, rng: np.random.Generator) -> Float[ndarray, "n 3 3"]:
+    """Turns of the object that lead from one local minimum to another: ``count`` random ones of 10 to 40 degrees, and
+    ``count`` half turns about axes of its bounding box, which show nearly the same outline.
+    """
+    axes = corners[[1, 2, 4]] - corners[0]
+    axes /= np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-12)
+    random = rng.normal(size=(count, 3))
+    random *= np.radians(rng.uniform(10.0, 40.0, (count, 1))) / np.linalg.norm(random, axis=1, keepdims=True)
+    return se3.exp_so3(np.concatenate([random, np.pi * axes[rng.integers(3, size=count)]]))
+
+
+def explored(
+    solution: Solution[M],
+    terms: Sequence[Term],
+    T_cam_hand: Float[ndarray, "N 4 4"],
+    corners: Float[ndarray, "8 3"],
+    schedule: Schedule,
+) -> Solution[M]:
+    """The solutions of the first stage, and those found from the best of them turned, in several rounds."""
+    rng = np.random.default_rng(0)
+    for _ in range(schedule.rounds):
+        parents = distinct(solution.motion, solution.energy, corners, schedule.parents)
+        if not len(parents):
+            break
+        children = solution.motion.take(np.tile(parents, 2)).turned(turns(corners, len(parents), rng))
+        solution = solution.joined(minimise(children, terms, T_cam_hand, schedule.stages[0].iterations))
+    return solution
+
+
 def search(
     starts: Fixed,
     model: Callable[[Soft[Fixed]], Motion],
@@ -145,8 +179,8 @@ def search(
     """Run the stages from B starting poses; the distinct solutions of the last stage, best first.
 
     ``model`` turns a loose fit into the wanted motion, ``corners`` are those of the object's bounding box about its
-    centre, ``watch`` is told the name of each stage when it ends. The result is empty when every start is behind the
-    camera.
+    centre (``joint.box``), ``watch`` is told the name of each stage when it ends. The result is empty when every start
+    is behind the camera.
     """
     N = len(T_cam_hand)
     first = schedule.stages[0]
@@ -165,6 +199,8 @@ def search(
         if stage.soft and not isinstance(motion, Soft):
             motion = Soft[Motion](motion, np.zeros((len(motion.poses().scale), len(index), 6)), SOFT_RIDGE)
         solution = minimise(motion, terms, T_cam_hand[index], stage.iterations)
+        if not k:
+            solution = explored(solution, terms, T, corners, schedule)
         solution = solution.take(distinct(solution.motion, solution.energy, corners, stage.keep))
         motion = solution.motion
         watch(stage.name)

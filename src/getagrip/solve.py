@@ -60,6 +60,16 @@ class Solution(Generic[M]):
             self.evaluations,
         )
 
+    def joined(self, other: Solution[M]) -> Solution[M]:
+        """These solutions, then the other's."""
+        return Solution(
+            self.motion.joined(other.motion),
+            np.concatenate([self.energy, other.energy]),
+            {name: np.concatenate([value, other.terms[name]]) for name, value in self.terms.items()},
+            [*self.status, *other.status],
+            self.evaluations + other.evaluations,
+        )
+
 
 def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> Poses:
     """The motion's poses as the terms want them."""
