@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -17,6 +19,7 @@ from hypothesis import strategies as st
 from getagrip.bench import trials
 from getagrip.bench.comparison import compare, groups
 from getagrip.bench.settings import ABLATIONS, AS_GIVEN, ScaleFree, ScaleKnown, ablation_arms, method_arms
+from getagrip.bench.sources import Source, samples
 from getagrip.bench.statistics import estimate, resamples
 from getagrip.bench.tables import LATEX, latex, markdown
 from getagrip.bench.trials import Score, Scores
@@ -24,7 +27,7 @@ from getagrip.cli import main
 from getagrip.clip import read_clip, write_clip
 from getagrip.datasets.synthetic import Options as ClipOptions
 from getagrip.datasets.synthetic import synthesise
-from getagrip.errors import GetagripError
+from getagrip.errors import GetagripError, UsageError
 from getagrip.options import Method, Options
 from getagrip.result import read_result
 
@@ -65,7 +68,7 @@ def score(arm: str, value: float, failed: bool = False) -> Score:
 # ---------------------------------------------------------------- statistics
 
 
-@given(st.lists(st.floats(0.0, 1.0), min_size=2, max_size=20), st.integers(0, 5))
+@given(st.lists(st.floats(0.0, 1.0), min_size=5, max_size=20), st.integers(0, 5))
 def test_an_interval_holds_its_mean_and_stays_among_the_values(values: list[float], seed: int) -> None:
     x = np.array(values)
     found = estimate(x, resamples([str(n) for n in range(len(x))], seed))
@@ -83,17 +86,18 @@ def test_the_interval_is_that_of_the_normal_law() -> None:
 
 
 def test_clips_of_a_subject_are_drawn_together() -> None:
-    weights = resamples(["a", "a", "b", "b", "c", "c"])
+    weights = resamples([name for name in "abcdef" for _ in range(2)])
     np.testing.assert_array_equal(weights[:, ::2], weights[:, 1::2])
-    np.testing.assert_array_equal(weights.sum(axis=1), 6)
-    # Six copies of three clips say no more than the three.
-    x = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(weights.sum(axis=1), 12)
+    # Each clip twice says no more than each once.
+    x = np.repeat([0.0, 1.0, 0.0, 0.5, 0.2, 0.9], 2)
     assert estimate(x, weights).high == estimate(x[::2], weights[:, ::2]).high
 
 
-def test_no_interval_where_all_clips_are_alike_or_drawn_together() -> None:
+def test_no_interval_where_clips_are_few_alike_or_drawn_together() -> None:
     assert np.isnan(estimate(np.ones(5), resamples(list("abcde"))).low)
-    assert np.isnan(estimate(np.array([0.0, 1.0]), resamples(["a", "a"])).low)
+    assert np.isnan(estimate(np.arange(4.0), resamples(list("abcd"))).low)
+    assert np.isnan(estimate(np.arange(6.0), resamples(list("aaaaaa"))).low)
     nothing = estimate(np.full(3, np.nan), resamples(list("abc")))
     assert np.isnan(nothing.mean)
     assert nothing.clips == 0
@@ -104,14 +108,20 @@ def test_no_interval_where_all_clips_are_alike_or_drawn_together() -> None:
 
 def test_best_second_and_paired_differences() -> None:
     arms = method_arms(["one-dof", "soft-hinge", "static"], Options())
-    values = {"one-dof": [0.5, 0.7, 0.6, 0.4], "soft-hinge": [0.6, 0.8, 0.7, 0.5], "static": [0.1, 0.2, 0.9, 0.3]}
-    scores = [Scores(f"c{n}", "can", "", True, tuple(score(m, v[n]) for m, v in values.items())) for n in range(4)]
+    hinge = [0.5, 0.7, 0.6, 0.4, 0.5]
+    values = {
+        "one-dof": hinge,
+        "soft-hinge": [x + 0.1 + 0.01 * n for n, x in enumerate(hinge)],
+        "static": [0.1, 0.2, 0.9, 0.3, 0.2],
+    }
+    scores = [Scores(f"c{n}", "can", "", True, tuple(score(m, v[n]) for m, v in values.items())) for n in range(5)]
     (table,) = compare(scores, arms)
     iou = table.columns[0]
     assert table.ranks(iou) == [2, 1, 0]
     difference = table.rows[1].differences["IOU"]
-    assert difference.mean == pytest.approx(0.1)  # ten points on every clip: certain, though the values spread
-    assert difference.high - difference.low < 1e-12
+    assert difference.mean == pytest.approx(0.12)  # about ten points on every clip: certain, though the values spread
+    assert 0.1 < difference.low < difference.high < 0.14
+    assert table.rows[0].values["IOU"].high > table.rows[1].values["IOU"].low
     assert table.rows[0].differences == {}
     truth = next(column for column in table.columns if column.heading == "truth's SCA")
     assert table.ranks(truth) == [0, 0, 0]
@@ -250,11 +260,17 @@ def test_an_ablation_changes_clips_and_draws_a_plot(made: Path, tmp_path: Path, 
     assert "input_sha256" in err
 
 
-def test_results_of_other_options_are_made_again(made: Path, tmp_path: Path, run: Run) -> None:
+def test_results_of_other_options_are_made_again(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     call = ("bench", made, "--out", tmp_path, "--workers", "1", "--methods", "static", "--clips", "1")
     assert "1 done" in run(*call, "--inits", "8")[1]
     assert "1 done" in run(*call, "--inits", "9")[1]
-    assert "0 done, 1 already" in run(*call, "--inits", "9")[1]
+    monkeypatch.setattr(trials, "_code_changed", lambda: 1.0)
+    _, out, err = run(*call, "--inits", "9")
+    assert "0 done, 1 already" in out
+    assert err == ""
+    record = next(tmp_path.glob("results/static/*/result.json"))
+    os.utime(record, (0.0, 0.0))
+    assert "1 results are older" in run(*call, "--inits", "9")[2]
     assert "1 done" in run(*call, "--inits", "9", "--overwrite")[1]
 
 
@@ -293,6 +309,7 @@ def test_what_fails_is_named_and_the_rest_done(made: Path, tmp_path: Path, run: 
         (("--clips", "0"), "--clips"),
         (("--split", "train"), "--split"),
         (("--root", "x"), "--root"),
+        (("--preset", "wild"), "--preset"),
         (("--json", "nowhere/x.json"), "--json"),
         (("--inits", "0"), "inits"),
     ],
@@ -308,6 +325,34 @@ def test_folders_that_are_no_clips_are_refused(tmp_path: Path, run: Run) -> None
     assert status != 0
     assert "nowhere" in err
     assert main(["bench", "dexycb", "--out", str(tmp_path / "out")]) == 2
+
+
+def test_a_folder_of_made_up_clips_belongs_to_one_preset(tmp_path: Path) -> None:
+    clean = Source("synthetic", tmp_path / "clips")
+    found, _ = samples(clean, debug=False)
+    assert len({sample.name for sample in found}) == len(found) > 100
+    assert not list((tmp_path / "clips").glob("*/"))  # clips are made when they are needed
+    assert len(samples(replace(clean, count=7), debug=False)[0]) == 7
+    both = {sample.name for sample in samples(replace(clean, split="all"), debug=False)[0]}
+    train = {sample.name for sample in samples(replace(clean, split="train"), debug=False)[0]}
+    assert both - train == {sample.name for sample in found}
+    with pytest.raises(UsageError, match="another dataset"):
+        samples(replace(clean, preset="wild"), debug=False)
+
+
+def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
+    folder = tmp_path / "clips"
+    clip, masks = synthesise("can", 0, ClipOptions(frames=2))
+    for n in range(7):
+        name = f"subject-{n}--sequence--can"
+        write_clip(replace(clip, name=name), masks, folder / name)
+    source = Source("dexycb", folder, root=tmp_path)
+    (folder / "imported").touch()  # as if from somewhere
+    part = {
+        which: [sample.name[8] for sample in samples(replace(source, split=which), debug=False)[0]]
+        for which in ("train", "test", "all")
+    }
+    assert part == {"train": list("036"), "test": list("1245"), "all": list("0123456")}
 
 
 def test_the_commands_ablations_are_those_that_exist(run: Run) -> None:

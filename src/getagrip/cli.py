@@ -156,6 +156,8 @@ class Bench(Command):
     """Which part of a dataset: train is for tuning."""
     clips: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """So many clips of it, spread evenly."""
+    preset: Literal["clean", "hamer", "frankmocap", "wild"] = "clean"
+    """synthetic: everything as it is, with the errors of a hand tracker, or with little known, as in the wild."""
     root: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """dexycb: where it is, as for the command import."""
     meshes: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
@@ -177,7 +179,7 @@ class Bench(Command):
         from getagrip.bench.command import Plan, bench
         from getagrip.bench.sources import Source
 
-        source = Source(self.dataset, self.out / "clips", self.split, self.clips, self.root, self.meshes)
+        source = Source(self.dataset, self.out / "clips", self.split, self.clips, self.preset, self.root, self.meshes)
         options = Options(inits=self.inits, seed=self.seed)
         choice = (self.methods, self.ablation, self.init, options)
         return bench(Plan(source, self.out, *choice, self.workers, self.overwrite, self.json), self.debug)

@@ -128,7 +128,7 @@ def _print(table: Table) -> None:
 def _write(plan: Plan, tables: Sequence[Table], scores: Sequence[Scores], arms: Sequence[Arm]) -> None:
     """Tables, every clip's numbers and the plot, into the output folder."""
     name = plan.ablation or "methods"
-    about = _about(plan, scores)
+    about = _about(plan, scores) + _outdated(scores)
     written = [plan.out / f"{name}{end}" for end in ("-clips.csv", ".csv", ".md", ".tex")]
     write_clips_csv(scores, arms, written[0])
     write_csv(tables, written[1])
@@ -154,7 +154,7 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     versions = ", ".join(f"{key} {version}" for key, version in software().items())
     contact = CONTACT.replace("_", " vertices within ").replace("mm", " mm")
     return [
-        f"{f'{source.dataset}, {source.part} split' if source.named else 'a folder of clips'}: {len(good)} clips"
+        f"{_named(source)}: {len(good)} clips"
         + (f", {len(scores) - len(good)} failed and left out" if len(good) < len(scores) else ""),
         f"{plan.options.inits} starts ({plan.init}), {plan.options.frames} frames, seed {plan.options.seed}; the same "
         "frames, masks and evaluation for all",
@@ -163,6 +163,24 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
         f"contact: {contact}, unless the row says otherwise; a method that fails on a clip scores 0 there",
         versions,
     ]
+
+
+def _outdated(scores: Sequence[Scores]) -> list[str]:
+    """A warning, also on stderr, where results may not be what the code gives now."""
+    count = sum(score.outdated for clip in scores for score in clip.scores)
+    if not count:
+        return []
+    warning = f"{count} results are older than the package's files; --overwrite makes them again"
+    print(f"warning: {warning}", file=sys.stderr)
+    return [warning]
+
+
+def _named(source: Source) -> str:
+    """The clips in words; of a folder not where it is, which is nobody else's business."""
+    if not source.named:
+        return "a folder of clips"
+    preset = f", {source.preset}" if source.dataset == "synthetic" else ""
+    return f"{source.dataset}{preset}, {'both splits' if source.part == 'all' else f'{source.part} split'}"
 
 
 @contextmanager

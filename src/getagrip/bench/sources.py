@@ -15,6 +15,8 @@ from getagrip.run.job import Outcome, by_name
 from getagrip.search import spread
 
 if TYPE_CHECKING:
+    from getagrip.datasets.splits import Preset
+    from getagrip.datasets.splits import Split as SyntheticSplit
     from getagrip.datasets.synthetic import Options
 
 Split = Literal["train", "test", "all"]
@@ -33,6 +35,8 @@ class Source:
     """None: the test split of the named datasets, all of a folder's clips."""
     count: int | None = None
     """So many clips, spread evenly."""
+    preset: Preset = "clean"
+    """What is known of made-up clips."""
     root: Path | None = None
     """Where DexYCB is."""
     meshes: Path | None = None
@@ -52,21 +56,42 @@ class Source:
 def samples(source: Source, debug: bool) -> tuple[list[Sample], list[Outcome]]:
     """The clips, and what became of folders that are none.
 
-    Raises ``UsageError`` where an option is wrong or missing, ``InputError`` where there are no clips.
+    Raises ``UsageError`` where an option is wrong or missing, or where the folder of the clips has those of another
+    source; ``InputError`` where there are no clips.
     """
     if source.count is not None and source.count < 1:
         raise UsageError(f"--clips: got {source.count}, expected 1 or more")
     if source.dataset != "dexycb" and (source.root is not None or source.meshes is not None):
         raise UsageError(f"--root and --meshes: got them for {source.dataset}, expected them for dexycb only")
+    if source.dataset != "synthetic" and source.preset != "clean":
+        raise UsageError(f"--preset: got {source.preset} for {source.dataset}, expected it for synthetic only")
     if source.dataset == "synthetic":
+        _bind(source, {"preset": source.preset})
         found, bad = _synthetic(source), list[Outcome]()
     elif source.dataset == "dexycb":
+        _bind(source, {"root": _resolved(source.root), "meshes": _resolved(source.meshes)})
         found, bad = _dexycb(source, debug)
     else:
         found, bad = _folder(Path(source.dataset), source.part)
     if source.count is not None and source.count < len(found):
         found = [found[n] for n in spread(len(found), source.count)]
     return found, bad
+
+
+def _bind(source: Source, what: dict[str, str | None]) -> None:
+    """Note whose clips are made in a folder, so that no other source takes them for its own."""
+    note, wanted = source.clips / "source.json", {"dataset": source.dataset, **what}
+    if not note.exists():
+        source.clips.mkdir(parents=True, exist_ok=True)
+        files.write_json(note, wanted)
+    elif files.read_json(note) != wanted:
+        raise UsageError(
+            f"--out: {source.clips} holds clips of another dataset, as {note.name} there says; name another"
+        )
+
+
+def _resolved(path: Path | None) -> str | None:
+    return None if path is None else str(path.resolve())
 
 
 def _folder(folder: Path, part: Split) -> tuple[list[Sample], list[Outcome]]:
@@ -84,16 +109,9 @@ def _dexycb(source: Source, debug: bool) -> tuple[list[Sample], list[Outcome]]:
 
     if source.root is None:
         raise UsageError("--root: say where DexYCB is")
-    done = source.clips / "imported.json"
-    origin = {"root": str(source.root.resolve()), "meshes": source.meshes and str(source.meshes.resolve())}
-    if not done.exists():
-        status = import_dexycb(source.root, source.meshes, source.clips, debug)
-        if status == 0:  # else what failed is tried again next time
-            files.write_json(done, origin)
-    elif files.read_json(done) != origin:
-        raise UsageError(
-            f"--root and --meshes: other than those that {source.clips} was imported from; use another --out"
-        )
+    done = source.clips / "imported"
+    if not done.exists() and import_dexycb(source.root, source.meshes, source.clips, debug) == 0:
+        done.touch()  # else what failed is tried again next time
     found, bad = by_name([source.clips])
     subjects = sorted({subject_of(name) for name in found})
     train = subjects[::3]
@@ -103,14 +121,13 @@ def _dexycb(source: Source, debug: bool) -> tuple[list[Sample], list[Outcome]]:
 
 def _synthetic(source: Source) -> list[Sample]:
     """Made-up clips, made by whoever needs them first."""
-    from getagrip.datasets.categories import CATEGORIES
-    from getagrip.datasets.synthetic import Options, clip_name
+    from getagrip.datasets.splits import split
+    from getagrip.datasets.synthetic import clip_name
 
-    seeds = {"train": range(6), "test": range(1000, 1012), "all": [*range(6), *range(1000, 1012)]}
+    parts: tuple[SyntheticSplit, ...] = ("train", "test") if source.part == "all" else (source.part,)
     out = []
-    for category in CATEGORIES:
-        for seed in seeds[source.part]:
-            options = Options(side="left" if seed % 2 else "right")
+    for part in parts:
+        for category, seed, options in split(part, source.preset):
             name = clip_name(category, seed, options)
             out.append(Sample(name, source.clips / name, partial(_synthesise, category, seed, options)))
     return out

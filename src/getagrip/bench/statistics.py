@@ -11,6 +11,8 @@ from numpy import ndarray
 
 RESAMPLES = 2000
 LEVEL = 0.95
+FEWEST = 5
+"""Clips for which there is an interval: that of two would be from the one to the other."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +40,8 @@ def resamples(groups: Sequence[str], seed: int = 0) -> Float[ndarray, "B n"]:
 def estimate(values: Float[ndarray, "n"], weights: Float[ndarray, "B n"]) -> Estimate:
     """The mean of the values that are there (not NaN), with the percentile interval of its resamples.
 
-    There is no interval where all values are alike (100 % of four clips is no certainty), nor where all are drawn
-    together.
+    There is no interval for fewer than ``FEWEST`` values, where all of them are alike (100 % of ten clips is no
+    certainty), nor where all are drawn together.
     """
     known = ~np.isnan(values)
     if not known.any():
@@ -49,7 +51,7 @@ def estimate(values: Float[ndarray, "n"], weights: Float[ndarray, "B n"]) -> Est
     total = drawn.sum(axis=1)
     # A resample may hold none of these clips.
     means = (drawn @ values[known])[total > 0] / total[total > 0]
-    if not np.ptp(values[known]) or not np.ptp(drawn, axis=1).any():
+    if known.sum() < FEWEST or not np.ptp(values[known]) or not np.ptp(drawn, axis=1).any():
         return Estimate(mean, float("nan"), float("nan"), int(known.sum()))
     low, high = np.quantile(means, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
     return Estimate(mean, float(low), float(high), int(known.sum()))

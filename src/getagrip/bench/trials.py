@@ -8,13 +8,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import getagrip
 from getagrip import files
 from getagrip.bench.settings import AS_GIVEN, Arm
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
@@ -58,6 +60,8 @@ class Score:
     ambiguous: bool
     status: str
     failed: bool = False
+    outdated: bool = False
+    """Whether its result was there already, made before the package's files were last changed."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,7 @@ def run(task: Task) -> Scores:
             if record is None:
                 missing.append(arm)
             else:
-                scores[arm.folder] = _score(arm, record)
+                scores[arm.folder] = replace(_score(arm, record), outdated=_outdated(_place(task, arm)))
         if missing:
             scores |= _made(task, clip, missing, checksum)
     except Exception as error:  # one clip's trouble must not end the others
@@ -157,6 +161,17 @@ def _checksum(checksum: str, arm: Arm) -> str:
     if arm.change == AS_GIVEN:
         return checksum
     return hashlib.sha256(f"{checksum} {arm.change} {arm.options.seed}".encode()).hexdigest()
+
+
+def _outdated(folder: Path) -> bool:
+    """Whether a result is older than the code: its version does not tell what a developer has changed since."""
+    return (folder / "result.json").stat().st_mtime < _code_changed()
+
+
+@lru_cache
+def _code_changed() -> float:
+    """When the package's files were last changed."""
+    return max(file.stat().st_mtime for file in Path(getagrip.__file__).parent.rglob("*.py"))
 
 
 def _kept(folder: Path, checksum: str, options: Options) -> dict[str, Any] | None:
