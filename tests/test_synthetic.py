@@ -6,13 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from getagrip import se3
 from getagrip.clip import Clip, read_clip, read_masks, write_clip
 from getagrip.datasets.categories import CATEGORIES
 from getagrip.datasets.grasp import SignedDistance
 from getagrip.datasets.noise import ragged
-from getagrip.datasets.synthetic import Options, make_scene, pictures, synthesise
+from getagrip.datasets.splits import PRESETS, Preset, split
+from getagrip.datasets.synthetic import Options, aligned, clip_name, make_scene, pictures, synthesise
 from getagrip.errors import UsageError
 from getagrip.mesh import Mesh
 
@@ -124,6 +127,73 @@ def test_ragged_masks_move_by_the_given_distance() -> None:
     height = moved.sum(axis=0) - 100
     assert np.sqrt(np.mean(height**2.0)) == pytest.approx(2.0, abs=0.7)
     assert abs(np.mean(height)) < 0.7
+
+
+def test_a_mean_cad_is_aligned_with_the_object_it_stands_for() -> None:
+    options = replace(FEW, cad="mean", vary=0.15, scale="free")
+    scene = make_scene("mug", 3, options)
+    exact = make_scene("mug", 3, replace(options, cad="exact"))
+    truth = scene.clip.truth
+    assert truth is not None
+    assert exact.clip.truth is not None
+    np.testing.assert_allclose(  # the same object is seen
+        se3.transform(truth.T_cam_obj, scene.object.vertices),
+        se3.transform(exact.clip.truth.T_cam_obj, exact.object.vertices),
+        atol=1e-9,
+    )
+    cad = Mesh(truth.scale * scene.clip.mesh.vertices, scene.clip.mesh.faces)
+    T, size = aligned(cad, scene.object, resize=True)  # nothing is left to align
+    np.testing.assert_allclose(T, np.eye(4), atol=1e-9)
+    assert size == pytest.approx(1.0)
+    off = np.linalg.norm(cad.vertices - scene.object.vertices, axis=1).mean()
+    assert 0.003 < off / scene.object.diameter < 0.08
+
+
+@given(seed=st.integers(0, 2**31), size=st.floats(0.5, 2.0), w=st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3))
+@settings(max_examples=20, deadline=None)
+def test_alignment_undoes_any_similarity(seed: int, size: float, w: list[float]) -> None:
+    rng = np.random.default_rng(seed)
+    cad = CATEGORIES["cup"].make()
+    T = se3.rigid(se3.exp_so3(np.array(w)), rng.normal(size=3))
+    held = Mesh(se3.transform(T, size * cad.vertices), cad.faces)
+    found, factor = aligned(cad, held, resize=True)
+    np.testing.assert_allclose(found, T, atol=1e-6)
+    assert factor == pytest.approx(size)
+
+
+def test_grips_vary_where_they_are_asked_to() -> None:
+    poses = [in_hand(make_scene("bottle", seed, replace(FEW, grip_deg=15.0)).clip)[0] for seed in range(3)]
+    usual = [in_hand(make_scene("bottle", seed, FEW).clip)[0] for seed in range(3)]
+    spread = [np.ptp([T[:3, 2] for T in Ts], axis=0).max() for Ts in (poses, usual)]
+    assert spread[0] > 2.0 * spread[1]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_splits_are_disjoint_and_hold_every_category_and_both_hands(preset: Preset) -> None:
+    train, test = split("train", preset), split("test", preset)
+    assert not {(category, seed) for category, seed, _ in train} & {(category, seed) for category, seed, _ in test}
+    for clips in (train, test):
+        assert {category for category, _, _ in clips} == set(CATEGORIES)
+        for category in CATEGORIES:
+            assert {o.side for c, _, o in clips if c == category} == {"left", "right"}
+        assert 0.15 < np.mean([o.other_hand for _, _, o in clips]) < 0.45
+        assert len({clip_name(*clip) for clip in clips}) == len(clips)
+    assert len(test) > 190
+    assert len(train) > 90
+    assert split("test", preset) == test
+
+
+def test_presets_share_their_truth() -> None:
+    (category, seed, clean), (_, _, noisy) = (split("test", preset)[4] for preset in ("clean", "hamer"))
+    few = {"frames": 3, "size": (160, 120), "focal": 150.0}
+    (a, _), (b, _) = (synthesise(category, seed, replace(o, **few)) for o in (clean, noisy))
+    assert a.truth is not None
+    assert b.truth is not None
+    np.testing.assert_array_equal(a.truth.T_cam_obj, b.truth.T_cam_obj)
+    assert not np.allclose(a.hand.T_cam_hand, b.hand.T_cam_hand)
+    for wrong in (("test", "dirty"), ("validation", "clean")):
+        with pytest.raises(UsageError, match="expected one of"):
+            split(*wrong)
 
 
 def test_clips_survive_their_folder(tmp_path) -> None:

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip import se3
 from getagrip.clip import FINGERS
 from getagrip.hands.generic_skeleton import rest_fingers
 from getagrip.hands.model import KNUCKLES, PosedHand, ShapedHand
-from getagrip.mesh import Mesh, vertex_normals
+from getagrip.mesh import Mesh
 
 TOUCH = 0.0005
 """A segment touches when it is this deep in the object [m]: soft flesh."""
@@ -160,9 +160,10 @@ class Grasper:
         offset = away[:, None] * np.array(hold.into) / np.linalg.norm(hold.into)
         palm = self.opened().vertices[self._members(0, wrist=True)]
         X = se3.transform(se3.inverse(T_hand_obj), palm - offset[:, None])
-        touching = self.distance(X).min(axis=-1) < -TOUCH
-        first = int(np.argmax(touching)) if touching.any() else len(away) - 1
-        return se3.rigid(None, offset[first]) @ T_hand_obj
+        k = 0
+        while k < len(away) - 1 and (gap := float(self.distance(X[k]).min())) >= -TOUCH:
+            k = min(k + max(int(0.9 * (gap + TOUCH) / (away[0] - away[1])), 1), len(away) - 1)
+        return se3.rigid(None, offset[k]) @ T_hand_obj
 
     def close(self, T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 5 3"]:
         """Joint angles [rad] of the hand closed on the object at each of its poses."""
@@ -194,13 +195,28 @@ class Grasper:
             goal[:, list(fingers), stage:] = closed[list(fingers), stage:]
             sweep = self.posed(angles + t * (goal - angles)).vertices
             for f in fingers:
-                X = sweep[:, :, self._members(f, stage)]
-                gap = self.distance(se3.transform(T_obj_hand, X)).min(axis=-1)
-                if obstacles is not None:
-                    gap = np.minimum(gap, self._gap_to_fingers(X, obstacles))
-                reach = _first_below(gap, -TOUCH)[:, None]
+                reach = self._reach(sweep[:, :, self._members(f, stage)], T_obj_hand, obstacles)[:, None]
                 angles[:, f] += reach * (goal[:, f] - angles[:, f])
         return angles
+
+    def _reach(
+        self, X: Float[ndarray, "S A n 3"], T_obj_hand: Float[ndarray, "A 4 4"], obstacles: PosedHand | None
+    ) -> Float[ndarray, "A"]:
+        """Where, in [0, 1] along the sweep, its points first touch; steps at which they cannot yet are passed over."""
+        Y = se3.transform(T_obj_hand, X)
+        stride = np.linalg.norm(np.diff(Y, axis=0), axis=-1).max(axis=(0, 2)) + 1e-9
+        gap = np.full(X.shape[:2], np.inf)
+        step, left = np.zeros(X.shape[1], dtype=int), np.arange(X.shape[1])
+        while left.size:
+            at = step[left]
+            now = self.distance(Y[at, left]).min(axis=-1)
+            ahead = np.maximum(np.floor(0.9 * (now + TOUCH) / stride[left]).astype(int), 1)
+            if obstacles is not None:  # their distance is a rough one: look at every step
+                now, ahead = np.minimum(now, self._gap_to_fingers(X[at, left], obstacles, left)), np.ones_like(ahead)
+            gap[at, left] = now
+            step[left] += ahead
+            left = left[(now >= -TOUCH) & (step[left] < len(X))]
+        return _first_below(gap, -TOUCH)
 
     def gaps(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 6"]:
         """Smallest signed distance of each finger, thumb first, and of the palm to the object [m]."""
@@ -234,17 +250,19 @@ class Grasper:
         first = KNUCKLES[finger]
         return np.asarray(weights[:, first + stage : first + 3].sum(axis=1) > 0.5)
 
-    def _gap_to_fingers(self, X: Float[ndarray, "S A n 3"], posed: PosedHand) -> Float[ndarray, "S A"]:
-        """Smallest signed distance from points of the thumb to the other fingers."""
+    def _gap_to_fingers(
+        self, X: Float[ndarray, "B n 3"], posed: PosedHand, which: Int[ndarray, "B"]
+    ) -> Float[ndarray, "B"]:
+        """Smallest signed distance from points of the thumb to the other fingers of some of the posed hands."""
         from scipy.spatial import cKDTree
 
         others = np.any([self._members(f) for f in range(1, 5)], axis=0)
-        normals = vertex_normals(posed.vertices, posed.faces)[:, others]
-        gap = np.empty(X.shape[:2])
-        for a, (points, n) in enumerate(zip(posed.vertices[:, others], normals, strict=True)):
-            distance, nearest = cKDTree(points).query(X[:, a])
-            side = np.sum((X[:, a] - points[nearest]) * n[nearest], axis=-1)
-            gap[:, a] = (np.where(side < 0.0, -1.0, 1.0) * distance).min(axis=-1)
+        gap = np.empty(len(X))
+        for b, hand in enumerate(which):
+            points, normals = posed.vertices[hand, others], posed.normals[hand, others]
+            distance, nearest = cKDTree(points).query(X[b])
+            side = np.sum((X[b] - points[nearest]) * normals[nearest], axis=-1)
+            gap[b] = (np.where(side < 0.0, -1.0, 1.0) * distance).min()
         return gap
 
 

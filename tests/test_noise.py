@@ -1,0 +1,144 @@
+"""Errors of trackers and masks: of the size they are said to have, alike in frames that follow, never in the truth."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from getagrip import se3
+from getagrip.clip import Clip, Masks
+from getagrip.datasets.fingers import bent, finger_weights
+from getagrip.datasets.noise import NOISE, Noise, noisy_hand, perturbed, ragged
+from getagrip.datasets.synthetic import Options, synthesise
+from getagrip.errors import InputError
+from getagrip.hands import generic
+from getagrip.hands.model import KNUCKLES
+
+
+@pytest.fixture(scope="module")
+def made() -> tuple[Clip, Masks]:
+    return synthesise("can", 0, Options(frames=120, size=(160, 120), focal=150.0))
+
+
+def displaced(clip: Clip, noise: Noise, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Turn [deg], shift [mm] and shift along the ray [mm] of the hand's middle in every frame."""
+    moved = replace(clip, hand=noisy_hand(clip, noise, np.random.default_rng(seed)))
+    turn = np.degrees(se3.angle_between(clip.hand.T_cam_hand[:, :3, :3], moved.hand.T_cam_hand[:, :3, :3]))
+    middle = clip.hand.vertices.mean(axis=(0, 1))[None]
+    before, after = (se3.transform(c.hand.T_cam_hand, middle)[:, 0] for c in (clip, moved))
+    ray = before / np.linalg.norm(before, axis=1, keepdims=True)
+    return turn, 1e3 * (after - before), 1e3 * np.sum((after - before) * ray, axis=1)
+
+
+def test_no_noise_changes_nothing(made: tuple[Clip, Masks]) -> None:
+    clip, masks = perturbed(*made, NOISE["none"], 3)
+    np.testing.assert_allclose(clip.hand.T_cam_hand, made[0].hand.T_cam_hand, atol=1e-12)
+    assert clip.hand.vertices is made[0].hand.vertices
+    assert masks is made[1]
+
+
+def test_the_truth_keeps_the_true_hand(made: tuple[Clip, Masks]) -> None:
+    clip, _ = perturbed(*made, NOISE["frankmocap"], 3)
+    assert clip.truth is made[0].truth
+    assert not np.allclose(clip.hand.vertices, made[0].hand.vertices, atol=1e-3)
+    assert clip.provenance["noise"]["hand_bias_deg"] == NOISE["frankmocap"].hand_bias_deg
+
+
+@given(deg=st.floats(0.1, 10.0), mm=st.floats(0.1, 20.0), seed=st.integers(0, 2**31))
+@settings(max_examples=20, deadline=None)
+def test_a_bias_has_its_size_in_every_frame(made: tuple[Clip, Masks], deg: float, mm: float, seed: int) -> None:
+    turn, shift, _ = displaced(made[0], Noise(hand_bias_deg=deg, hand_bias_mm=mm), seed)
+    np.testing.assert_allclose(turn, deg, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(shift, axis=1), mm, rtol=1e-6)
+
+
+def test_depth_lies_along_the_ray(made: tuple[Clip, Masks]) -> None:
+    turn, shift, depth = displaced(made[0], Noise(hand_bias_depth_mm=8.0, hand_jitter_depth_mm=2.0))
+    np.testing.assert_allclose(np.linalg.norm(shift, axis=1), np.abs(depth), rtol=1e-6)
+    np.testing.assert_allclose(turn, 0.0, atol=1e-4)
+    assert abs(abs(depth.mean()) - 8.0) < 1.5
+    assert depth.std() == pytest.approx(2.0, rel=0.3)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.1])
+def test_jitter_lasts_as_long_as_it_is_said_to(made: tuple[Clip, Masks], memory: float) -> None:
+    clip = made[0]
+    noise = Noise(hand_jitter_mm=2.0, jitter_memory_s=memory)
+    shifts = np.stack([displaced(clip, noise, seed)[1] for seed in range(20)])
+    in_hand = np.einsum("nij,sni->snj", clip.hand.T_cam_hand[:, :3, :3], shifts)
+    expected = np.exp(-1.0 / (clip.fps * memory)) if memory else 0.0
+    correlation = np.mean(in_hand[:, 1:] * in_hand[:, :-1]) / np.mean(in_hand**2)
+    assert correlation == pytest.approx(expected, abs=0.05)
+    assert np.sqrt(np.mean(np.sum(in_hand**2, axis=-1))) == pytest.approx(2.0, rel=0.1)
+
+
+def test_more_noise_is_the_same_noise_larger(made: tuple[Clip, Masks]) -> None:
+    small, large = (displaced(made[0], Noise(hand_bias_mm=mm, hand_jitter_mm=mm), 5)[1] for mm in (1.0, 3.0))
+    np.testing.assert_allclose(large, 3.0 * small, rtol=1e-6, atol=1e-9)
+
+
+def test_depth_and_fingers_leave_the_other_errors_as_they_are(made: tuple[Clip, Masks]) -> None:
+    plain = Noise(hand_bias_deg=2.0, hand_jitter_mm=1.0, mask_ragged_px=1.0)
+    more = replace(plain, hand_bias_depth_mm=5.0, finger_bias_deg=10.0)
+    (a, masks_a), (b, masks_b) = (perturbed(*made, noise, 7) for noise in (plain, more))
+    np.testing.assert_array_equal(masks_a.object, masks_b.object)
+    np.testing.assert_allclose(a.hand.T_cam_hand[:, :3, :3], b.hand.T_cam_hand[:, :3, :3], atol=1e-12)
+
+
+def test_fingers_bend_about_their_joints_and_keep_their_lengths(made: tuple[Clip, Masks]) -> None:
+    hand = made[0].hand
+    moved = noisy_hand(made[0], Noise(finger_bias_deg=10.0), np.random.default_rng(1))
+    assert hand.joints is not None
+    assert moved.joints is not None
+    bones = [np.linalg.norm(np.diff(j.reshape(-1, 21, 3)[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=-1)
+             for j in (hand.joints, moved.joints)]  # fmt: skip
+    np.testing.assert_allclose(bones[0], bones[1], atol=1e-9)
+    np.testing.assert_array_equal(hand.joints[:, [0, 1, 5, 9, 13, 17]], moved.joints[:, [0, 1, 5, 9, 13, 17]])
+    palm = generic.load("right").weights[:, 0] > 0.99
+    assert np.linalg.norm(moved.vertices - hand.vertices, axis=-1)[:, palm].mean() < 2e-4
+    assert not np.allclose(moved.vertices, hand.vertices, atol=2e-3)
+
+
+def test_weights_found_from_joints_agree_with_the_skin(made: tuple[Clip, Masks]) -> None:
+    weights = finger_weights(made[0].hand)
+    assert weights.min() >= 0.0
+    assert weights.sum(axis=(1, 2)).max() <= 1.0 + 1e-9
+    skin = generic.load("right").weights
+    finger = np.stack([skin[:, k : k + 3].sum(axis=1) for k in KNUCKLES], axis=1)
+    sure = finger.max(axis=1) > 0.95
+    assert np.mean(np.argmax(weights.sum(axis=2)[sure], axis=1) == np.argmax(finger[sure], axis=1)) > 0.98
+
+
+def test_no_bend_is_no_change(made: tuple[Clip, Masks]) -> None:
+    hand = made[0].hand
+    assert hand.joints is not None
+    vertices, joints = bent(hand.vertices, hand.joints, finger_weights(hand), np.zeros((len(made[0]), 5, 3)))
+    np.testing.assert_allclose(vertices, hand.vertices, atol=1e-12)
+    np.testing.assert_allclose(joints, hand.joints, atol=1e-12)
+
+
+def test_fingers_without_joints_are_refused(made: tuple[Clip, Masks]) -> None:
+    bare = replace(made[0], hand=replace(made[0].hand, joints=None))
+    with pytest.raises(InputError, match="joints"):
+        perturbed(bare, made[1], NOISE["hamer"], 0)
+    perturbed(bare, made[1], Noise(hand_bias_mm=3.0), 0)
+
+
+def test_ragged_masks_keep_to_the_object_and_an_empty_one_stays_empty(made: tuple[Clip, Masks]) -> None:
+    _, masks = perturbed(*made, Noise(mask_ragged_px=1.0), 0)
+    assert not (masks.object & masks.ignore).any()
+    union, both = masks.object | made[1].object, masks.object & made[1].object
+    assert 0.8 < both.sum() / union.sum() < 1.0
+    empty = np.zeros((20, 30), dtype=bool)
+    assert not ragged(empty, 2.0, np.random.default_rng(0)).any()
+
+
+def test_frankmocap_is_worse_than_hamer_in_all_of_the_hand() -> None:
+    better, worse = NOISE["hamer"], NOISE["frankmocap"]
+    for name in (f.name for f in fields(Noise) if f.name.endswith(("_deg", "_mm"))):
+        assert getattr(worse, name) > getattr(better, name)
+    assert better.hand_bias_depth_mm > better.hand_bias_mm
