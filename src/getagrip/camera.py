@@ -57,8 +57,8 @@ class Crops:
         for n in range(T):
             cols = np.floor(self.corner[n, 0] + centres).astype(int)
             rows = np.floor(self.corner[n, 1] + centres).astype(int)
-            in_u, in_v = (cols >= 0) & (cols < W), (rows >= 0) & (rows < H)
-            out[n][np.ix_(in_v, in_u)] = images[n][np.ix_(rows[in_v], cols[in_u])]
+            (left, right), (top, bottom) = np.searchsorted(cols, [0, W]), np.searchsorted(rows, [0, H])
+            out[n, top:bottom, left:right] = images[n].take(rows[top:bottom], 0).take(cols[left:right], 1)
         return out
 
 

@@ -14,13 +14,13 @@ from numpy import ndarray
 from getagrip import files, se3
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
-from getagrip.mesh import Mesh
 from getagrip.hidden import hidden_by_hand
+from getagrip.mesh import Mesh
 from getagrip.metrics.contact import (
     SIDES,
     THRESHOLDS,
     ContactDistances,
-    contact_distances,
+    contact_distances_of,
     pairwise_iou,
     stable_contact_area,
 )
@@ -46,7 +46,12 @@ def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> dict
     ``result.json`` says and beside the result. Raises ``InputError`` where there is no such clip, where the clip is no
     longer the one that was reconstructed, and where a frame of the result is unknown to it.
     """
-    folder = Path(folder)
+    result, clip, masks = read_evaluated(Path(folder), clips)
+    return {"result": str(folder), **evaluate(result, clip, masks)}
+
+
+def read_evaluated(folder: Path, clips: str | Path | None = None) -> tuple[Reconstruction, Clip, Masks | None]:
+    """A result, and its clip and masks at the result's frames. Raises ``InputError`` as ``evaluate_result`` does."""
     result, record = read_result(folder)
     clip = clip_of(folder, result, record, clips)
     index = {name: n for n, name in enumerate(clip.frames)}
@@ -55,8 +60,7 @@ def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> dict
         known = f"frames of the clip {clip.folder}, {clip.frames[0]} to {clip.frames[-1]}"
         raise InputError(folder / "result.npz", "frames", f"the frame {files.shown(unknown)}", known)
     clip = clip.take(np.array([index[name] for name in result.frames]))
-    masks = read_masks(clip) if (clip.folder / "masks" / "object").exists() else None
-    return {"result": str(folder), **evaluate(result, clip, masks)}
+    return result, clip, read_masks(clip) if (clip.folder / "masks" / "object").exists() else None
 
 
 def evaluate(result: Reconstruction, clip: Clip, masks: Masks | None) -> dict[str, Any]:
@@ -64,16 +68,19 @@ def evaluate(result: Reconstruction, clip: Clip, masks: Masks | None) -> dict[st
 
     ``clip`` and ``masks`` hold the result's frames, in its order. What needs masks or truth is left out without them.
     """
-    metrics, per_frame = _contact(clip.mesh, ObjectTrack(result.T_hand_obj, result.scale), clip.hand.vertices, clip)
-    symmetry = None
+    predicted, true = ObjectTrack(result.T_hand_obj, result.scale), None
     if clip.truth is not None:
         true = ObjectTrack(se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj, clip.truth.scale)
+    distances = _distances(clip, predicted, true)
+    metrics, per_frame = _contact(distances[0])
+    symmetry = None
+    if clip.truth is not None and true is not None:
         symmetries = _symmetries(clip.mesh.vertices.tobytes(), clip.mesh.faces.tobytes())
         symmetry = symmetries.describe()
-        _add(metrics, per_frame, "", _pose(clip.mesh, ObjectTrack(result.T_hand_obj, result.scale), true, symmetries))
+        _add(metrics, per_frame, "", _pose(clip.mesh, predicted, true, symmetries))
         if clip.scale == "free":
             metrics["scale_error"] = result.scale / clip.truth.scale - 1.0
-        _add(metrics, per_frame, "truth_", _contact(clip.mesh, true, clip.truth.hand_vertices, clip))
+        _add(metrics, per_frame, "truth_", _contact(distances[1]))
         for key, value in _sca(metrics):
             metrics[f"sca_add{key}"] = value * metrics["add_success"]
             metrics[f"sca_add_sym{key}"] = value * metrics["add_sym_success"]
@@ -114,10 +121,18 @@ def _pose(mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetries: Sym
     return metrics, per_frame
 
 
-def _contact(
-    mesh: Mesh, track: ObjectTrack, hand_vertices: Float[ndarray, "T V 3"], clip: Clip
-) -> tuple[Metrics, PerFrame]:
-    distances = contact_distances(mesh, track.scale, track.T_hand_obj, hand_vertices, clip.hand.faces)
+def _distances(clip: Clip, predicted: ObjectTrack, true: ObjectTrack | None) -> list[ContactDistances]:
+    """Distances of the predicted object to the hand that was given, and of the true one to the true hand."""
+    given, faces = clip.hand.vertices, clip.hand.faces
+    if clip.truth is None or true is None:
+        return contact_distances_of(clip.mesh, [predicted], given, faces)
+    if np.array_equal(clip.truth.hand_vertices, given):
+        return contact_distances_of(clip.mesh, [predicted, true], given, faces)
+    true_hand = contact_distances_of(clip.mesh, [true], clip.truth.hand_vertices, faces)
+    return contact_distances_of(clip.mesh, [predicted], given, faces) + true_hand
+
+
+def _contact(distances: ContactDistances) -> tuple[Metrics, PerFrame]:
     metrics: Metrics = {}
     per_frame: PerFrame = {}
     for side in SIDES:

@@ -10,7 +10,7 @@ need no clipping: what lies nearer than ``NEAR`` is dropped pixel by pixel.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, Int32
+from jaxtyping import Bool, Float, Float32, Int, Int32
 from numba import njit
 from numpy import ndarray
 
@@ -34,6 +34,17 @@ def depth_and_face(
     return depth, face
 
 
+def covered(
+    vertices_cam: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], K: Float[ndarray, "3 3"], size: tuple[int, int]
+) -> Bool[ndarray, "H W"]:
+    """Pixels that show a surface: ``depth_and_face(...)[1] >= 0``, without the depths."""
+    width, height = size
+    mask = np.zeros((height, width), dtype=np.bool_)
+    corners = np.ascontiguousarray(vertices_cam @ K.T, dtype=np.float64)
+    _cover(corners, np.ascontiguousarray(faces, dtype=np.int64), mask)
+    return mask
+
+
 def barycentric(
     vertices_cam: Float[ndarray, "V 3"],
     faces: Int[ndarray, "F 3"],
@@ -54,41 +65,84 @@ def _rasterise(p: ndarray, faces: ndarray, depth: ndarray, face: ndarray) -> Non
     height, width = depth.shape
     for f in range(len(faces)):
         p0, p1, p2 = p[faces[f, 0]], p[faces[f, 1]], p[faces[f, 2]]
-        nearest, farthest = min(p0[2], p1[2], p2[2]), max(p0[2], p1[2], p2[2])
-        if farthest < NEAR:
-            continue
-        left, right, top, bottom = 0, width, 0, height
-        if nearest >= NEAR:
-            u0, u1, u2 = p0[0] / p0[2], p1[0] / p1[2], p2[0] / p2[2]
-            v0, v1, v2 = p0[1] / p0[2], p1[1] / p1[2], p2[1] / p2[2]
-            # Clamped before the conversion: far outside the image a float may not fit an integer.
-            left = int(np.floor(min(max(min(u0, u1, u2) - 0.5, 0.0), float(width))))
-            right = int(np.ceil(min(max(max(u0, u1, u2) + 0.5, 0.0), float(width))))
-            top = int(np.floor(min(max(min(v0, v1, v2) - 0.5, 0.0), float(height))))
-            bottom = int(np.ceil(min(max(max(v0, v1, v2) + 0.5, 0.0), float(height))))
+        left, right, top, bottom = _box(p0, p1, p2, width, height)
         if left >= right or top >= bottom:
             continue
-        # Row i of the adjugate: the edge opposite to corner i. Negated exactly in the face across the edge, so that no
-        # pixel falls between two faces.
-        a0x, a0y, a0z = p1[1] * p2[2] - p1[2] * p2[1], p1[2] * p2[0] - p1[0] * p2[2], p1[0] * p2[1] - p1[1] * p2[0]
-        a1x, a1y, a1z = p2[1] * p0[2] - p2[2] * p0[1], p2[2] * p0[0] - p2[0] * p0[2], p2[0] * p0[1] - p2[1] * p0[0]
-        a2x, a2y, a2z = p0[1] * p1[2] - p0[2] * p1[1], p0[2] * p1[0] - p0[0] * p1[2], p0[0] * p1[1] - p0[1] * p1[0]
-        volume = p0[0] * a0x + p0[1] * a0y + p0[2] * a0z
+        (a0x, a0y, a0z), (a1x, a1y, a1z), (a2x, a2y, a2z), volume = _edges(p0, p1, p2)
         if volume == 0.0:  # seen edge-on, or no area
             continue
-        sign = 1.0 if volume > 0.0 else -1.0
         for i in range(top, bottom):
             v = i + 0.5
-            r0, r1, r2 = sign * (a0y * v + a0z), sign * (a1y * v + a1z), sign * (a2y * v + a2z)
+            r0, r1, r2 = a0y * v + a0z, a1y * v + a1z, a2y * v + a2z
             for j in range(left, right):
                 u = j + 0.5
-                b0, b1, b2 = sign * a0x * u + r0, sign * a1x * u + r1, sign * a2x * u + r2
+                b0, b1, b2 = a0x * u + r0, a1x * u + r1, a2x * u + r2
                 if b0 < 0.0 or b1 < 0.0 or b2 < 0.0:
                     continue
                 total = b0 + b1 + b2
                 if total <= 0.0:
                     continue
-                z = sign * volume / total
+                z = volume / total
                 if z >= NEAR and np.float32(z) < depth[i, j]:
                     depth[i, j] = z
                     face[i, j] = f
+
+
+@njit(cache=True, nogil=True)
+def _cover(p: ndarray, faces: ndarray, mask: ndarray) -> None:
+    """The pixels that ``_rasterise`` gives a face."""
+    height, width = mask.shape
+    for f in range(len(faces)):
+        p0, p1, p2 = p[faces[f, 0]], p[faces[f, 1]], p[faces[f, 2]]
+        left, right, top, bottom = _box(p0, p1, p2, width, height)
+        if left >= right or top >= bottom:
+            continue
+        (a0x, a0y, a0z), (a1x, a1y, a1z), (a2x, a2y, a2z), volume = _edges(p0, p1, p2)
+        if volume == 0.0:
+            continue
+        for i in range(top, bottom):
+            v = i + 0.5
+            r0, r1, r2 = a0y * v + a0z, a1y * v + a1z, a2y * v + a2z
+            for j in range(left, right):
+                if mask[i, j]:
+                    continue
+                u = j + 0.5
+                b0, b1, b2 = a0x * u + r0, a1x * u + r1, a2x * u + r2
+                if b0 < 0.0 or b1 < 0.0 or b2 < 0.0:
+                    continue
+                total = b0 + b1 + b2
+                if total > 0.0 and volume / total >= NEAR:
+                    mask[i, j] = True
+
+
+@njit(cache=True, nogil=True)
+def _box(p0: ndarray, p1: ndarray, p2: ndarray, width: int, height: int) -> tuple[int, int, int, int]:
+    """(left, right, top, bottom) of the pixels a face may cover; the whole image if it comes nearer than ``NEAR``."""
+    nearest, farthest = min(p0[2], p1[2], p2[2]), max(p0[2], p1[2], p2[2])
+    if farthest < NEAR:
+        return 0, 0, 0, 0
+    if nearest < NEAR:
+        return 0, width, 0, height
+    u0, u1, u2 = p0[0] / p0[2], p1[0] / p1[2], p2[0] / p2[2]
+    v0, v1, v2 = p0[1] / p0[2], p1[1] / p1[2], p2[1] / p2[2]
+    # Clamped before the conversion: far outside the image a float may not fit an integer.
+    left = int(np.floor(min(max(min(u0, u1, u2) - 0.5, 0.0), float(width))))
+    right = int(np.ceil(min(max(max(u0, u1, u2) + 0.5, 0.0), float(width))))
+    top = int(np.floor(min(max(min(v0, v1, v2) - 0.5, 0.0), float(height))))
+    bottom = int(np.ceil(min(max(max(v0, v1, v2) + 0.5, 0.0), float(height))))
+    return left, right, top, bottom
+
+
+@njit(cache=True, nogil=True)
+def _edges(p0: ndarray, p1: ndarray, p2: ndarray) -> tuple:
+    """The rows of the adjugate of [p_0 p_1 p_2], and its determinant, both times the latter's sign.
+
+    Row i is the edge opposite to corner i. It is negated exactly in the face across the edge, so that no pixel falls
+    between two faces.
+    """
+    a0x, a0y, a0z = p1[1] * p2[2] - p1[2] * p2[1], p1[2] * p2[0] - p1[0] * p2[2], p1[0] * p2[1] - p1[1] * p2[0]
+    a1x, a1y, a1z = p2[1] * p0[2] - p2[2] * p0[1], p2[2] * p0[0] - p2[0] * p0[2], p2[0] * p0[1] - p2[1] * p0[0]
+    a2x, a2y, a2z = p0[1] * p1[2] - p0[2] * p1[1], p0[2] * p1[0] - p0[0] * p1[2], p0[0] * p1[1] - p0[1] * p1[0]
+    volume = p0[0] * a0x + p0[1] * a0y + p0[2] * a0z
+    s = 1.0 if volume > 0.0 else -1.0
+    return (s * a0x, s * a0y, s * a0z), (s * a1x, s * a1y, s * a1z), (s * a2x, s * a2y, s * a2z), s * volume

@@ -14,6 +14,7 @@ Two empty sets have IOU 0, as in the authors' code: a hand that never touches is
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -23,6 +24,7 @@ from numpy import ndarray
 
 from getagrip import se3
 from getagrip.mesh import Mesh, edge_table
+from getagrip.metrics.pose import ObjectTrack
 from getagrip.metrics.symmetry import surface_points
 
 Side = Literal["object", "hand", "area"]
@@ -64,19 +66,24 @@ def contact_distances(
     hand_faces: Int[ndarray, "F 3"],
 ) -> ContactDistances:
     """Distances between a posed object and a hand (in the hand frame), both ways; its holes are closed first."""
-    vertices = scale * mesh.vertices
-    points = np.concatenate([vertices, scale * surface_points(mesh, AREA_POINTS)])
-    hands, faces = close_holes(hand_vertices, hand_faces)
-    to_hand = np.stack(
-        [
-            signed_distance(se3.transform(T, points), hand, faces, REACH)
-            for T, hand in zip(T_hand_obj, hands, strict=True)
-        ]
-    )
-    in_object = se3.transform(se3.inverse(T_hand_obj), hand_vertices)
-    to_object = signed_distance(in_object.reshape(-1, 3), vertices, mesh.faces, REACH)
-    to_object = to_object.reshape(in_object.shape[:2])
-    return ContactDistances(to_hand[:, : len(vertices)], to_object, to_hand[:, len(vertices) :])
+    return contact_distances_of(mesh, [ObjectTrack(T_hand_obj, scale)], hand_vertices, hand_faces)[0]
+
+
+def contact_distances_of(
+    mesh: Mesh, tracks: Sequence[ObjectTrack], hand_vertices: Float[ndarray, "T V 3"], hand_faces: Int[ndarray, "F 3"]
+) -> list[ContactDistances]:
+    """``contact_distances`` of several tracks of an object in one hand, whose search trees they share."""
+    points = np.concatenate([mesh.vertices, surface_points(mesh, AREA_POINTS)])
+    V, P = len(mesh.vertices), len(points)
+    in_hand = np.concatenate([se3.transform(track.T_hand_obj, track.scale * points) for track in tracks], axis=1)
+    to_hand = moving_distance(in_hand, *close_holes(hand_vertices, hand_faces), REACH)
+    out = []
+    for k, track in enumerate(tracks):
+        in_object = se3.transform(se3.inverse(track.T_hand_obj), hand_vertices)
+        vertices = np.broadcast_to(track.scale * mesh.vertices, (len(in_object), V, 3))
+        to_object = moving_distance(in_object, vertices, mesh.faces, REACH)
+        out.append(ContactDistances(to_hand[:, k * P : k * P + V], to_object, to_hand[:, k * P + V : (k + 1) * P]))
+    return out
 
 
 def signed_distance(
@@ -87,18 +94,47 @@ def signed_distance(
     Inside is where the winding number exceeds a half (Barill et al., "Fast Winding Numbers for Soups and Clouds",
     2018): right also for bodies of several overlapping closed parts, where the nearest surface's normal misleads.
     """
+    return moving_distance(points[None], vertices[None], faces, reach)[0]
+
+
+def moving_distance(
+    points: Float[ndarray, "T P 3"],
+    vertices: Float[ndarray, "T V 3"],
+    faces: Int[ndarray, "F 3"],
+    reach: float = np.inf,
+) -> Float[ndarray, "T P"]:
+    """``signed_distance`` of moving points to a moving surface.
+
+    From frame to frame a distance changes by no more than the point and the surface have moved, and its sign changes
+    only where it passes zero. What is thus known to be beyond reach, or on the same side as before, is not computed
+    again.
+    """
     import igl
 
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    near = np.flatnonzero(np.all((points >= low - reach) & (points <= high + reach), axis=1))
-    distance = np.full(len(points), np.inf)
-    if near.size:
-        distance[near] = np.sqrt(igl.point_mesh_squared_distance(points[near], vertices, faces)[0])
-    boxed = np.flatnonzero(np.all((points >= low) & (points <= high), axis=1))
-    if boxed.size:
-        inside = boxed[np.abs(igl.fast_winding_number(vertices, faces, points[boxed])) > 0.5]
-        distance[inside] *= -1.0
-    return distance
+    closed = bool(np.all(edge_table(faces)[:, 3] < len(faces)))  # else one can get inside without crossing the surface
+    inside, least = np.zeros(points.shape[1], dtype=bool), np.full(points.shape[1], -np.inf)
+    out = np.full(points.shape[:2], np.inf)
+    tree, winding, moved = igl.AABB(), igl.FastWindingNumberBVH(), np.inf
+    for n, (x, surface) in enumerate(zip(points, vertices, strict=True)):
+        if n > 0:
+            moved = np.linalg.norm(surface - vertices[n - 1], axis=1).max()
+            step = x - points[n - 1]
+            least -= np.sqrt(np.einsum("pk,pk->p", step, step)) + moved + 1e-9
+        if moved > 0.0:
+            tree.init(surface, faces)
+            winding.init(surface, faces)
+        sides = np.maximum(surface.min(axis=0) - x, x - surface.max(axis=0))
+        outside = np.maximum(np.maximum(sides[:, 0], sides[:, 1]), sides[:, 2])  # the bounding box, by so much
+        boxed = outside <= 0.0
+        unsure = np.flatnonzero(boxed & ((least <= 0.0) | (not closed)))
+        if unsure.size:
+            inside[unsure] = np.abs(winding.winding_number(x[unsure])) > 0.5
+        inside &= boxed
+        asked = np.flatnonzero((outside <= reach) & (inside | (least <= reach)))
+        if asked.size:
+            least[asked] = np.sqrt(tree.squared_distance(surface, faces, x[asked])[0])
+            out[n, asked] = np.where(inside[asked], -least[asked], least[asked])
+    return out
 
 
 def close_holes(

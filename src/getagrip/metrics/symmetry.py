@@ -113,10 +113,20 @@ class _Surface:
         return bool(distance.mean() < MEAN and distance.max() < WORST)
 
     def settled(self, turn: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"] | None:
-        """The turn moved to its best fit nearby (point-to-plane ICP), or None where that is no symmetry."""
+        """The turn moved to its best fit nearby, or None where that is no symmetry."""
+        few = self.points[::6]
+        off = self.nearest(se3.transform(self.aligned(turn, few), few))[0] / (1.5 * self.mesh.diameter)
+        if off.mean() > MEAN or off.max() > WORST:  # most turns are far off, and a few points tell
+            return None
+        T = self.aligned(turn, self.points)
+        moved = se3.angle_between(turn[:3, :3], T[:3, :3])
+        return T if moved < SAME and self.fits(T) else None
+
+    def aligned(self, turn: Float[ndarray, "4 4"], points: Float[ndarray, "P 3"]) -> Float[ndarray, "4 4"]:
+        """The turn moved so that points fit the surface best (point-to-plane ICP)."""
         T, size = turn, self.mesh.diameter
         for _ in range(6):
-            X = se3.transform(T, self.points)
+            X = se3.transform(T, points)
             _, nearest, n = self.nearest(X)
             middle = X.mean(axis=0)
             J = np.concatenate([n, np.cross(X - middle, n) / size], axis=1)
@@ -124,8 +134,7 @@ class _Surface:
             step = np.linalg.solve(J.T @ J + 1e-3 * len(J) * np.eye(6), J.T @ np.sum(n * (nearest - X), axis=1))
             R = se3.exp_so3(step[3:] / size)
             T = se3.rigid(R, middle - R @ middle + step[:3]) @ T
-        moved = se3.angle_between(turn[:3, :3], T[:3, :3])
-        return T if moved < SAME and self.fits(T) else None
+        return T
 
 
 def surface_points(mesh: Mesh, count: int) -> Float[ndarray, "count 3"]:
