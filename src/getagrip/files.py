@@ -61,10 +61,10 @@ def inside(folder: Path, relative: str, key: str, what: str, given_in: Path | No
         raise InputError(source, key, f"the path {shown(relative)}", f"{what} inside the clip folder")
     path = folder / relative
     try:
-        leaves = not path.resolve().is_relative_to(folder.resolve())
+        leaves = not os.path.realpath(path).startswith(os.path.join(os.path.realpath(folder), ""))
         there = path.is_file()
-    except (OSError, RuntimeError) as error:  # link loops, names that are too long, no permission
-        raise InputError(source, key, f"the path {shown(relative)} ({error})", what) from error
+    except OSError as error:  # names that are too long, no permission
+        raise InputError(source, key, f"the path {shown(relative)} ({error.strerror})", what) from error
     if leaves:
         raise InputError(source, key, f"the path {shown(relative)}, which leads out", f"{what} inside the clip folder")
     if not there:

@@ -48,7 +48,8 @@ class Outcome:
 
 def failure(name: str, error: Exception) -> Outcome:
     """The outcome of a clip that raised an error."""
-    message = str(error) if isinstance(error, GetagripError) else f"unexpected {type(error).__name__}: {error}"
+    told = isinstance(error, GetagripError | OSError)
+    message = str(error) if told else f"unexpected {type(error).__name__}: {error}"
     return Outcome(name, "failed", " ".join(message.split()), "".join(traceback.format_exception(error)))
 
 
@@ -69,7 +70,7 @@ def by_name(paths: Sequence[Path]) -> tuple[dict[str, Path], list[Outcome]]:
     for path in paths:
         try:
             clips = clips_in(path)
-        except InputError as error:
+        except (InputError, OSError) as error:
             failed.append(failure("", error))
             continue
         for clip in clips:

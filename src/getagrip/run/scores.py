@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import sys
-import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from getagrip import files
-from getagrip.clip import read_masks
 from getagrip.errors import InputError, UsageError
-from getagrip.evaluate import clip_of, evaluate_result, summary, tables
-from getagrip.result import read_result
-from getagrip.run.batch import progress_bar
+from getagrip.evaluate import evaluate, evaluate_result, read_evaluated, summary, tables
+from getagrip.run.batch import FEW, progress_bar, tell
+from getagrip.run.job import Outcome, failure
+from getagrip.run.pool import cores, in_processes
+
+
+@dataclass(frozen=True)
+class Job:
+    """A result to evaluate."""
+
+    place: int
+    """Among those that were asked for."""
+    folder: Path
+    clips: Path | None
 
 
 def evaluate_results(paths: Sequence[Path], clips: Path | None, json: Path | None, debug: bool) -> int:
@@ -22,22 +33,25 @@ def evaluate_results(paths: Sequence[Path], clips: Path | None, json: Path | Non
     """
     if not paths:
         raise UsageError("RESULT: name at least one result")
-    evaluations = []
+    folders: list[Path] = []
     failures = 0
+    for path in paths:
+        try:
+            folders += results_in(path)
+        except (InputError, OSError) as error:
+            tell(failure("", error), debug)
+            failures += 1
+    found: dict[int, dict[str, Any]] = {}
     with progress_bar() as bar:
-        task = bar.add_task("results", total=None)
-        for path in paths:
-            try:
-                folders = results_in(path)
-            except InputError as error:
-                failures += _tell(error, debug)
-                continue
-            for folder in folders:
-                try:
-                    evaluations.append(evaluate_result(folder, clips))
-                except InputError as error:
-                    failures += _tell(error, debug)
-                bar.advance(task)
+        task = bar.add_task("results", total=len(folders))
+        for job, made in _evaluated([Job(place, folder, clips) for place, folder in enumerate(folders)]):
+            if isinstance(made, Outcome):
+                tell(made, debug)
+                failures += 1
+            else:
+                found[job.place] = made
+            bar.advance(task)
+    evaluations = [found[place] for place in sorted(found)]
     if evaluations:
         from rich.console import Console
 
@@ -48,6 +62,23 @@ def evaluate_results(paths: Sequence[Path], clips: Path | None, json: Path | Non
     if json is not None:
         files.write_json(json, summary(evaluations))
     return 1 if failures else 0
+
+
+def _evaluated(jobs: Sequence[Job]) -> Iterator[tuple[Job, dict[str, Any] | Outcome]]:
+    """Each job with its metrics or why there are none, many jobs over processes."""
+    if len(jobs) <= FEW or cores() == 1:
+        yield from ((job, evaluate_one(job)) for job in jobs)
+        return
+    for job, made in in_processes(evaluate_one, jobs, min(len(jobs), cores())):
+        yield job, made or Outcome(str(job.folder), "failed", "its process died twice; out of memory?")
+
+
+def evaluate_one(job: Job) -> dict[str, Any] | Outcome:
+    """The metrics of a result, or why there are none. Raises nothing."""
+    try:
+        return evaluate_result(job.folder, job.clips)
+    except Exception as error:  # one result's trouble must not end the others
+        return failure("" if isinstance(error, InputError) else str(job.folder), error)
 
 
 def results_in(path: Path) -> list[Path]:
@@ -66,17 +97,7 @@ def report_result(folder: Path) -> int:
     """Draw ``report.png`` into a result folder."""
     from getagrip.view.report import write_report
 
-    result, record = read_result(folder)
-    clip = clip_of(folder, result, record, None)
-    masks = read_masks(clip) if (clip.folder / "masks" / "object").exists() else None
-    metrics = evaluate_result(folder)["metrics"]
+    result, clip, masks = read_evaluated(folder)
+    metrics = evaluate(result, clip, masks)["metrics"]
     print(write_report(clip, masks, result, folder / "report.png", metrics))
     return 0
-
-
-def _tell(error: InputError, debug: bool) -> int:
-    """One line on stderr for a result that could not be evaluated; counts as one."""
-    print(f"failed: {error}", file=sys.stderr)
-    if debug:
-        traceback.print_exception(error)
-    return 1
