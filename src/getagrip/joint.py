@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
 
 from getagrip import se3
 from getagrip.errors import GetagripError
@@ -26,13 +24,13 @@ def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = N
     ``watch`` is told the name of each stage when it ends. Raises ``GetagripError`` when nothing can be rendered.
     """
     clip, options, centre = problem.clip, problem.options, problem.clip.mesh.centre
-    energy = energy_of(clip, problem.observation, options.push, options.pull)
+    energy = energy_of(problem, options.push, options.pull)
     solution = search(
         starts=starting_poses(clip, problem.masks, options.inits, options.seed),
         model=_model(options),
         terms_at=energy if more is None else lambda stage, index: [*energy(stage, index), *more(stage, index)],
         T_cam_hand=clip.hand.T_cam_hand,
-        corners=box(clip.mesh.vertices - centre),
+        shape=problem.shape,
         schedule=Schedule().softened() if options.method == "soft-hinge" else Schedule(),
         watch=watch,
     )
@@ -71,11 +69,3 @@ def _axis(motion: Motion) -> Axis | None:
         return None
     hinge = motion.zero_mean()
     return Axis(hinge.point[0], hinge.direction[0], hinge.angle[0])
-
-
-def box(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "8 3"]:
-    """Corners of the bounding box along the principal axes: corner i at the high end of axis k if bit k of i is set."""
-    _, axes = np.linalg.eigh(np.cov(vertices.T))
-    along = vertices @ axes
-    low, high = along.min(axis=0), along.max(axis=0)
-    return np.array([[(low, high)[(i >> k) & 1][k] for k in range(3)] for i in range(8)]) @ axes.T

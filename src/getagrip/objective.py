@@ -7,14 +7,13 @@ from collections.abc import Callable
 from jaxtyping import Int
 from numpy import ndarray
 
-from getagrip.clip import Clip
-from getagrip.contact import HandContacts, solid
+from getagrip.contact import HandContacts
 from getagrip.energy import Term
 from getagrip.energy.mask import MaskTerm, Surface
 from getagrip.energy.pull import PullTerm
 from getagrip.energy.push import PushTerm
 from getagrip.mesh import decimate
-from getagrip.observation import Observation
+from getagrip.problem import Problem
 from getagrip.search import Stage
 
 STEP = {64: 1.0, 128: 2.0, 256: 3.0}
@@ -23,26 +22,23 @@ DELTA = {64: 2.0, 128: 1.0, 256: 1.0}
 """Distances below this count as this in the curvature of E_mask [px of the crop]."""
 CONTACTS = {64: 8, 128: None, 256: None}
 """Vertices of each contact region in use at each level; all of them at the finer ones."""
-COARSE_FACES, FINE_FACES = 1000, 4000
-"""Objects of more faces are decimated: to so many for 64-pixel silhouettes and contact, and for the finer ones."""
+FINE_FACES = 4000
+"""Objects of more faces are decimated to so many for the finer silhouettes (for the others: ``shape``)."""
 PHYSICAL = 0.25
 """The paper sums E_mask over pixels, which leaves push and pull without effect; the authors' code divides it by the
 area of the mask. Ours multiplies push and pull by this fraction of the mean area of the masks instead."""
 
 
-def energy_of(
-    clip: Clip, observation: Observation, push: float, pull: float
-) -> Callable[[Stage, Int[ndarray, "n"]], list[Term]]:
+def energy_of(problem: Problem, push: float, pull: float) -> Callable[[Stage, Int[ndarray, "n"]], list[Term]]:
     """The terms for a stage at some of the frames, with lambda_f, the focal length in pixels of the crop.
 
     ``push`` and ``pull`` are the paper's lambda_2 and lambda_3 without the focal length; weight 0 leaves a term out.
     """
+    clip, observation, coarse, touch = problem.clip, problem.observation, problem.shape.coarse, problem.shape.solid
     fine = decimate(clip.mesh, FINE_FACES)
-    coarse = decimate(clip.mesh, COARSE_FACES)
     centre = clip.mesh.centre
     surface = {64: Surface.of(coarse, centre)}
     surface[128] = surface[256] = surface[64] if fine is coarse else Surface.of(fine, centre)
-    touch = solid(coarse, centre)
     hands = {level: HandContacts.of(clip.hand, count) for level, count in CONTACTS.items()}
     physical = PHYSICAL * observation.area.mean() * observation.K[:, 0]
 

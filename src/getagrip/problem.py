@@ -7,26 +7,22 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.clip import Clip, Masks, read_masks, read_seen, seen_frames
-from getagrip.contact import distances, solid
 from getagrip.energy.mask import Surface
 from getagrip.hidden import hidden_by_hand
 from getagrip.kernels.silhouette import silhouettes, unpack
-from getagrip.mesh import decimate
-from getagrip.objective import COARSE_FACES
+from getagrip.motion import InHand
 from getagrip.observation import Observation, observe
 from getagrip.options import Options
 from getagrip.result import Axis, Candidates, Reconstruction
-from getagrip.search import spread
+from getagrip.search import distinct, spread
+from getagrip.shape import Shape
 
 AMBIGUOUS = 1.05
 """A distinct candidate within this factor of the best energy makes a result ambiguous."""
-SAME = 0.02
-"""Candidates whose surfaces are nearer than this, in diameters, on average, are one."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +32,7 @@ class Problem:
     clip: Clip
     masks: Masks
     observation: Observation
+    shape: Shape
     options: Options
     notes: tuple[str, ...]
     """Dropped frames, guesses, what was made up for what was not given."""
@@ -79,13 +76,16 @@ def prepare(clip: Clip, masks: Masks, options: Options) -> Problem:
         masks = hidden_by_hand(clip, masks)
         notes.append("no ignore masks: what the drawn hand covers outside the object's mask counts as hidden")
     notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
-    return Problem(clip, masks, observe(masks, clip.K, options.occlusion), options, tuple(notes))
+    observation = observe(masks, clip.K, options.occlusion)
+    return Problem(clip, masks, observation, Shape.of(clip.mesh), options, tuple(notes))
 
 
 def answer(problem: Problem, found: Found, clock: Clock) -> Reconstruction:
     """The reconstruction that a method's solutions stand for."""
     clip, options = problem.clip, problem.options
-    order = distinct_shapes(clip, found.T_hand_obj, found.scale)
+    R = found.T_hand_obj[..., :3, :3]
+    centre = R @ clip.mesh.centre * found.scale[:, None, None] + found.T_hand_obj[..., :3, 3]
+    order = distinct(InHand(R, centre, found.scale), found.energy, problem.shape, len(found.energy))
     T, scale, energy = found.T_hand_obj[order], found.scale[order], found.energy[order]
     iou = mask_iou(clip, problem.masks, T[0], float(scale[0]))
     guess = f"the scale {scale[0]:.3f} is a guess from the masks and the hand's size, not a measurement"
@@ -107,22 +107,6 @@ def answer(problem: Problem, found: Found, clock: Clock) -> Reconstruction:
         seed=options.seed,
         notes=(*problem.notes, *([guess] if clip.scale == "free" else [])),
     )
-
-
-def distinct_shapes(clip: Clip, T: Float[ndarray, "K T 4 4"], scale: Float[ndarray, "K"]) -> Int[ndarray, "n"]:
-    """Candidates that place the object's surface differently; turning a bottle about its axis makes no new one."""
-    surface = solid(decimate(clip.mesh, COARSE_FACES), np.zeros(3))
-    points = clip.mesh.vertices[spread(len(clip.mesh.vertices), 200)]
-    T = T[:, spread(len(clip), 3)]
-    placed = se3.transform(T, scale[:, None, None, None] * points)
-    chosen: list[int] = []
-    for k in range(len(T)):
-        back = [se3.transform(se3.inverse(T[c]), placed[k]).reshape(-1, 3) / scale[c] for c in chosen]
-        grid = (surface.corners, surface.normals, surface.face, surface.distance, surface.origin, surface.spacing)
-        gaps = [float(distances(x, *grid).mean()) for x in back]
-        if all(gap > SAME * clip.mesh.diameter for gap in gaps):
-            chosen.append(k)
-    return np.array(chosen)
 
 
 def mask_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:

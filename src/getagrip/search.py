@@ -19,7 +19,8 @@ from numpy import ndarray
 
 from getagrip import se3
 from getagrip.energy import Term
-from getagrip.motion import Fixed, Free, Hinge, Motion, Soft
+from getagrip.motion import Fixed, Free, Hinge, InHand, Motion, Soft
+from getagrip.shape import Shape
 from getagrip.solve import Solution, minimise
 
 M = TypeVar("M", bound=Motion)
@@ -29,7 +30,8 @@ RIDGE = (2e5 / 16, 1.2e3 / 16)
 SOFT_RIDGE = (3e5, 2e3)
 """Stiffness of the deviations of a soft hinge, likewise."""
 
-
+SAME = 0.03
+"""Hypotheses whose surfaces are nearer than this, in diameters, are one."""
 MAX = 10**9
 """As many frames as there are."""
 
@@ -120,30 +122,29 @@ def resampled(motion: M, old: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> M:
     raise TypeError(type(motion))
 
 
-def distinct(motion: Motion, energy: Float[ndarray, "B"], corners: Float[ndarray, "8 3"], keep: int) -> ndarray:
-    """Indices of the ``keep`` lowest energies, near-copies of a better one left out.
+def distinct(held: InHand, energy: Float[ndarray, "B"], shape: Shape, keep: int) -> Int[ndarray, "n"]:
+    """Indices of the ``keep`` lowest finite energies, near-copies of a better one left out.
 
-    Two hypotheses are the same if the object's bounding box (``corners``, about its centre) moves, on average over
-    corners and frames, by less than 3 % of its diagonal.
+    Two hypotheses are the same if the object's surface moves by less than ``SAME`` of its diameter.
     """
-    held = motion.poses()
-    placed = corners * held.scale[:, None, None, None] @ np.swapaxes(held.R, -1, -2) + held.centre[:, :, None]
-    apart = 0.03 * float(np.linalg.norm(corners[-1] - corners[0]))
+    few = spread(held.R.shape[1], 3)
+    R, centre, scale = held.R[:, few], held.centre[:, few], held.scale
     chosen: list[int] = []
     for b in np.argsort(energy, kind="stable"):
         if len(chosen) == keep or not np.isfinite(energy[b]):
             break
-        if all(np.linalg.norm(placed[b] - placed[c], axis=-1).mean() > apart for c in chosen):
+        gaps = (
+            shape.apart(R[b], centre[b], float(scale[b]), R[chosen], centre[chosen], scale[chosen]) if chosen else 1.0
+        )
+        if np.all(gaps > SAME):
             chosen.append(int(b))
     return np.array(chosen, dtype=int)
 
 
-def turns(corners: Float[ndarray, "8 3"], count: int, rng: np.random.Generator) -> Float[ndarray, "n 3 3"]:
+def turns(axes: Float[ndarray, "3 3"], count: int, rng: np.random.Generator) -> Float[ndarray, "n 3 3"]:
     """Turns of the object that lead from one local minimum to another: ``count`` random ones of 10 to 40 degrees, and
-    ``count`` half turns about axes of its bounding box, which show nearly the same outline.
+    ``count`` half turns about its principal axes, which show nearly the same outline.
     """
-    axes = corners[[1, 2, 4]] - corners[0]
-    axes /= np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-12)
     random = rng.normal(size=(count, 3))
     random *= np.radians(rng.uniform(10.0, 40.0, (count, 1))) / np.linalg.norm(random, axis=1, keepdims=True)
     return se3.exp_so3(np.concatenate([random, np.pi * axes[rng.integers(3, size=count)]]))
@@ -153,16 +154,16 @@ def explored(
     solution: Solution[M],
     terms: Sequence[Term],
     T_cam_hand: Float[ndarray, "N 4 4"],
-    corners: Float[ndarray, "8 3"],
+    shape: Shape,
     schedule: Schedule,
 ) -> Solution[M]:
     """The solutions of the first stage, and those found from the best of them turned, in several rounds."""
     rng = np.random.default_rng(0)
     for _ in range(schedule.rounds):
-        parents = distinct(solution.motion, solution.energy, corners, schedule.parents)
+        parents = distinct(solution.motion.poses(), solution.energy, shape, schedule.parents)
         if not len(parents):
             break
-        children = solution.motion.take(np.tile(parents, 2)).turned(turns(corners, len(parents), rng))
+        children = solution.motion.take(np.tile(parents, 2)).turned(turns(shape.axes, len(parents), rng))
         solution = solution.joined(minimise(children, terms, T_cam_hand, schedule.stages[0].iterations))
     return solution
 
@@ -172,15 +173,14 @@ def search(
     model: Callable[[Soft[Fixed]], Motion],
     terms_at: TermsAt,
     T_cam_hand: Float[ndarray, "N 4 4"],
-    corners: Float[ndarray, "8 3"],
+    shape: Shape,
     schedule: Schedule,
     watch: Callable[[str], None],
 ) -> Solution[Motion]:
     """Run the stages from B starting poses; the distinct solutions of the last stage, best first.
 
-    ``model`` turns a loose fit into the wanted motion, ``corners`` are those of the object's bounding box about its
-    centre (``joint.box``), ``watch`` is told the name of each stage when it ends. The result is empty when every start
-    is behind the camera.
+    ``model`` turns a loose fit into the wanted motion, ``watch`` is told the name of each stage when it
+    ends. The result is empty when every start is behind the camera.
     """
     N = len(T_cam_hand)
     first = schedule.stages[0]
@@ -200,8 +200,8 @@ def search(
             motion = Soft[Motion](motion, np.zeros((len(motion.poses().scale), len(index), 6)), SOFT_RIDGE)
         solution = minimise(motion, terms, T_cam_hand[index], stage.iterations)
         if not k:
-            solution = explored(solution, terms, T, corners, schedule)
-        solution = solution.take(distinct(solution.motion, solution.energy, corners, stage.keep))
+            solution = explored(solution, terms, T, shape, schedule)
+        solution = solution.take(distinct(solution.motion.poses(), solution.energy, shape, stage.keep))
         motion = solution.motion
         watch(stage.name)
         if not len(solution.energy):

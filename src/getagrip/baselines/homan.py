@@ -17,7 +17,6 @@ from getagrip import camera
 from getagrip.baselines import homan_joint
 from getagrip.contact import spread_points
 from getagrip.errors import GetagripError
-from getagrip.joint import box
 from getagrip.motion import Fixed, Free
 from getagrip.objective import energy_of
 from getagrip.problem import Found, Problem
@@ -39,9 +38,9 @@ def fit(problem: Problem, watch: Callable[[str], None]) -> Found:
 
     ``watch`` is told the name of a stage when it ends. Raises ``GetagripError`` when nothing can be rendered.
     """
-    clip, centre = problem.clip, problem.clip.mesh.centre
+    centre = problem.clip.mesh.centre
     tracks, loss = object_tracks(problem)
-    chosen = distinct(tracks, loss, box(clip.mesh.vertices - centre), TRACKS)
+    chosen = distinct(tracks.poses(), loss, problem.shape, TRACKS)
     watch("coarse")
     refined = [homan_joint.refine(problem, tracks.take(chosen[k : k + 1])) for k in range(len(chosen))]
     refined = sorted((r for r in refined if np.isfinite(r.energy)), key=lambda r: r.energy)
@@ -56,7 +55,7 @@ def fit(problem: Problem, watch: Callable[[str], None]) -> Found:
 def object_tracks(problem: Problem) -> tuple[Free, Float[ndarray, "B"]]:
     """The object in the camera frame from each starting rotation, by E_mask alone, and the mean of E_mask / area."""
     clip, area = problem.clip, problem.observation.area
-    mask_only = energy_of(clip, problem.observation, push=0.0, pull=0.0)
+    mask_only = energy_of(problem, push=0.0, pull=0.0)
     starts = starting_poses(clip, problem.masks, problem.options.inits, problem.options.seed)
     vertices = clip.mesh.vertices - clip.mesh.centre
     outline = np.exp(starts.log_scale[0]) * vertices[spread_points(vertices, OUTLINE)]

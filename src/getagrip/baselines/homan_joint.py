@@ -155,7 +155,7 @@ def refine(problem: Problem, track: Free) -> Refined:
 def joint_energy(problem: Problem, stage: Stage, bodies: Bodies) -> JointEnergy:
     """The terms at one resolution."""
     clip, options, K = problem.clip, problem.options, problem.observation.K
-    mask, *contact = energy_of(clip, problem.observation, options.push, options.pull)(stage, np.arange(len(clip)))
+    mask, *contact = energy_of(problem, options.push, options.pull)(stage, np.arange(len(clip)))
     about_grip = clip.hand.vertices - bodies.grip[:, None]
     points = about_grip[:, spread_points(about_grip[0], SEEN_POINTS)]
     given = clip.hand.T_cam_hand

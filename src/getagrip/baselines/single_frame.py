@@ -13,7 +13,6 @@ from getagrip import se3
 from getagrip.clip import Masks
 from getagrip.energy import Term
 from getagrip.errors import GetagripError
-from getagrip.joint import box
 from getagrip.motion import Fixed, Motion
 from getagrip.objective import energy_of
 from getagrip.problem import Found, Problem
@@ -44,8 +43,7 @@ def fit(problem: Problem, watch: Callable[[str], None]) -> Found:
     frame.
     """
     clip, options = problem.clip, problem.options
-    energy = energy_of(clip, problem.observation, options.push, options.pull)
-    corners = box(clip.mesh.vertices - clip.mesh.centre)
+    energy = energy_of(problem, options.push, options.pull)
     best = []
     for n in range(len(clip)):
         here = np.array([n])
@@ -55,7 +53,7 @@ def fit(problem: Problem, watch: Callable[[str], None]) -> Found:
             model=lambda loose: loose.core,
             terms_at=partial(_of_frame, energy, n),
             T_cam_hand=clip.hand.T_cam_hand[here],
-            corners=corners,
+            shape=problem.shape,
             schedule=SCHEDULE,
             watch=lambda _: None,
         )
