@@ -236,6 +236,6 @@ def test_a_soft_motion_without_deviation_is_its_core() -> None:
     motion = Soft(core, np.zeros((B, N, 6)), (1.0, 1.0))
     np.testing.assert_allclose(motion.poses().R, core.poses().R, atol=1e-15)
     np.testing.assert_allclose(motion.poses().centre, core.poses().centre)
-    np.testing.assert_array_equal(motion.prior().value, 0.0)
+    np.testing.assert_array_equal(motion.prior().value, core.prior().value)
     shifted = replace(motion, deviation=motion.deviation + 0.01 * np.eye(6)[0])
     np.testing.assert_allclose(shifted.poses().centre - core.poses().centre, [[[0.01, 0.0, 0.0]] * N] * B)

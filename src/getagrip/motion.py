@@ -77,6 +77,11 @@ class Motion(Protocol):
 
 Core = TypeVar("Core", bound=Motion)
 
+ANGLE_RIDGE = 400.0
+"""Energy of a hinge's angles [px^2 per rad^2], times 1/2: too weak to matter where an outline shows the angle, enough
+to keep a bottle from spinning about its own axis, which no outline shows.
+"""
+
 
 @dataclass(frozen=True)
 class _Batch:
@@ -193,7 +198,9 @@ class Hinge(_Batch):
         return J, local
 
     def prior(self) -> Prior:
-        return _no_prior(len(self.angle), self.angle.shape[1], 1)
+        pull = ANGLE_RIDGE * self.angle[..., None]
+        value = 0.5 * np.sum(pull[..., 0] * self.angle, axis=1)
+        return Prior(value, pull, np.array([ANGLE_RIDGE]))
 
     def moved(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Hinge:
         across = tangents(self.direction)
