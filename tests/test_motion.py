@@ -29,7 +29,8 @@ def fixed(rng: np.random.Generator, **options: bool) -> Fixed:
 def hinge(rng: np.random.Generator, **options: bool) -> Hinge:
     base = fixed(rng)
     point, direction = rng.normal(0.0, 0.1, (B, 3)), unit(rng.normal(size=(B, 3)))
-    return Hinge(base.R, base.centre, base.log_scale, point, direction, rng.normal(0.0, 0.7, (B, N)), **options)
+    angle = rng.normal(0.0, 0.7, (B, N))
+    return Hinge(base.R, base.centre, base.log_scale, point, direction, angle, ridge=2.0, **options)
 
 
 def free(rng: np.random.Generator, **options: bool) -> Free:

@@ -77,11 +77,6 @@ class Motion(Protocol):
 
 Core = TypeVar("Core", bound=Motion)
 
-ANGLE_RIDGE = 400.0
-"""Energy of a hinge's angles [px^2 per rad^2], times 1/2: too weak to matter where an outline shows the angle, enough
-to keep a bottle from spinning about its own axis, which no outline shows.
-"""
-
 
 @dataclass(frozen=True)
 class _Batch:
@@ -161,6 +156,8 @@ class Hinge(_Batch):
     angle: Float[ndarray, "B N"]
     free_scale: bool = False
     free_location: bool = True
+    ridge: float = 0.0
+    """Energy of the angles per rad^2, times 1/2."""
 
     def _swung(self) -> tuple[Float[ndarray, "B N 3 3"], Float[ndarray, "B N 3"]]:
         turn = se3.exp_so3(self.angle[..., None] * self.direction[:, None])
@@ -198,9 +195,8 @@ class Hinge(_Batch):
         return J, local
 
     def prior(self) -> Prior:
-        pull = ANGLE_RIDGE * self.angle[..., None]
-        value = 0.5 * np.sum(pull[..., 0] * self.angle, axis=1)
-        return Prior(value, pull, np.array([ANGLE_RIDGE]))
+        value = 0.5 * self.ridge * np.sum(self.angle**2, axis=1)
+        return Prior(value, self.ridge * self.angle[..., None], np.array([self.ridge]))
 
     def moved(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Hinge:
         across = tangents(self.direction)

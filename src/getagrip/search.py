@@ -29,6 +29,10 @@ RIDGE = (2e5 / 16, 1.2e3 / 16)
 """Stiffness of the deviations while the axis is looked for [px^2 per m^2, px^2 per rad^2]."""
 SOFT_RIDGE = (3e5, 2e3)
 """Stiffness of the deviations of a soft hinge, likewise."""
+ANGLE_RIDGE = 400.0
+"""Stiffness of a hinge's angles [px^2 per rad^2]: too weak to matter where an outline shows the angle, enough to keep a
+bottle from spinning about its own axis, which no outline shows.
+"""
 
 SAME = 0.03
 """Hypotheses whose surfaces are nearer than this, in diameters, are one."""
@@ -104,7 +108,7 @@ def hinge_from(loose: Soft[Fixed], free_location: bool, anchor: Float[ndarray, "
     else:
         point = np.broadcast_to(anchor, centre.shape).copy()
     R = se3.exp_so3(mean[:, 0]) @ base.R
-    return Hinge(R, centre, base.log_scale, point, direction, angle, base.free_scale, free_location)
+    return Hinge(R, centre, base.log_scale, point, direction, angle, base.free_scale, free_location, ANGLE_RIDGE)
 
 
 def resampled(motion: M, old: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> M:
