@@ -104,6 +104,17 @@ def test_hidden_pixels_do_not_count_unless_asked_to() -> None:
     assert np.sum(image_u[used] > 84.0) <= 2  # those at its ends, which are visible
 
 
+def test_nothing_is_the_object_where_all_is_hidden() -> None:
+    seen = discs([(80.0, 60.0)])
+    ignore = np.zeros_like(seen)
+    ignore[:, 40:80, 80:120] = True
+    o = observed(seen & ~ignore, ignore)
+    for level in LEVELS:
+        hidden = ~at_level(o.care, level)
+        assert hidden.any()
+        assert not (hidden & at_level(o.seen, level)).any()
+
+
 def test_where_object_and_ignored_overlap_the_object_wins() -> None:
     seen = discs([(80.0, 60.0)])
     o = observed(seen, np.ones_like(seen))

@@ -6,14 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from conftest import box
 from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip import se3
+from getagrip.energy import Local
+from getagrip.mesh import Mesh
 from getagrip.motion import Fixed, Free, Hinge, Soft
-from getagrip.search import distinct, hinge_from, resampled, spread, turns
+from getagrip.search import Schedule, distinct, explored, hinge_from, resampled, spread, turns
 from getagrip.shape import Shape
+from getagrip.solve import Poses, minimise
 
 CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]) * [0.1, 0.06, 0.04] - [0.05, 0.03, 0.02]
 SHAPE = Shape.of(box(0.1, 0.06, 0.04))
@@ -108,3 +112,39 @@ def test_turns_are_small_ones_and_half_ones() -> None:
     for turn in R[30:]:
         gaps = np.linalg.norm((CORNERS @ turn.T)[:, None] - CORNERS[None], axis=-1)
         np.testing.assert_allclose(gaps.min(axis=1), 0.0, atol=1e-9)
+
+
+def test_a_bottle_that_has_spun_is_the_same_and_one_that_was_tilted_is_not() -> None:
+    can = trimesh.creation.cylinder(0.03, 0.12, sections=64)
+    shape = Shape.of(Mesh(np.array(can.vertices), np.array(can.faces)))
+    R = se3.exp_so3(np.array([[0.0, 0, 0], [0.0, 0.0, 1.1], [np.pi, 0.0, 0.0], [0.4, 0.0, 0.0]]))
+    still = Fixed(R, np.zeros((4, 3)), np.zeros(4), 3)
+    np.testing.assert_array_equal(distinct(still.poses(), np.arange(4.0), shape, keep=9), [0, 3])
+
+
+class Upright:
+    """An energy with two minima along each axis, of which one is lower: an object that should stand upright."""
+
+    name = "upright"
+
+    def __call__(self, poses: Poses, bound: np.ndarray) -> Local:
+        B, N = poses.centre.shape[:2]
+        up = poses.R @ np.array([0.0, 0.0, 1.0])
+        z, tilt = up[..., 2], np.stack([up[..., 1], -up[..., 0]], axis=-1)
+        g, H = np.zeros((B, N, 7)), np.tile(np.eye(7), (B, N, 1, 1))
+        g[..., 3:5] = np.sign(z)[..., None] * tilt
+        return Local((1.0 - np.abs(z)) + 0.1 * (z < 0.0), g, H)
+
+
+def test_turned_hypotheses_reach_the_lower_of_two_minima() -> None:
+    shape = Shape.of(box(0.1, 0.06, 0.04))
+    starts = Fixed(
+        se3.exp_so3(np.array([[np.pi - 0.3, 0.0, 0.0], [np.pi, 0.2, 0.0]])), np.zeros((2, 3)), np.zeros(2), 4
+    )
+    T = np.tile(np.eye(4), (4, 1, 1))
+    first = minimise(starts, [Upright()], T, iterations=10)
+    assert first.energy.min() > 0.3
+    for rounds in (0, 4):
+        found = explored(first, [Upright()], T, shape, Schedule(rounds=rounds))
+        np.testing.assert_array_equal(found.energy[:2], first.energy)  # nothing is lost
+        assert len(found.energy) == 2 if rounds == 0 else found.energy.min() < 0.01

@@ -10,10 +10,10 @@ from getagrip.clip import Clip, Masks
 
 def hidden_by_hand(clip: Clip, masks: Masks) -> Masks:
     """Masks whose ignored pixels are those that the clip's hand covers and the object's mask does not."""
-    from getagrip.kernels.depth import depth_and_face
+    from getagrip.kernels.depth import covered
 
     ignore = np.empty_like(masks.ignore)
     vertices = se3.transform(clip.hand.T_cam_hand, clip.hand.vertices)
     for n, K in enumerate(clip.K):
-        ignore[n] = depth_and_face(vertices[n], clip.hand.faces, K, clip.size)[1] >= 0
+        ignore[n] = covered(vertices[n], clip.hand.faces, K, clip.size)
     return Masks(masks.object, ignore & ~masks.object)
