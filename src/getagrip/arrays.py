@@ -37,7 +37,7 @@ def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray,
                 key = member.filename[:-4]
                 if key in out:
                     raise InputError(path, key, "the array twice", "each array once")
-                out[key] = _array(path, key, archive.read(member))  # reads file_size bytes at most, checks the CRC
+                out[key] = parse_npy(path, key, archive.read(member))  # reads file_size bytes at most, checks the CRC
     except InputError:
         raise
     except Exception as error:  # zipfile and its decompressors raise whatever they meet
@@ -45,8 +45,8 @@ def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray,
     return out
 
 
-def _array(path: Path, key: str, content: bytes) -> Shaped[ndarray, "..."]:
-    """An array from the bytes of an ``.npy`` file, whose header may lie about its size."""
+def parse_npy(path: Path, key: str, content: bytes) -> Shaped[ndarray, "..."]:
+    """An array from the bytes of an ``.npy`` file, whose header may lie about its size. Raises ``InputError``."""
     stream = io.BytesIO(content)
     headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     try:

@@ -122,7 +122,7 @@ def grasps(sequence: Sequence, meshes: Path, note: Callable[[str], None] = lambd
     if np.count_nonzero(recording.hand_known) < SHORTEST:
         note(f"{sequence.name}: the hand is known in fewer than {SHORTEST} frames: left out")
         return []
-    mesh = _mesh(meshes, recording.held)
+    mesh = ycb_mesh(meshes, recording.held)
     if mesh is None:
         raise InputError(meshes, recording.held, "no mesh of it", f"{recording.held}.obj or {recording.held}/*.obj")
     hand = fit_hand(recording)
@@ -184,7 +184,7 @@ def clip(grasp: Grasp, meshes: Path, note: Callable[[str], None] = lambda _: Non
     others = {
         name: (poses, mesh)
         for name, poses in recording.objects.items()
-        if name != recording.held and (mesh := _mesh(meshes, name)) is not None
+        if name != recording.held and (mesh := ycb_mesh(meshes, name)) is not None
     }
     rows, seen, ignore = [], [], []
     for row in np.searchsorted(grasp.hand.frames, np.arange(grasp.first, grasp.last + 1)):
@@ -268,8 +268,8 @@ def _depths(grasp: Grasp, rows: list[int]) -> Float[ndarray, "T V"]:
 
 
 @lru_cache
-def _mesh(folder: Path, name: str) -> Mesh | None:
-    """A YCB model: ``<name>.obj`` (or another format), or as YCB has it, ``<name>/textured_simple.obj``."""
+def ycb_mesh(folder: Path, name: str) -> Mesh | None:
+    """A YCB model: ``<name>.obj`` (or another format), or as YCB has it, ``<name>/textured_simple.obj``; else None."""
     for path in (*(folder / f"{name}{suffix}" for suffix in SUFFIXES), folder / name / "textured_simple.obj"):
         if path.is_file():
             return read_mesh(path)

@@ -21,24 +21,27 @@ LARGEST = 64 * 2**20
 """Bytes of the largest file read; MANO's have 4 MB."""
 
 
-def read_pickle(path: Path, content: bytes) -> dict[str, object]:
-    """The dictionary in a MANO pickle, chumpy and sparse arrays as plain arrays.
+def read_pickle(path: Path, content: bytes, what: str = "a MANO pickle") -> dict[str, object]:
+    """The dictionary in a MANO pickle, chumpy and sparse arrays as plain arrays; or in one of other people's arrays.
 
-    Raises ``InputError`` for pickles that name anything but arrays, are malformed, or hold no dictionary.
+    A dictionary in an array of one object, as ``np.save`` writes it, will do too. Raises ``InputError`` for pickles
+    that name anything but arrays, are malformed, or hold no dictionary.
     """
     if len(content) > LARGEST:
-        raise InputError(path, "", f"{len(content) / 2**20:.0f} MB", "a MANO pickle of about 4 MB")
+        raise InputError(path, "", f"{len(content) / 2**20:.0f} MB", f"{what} of at most {LARGEST >> 20} MB")
     try:
         value = _ArraysOnly(io.BytesIO(content), encoding="latin1").load()
+        if isinstance(value, ndarray) and value.dtype == object and value.shape == ():
+            value = value.item()
         if not isinstance(value, dict):
-            raise InputError(path, "", f"a pickled {type(value).__name__}", "a MANO pickle (a dictionary)")
+            raise InputError(path, "", f"a pickled {type(value).__name__}", f"{what} (a dictionary)")
         return {str(key): _plain(item) for key, item in value.items()}
     except InputError:
         raise
     except _ForbiddenNameError as error:
-        raise InputError(path, "", f"a pickle that names {error}", "a MANO pickle; nothing in it was run") from error
+        raise InputError(path, "", f"a pickle that names {error}", f"{what}; nothing in it was run") from error
     except Exception as error:  # damaged pickles raise whatever their opcodes meet
-        raise InputError(path, "", f"a pickle that does not load ({error})", "a MANO pickle") from error
+        raise InputError(path, "", f"a pickle that does not load ({error})", what) from error
 
 
 class _ForbiddenNameError(Exception):
