@@ -13,12 +13,14 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg, subcommand
 
 from getagrip.errors import GetagripError, UsageError
-from getagrip.options import Method, Options
+from getagrip.options import Init, Method, Options, PriorsFile
 
 Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
 Results = Annotated[Positional[tuple[Path, ...]], arg(metavar="RESULT...", help_behavior_hint="")]
 Folder = Annotated[Path, arg(metavar="DIR")]
 Workers = Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core for more than 3 clips)")]
+Inits = Annotated[int, arg(metavar="N")]
+PriorsPath = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 Flag = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
 
 
@@ -68,8 +70,15 @@ class Reconstruct(Command):
     method: Method = "soft-hinge"
     """How the object may move in the hand: about one axis (the paper's), a little off it too, not at all, freely. The
     last three are other people's methods, to compare with."""
-    inits: Annotated[int, arg(metavar="N")] = 50
-    """Rotations to start from, spread evenly."""
+    inits: Inits = 50
+    """Poses to start from."""
+    init: Init = "uniform"
+    """Rotations spread evenly (uniform); or first those that init learn has found (clusters) or that a folder holds by
+    category and side, as the authors of the paper keep theirs (priors), and even ones for the rest."""
+    priors: PriorsPath = None
+    """For clusters, the file that init learn has written; for priors, the folder."""
+    thorough: Flag = False
+    """Search longer, about three times."""
     seed: Annotated[int, arg(metavar="S")] = 0
     """Seed of all that is random."""
     frames: Annotated[int, arg(metavar="N")] = 30
@@ -80,10 +89,12 @@ class Reconstruct(Command):
     """Make results again that are there already."""
 
     def run(self) -> int:
-        from getagrip.options import Options
         from getagrip.run.batch import reconstruct_clips
 
-        options = Options(method=self.method, inits=self.inits, seed=self.seed, frames=self.frames)
+        options = Options(
+            method=self.method, inits=self.inits, seed=self.seed, frames=self.frames, thorough=self.thorough,
+            init=self.init, priors=_priors(self.priors, self.init),
+        )  # fmt: skip
         return reconstruct_clips(self.clips, self.out, options, self.workers, self.overwrite, self.debug)
 
 
@@ -162,10 +173,14 @@ class Bench(Command):
     """dexycb: where it is, as for the command import."""
     meshes: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """dexycb: where the YCB meshes are."""
-    init: Literal["uniform", "clusters", "priors"] = "uniform"
-    """Where the search starts: rotations spread evenly."""
-    inits: Annotated[int, arg(metavar="N")] = 50
-    """Rotations to start from."""
+    init: Init = "uniform"
+    """Where the search starts: as for reconstruct."""
+    priors: PriorsPath = None
+    """For clusters and priors: the file or folder, as for reconstruct."""
+    inits: Inits = 50
+    """Poses to start from."""
+    thorough: Flag = False
+    """Search longer, about three times."""
     seed: Annotated[int, arg(metavar="S")] = 0
     """Seed of all that is random."""
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
@@ -180,9 +195,42 @@ class Bench(Command):
         from getagrip.bench.sources import Source
 
         source = Source(self.dataset, self.out / "clips", self.split, self.clips, self.preset, self.root, self.meshes)
-        options = Options(inits=self.inits, seed=self.seed)
-        choice = (self.methods, self.ablation, self.init, options)
+        options = Options(
+            inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
+            priors=_priors(self.priors, self.init),
+        )  # fmt: skip
+        choice = (self.methods, self.ablation, options)
         return bench(Plan(source, self.out, *choice, self.workers, self.overwrite, self.json), self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InitCommand(Command):
+    """Learn where a search may start, from clips with true poses: rotations of each kind of object in each hand."""
+
+    action: Positional[Literal["learn"]]
+    """learn: cluster the true rotations, and take the mean of the true translations."""
+    clips: Clips = ()
+    """Clip folders, or folders of clips."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """Where the poses go. The file says whose hands it was learnt from, and is not used for those."""
+    k: int = 50
+    """Rotations of each kind of object in each hand."""
+    leave_out: Annotated[tuple[str, ...], arg(metavar="SUBJECT...", help_behavior_hint="")] = ()
+    """Whose hands not to learn from: those on whose clips the poses will be tried."""
+    way: Annotated[Literal["geodesic", "axis-angle"], arg(name="clusters")] = "geodesic"
+    """k-means by the angles between rotations; or, as in the paper, of rotation vectors."""
+    seed: Annotated[int, arg(metavar="S")] = 0
+    """Seed of all that is random."""
+
+    def check(self) -> None:
+        from getagrip import files
+
+        files.check_file("--out", self.out)
+
+    def run(self) -> int:
+        from getagrip.run.init import learn
+
+        return learn(self.clips, self.out, self.k, self.way, self.leave_out, self.seed, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,12 +280,26 @@ class Doctor(Command):
         return doctor.run()
 
 
+def _priors(path: Path | None, init: Init) -> PriorsFile | None:
+    """The starting poses that the user names, identified."""
+    if init == "uniform" and path is not None:
+        raise UsageError(f"--priors: got {path}, expected none without --init clusters or priors")
+    if path is None:
+        if init != "uniform":
+            raise UsageError(f"--priors: got nothing, expected a file or folder for --init {init}")
+        return None
+    from getagrip import priors
+
+    return priors.given(path, init)
+
+
 Commands = (
     Annotated[Demo, subcommand("demo")]
     | Annotated[Reconstruct, subcommand("reconstruct")]
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Segment, subcommand("segment")]
     | Annotated[Bench, subcommand("bench")]
+    | Annotated[InitCommand, subcommand("init")]
     | Annotated[Import, subcommand("import")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Doctor, subcommand("doctor")]

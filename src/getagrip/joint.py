@@ -13,7 +13,7 @@ from getagrip.objective import energy_of
 from getagrip.options import Options
 from getagrip.problem import Found, Problem
 from getagrip.result import Axis
-from getagrip.search import Schedule, TermsAt, hinge_from, search
+from getagrip.search import THOROUGH, Schedule, TermsAt, hinge_from, search
 from getagrip.solve import Status
 from getagrip.starts import starting_poses
 
@@ -25,13 +25,14 @@ def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = N
     """
     clip, options, centre = problem.clip, problem.options, problem.clip.mesh.centre
     energy = energy_of(problem, options.push, options.pull)
+    schedule = THOROUGH if options.thorough else Schedule()
     solution = search(
-        starts=starting_poses(clip, problem.masks, options.inits, options.seed),
+        starts=starting_poses(clip, problem.masks, options.inits, options.seed, problem.poses),
         model=_model(options),
         terms_at=energy if more is None else lambda stage, index: [*energy(stage, index), *more(stage, index)],
         T_cam_hand=clip.hand.T_cam_hand,
         shape=problem.shape,
-        schedule=Schedule().softened() if options.method == "soft-hinge" else Schedule(),
+        schedule=schedule.softened() if options.method == "soft-hinge" else schedule,
         watch=watch,
     )
     if not len(solution.energy):

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip import priors
 from getagrip.clip import Clip, Masks, read_masks, read_seen, seen_frames
 from getagrip.energy.mask import Surface
 from getagrip.hidden import hidden_by_hand
@@ -34,8 +35,10 @@ class Problem:
     observation: Observation
     shape: Shape
     options: Options
+    poses: Float[ndarray, "k 4 4"]
+    """``T_hand_obj`` to start from, besides even rotations."""
     notes: tuple[str, ...]
-    """Dropped frames, guesses, what was made up for what was not given."""
+    """Dropped frames, guesses, starts, what was made up for what was not given."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,10 @@ def read_sampled(clip: Clip, frames: int) -> tuple[Clip, Masks]:
 
 
 def prepare(clip: Clip, masks: Masks, options: Options) -> Problem:
-    """Leave out frames without an object, sample the rest linearly, crop. Raises ``InputError`` for fewer than 2."""
+    """Leave out frames without an object, sample the rest linearly, crop.
+
+    Raises ``InputError`` for fewer than 2 frames, and for starting poses as ``priors.poses_for`` does.
+    """
     seen = masks.seen
     clip = seen_frames(clip, seen)
     index = spread(len(clip), options.frames)
@@ -75,9 +81,11 @@ def prepare(clip: Clip, masks: Masks, options: Options) -> Problem:
     if options.occlusion and not masks.ignore.any():
         masks = hidden_by_hand(clip, masks)
         notes.append("no ignore masks: what the drawn hand covers outside the object's mask counts as hidden")
+    poses, of_starts = priors.poses_for(clip, options)
+    notes += of_starts
     notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
     observation = observe(masks, clip.K, options.occlusion)
-    return Problem(clip, masks, observation, Shape.of(clip.mesh), options, tuple(notes))
+    return Problem(clip, masks, observation, Shape.of(clip.mesh), options, poses, tuple(notes))
 
 
 def answer(problem: Problem, found: Found, clock: Clock) -> Reconstruction:

@@ -76,6 +76,18 @@ class Schedule:
         return replace(self, stages=(*coarse, replace(fine, soft=True), replace(finest, soft=True)))
 
 
+THOROUGH = Schedule(
+    rounds=12,
+    parents=16,
+    stages=(
+        Stage("coarse", level=64, frames=8, iterations=5, keep=32),
+        Stage("middle", level=64, frames=15, iterations=8, keep=12),
+        Stage("fine", level=128, frames=MAX, iterations=12, keep=6),
+        Stage("finest", level=256, frames=MAX, iterations=16, keep=4),
+    ),
+)
+"""A longer search: more hypotheses go on, and further."""
+
 TermsAt = Callable[[Stage, Int[ndarray, "n"]], Sequence[Term]]
 """The energy of a stage at some of the frames."""
 

@@ -1,4 +1,6 @@
-"""Where the search starts: rotations spread over SO(3), the place from the hand and the masks, never from the truth."""
+"""Where the search starts: poses that are given, then rotations spread over SO(3) at a place from hand and masks. Never
+from the truth.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,17 @@ from getagrip.clip import FINGERS, Clip, Masks
 from getagrip.motion import Fixed
 
 
-def starting_poses(clip: Clip, masks: Masks, inits: int, seed: int = 0) -> Fixed:
-    """Rotations spread over SO(3); the object's centre where the hand grips and the masks' centres cross."""
+def starting_poses(
+    clip: Clip, masks: Masks, inits: int, seed: int = 0, poses: Float[ndarray, "k 4 4"] | None = None
+) -> Fixed:
+    """B = ``inits`` starts: the first of ``poses`` (``T_hand_obj``), then rotations spread over SO(3).
+
+    For the latter, the object's centre is where the hand grips and the masks' centres cross. A free scale starts where
+    the object at that place is as large as its masks.
+    """
+    poses = np.zeros((0, 4, 4)) if poses is None else poses[:inits]
     turn = se3.exp_so3(np.random.default_rng(seed).uniform(-1.0, 1.0, 3)) if seed else np.eye(3)
-    R = turn @ se3.super_fibonacci(inits)
+    R = turn @ se3.super_fibonacci(inits - len(poses))
     boxes = camera.bounding_boxes(masks.object).astype(float)
     point = grip_point(clip, (boxes[:, :2] + boxes[:, 2:]) / 2.0)
     scale = 1.0
@@ -22,8 +31,9 @@ def starting_poses(clip: Clip, masks: Masks, inits: int, seed: int = 0) -> Fixed
         depth = se3.transform(clip.hand.T_cam_hand, point[None, None])[:, 0, 2]
         seen = np.linalg.norm(boxes[:, 2:] - boxes[:, :2], axis=1) * depth / clip.K[:, 0, 0]
         scale = float(np.clip(np.median(seen) / clip.mesh.diameter, 0.2, 5.0))
-    B = inits
-    return Fixed(R, np.tile(point, (B, 1)), np.full(B, np.log(scale)), len(clip), clip.scale == "free")
+    centre = np.concatenate([se3.transform(poses, scale * clip.mesh.centre[None])[:, 0], np.tile(point, (len(R), 1))])
+    R = np.concatenate([poses[:, :3, :3], R])
+    return Fixed(R, centre, np.full(inits, np.log(scale)), len(clip), clip.scale == "free")
 
 
 def grip_point(clip: Clip, uv: Float[ndarray, "T 2"]) -> Float[ndarray, "3"]:

@@ -56,7 +56,7 @@ def object_tracks(problem: Problem) -> tuple[Free, Float[ndarray, "B"]]:
     """The object in the camera frame from each starting rotation, by E_mask alone, and the mean of E_mask / area."""
     clip, area = problem.clip, problem.observation.area
     mask_only = energy_of(problem, push=0.0, pull=0.0)
-    starts = starting_poses(clip, problem.masks, problem.options.inits, problem.options.seed)
+    starts = starting_poses(clip, problem.masks, problem.options.inits, problem.options.seed, problem.poses)
     vertices = clip.mesh.vertices - clip.mesh.centre
     outline = np.exp(starts.log_scale[0]) * vertices[spread_points(vertices, OUTLINE)]
     boxes = camera.bounding_boxes(problem.masks.object).astype(float)

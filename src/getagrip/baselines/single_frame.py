@@ -49,7 +49,7 @@ def fit(problem: Problem, watch: Callable[[str], None]) -> Found:
         here = np.array([n])
         masks = Masks(problem.masks.object[here], problem.masks.ignore[here])
         found = search(
-            starts=starting_poses(clip.take(here), masks, options.inits, options.seed),
+            starts=starting_poses(clip.take(here), masks, options.inits, options.seed, problem.poses),
             model=lambda loose: loose.core,
             terms_at=partial(_of_frame, energy, n),
             T_cam_hand=clip.hand.T_cam_hand[here],

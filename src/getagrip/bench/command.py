@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from getagrip import files
 from getagrip.bench.comparison import Table, compare, groups
@@ -26,8 +26,6 @@ from getagrip.run.pool import cores, in_processes
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-Init = Literal["uniform", "clusters", "priors"]
-
 
 @dataclass(frozen=True)
 class Plan:
@@ -38,7 +36,6 @@ class Plan:
     methods: tuple[Method, ...] = ()
     """None: all of them, or those that the ablation is about."""
     ablation: str | None = None
-    init: Init = "uniform"
     options: Options = field(default_factory=Options)
     """What all arms have in common."""
     workers: int | None = None
@@ -47,8 +44,6 @@ class Plan:
     json: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.init != "uniform":
-            raise UsageError(f"--init: got {self.init}, which does not exist yet, expected uniform")
         if self.workers is not None and self.workers < 1:
             raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
         if self.ablation is not None and self.ablation not in ABLATIONS:
@@ -156,13 +151,21 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     return [
         f"{_named(source)}: {len(good)} clips"
         + (f", {len(scores) - len(good)} failed and left out" if len(good) < len(scores) else ""),
-        f"{plan.options.inits} starts ({plan.init}), {plan.options.frames} frames, seed {plan.options.seed}; the same "
-        "frames, masks and evaluation for all",
+        f"{plan.options.inits} starts ({_starts(plan.options)}), {plan.options.frames} frames, "
+        f"seed {plan.options.seed}; the same frames, masks and evaluation for all",
         "per cent, means over clips, the best bold, the second best underlined; s: median seconds for a clip",
         f"in brackets: 95 % intervals from {RESAMPLES} bootstrap resamples of {units}",
         f"contact: {contact}, unless the row says otherwise; a method that fails on a clip scores 0 there",
         versions,
     ]
+
+
+def _starts(options: Options) -> str:
+    """Where searches start, in words."""
+    thorough = ", thorough" if options.thorough else ""
+    if options.priors is None:
+        return f"{options.init}{thorough}"
+    return f"{options.init} of {options.priors.path.name}, sha256 {options.priors.sha256[:12]}, then uniform{thorough}"
 
 
 def _outdated(scores: Sequence[Scores]) -> list[str]:
