@@ -20,8 +20,11 @@ settings.register_profile(
 )
 settings.load_profile("here")
 
+from getagrip.cli import main  # noqa: E402
 from getagrip.clip import FINGERS, Clip, HandTrack, Masks, Truth, write_clip  # noqa: E402
 from getagrip.mesh import Mesh  # noqa: E402
+
+Run = Callable[..., tuple[int, str, str]]
 
 BOX_FACES = np.array(
     [
@@ -92,3 +95,20 @@ def refused(tmp_path: Path) -> Callable[..., str]:
         return message
 
     return check
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Call the command line; returns the exit status, stdout and stderr."""
+
+    def call(*args: object) -> tuple[int, str, str]:
+        capsys.readouterr()
+        try:
+            status = main([str(arg) for arg in args])
+        except SystemExit as exit_:
+            status = int(exit_.code or 0)
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err or "--debug" in args
+        return status, out, err
+
+    return call

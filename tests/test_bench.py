@@ -6,13 +6,13 @@ import csv
 import json
 import os
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import pytest
+from conftest import Run
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -31,8 +31,6 @@ from getagrip.errors import GetagripError, UsageError
 from getagrip.options import Method, Options
 from getagrip.result import read_result
 
-Run = Callable[..., tuple[int, str, str]]
-
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: Any) -> Path:
@@ -41,21 +39,6 @@ def made(tmp_path_factory: Any) -> Path:
     for category in ("can", "box"):
         write_clip(*synthesise(category, 0, ClipOptions(frames=4)), folder / category)
     return folder
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    """Call the command line; returns the exit status, stdout and stderr."""
-
-    def call(*args: object) -> tuple[int, str, str]:
-        capsys.readouterr()
-        try:
-            status = main([str(arg) for arg in args])
-        except SystemExit as exit_:
-            status = int(exit_.code or 0)
-        return status, *capsys.readouterr()
-
-    return call
 
 
 def score(arm: str, value: float, failed: bool = False) -> Score:

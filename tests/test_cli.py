@@ -6,19 +6,17 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import Run
 
-from getagrip.cli import main
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.datasets.synthetic import Options, synthesise
 from getagrip.result import read_result
 
-Run = Callable[..., tuple[int, str, str]]
 QUICK = ("--inits", "8", "--frames", "4")
 
 
@@ -30,23 +28,6 @@ def made(tmp_path_factory: Any) -> Path:
         clip, masks = synthesise(name, 0, Options(frames=4))
         write_clip(clip, masks, folder / name)
     return folder
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    """Call the command line; returns the exit status, stdout and stderr."""
-
-    def call(*args: object) -> tuple[int, str, str]:
-        capsys.readouterr()
-        try:
-            status = main([str(arg) for arg in args])
-        except SystemExit as exit_:
-            status = int(exit_.code or 0)
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err or "--debug" in args
-        return status, out, err
-
-    return call
 
 
 def broken_clip(made: Path, folder: Path) -> Path:

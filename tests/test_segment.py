@@ -14,10 +14,9 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from conftest import box, small_clip
+from conftest import Run, box, small_clip
 
 from getagrip import se3
-from getagrip.cli import main
 from getagrip.clip import Clip, HandTrack, Truth, read_clip, write_clip
 from getagrip.errors import InputError, UsageError
 from getagrip.grasps import OPENED, Definition, contact_iou, contact_sets, fragments, segment
@@ -25,7 +24,6 @@ from getagrip.mesh import Mesh
 from getagrip.metrics.contact import contact_distances
 from getagrip.view.matrix import write_matrix
 
-Run = Callable[..., tuple[int, str, str]]
 RADIUS = 0.03
 
 
@@ -167,23 +165,6 @@ def test_wrong_definitions_and_clips_without_truth_are_refused() -> None:
 
 
 # The command.
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    """Call the command line; returns the exit status, stdout and stderr."""
-
-    def call(*args: object) -> tuple[int, str, str]:
-        capsys.readouterr()
-        try:
-            status = main([str(arg) for arg in args])
-        except SystemExit as exit_:
-            status = int(exit_.code or 0)
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err or "--debug" in args
-        return status, out, err
-
-    return call
 
 
 def test_all_is_written_and_said(run: Run, tmp_path: Path) -> None:
