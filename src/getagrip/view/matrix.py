@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.view.report import FAINT, FOUND, INK, LINE, PAPER
+from getagrip.view.style import FAINT, FOUND, LINE, PAPER, letters
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,18 +33,7 @@ def write_matrix(
     subtitle: str = "",
 ) -> Path:
     """Write the picture as a PNG and return its path. ``grasps``: first and last frame of each, both included."""
-    from matplotlib import rc_context
-
-    style: dict[Any, Any] = {
-        "font.family": "DejaVu Sans",
-        "font.size": 8.5,
-        "text.color": INK,
-        "axes.edgecolor": LINE,
-        "axes.labelcolor": FAINT,
-        "xtick.color": FAINT,
-        "ytick.color": FAINT,
-    }
-    with rc_context(style):
+    with letters():
         figure = _draw(iou, grasps, fps, tau)
         # Names are anybody's: a dollar sign in one begins no formula.
         figure.text(0.085, 0.972, _short(title, 62), fontsize=13, fontweight="bold", va="top", parse_math=False)

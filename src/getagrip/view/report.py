@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -19,6 +19,7 @@ from getagrip.errors import InputError
 from getagrip.kernels.depth import depth_and_face
 from getagrip.render import render_rgb
 from getagrip.result import Reconstruction
+from getagrip.view.style import AXIS, FAINT, FOUND, HIDDEN, INK, LINE, PAPER, TRUE, letters
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,8 +32,6 @@ TILE = 320
 TURN = np.radians(80.0)
 """The turned view looks from this far to the left."""
 HAND, OBJECT = (0.87, 0.72, 0.63), (0.44, 0.58, 0.69)
-PAPER, INK, FAINT, LINE = "#f4f4f1", "#2b2f33", "#8a9096", "#d9dad6"
-FOUND, AXIS, HIDDEN, TRUE = "#c8553d", "#2a9d8f", "#a8e0d5", "#6c757d"
 SEEN, IGNORED = (126, 158, 184), (216, 200, 186)
 METHODS = {
     "one-dof": "1-DoF",
@@ -103,20 +102,10 @@ class _View:
 
 
 def _draw(view: _View, metrics: Mapping[str, float]) -> Figure:
-    from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    style: dict[Any, Any] = {
-        "font.family": "DejaVu Sans",
-        "font.size": 8.5,
-        "text.color": INK,
-        "axes.edgecolor": LINE,
-        "axes.labelcolor": FAINT,
-        "xtick.color": FAINT,
-        "ytick.color": FAINT,
-    }
-    with rc_context(style):
+    with letters():
         left, right, gap, tile = 0.62, 0.25, 0.08, 2.3  # inches
         width = left + right + TILES * tile + (TILES - 1) * gap
         head, foot, plots, between = 1.22, 0.48, 1.75, 0.62

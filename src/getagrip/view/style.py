@@ -1,0 +1,25 @@
+"""Colours and letters that all pictures share."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from typing import Any
+
+PAPER, INK, FAINT, LINE = "#f4f4f1", "#2b2f33", "#8a9096", "#d9dad6"
+FOUND, AXIS, HIDDEN, TRUE = "#c8553d", "#2a9d8f", "#a8e0d5", "#6c757d"
+
+
+def letters() -> AbstractContextManager[None]:
+    """Figures drawn within have the project's font and its colours for text and axes."""
+    from matplotlib import rc_context
+
+    style: dict[Any, Any] = {
+        "font.family": "DejaVu Sans",
+        "font.size": 8.5,
+        "text.color": INK,
+        "axes.edgecolor": LINE,
+        "axes.labelcolor": FAINT,
+        "xtick.color": FAINT,
+        "ytick.color": FAINT,
+    }
+    return rc_context(style)
