@@ -237,24 +237,28 @@ class InitCommand(Command):
 class Import(Command):
     """Make clips from other people's layouts."""
 
-    source: Positional[Literal["hot3d", "dexycb"]]
-    """hot3d: raw HOT3D recordings, every hold of an object by a hand. dexycb: DexYCB or a packed file of its sequences,
-    every stable grasp that is seen."""
+    source: Positional[Literal["hot3d", "dexycb", "arctic", "hoi4d", "ho3d"]]
+    """hot3d: raw HOT3D recordings, every hold of an object by a hand. dexycb: DexYCB or a packed file of its sequences.
+    arctic: ARCTIC's raw sequences. hoi4d: HOI4D's rigid objects. ho3d: HO-3D. Of these, every stable grasp that is
+    seen."""
     root: Annotated[Positional[Path], arg(metavar="ROOT")]
     """The folder that holds them, as it came."""
     out: Folder
-    """Where the clips go, a folder each."""
+    """Where the clips go, a folder each. Those that are there already are kept."""
     meshes: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: ROOT/models)")] = None
-    """Folder of the YCB models; for dexycb only."""
+    """dexycb, ho3d: folder of the YCB models."""
+    mano: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """arctic, hoi4d: folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl. ho3d too: without, the generic hand is fitted."""
+    view: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0)")] = None
+    """arctic: the camera, 0 on the head, 1 to 8 fixed."""
+    whole: Flag = False
+    """arctic, hoi4d, ho3d: not the grasps but all frames, without masks: for segment and study."""
 
     def run(self) -> int:
-        from getagrip.run.imports import import_dexycb, import_hot3d
+        from getagrip.run.imports import Given, import_clips
 
-        if self.source == "dexycb":
-            return import_dexycb(self.root, self.meshes, self.out, self.debug)
-        if self.meshes is not None:
-            raise UsageError("--meshes: got a folder, expected none: HOT3D's meshes are in ROOT")
-        return import_hot3d(self.root, self.out)
+        given = Given(self.meshes, self.mano, self.view, self.whole)
+        return import_clips(self.source, self.root, self.out, given, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,231 @@
+"""ARCTIC (Fan et al., CVPR 2023): two hands use objects with a joint; true poses by motion capture.
+
+Read are the raw sequences, as ARCTIC's own code (https://github.com/zc-alexfan/arctic) describes them:
+
+    raw_seqs/<subject>/<sequence>.object.npy        (T, 7): angle of the joint [rad], rotation vector, translation [mm]
+    raw_seqs/<subject>/<sequence>.mano.npy          left, right: rot (T, 3), pose (T, 45), trans (T, 3) [m], shape (10,)
+    raw_seqs/<subject>/<sequence>.egocam.dist.npy   R_k_cam_np (T, 3, 3), T_k_cam_np (T, 3, 1) [m], intrinsics (3, 3)
+    meta/misc.json                                  by subject: world2cam, intris_mat (8), image_size (9), ioi_offset
+    meta/object_vtemplates/<object>/mesh.obj        [mm], and parts.json: 1 for each vertex of the top, 0 of the bottom
+
+The top turns by the angle about -z of the template's frame; then the whole is turned and moved. View 0 is the camera on
+the head, its lens undistorted, 1 to 8 are the fixed ones. Images are not read.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip import arrays, se3
+from getagrip.clip import HandTrack
+from getagrip.datasets import mano_tracks
+from getagrip.datasets.pickled import numbers, read_dict
+from getagrip.datasets.tracks import Note, Source, Track, in_pixels, with_area
+from getagrip.errors import InputError, UsageError
+from getagrip.files import LARGEST_JSON, is_plain_name, read_bytes, read_json, shown
+from getagrip.grasps import Definition
+from getagrip.hands.model import Side
+from getagrip.mesh import LARGEST_FILE, Mesh, checked_mesh
+from getagrip.obj import parse_obj
+
+DEFINITION = Definition(contact=0.0)
+"""The paper's stable grasps of ARCTIC."""
+VIEWS = 9
+FPS = 30.0
+SCALE = 0.3
+"""Masks are so much smaller than the images, 840 x 600 for view 0, as the paper's are."""
+MM = 1e-3
+SIDES: tuple[Side, ...] = ("left", "right")
+
+
+@dataclass(frozen=True)
+class Template:
+    """An object whose top turns about a joint, in a frame of its own (``neutral_frame``)."""
+
+    vertices: Float[ndarray, "V 3"]
+    """In ARCTIC's frame [m], the joint at 0."""
+    faces: Int[ndarray, "F 3"]
+    top: Bool[ndarray, "V"]
+    """The vertices that turn."""
+    T_neutral_template: Float[ndarray, "4 4"]
+
+    def at(self, angle: float) -> Mesh:
+        """The object with its joint at an angle [rad], in the neutral frame."""
+        turned = np.where(self.top[:, None], self.vertices @ se3.exp_so3(np.array([0.0, 0.0, -angle])).T, self.vertices)
+        return Mesh(se3.transform(self.T_neutral_template, turned), self.faces)
+
+
+@dataclass(frozen=True)
+class View:
+    """One of the cameras."""
+
+    number: int
+    K: Float[ndarray, "3 3"]
+    T_cam_world: Float[ndarray, "T 4 4"]
+    size: tuple[int, int]
+
+
+def find(root: Path, mano: Path | None, view: int = 0) -> list[Source]:
+    """The sequences below ``root``, ARCTIC's folder of ``raw_seqs`` and ``meta``, or one that holds it.
+
+    ``mano`` is the folder of the user's MANO files, ``view`` the camera. Raises ``UsageError`` for those,
+    ``InputError`` where there is no sequence.
+    """
+    if not 0 <= view < VIEWS:
+        raise UsageError(f"--view: got {view}, expected 0 (the camera on the head) to {VIEWS - 1}")
+    folder = mano_tracks.mano_folder(mano, "ARCTIC")
+    base = next((b for b in (root, root / "data", root / "arctic_data" / "data") if (b / "raw_seqs").is_dir()), root)
+    found = sorted(base.glob("raw_seqs/*/*.object.npy"))
+    if not found:
+        raise InputError(root, "", "no raw_seqs/<subject>/<sequence>.object.npy in it", "ARCTIC's folder")
+    return [Source(f"{f.parent.name}/{_sequence(f)}", partial(_read, base, f, folder, view)) for f in found]
+
+
+def _sequence(file: Path) -> str:
+    return file.name.removesuffix(".object.npy")
+
+
+def _read(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator[Track]:
+    """The object in each hand over a sequence."""
+    subject, sequence = file.parent.name, _sequence(file)
+    name = sequence.partition("_")[0]
+    if not (is_plain_name(name) and is_plain_name(subject)):
+        raise InputError(file, "", f"the name {file.name!r}", "<object>_<use or grab>_<number>.object.npy")
+    poses = arrays.floats(file, {"": arrays.parse_npy(file, "", read_bytes(file))}, "", (-1, 7))
+    T = len(poses)
+    subjects = base / "meta" / "misc.json"
+    misc = read_json(subjects).get(subject)
+    if not isinstance(misc, dict):
+        raise InputError(subjects, subject, shown(misc), "the cameras of this subject")
+    camera = _view(subjects, misc, subject, view, file.with_name(f"{sequence}.egocam.dist.npy"), T)
+    offset = misc.get("ioi_offset")
+    if type(offset) is not int or not 0 <= offset < 10**6:
+        raise InputError(subjects, f"{subject}.ioi_offset", shown(offset), "a number of frames")
+    template = read_template(base / "meta" / "object_vtemplates" / name)
+    T_world_template = se3.rigid(se3.exp_so3(poses[:, 1:4]), MM * poses[:, 4:])
+    T_cam_obj = camera.T_cam_world @ T_world_template @ se3.inverse(template.T_neutral_template)
+    hands = _hands(file.with_name(f"{sequence}.mano.npy"), mano, camera.T_cam_world, T)
+    for side in SIDES:
+        yield Track(
+            file=file,
+            subject=subject,
+            sequence=sequence,
+            category=name,
+            side=side,
+            fps=FPS,
+            numbers=np.arange(T) + offset,
+            digits=5,
+            size=camera.size,
+            K=camera.K,
+            hand=hands[side],
+            T_cam_obj=T_cam_obj,
+            object=template.at,
+            articulation=poses[:, 0],
+            other_hand=hands["left" if side == "right" else "right"],
+            provenance={
+                "source": f"ARCTIC, {subject}/{sequence}, view {view}",
+                "licence": "made from ARCTIC, for non-commercial research only",
+                "hands": "ARCTIC's MANO parameters (true), by the user's MANO files",
+                "camera": "the camera on the head; its images are distorted, these masks are not"
+                if view == 0
+                else f"fixed camera {view}",
+                "image": f"masks are {SCALE:g} times as large as the images",
+                "scale": "ARCTIC's template, true size",
+                "frame": "z along the principal axis about which the closed object is most nearly round, origin in the "
+                "middle; ARCTIC's own frame has z along the joint",
+            },
+        )
+
+
+def _hands(file: Path, mano: Path, T_cam_world: Float[ndarray, "T 4 4"], T: int) -> dict[Side, HandTrack]:
+    """Both hands. ARCTIC was fitted with the published left hand, faults included."""
+    given = read_dict(file, "ARCTIC's MANO parameters")
+    hands: dict[Side, HandTrack] = {}
+    for side in SIDES:
+        values = given.get(side)
+        if not isinstance(values, dict):
+            raise InputError(file, side, shown(values), "the parameters of this hand")
+        rot, pose, trans = (
+            numbers(file, values, key, (T, n), side) for key, n in (("rot", 3), ("pose", 45), ("trans", 3))
+        )
+        shape = numbers(file, values, "shape", (10,) if np.size(values.get("shape", ())) == 10 else (T, 10), side)
+        model = mano_tracks.load(mano, side, repaired=False)
+        hands[side] = mano_tracks.track(model, rot, pose, trans, shape.reshape(-1, 10)[0], False, T_cam_world)
+    return hands
+
+
+def _view(file: Path, misc: dict[str, Any], subject: str, number: int, egocam: Path, T: int) -> View:
+    """The camera of a view, that on the head from its own file."""
+    of = {key: np.array(misc[key]) for key in ("image_size", "world2cam", "intris_mat") if _is_table(misc.get(key))}
+    sizes = numbers(file, of, "image_size", (VIEWS, 2), subject)
+    width, height = (round(SCALE * float(side)) for side in sizes[number])
+    if not (0 < width < 10_000 and 0 < height < 10_000):
+        raise InputError(file, f"{subject}.image_size", shown(sizes[number].tolist()), "width and height in pixels")
+    if number == 0:
+        file, subject = egocam, ""
+        given = read_dict(egocam, "ARCTIC's camera on the head")
+        K = numbers(egocam, given, "intrinsics", (3, 3))
+        T_cam_world = se3.rigid(
+            numbers(egocam, given, "R_k_cam_np", (T, 3, 3)), numbers(egocam, given, "T_k_cam_np", (T, 3, 1))[..., 0]
+        )
+    else:
+        K = numbers(file, of, "intris_mat", (VIEWS - 1, 3, 3), subject)[number - 1]
+        T_cam_world = np.tile(numbers(file, of, "world2cam", (VIEWS - 1, 4, 4), subject)[number - 1], (T, 1, 1))
+    if not se3.is_rigid(T_cam_world).all():
+        raise InputError(file, subject, f"a view {number} that is no rigid motion", "rotations and translations [m]")
+    if not (K[0, 0] > 0 and K[1, 1] > 0 and np.all(K[2] == [0, 0, 1]) and abs(K[0, 1]) < 1e-6 * K[0, 0]):
+        raise InputError(file, subject, shown(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    return View(number, in_pixels(K, SCALE), T_cam_world, (width, height))
+
+
+def _is_table(value: object) -> bool:
+    """Whether a JSON value is lists of numbers, all of the same length."""
+    try:
+        return np.array(value).dtype.kind in "if"
+    except ValueError:
+        return False
+
+
+def read_template(folder: Path) -> Template:
+    """An object's template. Raises ``InputError``."""
+    file, parts = folder / "mesh.obj", folder / "parts.json"
+    vertices, faces = parse_obj(file, read_bytes(file, LARGEST_FILE))
+    vertices, faces = MM * vertices, with_area(MM * vertices, faces)
+    checked_mesh(file, vertices, faces)
+    try:
+        top = np.array(json.loads(read_bytes(parts, LARGEST_JSON)))
+    except (ValueError, RecursionError) as error:
+        raise InputError(parts, "", f"text that is no JSON ({error})", "a JSON list") from error
+    if top.shape != (len(vertices),) or not np.isin(top, (0, 1)).all():
+        given = f"{top.shape[0]} numbers" if top.ndim == 1 else "something else"
+        raise InputError(parts, "", given, f"0 or 1 for each of the {len(vertices)} vertices of mesh.obj")
+    return Template(vertices, faces, top == 1, neutral_frame(Mesh(vertices, faces)))
+
+
+def neutral_frame(mesh: Mesh) -> Float[ndarray, "4 4"]:
+    """``T_neutral_mesh``: z along the principal axis about which a mesh is most nearly round, the origin in its middle.
+
+    Principal axes are those of the surface's second moments, by area. z is the one whose moment lies further from the
+    middle one; x that of the larger of the others; where z and x point is where the surface reaches further from its
+    centroid (third moments).
+    """
+    area = mesh.vertex_areas / mesh.vertex_areas.sum()
+    x = mesh.vertices - area @ mesh.vertices
+    moments, axes = np.linalg.eigh((area[:, None] * x).T @ x)  # the smallest first
+    z, first = (2, 1) if moments[2] - moments[1] > moments[1] - moments[0] else (0, 2)
+    R = np.empty((3, 3))
+    for row, k in ((2, z), (0, first)):
+        along = x @ axes[:, k]
+        R[row] = axes[:, k] * (1.0 if area @ along**3 >= 0.0 else -1.0)
+    R[1] = np.cross(R[2], R[0])
+    turned = mesh.vertices @ R.T
+    return se3.rigid(R, -(turned.min(axis=0) + turned.max(axis=0)) / 2.0)

@@ -1,0 +1,171 @@
+"""HO-3D (Hampali et al., CVPR 2020), versions 2 and 3: a right hand and a YCB object, true poses by fitting to RGB-D.
+
+Read is, as HO-3D's own scripts (https://github.com/shreyashampali/ho3d) describe it, with the axes of OpenGL (y up, z
+towards the eye) turned into this package's,
+
+    <split>/<sequence>/meta/<frame>.pkl     objName, objRot (rotation vector), objTrans [m], camMat, handJoints3D [m],
+                                            and with MANO handPose (48,), handTrans [m], handBeta (10,)
+
+Frames without labels hold None. In the evaluation split the hand's joints are not public, but for the wrist.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.clip import HandTrack
+from getagrip.datasets import mano_tracks
+from getagrip.datasets.dexycb import mesh_folder, ycb_mesh
+from getagrip.datasets.pickled import numbers, read_dict
+from getagrip.datasets.tracks import Note, Source, Track, in_pixels
+from getagrip.errors import InputError, UsageError
+from getagrip.files import is_plain_name, shown
+from getagrip.grasps import Definition
+from getagrip.hands import generic
+from getagrip.hands.fit import fit_joints
+
+DEFINITION = Definition(contact=0.010)
+SIZE = (640, 480)
+"""Width and height of HO-3D's images [px]."""
+FPS = 30.0
+OPENGL = np.diag([1.0, -1.0, -1.0])
+"""From OpenGL's camera axes to this package's."""
+
+
+class Frame(NamedTuple):
+    """The labels of one frame, in this package's axes."""
+
+    number: int
+    name: str
+    """Of the object."""
+    T_cam_obj: Float[ndarray, "4 4"]
+    K: Float[ndarray, "3 3"]
+    joints: Float[ndarray, "21 3"]
+    pose: Float[ndarray, "48"]
+    """MANO's, and the next two; zeros where MANO is not used."""
+    translation: Float[ndarray, "3"]
+    shape: Float[ndarray, "10"]
+
+
+def find(root: Path, meshes: Path | None, mano: Path | None) -> list[Source]:
+    """The sequences of HO-3D, all splits.
+
+    ``meshes`` is the folder of the YCB models, ``models`` in ``root`` where left out; ``mano`` the folder of the user's
+    MANO files: without it, the generic hand is fitted to the joints. Raises ``UsageError`` for those, ``InputError``
+    where there is no sequence.
+    """
+    models = mesh_folder(root, meshes)
+    folder = None if mano is None else mano_tracks.mano_folder(mano, "HO-3D")
+    found = sorted({file.parent.parent for file in root.glob("*/*/meta/*.pkl")})
+    if not found:
+        raise InputError(root, "", "no <split>/<sequence>/meta/<frame>.pkl in it", "HO-3D's folder")
+    return [Source(f"{f.parent.name}/{f.name}", partial(_read, f, models, folder)) for f in found]
+
+
+def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator[Track]:
+    """The object in the hand over a sequence."""
+    name = f"{folder.parent.name}/{folder.name}"
+    frames, unknown = [], 0
+    for file in sorted((folder / "meta").glob("*.pkl")):
+        frame = _frame(file, with_mano=mano is not None)
+        if frame is None:
+            unknown += 1
+        else:
+            frames.append(frame)
+    if unknown:
+        note(f"{name}: {unknown} frames without the pose of the hand or of the object: left out")
+    if not frames:
+        return
+    held = frames[0].name
+    other = next((frame for frame in frames if frame.name != held or not np.allclose(frame.K, frames[0].K)), None)
+    if other is not None:
+        raise InputError(
+            folder / "meta" / f"{other.number:04d}.pkl", "objName or camMat", "another", "one per sequence"
+        )
+    mesh = ycb_mesh(models, held)
+    if mesh is None:
+        raise InputError(models, held, "no mesh of it", f"{held}.obj or {held}/*.obj")
+    letters = re.match(r"[A-Za-z]+", folder.name)
+    yield Track(
+        file=folder,
+        subject=letters[0] if letters else folder.name,
+        sequence=folder.name,
+        category=held,
+        side="right",
+        fps=FPS,
+        numbers=np.array([frame.number for frame in frames]),
+        digits=4,
+        size=SIZE,
+        K=in_pixels(frames[0].K),
+        hand=_fitted(folder, frames) if mano is None else _by_mano(mano, frames),
+        T_cam_obj=np.stack([frame.T_cam_obj for frame in frames]),
+        object=lambda _: mesh,
+        provenance={
+            "source": f"HO-3D, {name}",
+            "licence": "made from HO-3D, for non-commercial research only",
+            "hands": "the generic hand, fitted to HO-3D's 21 joints over all frames: not the true surface"
+            if mano is None
+            else "HO-3D's MANO parameters (true), by the user's MANO files",
+            "camera": "HO-3D's",
+            "scale": "YCB mesh, true size",
+        },
+    )
+
+
+def _frame(file: Path, with_mano: bool) -> Frame | None:
+    """The labels of a frame; nothing where the object or the hand is not known."""
+    given = read_dict(file, "the labels of a frame of HO-3D")
+    if not file.stem.isdigit():
+        raise InputError(file, "", f"the name {file.name!r}", "<number>.pkl")
+    rotation, seen = given.get("objRot", 0), given.get("handJoints3D", 0)
+    if rotation is None or seen is None or (isinstance(seen, ndarray) and seen.size == 3):
+        return None
+    name = given.get("objName")
+    if not isinstance(name, str) or not is_plain_name(name):
+        raise InputError(file, "objName", shown(name), "the name of a YCB object")
+    T_cam_obj = se3.rigid(
+        OPENGL @ se3.exp_so3(numbers(file, given, "objRot", (3,))), OPENGL @ numbers(file, given, "objTrans", (3,))
+    )
+    K = numbers(file, given, "camMat", (3, 3))
+    if not (K[0, 0] > 0 and K[1, 1] > 0 and np.all(K[2] == [0, 0, 1]) and K[0, 1] == 0):
+        raise InputError(file, "camMat", shown(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    joints = numbers(file, given, "handJoints3D", (21, 3)) @ OPENGL
+    mano = (np.zeros(48), np.zeros(3), np.zeros(10))
+    if with_mano:
+        mano = (
+            numbers(file, given, "handPose", (48,)),
+            numbers(file, given, "handTrans", (3,)),
+            numbers(file, given, "handBeta", (10,)),
+        )
+    return Frame(int(file.stem), name, T_cam_obj, K, joints, *mano)
+
+
+def _fitted(folder: Path, frames: list[Frame]) -> HandTrack:
+    """The generic hand, with one shape for all frames."""
+    try:
+        return fit_joints(generic.load("right"), np.stack([frame.joints for frame in frames]), "ho3d").hand
+    except UsageError as error:
+        raise InputError(folder / "meta", "handJoints3D", str(error), "the 21 joints of a hand") from error
+
+
+def _by_mano(mano: Path, frames: list[Frame]) -> HandTrack:
+    """MANO's hand, of the shape that the sequence has."""
+    pose = np.stack([frame.pose for frame in frames])
+    return mano_tracks.track(
+        mano_tracks.load(mano, "right"),
+        pose[:, :3],
+        pose[:, 3:],
+        np.stack([frame.translation for frame in frames]),
+        frames[0].shape,
+        flat_hand_mean=True,
+        T_cam=se3.rigid(OPENGL),
+    )

@@ -1,0 +1,177 @@
+"""HOI4D (Liu et al., CVPR 2022): a hand and a rigid object before a head-worn camera, poses by annotation and fitting.
+
+Read is, as HOI4D's own instructions (https://github.com/leolyliu/HOI4D-Instructions) describe it, with
+<index> = ZY*/H*/C*/N*/S*/s*/T* (camera, person, category, object, room, layout, task),
+
+    HOI4D_annotations/<index>/objpose/<frame>.json              pose of the object: center [m], rotation (Euler XYZ)
+    HOI4D_annotations/<index>/2Dseg/mask|shift_mask/*.png       labels by colour: 1 the object, 2 the right hand, ...
+    handpose/refinehandpose_right|left/<index>/<frame>.pickle   MANO: poseCoeff (48,), beta (10,), trans [m]
+    camera_params/<camera>/intrin.npy                           (3, 3)
+    HOI4D_CAD_Model_for_release/rigid/<Category>/<object>.obj   CAD [m]
+
+Objects with joints have no CAD in ``rigid``: they are left out.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from getagrip import arrays, se3
+from getagrip.clip import HandTrack
+from getagrip.datasets import mano_tracks
+from getagrip.datasets.pickled import numbers, read_dict
+from getagrip.datasets.tracks import MaskPair, Note, Source, Track, in_pixels, with_area
+from getagrip.errors import InputError
+from getagrip.files import read_bytes, read_colour_png, read_json, shown
+from getagrip.grasps import Definition
+from getagrip.hands.model import Side
+from getagrip.mesh import LARGEST_FILE, Mesh, checked_mesh
+from getagrip.obj import parse_obj
+
+DEFINITION = Definition(contact=0.010)
+"""The paper's stable grasps of HOI4D."""
+IMAGE = (1920, 1080)
+"""Width and height of HOI4D's images [px]."""
+SCALE = 0.5
+"""Masks are so much smaller than the images."""
+FPS = 15.0
+CATEGORIES = {
+    "C1": "ToyCar", "C2": "Mug", "C3": "Laptop", "C4": "StorageFurniture", "C5": "Bottle", "C6": "Safe", "C7": "Bowl",
+    "C8": "Bucket", "C9": "Scissors", "C11": "Pliers", "C12": "Kettle", "C13": "Knife", "C14": "TrashCan",
+    "C17": "Lamp", "C18": "Stapler", "C20": "Chair",
+}  # fmt: skip
+"""HOI4D's categories."""
+OBJECT = (128, 0, 0)
+"""Red, green and blue of label 1 in the colours of PASCAL VOC; every other label is a hand or another object."""
+SIDES: tuple[Side, ...] = ("left", "right")
+
+
+def find(root: Path, mano: Path | None) -> list[Source]:
+    """The sequences of HOI4D. ``mano`` is the folder of the user's MANO files.
+
+    Raises ``UsageError`` for that, ``InputError`` where there is no sequence.
+    """
+    folder = mano_tracks.mano_folder(mano, "HOI4D")
+    found = sorted(file.parent for file in root.glob("HOI4D_annotations/ZY*/H*/C*/N*/S*/s*/T*/objpose"))
+    if not found:
+        raise InputError(root, "", "no HOI4D_annotations/ZY*/H*/C*/N*/S*/s*/T*/objpose in it", "HOI4D's folder")
+    return [Source("-".join(f.parts[-7:]), partial(_read, root, f, folder)) for f in found]
+
+
+def _read(root: Path, folder: Path, mano: Path, note: Note) -> Iterator[Track]:
+    """The object in each hand that HOI4D has a pose of."""
+    index = folder.parts[-7:]
+    camera, person, kind, item = index[:4]
+    name = "-".join(index)
+    category = CATEGORIES.get(kind)
+    number = re.fullmatch(r"N(\d{1,6})", item)
+    if category is None or number is None:
+        raise InputError(folder, "", f"{kind}/{item}", f"a category, one of {', '.join(CATEGORIES)}, and N<number>")
+    cad = root / "HOI4D_CAD_Model_for_release" / "rigid" / category / f"{int(number[1]):03d}.obj"
+    if not cad.is_file():
+        note(f"{name}: no {category}/{cad.name} among the rigid CADs (objects with joints are not read): left out")
+        return
+    vertices, faces = parse_obj(cad, read_bytes(cad, LARGEST_FILE))
+    mesh = checked_mesh(cad, vertices, with_area(vertices, faces))
+    K = _intrinsics(root / "camera_params" / camera / "intrin.npy")
+    T_cam_obj = {n: _object_pose(file) for n, file in _numbered(folder / "objpose", ".json").items()}
+    masks = next((m for m in (folder / "2Dseg" / "mask", folder / "2Dseg" / "shift_mask") if m.is_dir()), None)
+    hands = 0
+    for side in SIDES:
+        files = _numbered(root.joinpath("handpose", f"refinehandpose_{side}", *index), ".pickle")
+        frames = sorted(set(files) & set(T_cam_obj))
+        if not frames:
+            continue
+        hands += 1
+        yield Track(
+            file=folder,
+            subject=person,
+            sequence=name,
+            category=category,
+            side=side,
+            fps=FPS,
+            numbers=np.array(frames),
+            digits=5,
+            size=(round(SCALE * IMAGE[0]), round(SCALE * IMAGE[1])),
+            K=in_pixels(K, SCALE),
+            hand=_hand([files[n] for n in frames], mano, side),
+            T_cam_obj=np.stack([T_cam_obj[n] for n in frames]),
+            object=partial(_rigid, mesh),
+            read_masks=None if masks is None else partial(_masks, masks),
+            provenance={
+                "source": f"HOI4D, {'/'.join(index)}",
+                "licence": "made from HOI4D, CC BY-NC 4.0",
+                "hands": "HOI4D's refined MANO parameters, by the user's MANO files",
+                "masks": "HOI4D's 2D segmentation, drawn by people; hands and other objects are ignored",
+                "camera": f"HOI4D's {camera}",
+                "image": f"masks are {SCALE:g} times as large as the images",
+                "scale": "HOI4D's CAD, true size",
+            },
+        )
+    if not hands:
+        note(f"{name}: no pose of a hand: left out")
+
+
+def _rigid(mesh: Mesh, _: float) -> Mesh:
+    return mesh
+
+
+def _numbered(folder: Path, suffix: str) -> dict[int, Path]:
+    """The files ``<number><suffix>`` in a folder, by number; none where there is no folder."""
+    return {int(file.stem): file for file in folder.glob(f"*{suffix}") if re.fullmatch(r"\d{1,6}", file.stem)}
+
+
+def _intrinsics(file: Path) -> Float[ndarray, "3 3"]:
+    K = arrays.floats(file, {"": arrays.parse_npy(file, "", read_bytes(file))}, "", (3, 3))
+    if not (K[0, 0] > 0 and K[1, 1] > 0 and np.all(K[2] == [0, 0, 1]) and K[0, 1] == 0):
+        raise InputError(file, "", shown(K.tolist()), "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    return K
+
+
+def _object_pose(file: Path) -> Float[ndarray, "4 4"]:
+    """``T_cam_obj`` of the first object. Euler angles are about the object's own axes: R = Rx Ry Rz."""
+    content = read_json(file)
+    key = "dataList" if "dataList" in content else "objects"
+    entries = content.get(key)
+    if not isinstance(entries, list) or not entries or not isinstance(entries[0], dict):
+        raise InputError(file, key, shown(entries), "a list with the object")
+    values = []
+    for part in ("rotation", "center"):
+        value = entries[0].get(part)
+        xyz = [value.get(axis) for axis in "xyz"] if isinstance(value, dict) else [None]
+        if not all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e3 for v in xyz):
+            raise InputError(file, f"{key}[0].{part}", shown(value), "numbers x, y and z")
+        values.append(np.array(xyz, dtype=float))
+    Rx, Ry, Rz = se3.exp_so3(np.diag(values[0]))
+    return se3.rigid(Rx @ Ry @ Rz, values[1])
+
+
+def _hand(files: list[Path], mano: Path, side: Side) -> HandTrack:
+    """The hand in each frame, of the person's shape. HOI4D was fitted with the published MANO, faults included."""
+    given = [read_dict(file, "a hand's pose of HOI4D") for file in files]
+    pose = np.stack([numbers(file, g, "poseCoeff", (48,)) for file, g in zip(files, given, strict=True)])
+    trans = np.stack([numbers(file, g, "trans", (3,)) for file, g in zip(files, given, strict=True)])
+    shape = numbers(files[0], given[0], "beta", (10,))
+    model = mano_tracks.load(mano, side, repaired=False)
+    return mano_tracks.track(model, pose[:, :3], pose[:, 3:], trans, shape, True, np.eye(4))
+
+
+def _masks(folder: Path, number: int) -> MaskPair:
+    """The object and what is ignored, at half the size: a pixel is what two of its four are."""
+    image = read_colour_png(folder / f"{number:05d}.png", IMAGE)
+    seen = np.all(image == OBJECT, axis=2)
+    labelled = image.any(axis=2)
+    return _halved(seen, 2), _halved(labelled & ~seen, 2) & ~_halved(seen, 2)
+
+
+def _halved(mask: Bool[ndarray, "H W"], least: int) -> Bool[ndarray, "h w"]:
+    """Half as large: set where at least so many of four pixels are."""
+    height, width = mask.shape
+    return np.asarray(mask.reshape(height // 2, 2, width // 2, 2).sum(axis=(1, 3)) >= least)

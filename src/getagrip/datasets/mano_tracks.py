@@ -1,0 +1,67 @@
+"""Hands of datasets that hold MANO's parameters, by the user's own MANO files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.clip import HandTrack
+from getagrip.errors import UsageError
+from getagrip.hands import mano
+from getagrip.hands.model import MIRROR, Side, hand_track, root_transform
+
+FILES: dict[Side, str] = {"left": "MANO_LEFT.pkl", "right": "MANO_RIGHT.pkl"}
+
+
+def mano_folder(folder: Path | None, dataset: str) -> Path:
+    """The folder with the user's MANO files. Raises ``UsageError`` where none is given or it holds none."""
+    if folder is None:
+        raise UsageError(
+            f"--mano: {dataset} holds its hands as parameters of MANO: got no folder, expected that of "
+            f"{' and '.join(FILES.values())} (https://mano.is.tue.mpg.de)"
+        )
+    if not any((folder / name).is_file() for name in FILES.values()):
+        raise UsageError(f"--mano: got {folder}, expected a folder that holds {' and '.join(FILES.values())}")
+    return folder
+
+
+def load(folder: Path, side: Side, repaired: bool = True) -> mano.Mano:
+    """A MANO hand; with the published left hand's shape space as it is where it is not to be ``repaired``.
+
+    Whoever fitted the published left hand found betas that give the right surface only with its fault (``hands.mano``).
+    Raises ``InputError``.
+    """
+    hand = mano.load(folder / FILES[side], side)
+    if side == "right" or repaired:
+        return hand
+    model = hand.model
+    return replace(
+        hand,
+        model=replace(
+            model,
+            shape_directions=model.shape_directions * MIRROR[:, None],
+            joint_directions=model.joint_directions * MIRROR[:, None],
+        ),
+    )
+
+
+def track(
+    hand: mano.Mano,
+    rotation: Float[ndarray, "T 3"],
+    pose: Float[ndarray, "T 45"],
+    translation: Float[ndarray, "T 3"],
+    shape: Float[ndarray, "10"],
+    flat_hand_mean: bool,
+    T_cam: Float[ndarray, "*T 4 4"],
+) -> HandTrack:
+    """The hand in each frame, from MANO's parameters as rotation vectors [rad] and translations [m].
+
+    ``T_cam`` brings the frame in which the parameters are into the camera's.
+    """
+    shaped = hand.model.with_shape(shape)
+    posed = shaped.with_pose(hand.pose(pose, "axis_angle", flat_hand_mean))
+    return hand_track(posed, T_cam @ root_transform(se3.exp_so3(rotation), translation, shaped.joints[0]))
