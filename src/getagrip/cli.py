@@ -147,6 +147,37 @@ class Segment(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Study(Command):
+    """Measure what changes within the stable grasps of clips with true poses, and outside them: the paper's study."""
+
+    clips: Clips = ()
+    """Clip folders, or folders of clips: whole sequences, not cut to grasps, show what is outside. No masks needed."""
+    out: Folder
+    """Where study.png, grasps.csv, curves.csv and summary.csv go."""
+    tau: float = 0.5
+    """In a stable grasp, the contacts of every two frames have an intersection over union above this."""
+    contact_mm: Annotated[float, arg(metavar="MM")] = 0.0
+    """Points of the object so near to the hand's surface, or inside it, are in contact."""
+    points: Literal["vertices", "area", "fragments"] = "vertices"
+    """Contact is a set of vertices, of points spread evenly over the object's area, or of patches."""
+    rule: Literal["all-pairs", "first", "consecutive"] = "all-pairs"
+    """Frames that are compared, as for the command segment."""
+    shortest: Annotated[int, arg(metavar="N")] = 20
+    """Frames of the shortest grasp."""
+    json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Write every number here, unrounded."""
+    workers: Workers = None
+    """Processes to share the clips between."""
+
+    def run(self) -> int:
+        from getagrip.grasps import Definition
+        from getagrip.run.study import study_clips
+
+        definition = Definition(self.tau, self.contact_mm / 1e3, self.points, self.rule, self.shortest)
+        return study_clips(self.clips, definition, self.out, self.json, self.workers, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Bench(Command):
     """Compare methods on a dataset: the paper's tables, with intervals. What is done already is kept."""
 
@@ -252,7 +283,7 @@ class Import(Command):
     view: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0)")] = None
     """arctic: the camera, 0 on the head, 1 to 8 fixed."""
     whole: Flag = False
-    """arctic, hoi4d, ho3d: not the grasps but all frames, without masks: for segment and study."""
+    """dexycb, arctic, hoi4d, ho3d: not the grasps but all frames, without masks: for segment and study."""
 
     def run(self) -> int:
         from getagrip.run.imports import Given, import_clips
@@ -302,6 +333,7 @@ Commands = (
     | Annotated[Reconstruct, subcommand("reconstruct")]
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Segment, subcommand("segment")]
+    | Annotated[Study, subcommand("study")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[InitCommand, subcommand("init")]
     | Annotated[Import, subcommand("import")]

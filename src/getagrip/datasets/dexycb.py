@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,9 @@ from numpy import ndarray
 from getagrip import se3
 from getagrip.clip import FINGERS, Clip, HandTrack, Masks, Truth
 from getagrip.datasets.dexycb_files import SIZE, Poses, Recording, Sequence, find
+from getagrip.datasets.tracks import Note, Source, Track
 from getagrip.errors import InputError, UsageError
-from getagrip.grasps import contact_iou, stable_grasps
+from getagrip.grasps import Definition, contact_iou, stable_grasps
 from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
 from getagrip.hands.model import HandModel, hand_track
@@ -36,6 +37,7 @@ SHORTEST = 20
 """Frames of the shortest grasp, and the fewest in which its object must be seen."""
 VISIBLE = 25
 """Pixels of the smallest mask that counts as seen."""
+DEFINITION = Definition(tau=TAU, contact=CONTACT, shortest=SHORTEST)
 FPS = 30.0
 BETWEEN = "--"
 """Stands between subject, sequence and object in a clip's name."""
@@ -118,14 +120,10 @@ def mesh_folder(root: Path, meshes: Path | None) -> Path:
 
 def grasps(sequence: Sequence, meshes: Path, note: Callable[[str], None] = lambda _: None) -> list[Grasp]:
     """The stable grasps of a sequence (Eq. 2). Raises ``InputError``."""
-    recording = sequence.read()
-    if np.count_nonzero(recording.hand_known) < SHORTEST:
-        note(f"{sequence.name}: the hand is known in fewer than {SHORTEST} frames: left out")
+    held = _held(sequence, meshes, note)
+    if held is None:
         return []
-    mesh = ycb_mesh(meshes, recording.held)
-    if mesh is None:
-        raise InputError(meshes, recording.held, "no mesh of it", f"{recording.held}.obj or {recording.held}/*.obj")
-    hand = fit_hand(recording)
+    recording, mesh, hand = held
     iou = contact_iou(contacts(recording, hand, mesh))
     found = stable_grasps(iou, TAU, SHORTEST)
     if not found:
@@ -134,6 +132,55 @@ def grasps(sequence: Sequence, meshes: Path, note: Callable[[str], None] = lambd
         Grasp(recording, mesh, hand, a, b, number, stable_contact_area(iou[a : b + 1, a : b + 1]))
         for number, (a, b) in enumerate(found, start=1)
     ]
+
+
+def sources(root: Path, meshes: Path | None = None) -> list[Source]:
+    """The whole sequences, hand and held object in every frame in which both are known. Raises as ``clips`` does."""
+    folder = mesh_folder(root, meshes)
+    return [Source(sequence.name, partial(_tracks, sequence, folder)) for sequence in find(root)]
+
+
+def _tracks(sequence: Sequence, meshes: Path, note: Note) -> list[Track]:
+    """The one track of a sequence; none where the hand is hardly ever known. Raises ``InputError``."""
+    held = _held(sequence, meshes, note)
+    if held is None:
+        return []
+    recording, mesh, hand = held
+    poses = recording.objects[recording.held]
+    track = Track(
+        file=recording.file,
+        subject=recording.subject,
+        sequence=recording.sequence,
+        category=recording.held,
+        side=recording.side,
+        fps=FPS,
+        numbers=hand.frames,
+        digits=6,
+        size=SIZE,
+        K=recording.K,
+        hand=hand.track,
+        T_cam_obj=poses.T_cam_obj[hand.frames],
+        object=lambda _: mesh,
+        provenance={
+            "dataset": "DexYCB, CC BY-NC 4.0",
+            "hands": "the generic hand, fitted to DexYCB's 21 joints over all frames: not the true surface",
+            "camera": recording.camera or "one of DexYCB's, not necessarily the sequence's own",
+            "scale": "YCB mesh, true size",
+        },
+    )
+    return [track.take(np.flatnonzero(poses.known[hand.frames]))]
+
+
+def _held(sequence: Sequence, meshes: Path, note: Note) -> tuple[Recording, Mesh, Hand] | None:
+    """What is in a sequence, its hand fitted; nothing where the hand is hardly ever known. Raises ``InputError``."""
+    recording = sequence.read()
+    if np.count_nonzero(recording.hand_known) < SHORTEST:
+        note(f"{sequence.name}: the hand is known in fewer than {SHORTEST} frames: left out")
+        return None
+    mesh = ycb_mesh(meshes, recording.held)
+    if mesh is None:
+        raise InputError(meshes, recording.held, "no mesh of it", f"{recording.held}.obj or {recording.held}/*.obj")
+    return recording, mesh, fit_hand(recording)
 
 
 def fit_hand(recording: Recording) -> Hand:

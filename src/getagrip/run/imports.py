@@ -18,7 +18,7 @@ from getagrip.run.pool import cores, in_processes
 
 TAKES = {
     "hot3d": (),
-    "dexycb": ("meshes",),
+    "dexycb": ("meshes", "whole"),
     "arctic": ("mano", "view", "whole"),
     "hoi4d": ("mano", "whole"),
     "ho3d": ("meshes", "mano", "whole"),
@@ -47,9 +47,11 @@ def import_clips(source: str, root: Path, out: Path, given: Given, debug: bool) 
             raise UsageError(f"--{option}: got {value}, expected none: {source} takes {taken}")
     if source == "hot3d":
         return import_hot3d(root, out)
-    if source == "dexycb":
+    if source == "dexycb" and not given.whole:
         return import_dexycb(root, given.meshes, out, debug)
-    if source == "arctic":
+    if source == "dexycb":
+        found, definition = dexycb.sources(root, given.meshes), dexycb.DEFINITION
+    elif source == "arctic":
         found, definition = arctic.find(root, given.mano, given.view or 0), arctic.DEFINITION
     elif source == "hoi4d":
         found, definition = hoi4d.find(root, given.mano), hoi4d.DEFINITION

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import csv
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from getagrip import files
 from getagrip.clip import read_clip
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
     from rich.table import Table
 
+R = TypeVar("R")
+
 COLUMNS = ("sequence", "side", "object", "start", "end", "duration")
 """Of ``segments.csv``: start and end are frames, counted from 0, both included; duration in seconds."""
 
@@ -33,7 +35,7 @@ class Job:
 
     clip: Path
     definition: Definition
-    picture: Path | None
+    picture: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,7 @@ def segment_clips(
     found: dict[Path, Found] = {}
     failures = len(failed)
     with progress_bar() as bar:
-        for job, result in _outcomes(list(jobs.values()), workers, bar):
+        for job, result in outcomes(segment_one, list(jobs.values()), workers, bar):
             if isinstance(result, Found):
                 found[job.clip] = result
             else:
@@ -114,27 +116,32 @@ def segment_one(job: Job, progress: Progress = lambda *_: None) -> Found | Outco
         if job.picture is not None:
             from getagrip.view.matrix import write_matrix
 
-            subtitle = f"{clip.side} hand, {clip.category}  ·  {_in_words(job.definition)}"
+            subtitle = f"{clip.side} hand, {clip.category}  ·  {in_words(job.definition)}"
             write_matrix(job.picture, iou, grasps, clip.fps, job.definition.tau, clip.name, subtitle)
         return Found(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps))
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)
 
 
-def _outcomes(jobs: Sequence[Job], workers: int | None, bar: Bar) -> Iterator[tuple[Job, Found | Outcome]]:
-    """What becomes of each job, as they finish, while the bar shows it."""
+def outcomes(
+    work: Callable[..., R | Outcome], jobs: Sequence[Job], workers: int | None, bar: Bar
+) -> Iterator[tuple[Job, R | Outcome]]:
+    """What becomes of each job, as they finish, while the bar shows it.
+
+    ``work`` takes a job and, where it is done in this process, whom to tell of its progress.
+    """
     if workers is None:
         workers = min(len(jobs), cores()) if len(jobs) > FEW else 1
     clips = bar.add_task("clips", total=len(jobs), visible=len(jobs) > 1)
     if workers > 1:
-        for job, outcome in in_processes(segment_one, jobs, workers):
+        for job, outcome in in_processes(work, jobs, workers):
             died = Outcome(job.clip.name, "failed", "its process died twice; out of memory?")
-            yield job, outcome or died
+            yield job, died if outcome is None else outcome
             bar.advance(clips)
         return
     stage = bar.add_task("", total=1.0, visible=bool(jobs))
     for job in jobs:
-        yield job, segment_one(job, partial(_show, bar, stage, job.clip.name))
+        yield job, work(job, partial(_show, bar, stage, job.clip.name))
         bar.advance(clips)
 
 
@@ -143,7 +150,7 @@ def _show(bar: Bar, task: TaskID, name: str, stage: str, part: float) -> None:
     bar.update(task, description=f"{name}: {stage}", completed=part)
 
 
-def _in_words(definition: Definition) -> str:
+def in_words(definition: Definition) -> str:
     """What is called a stable grasp."""
     return (
         f"{definition.points} within {1e3 * definition.contact:g} mm, IOU above {definition.tau:g}, "
