@@ -190,14 +190,14 @@ def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] |
     """
     track, masks, dropped = piece.track, None, 0
     if piece.masks:
-        pairs = [_masks(track, row) for row in range(len(track))]
-        seen = np.array([np.count_nonzero(visible) >= VISIBLE for visible, _ in pairs])
+        masks = _masks(track)
+        seen = np.count_nonzero(masks.object, axis=(1, 2)) >= VISIBLE
         if np.count_nonzero(seen) < shortest:
             note(f"{piece.name}: the object is seen in fewer than {shortest} frames: left out")
             return None
-        rows = np.flatnonzero(seen)
-        masks = Masks(np.array([pairs[row][0] for row in rows]), np.array([pairs[row][1] for row in rows]))
-        dropped, track = len(track) - len(rows), track.take(rows)
+        if not seen.all():
+            rows = np.flatnonzero(seen)
+            dropped, track, masks = len(track) - len(rows), track.take(rows), masks.take(rows)
     K = np.tile(track.K, (len(track), 1, 1))
     try:
         check_in_view(track.file, track.hand, K, track.size)
@@ -223,7 +223,16 @@ def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] |
     return made, masks
 
 
-def _masks(track: Track, row: int) -> MaskPair:
+def _masks(track: Track) -> Masks:
+    """Masks of all frames, written into place one by one: there may be many."""
+    width, height = track.size
+    masks = Masks(*np.zeros((2, len(track), height, width), dtype=bool))
+    for row in range(len(track)):
+        masks.object[row], masks.ignore[row] = _mask_pair(track, row)
+    return masks
+
+
+def _mask_pair(track: Track, row: int) -> MaskPair:
     """The dataset's own masks of a frame, or those rendered from the true poses."""
     if track.read_masks is not None:
         return track.read_masks(int(track.numbers[row]))
