@@ -7,10 +7,10 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
-from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg, subcommand
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, Suppress, arg, subcommand
 
 from getagrip.errors import GetagripError, UsageError
 from getagrip.options import Init, Method, Options, PriorsFile
@@ -18,6 +18,8 @@ from getagrip.options import Init, Method, Options, PriorsFile
 Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
 Results = Annotated[Positional[tuple[Path, ...]], arg(metavar="RESULT...", help_behavior_hint="")]
 Folder = Annotated[Path, arg(metavar="DIR")]
+OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
+Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan"]
 Workers = Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core for more than 3 clips)")]
 Inits = Annotated[int, arg(metavar="N")]
 PriorsPath = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
@@ -266,12 +268,10 @@ class InitCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Import(Command):
-    """Make clips from other people's layouts."""
+    """Make clips from a dataset with true poses."""
 
-    source: Positional[Literal["hot3d", "dexycb", "arctic", "hoi4d", "ho3d"]]
-    """hot3d: raw HOT3D recordings, every hold of an object by a hand. dexycb: DexYCB or a packed file of its sequences.
-    arctic: ARCTIC's raw sequences. hoi4d: HOI4D's rigid objects. ho3d: HO-3D. Of these, every stable grasp that is
-    seen."""
+    source: Annotated[str, Suppress]
+    """Which one: the subcommand's name."""
     root: Annotated[Positional[Path], arg(metavar="ROOT")]
     """The folder that holds them, as it came."""
     out: Folder
@@ -290,6 +290,72 @@ class Import(Command):
 
         given = Given(self.meshes, self.mano, self.view, self.whole)
         return import_clips(self.source, self.root, self.out, given, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportEpic(Command):
+    """EPIC-Grasps: its stable grasps in EPIC-KITCHENS, with VISOR's masks; hands come from an estimator's files."""
+
+    csv: Annotated[Positional[Path], arg(metavar="CSV")]
+    """EPIC-Grasps' table, as published. Its errata are applied where they lie beside it (<CSV>_errata.csv)."""
+    visor: Folder
+    """VISOR's annotations, sparse, dense or both, and its frame_mapping.json, anywhere below."""
+    frames: OptionalFolder = None
+    """EPIC-KITCHENS' images: P01/rgb_frames/P01_01/frame_0000000001.jpg, or P01_01/..."""
+    videos: OptionalFolder = None
+    """Instead of images, EPIC-KITCHENS' videos: P01/videos/P01_01.MP4, or P01_01.MP4."""
+    hands: OptionalFolder = None
+    """Hand files, <clip name>.npz each: as a clip's hand.npz, if need be with frames and K."""
+    cad: OptionalFolder = None
+    """Meshes of the categories, <category>.obj each, in metres, z up; without, this package's own."""
+    priors: OptionalFolder = None
+    """Poses to start from, by category and hand, for reconstruct --init priors: only looked at."""
+    cameras: OptionalFolder = None
+    """EPIC-Fields' cameras, <video>.json each."""
+    focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="(default: a guess)")] = None
+    """Instead of cameras, the focal length in pixels of images 854 wide."""
+    errata: Annotated[Path | None, arg(metavar="CSV", help_behavior_hint="(default: beside the table)")] = None
+    """EPIC-Grasps' errata."""
+    out: Folder
+    """Where the clips go, a folder each. Those that are there already are kept, unless they lack hands found now."""
+
+    def run(self) -> int:
+        from getagrip.run.epic import Sources, import_epic
+
+        sources = Sources(
+            self.visor, self.frames, self.videos, self.hands, self.cad, self.cameras, self.focal
+        )  # fmt: skip
+        return import_epic(self.csv, self.errata, sources, self.priors, self.out, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Epic(Command):
+    """Find where stable grasps may be in EPIC-KITCHENS: where VISOR says that a hand touches an object."""
+
+    action: Positional[Literal["candidates"]]
+    """candidates: a table of hands, objects and rough extents, to be annotated."""
+    visor: Folder
+    """VISOR's sparse annotations, and its frame_mapping.json, anywhere below."""
+    actions: Annotated[tuple[Path, ...], arg(metavar="CSV...")]
+    """EPIC-100's action labels: EPIC_100_train.csv, EPIC_100_validation.csv."""
+    categories: Annotated[tuple[Category, ...], arg(help_behavior_hint="(default: all)")] = ()
+    """Kinds of objects."""
+    out: Annotated[Path, arg(metavar="FILE")]
+    """Where the table goes (CSV)."""
+    json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Write all that is known of the candidates here."""
+
+    def check(self) -> None:
+        from getagrip import files
+
+        files.check_file("--out", self.out)
+        if self.json is not None:
+            files.check_file("--json", self.json)
+
+    def run(self) -> int:
+        from getagrip.run.epic import find_candidates
+
+        return find_candidates(self.visor, self.actions, self.categories, self.out, self.json, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -328,6 +394,19 @@ def _priors(path: Path | None, init: Init) -> PriorsFile | None:
     return priors.given(path, init)
 
 
+def _dataset(name: str, what: str) -> Any:
+    """The subcommand of ``import`` for a dataset with true poses."""
+    return subcommand(name, description=what, default=Import(source=name, root=tyro.MISSING, out=tyro.MISSING))
+
+
+Imports = (
+    Annotated[Import, _dataset("hot3d", "Raw HOT3D recordings: every hold of an object by a hand.")]
+    | Annotated[Import, _dataset("dexycb", "DexYCB, or a packed file of its sequences: every stable grasp seen.")]
+    | Annotated[Import, _dataset("arctic", "ARCTIC's raw sequences: every stable grasp seen.")]
+    | Annotated[Import, _dataset("hoi4d", "HOI4D's rigid objects: every stable grasp seen.")]
+    | Annotated[Import, _dataset("ho3d", "HO-3D: every stable grasp seen.")]
+    | Annotated[ImportEpic, subcommand("epic")]
+)
 Commands = (
     Annotated[Demo, subcommand("demo")]
     | Annotated[Reconstruct, subcommand("reconstruct")]
@@ -336,7 +415,8 @@ Commands = (
     | Annotated[Study, subcommand("study")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[InitCommand, subcommand("init")]
-    | Annotated[Import, subcommand("import")]
+    | Annotated[Imports, subcommand("import", description="Make clips from other people's layouts.")]
+    | Annotated[Epic, subcommand("epic")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Doctor, subcommand("doctor")]
 )

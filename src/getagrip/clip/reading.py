@@ -36,7 +36,7 @@ def read_clip(folder: str | Path) -> Clip:
     size = _size(path, fields["size"])
     mesh = read_mesh(_mesh(folder, fields))
     K = _intrinsics(path, fields["camera"], len(frames), size)
-    hand = _read_hand(folder, len(frames))
+    hand = read_hand(files.inside(folder, "hand.npz", "", "the hands of a clip"), len(frames))
     check_in_view(folder / "hand.npz", hand, K, size)
     has_truth = (folder / "truth.npz").exists() or (folder / "truth.npz").is_symlink()
     return Clip(
@@ -170,9 +170,8 @@ def _intrinsics(path: Path, camera: object, frames: int, size: tuple[int, int]) 
     return K
 
 
-def _read_hand(folder: Path, frames: int) -> HandTrack:
-    """The hands of ``hand.npz``."""
-    path = files.inside(folder, "hand.npz", "", "the hands of a clip")
+def read_hand(path: Path, frames: int) -> HandTrack:
+    """The hands of a ``hand.npz`` of so many frames, checked. Raises ``InputError``."""
     named = ("vertices", "faces", "T_cam_hand", "joints")
     given = arrays.read(path, lambda key: key in named or key.startswith("region_"))
     vertices = arrays.floats(path, given, "vertices", (frames, -1, 3))

@@ -10,27 +10,29 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from getagrip import arrays, files
-from getagrip.clip.data import Clip, Masks, Truth
+from getagrip.clip.data import Clip, HandTrack, Masks, Truth
 from getagrip.clip.reading import VERSION
 from getagrip.mesh import write_mesh
 
 
 def write_clip(
-    clip: Clip, masks: Masks | None, folder: str | Path, images: Sequence[UInt8[ndarray, "H W 3"]] | None = None
+    clip: Clip,
+    masks: Masks | None,
+    folder: str | Path,
+    images: Sequence[UInt8[ndarray, "H W 3"]] | None = None,
+    replace: bool = False,
 ) -> Path:
     """Write a clip (mesh as ``object.obj``) into a new folder, complete or not at all, and return the folder.
 
-    ``images`` are RGB, one for each frame, and are written as JPEG. Raises ``UsageError`` where the folder exists.
+    ``images`` are RGB, one for each frame, and are written as JPEG. A hand without vertices is left out: somebody will
+    add ``hand.npz``. Raises ``UsageError`` where the folder exists and is not to be replaced.
     """
     folder = Path(folder)
-    with files.new_folder(folder) as new:
+    with files.new_folder(folder, replace) as new:
         files.write_json(new / "clip.json", _fields(clip))
         write_mesh(new / "object.obj", clip.mesh)
-        hand = clip.hand
-        regions = {f"region_{name}": ids for name, ids in hand.regions.items()}
-        joints = {} if hand.joints is None else {"joints": hand.joints}
-        T_cam_hand = {"T_cam_hand": hand.T_cam_hand}
-        arrays.write(new / "hand.npz", {"vertices": hand.vertices, "faces": hand.faces} | T_cam_hand | joints | regions)
+        if clip.hand.vertices.size:
+            write_hand(clip.hand, new / "hand.npz")
         if clip.truth is not None:
             arrays.write(new / "truth.npz", _truth_arrays(clip, clip.truth))
         if masks is not None:
@@ -40,6 +42,14 @@ def write_clip(
         if images is not None:
             _write_images(new / "frames", clip.frames, images)
     return folder
+
+
+def write_hand(hand: HandTrack, path: Path) -> None:
+    """Write the hands of a clip."""
+    regions = {f"region_{name}": ids for name, ids in hand.regions.items()}
+    joints = {} if hand.joints is None else {"joints": hand.joints}
+    T_cam_hand = {"T_cam_hand": hand.T_cam_hand}
+    arrays.write(path, {"vertices": hand.vertices, "faces": hand.faces} | T_cam_hand | joints | regions)
 
 
 def _fields(clip: Clip) -> dict[str, object]:
