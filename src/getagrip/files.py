@@ -116,7 +116,7 @@ def read_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
     """An 8-bit image of one channel and of the given (width, height). Raises ``InputError``."""
     import cv2
 
-    content, depth, colour = _whole_png(path, size)
+    content, depth, colour = whole_png(path, size)
     if depth != 8 or colour != 0:
         given = f"{depth} bit {_PNG_COLOURS.get(colour, 'of an unknown kind')}"
         raise InputError(path, "channels", given, "8 bit, one channel (grey)")
@@ -130,21 +130,21 @@ def read_colour_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"
     """Red, green and blue of a PNG of the given (width, height), also of one with a palette. Raises ``InputError``."""
     import cv2
 
-    content, _, _ = _whole_png(path, size)
+    content, _, _ = whole_png(path, size)
     image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
     if image is None or image.shape != (*size[::-1], 3):
         raise InputError(path, "", "a PNG that does not decode", "a whole PNG file")
     return np.ascontiguousarray(image[..., ::-1])
 
 
-def _whole_png(path: Path, size: tuple[int, int]) -> tuple[bytes, int, int]:
+def whole_png(path: Path, size: tuple[int, int]) -> tuple[bytes, int, int]:
     """The bytes of a PNG of the given (width, height), its bits and its kind of colours.
 
     The header is checked before memory is taken, and every chunk's checksum before decoding, since decoders return
-    half an image for a damaged file.
+    half an image for a damaged file. Raises ``InputError``.
     """
     content = read_bytes(path, LARGEST_JSON)
-    chunks = list(_png_chunks(path, content))
+    chunks = list(png_chunks(path, content))
     if not chunks or chunks[0][0] != b"IHDR" or len(chunks[0][1]) != 13 or chunks[-1][0] != b"IEND":
         raise InputError(path, "", "an incomplete PNG", "a whole PNG file")
     width, height, depth, colour = struct.unpack(">IIBB", chunks[0][1][:10])
@@ -153,8 +153,8 @@ def _whole_png(path: Path, size: tuple[int, int]) -> tuple[bytes, int, int]:
     return content, depth, colour
 
 
-def _png_chunks(path: Path, content: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Type and data of each chunk of a PNG file, checksums checked."""
+def png_chunks(path: Path, content: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Type and data of each chunk of a PNG file, checksums checked. Raises ``InputError``."""
     if content[:8] != _PNG:
         raise InputError(path, "", "a file that is no PNG", "a PNG image")
     at = 8

@@ -1,0 +1,212 @@
+"""Masks from other people's files, one frame at a time: PNG folders, COCO, arrays.
+
+- a folder with ``object/`` and perhaps ``ignore/`` in it: one PNG for each frame, non-zero where the mask is set;
+- a folder of PNG: the labels of an image each (``label_images``), or a mask each where there is one label only;
+- ``.json``: COCO's ``images``, ``annotations`` (polygons or run lengths) and ``categories``;
+- ``.npz``: ``object`` (T, H, W) and perhaps ``ignore``, or ``labels`` (T, H, W) of whole numbers; ``frames`` (T,) names
+  or numbers of them, or all of the wanted ones in order.
+
+Which labels are the object, and which hide it (the hand, other things in front), is chosen by value: a number, a colour
+as #rrggbb, or a category's name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Int
+from numpy import ndarray
+
+from getagrip import arrays, files
+from getagrip.clip.label_images import label_value, read_labels
+from getagrip.clip.naming import frame_of
+from getagrip.clip.segments import region, union
+from getagrip.errors import InputError, UsageError
+
+MaskPair = tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]
+"""Where the object is seen, and what to ignore."""
+MaskReader = Callable[[int], MaskPair]
+"""The masks of a frame, by its index. Raises ``InputError``."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What to look for."""
+
+    frames: tuple[str, ...]
+    """Names, or numbers, of the frames."""
+    size: tuple[int, int]
+    """Width and height of the images [px]."""
+    object: tuple[str, ...] = ()
+    """Labels of the object; where none is named, there may be one only."""
+    ignore: tuple[str, ...] = ()
+    """Labels of what hides it."""
+
+
+def open_masks(path: Path, wanted: Wanted) -> MaskReader:
+    """A reader of the masks of some frames. Raises ``InputError`` for missing frames, ``UsageError`` for labels."""
+    if path.is_dir():
+        return _own_folder(path, wanted) if (path / "object").is_dir() else _label_folder(path, wanted)
+    if path.suffix == ".npz":
+        return _arrays(path, wanted)
+    if path.suffix == ".json":
+        return _coco(path, wanted)
+    raise InputError(path, "", "no folder, .json or .npz", "masks: a folder of PNG, COCO's JSON, or arrays")
+
+
+def _own_folder(folder: Path, wanted: Wanted) -> MaskReader:
+    """Masks in ``object/`` and ``ignore/``."""
+    if wanted.object or wanted.ignore:
+        raise UsageError(f"--object, --ignore: got labels, expected none: {folder} holds masks of objects, not labels")
+    seen = _pngs(folder / "object", wanted.frames)
+    hidden = _pngs(folder / "ignore", wanted.frames) if (folder / "ignore").is_dir() else None
+
+    def read(n: int) -> MaskPair:
+        mask = read_labels(seen[n], wanted.size) != 0
+        ignored = np.zeros_like(mask) if hidden is None else read_labels(hidden[n], wanted.size) != 0
+        return mask, ignored & ~mask
+
+    return read
+
+
+def _label_folder(folder: Path, wanted: Wanted) -> MaskReader:
+    """A folder of label images."""
+    paths, choose = _pngs(folder, wanted.frames), _Chooser(wanted)
+    return lambda n: choose(paths[n], read_labels(paths[n], wanted.size))
+
+
+def _pngs(folder: Path, frames: Sequence[str]) -> list[Path]:
+    """The PNG of each frame. Raises ``InputError`` for a frame without one, or with two."""
+    found: dict[int, Path] = {}
+    for path in sorted(folder.glob("*.png")):
+        n = frame_of(path.stem, frames)
+        if n is not None and n in found:
+            raise InputError(path, "", f"a second mask of frame {frames[n]}", f"one; {found[n].name} is the first")
+        if n is not None:
+            found[n] = path
+    missing = [frame for n, frame in enumerate(frames) if n not in found]
+    if missing:
+        given = f"no mask of {len(missing)} of {len(frames)} frames (first: {files.plain(missing[0])})"
+        raise InputError(folder, "", given, f"a PNG for each frame, named like it, as {files.plain(missing[0])}.png")
+    return [found[n] for n in range(len(frames))]
+
+
+class _Chooser:
+    """Picks the object and what hides it from labels."""
+
+    def __init__(self, wanted: Wanted) -> None:
+        self.object = [label_value(text, "--object") for text in wanted.object]
+        self.ignore = [label_value(text, "--ignore") for text in wanted.ignore]
+        self.only: int | None = None
+
+    def __call__(self, path: Path, labels: Int[ndarray, "H W"]) -> MaskPair:
+        """Raises ``InputError`` where no label is named and there are several."""
+        ignored = np.isin(labels, self.ignore)
+        if self.object:
+            seen = np.isin(labels, self.object)
+            return seen, ignored & ~seen
+        seen = (labels != 0) & ~ignored
+        there = np.unique(labels[seen])
+        self.only = int(there[0]) if self.only is None and there.size else self.only
+        if there.size > 1 or (there.size and there[0] != self.only):
+            some = ", ".join(str(value) for value in np.union1d(there, [self.only or there[0]])[:8])
+            raise InputError(path, "labels", f"several, {some}", "one, or the object's named by --object")
+        return seen, ignored
+
+
+def _arrays(path: Path, wanted: Wanted) -> MaskReader:
+    """Masks or labels in an ``.npz`` file."""
+    given = arrays.read(path, {"object", "ignore", "labels", "frames"}.__contains__)
+    key = "labels" if "labels" in given else "object"
+    if key not in given:
+        raise InputError(path, "object", "no such array", "the array, or one called labels")
+    width, height = wanted.size
+    for name in [key] + ["ignore"] * ("ignore" in given):
+        array = given[name]
+        expected = f"whole numbers or booleans of shape ({len(given[key])}, {height}, {width})"
+        if array.dtype.kind not in "biu" or array.shape != (len(given[key]), height, width):
+            raise InputError(path, name, f"{array.dtype} of shape {array.shape}", expected)
+    rows = _rows(path, given, len(given[key]), wanted.frames)
+    choose = _Chooser(wanted)
+    if key == "labels":
+        return lambda n: choose(path, given["labels"][rows[n]].astype(np.int64))
+
+    def read(n: int) -> MaskPair:
+        mask = given["object"][rows[n]] != 0
+        return mask, (given["ignore"][rows[n]] != 0) & ~mask if "ignore" in given else np.zeros_like(mask)
+
+    return read
+
+
+def _rows(path: Path, given: dict[str, ndarray], count: int, frames: Sequence[str]) -> list[int]:
+    """The row of each frame."""
+    if "frames" not in given:
+        if count != len(frames):
+            raise InputError(path, "frames", f"no such array, {count} masks", f"{len(frames)} masks, or their frames")
+        return list(range(count))
+    names = given["frames"]
+    if names.dtype.kind not in "Uiu" or names.shape != (count,):
+        raise InputError(path, "frames", f"{names.dtype} of shape {names.shape}", f"{count} names or numbers")
+    found = {frame_of(str(name), frames): row for row, name in enumerate(names)}
+    missing = next((frame for n, frame in enumerate(frames) if n not in found), None)
+    if missing is not None:
+        raise InputError(path, "frames", f"no frame {files.plain(missing)}", "all frames")
+    return [found[n] for n in range(len(frames))]
+
+
+def _coco(path: Path, wanted: Wanted) -> MaskReader:
+    """COCO's annotations; a frame without any of the object shows nothing of it."""
+    content = files.read_json(path)
+    images, annotations = (_objects(path, content, key) for key in ("images", "annotations"))
+    categories = _objects(path, content, "categories", needed=False)
+    names = {str(item.get("id")): str(item.get("name")) for item in categories}
+    index: dict[Any, int] = {}
+    for k, image in enumerate(images):
+        name = image.get("file_name")
+        if not isinstance(name, str) or not isinstance(image.get("id"), int | str):
+            raise InputError(path, f"images[{k}]", files.shown(image), "an id and a file_name")
+        n = frame_of(name.rsplit("/")[-1].rpartition(".")[0] or name, wanted.frames)
+        if n is not None:
+            size = image.get("width"), image.get("height")
+            if size != wanted.size:
+                raise InputError(path, f"images[{k}]", f"{size[0]} x {size[1]}", "{} x {}".format(*wanted.size))
+            index[image["id"]] = n
+    missing = next((f for n, f in enumerate(wanted.frames) if n not in index.values()), None)
+    if missing is not None:
+        raise InputError(path, "images", f"no image of frame {files.plain(missing)}", "an image for each frame")
+    regions: dict[tuple[int, str], list[tuple[str, Any]]] = {}
+    for k, item in enumerate(annotations):
+        of, category = item.get("image_id"), item.get("category_id")
+        if not isinstance(of, int | str) or not isinstance(category, int | str):
+            raise InputError(path, f"annotations[{k}]", files.shown(item), "an image_id and a category_id")
+        if of in index:
+            called = {str(category), names.get(str(category), "")}
+            chosen = "object" if called & {*wanted.object} or not wanted.object else ""
+            kind = "ignore" if called & {*wanted.ignore} else chosen
+            regions.setdefault((index[of], kind), []).append((f"annotations[{k}].segmentation", item))
+    used = {str(item["category_id"]) for (_, kind), items in regions.items() if kind == "object" for _, item in items}
+    if not wanted.object and len(used) > 1:
+        raise InputError(path, "categories", f"several, {', '.join(sorted(used))}", "one, or --object names it")
+
+    def read(n: int) -> MaskPair:
+        pair = []
+        for kind in ("object", "ignore"):
+            found = regions.get((n, kind), [])
+            parts = [region(path, key, item.get("segmentation"), wanted.size) for key, item in found]
+            pair.append(union(parts, wanted.size))
+        return pair[0], pair[1] & ~pair[0]
+
+    return read
+
+
+def _objects(path: Path, content: dict[str, Any], key: str, needed: bool = True) -> list[dict[str, Any]]:
+    """A list of JSON objects."""
+    value = content.get(key, None if needed else [])
+    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+        given = "no such key" if key not in content else files.shown(value)
+        raise InputError(path, key, given, "a list of objects, as COCO has it")
+    return value

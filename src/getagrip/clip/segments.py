@@ -1,0 +1,103 @@
+"""Regions of an image as COCO writes them: polygons and run lengths, to pixels.
+
+A pixel belongs to a polygon where its centre is inside, and along the border within half a pixel (``cv2.fillPoly``, to
+1/256 px). Run lengths go down the columns, beginning with pixels that are outside; compressed ones are COCO's texts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+from numpy import ndarray
+
+from getagrip import files
+from getagrip.errors import InputError
+
+MOST_CORNERS = 100_000
+"""Of the polygons of one region."""
+
+
+def polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+    """The pixels in any of some polygons [[x, y, x, y, ...], ...], clipped to the image. Raises ``InputError``.
+
+    Corners may leave the image by its own size, no further.
+    """
+    import cv2
+
+    width, height = size
+    if not isinstance(given, list) or not all(isinstance(corners, list) for corners in given):
+        raise InputError(path, key, files.shown(given), "polygons, [[x, y, x, y, ...], ...]")
+    if sum(map(len, given)) > 2 * MOST_CORNERS:
+        raise InputError(path, key, f"{sum(map(len, given)) // 2} corners", f"at most {MOST_CORNERS}")
+    out = np.zeros((height, width), np.uint8)
+    for corners in given:
+        try:
+            points = np.array(corners)
+        except ValueError:
+            points = np.array(None)
+        if points.dtype.kind not in "fi" or points.ndim != 1 or len(points) < 6 or len(points) % 2:
+            raise InputError(path, key, files.shown(corners), "at least three corners x, y, x, y, x, y")
+        points = points.reshape(-1, 2).astype(float)
+        if not np.all((points >= -np.array(size)) & (points <= 2 * np.array(size))):  # false for NaN, too
+            bad = f"corners from {points.min():g} to {points.max():g}"
+            raise InputError(path, key, bad, f"corners in or about the {width} x {height} image")
+        cv2.fillPoly(out, [np.round(256.0 * (points - 0.5)).astype(np.int32)], 1, shift=8)
+    return out.astype(bool)
+
+
+def run_lengths(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+    """The pixels of ``{"size": [height, width], "counts": [...] or "..."}``. Raises ``InputError``."""
+    width, height = size
+    if not isinstance(given, dict) or given.get("size") != [height, width]:
+        shape = given.get("size") if isinstance(given, dict) else given
+        raise InputError(path, f"{key}.size", files.shown(shape), f"[{height}, {width}], the size of the images")
+    counts = given.get("counts")
+    if isinstance(counts, str):
+        counts = _uncompressed(path, key, counts, width * height)
+    whole = isinstance(counts, list) and all(type(n) is int and n >= 0 for n in counts)
+    if not whole or not isinstance(counts, list) or sum(counts) != width * height:
+        given_words = f"runs of {sum(counts)} pixels" if whole and isinstance(counts, list) else files.shown(counts)
+        raise InputError(path, f"{key}.counts", given_words, f"runs of {width * height} pixels in all")
+    inside = np.arange(len(counts)) % 2 == 1
+    return np.repeat(inside, counts).reshape(width, height).T
+
+
+def _uncompressed(path: Path, key: str, text: str, pixels: int) -> list[int]:
+    """COCO's text: numbers in groups of five bits, from the lowest, 32 for "more", the highest bit for the sign.
+
+    From the fourth on they are differences from the last but one (``rleFrString`` of the COCO API).
+    """
+    counts: list[int] = []
+    value = bits = 0
+    for letter in text:
+        group = ord(letter) - 48
+        if not 0 <= group < 64 or bits > 30:
+            raise InputError(path, f"{key}.counts", files.shown(text), "COCO's compressed run lengths")
+        value |= (group & 31) << bits
+        bits += 5
+        if not group & 32:
+            if group & 16:
+                value -= 1 << bits
+            counts.append(value + (counts[-2] if len(counts) > 2 else 0))
+            if not 0 <= counts[-1] <= pixels:
+                raise InputError(path, f"{key}.counts", f"a run of {counts[-1]} pixels", f"0 to {pixels}")
+            value = bits = 0
+    if bits:
+        raise InputError(path, f"{key}.counts", "run lengths that are cut short", "COCO's compressed run lengths")
+    return counts
+
+
+def region(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+    """The pixels of a COCO ``segmentation``, of either kind. Raises ``InputError``."""
+    return (run_lengths if isinstance(given, dict) else polygons)(path, key, given, size)
+
+
+def union(regions: Sequence[Bool[ndarray, "H W"]], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+    """The pixels in any of some regions."""
+    out = np.zeros(size[::-1], dtype=bool)
+    for pixels in regions:
+        out |= pixels
+    return out
