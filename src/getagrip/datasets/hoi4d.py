@@ -154,7 +154,7 @@ def _object_pose(file: Path) -> Float[ndarray, "4 4"]:
 
 
 def _hand(files: list[Path], mano: Path, side: Side) -> HandTrack:
-    """The hand in each frame, of the person's shape. HOI4D was fitted with the published MANO, faults included."""
+    """The hand in each frame, of the person's shape, by the published MANO, faults included: as HOI4D's code does."""
     given = [read_dict(file, "a hand's pose of HOI4D") for file in files]
     pose = np.stack([numbers(file, g, "poseCoeff", (48,)) for file, g in zip(files, given, strict=True)])
     trans = np.stack([numbers(file, g, "trans", (3,)) for file, g in zip(files, given, strict=True)])
