@@ -72,9 +72,9 @@ def test_dense_frames_are_in_their_own_pixels_and_know_their_ends(tmp_path: Path
 
 
 def test_frame_numbers_move_as_the_mapping_says(tmp_path: Path) -> None:
-    write_mapping(tmp_path / "frame_mapping.json", V, {140: 138, 150: 147, 200: 197})
-    mapping = visor.read_mapping(tmp_path, V)
-    assert mapping is not None
+    path = write_mapping(tmp_path / "frame_mapping.json", V, {140: 138, 150: 147, 200: 197})
+    assert visor.find_mapping(tmp_path) == path
+    mapping = visor.read_mapping(path, V)
 
     def moved(number: int, ends: tuple[int, int] | None = None) -> int:
         return mapping.number(visor.Frame(number, ends is not None, (), ends))
@@ -83,8 +83,9 @@ def test_frame_numbers_move_as_the_mapping_says(tmp_path: Path) -> None:
     assert [moved(n, (140, 150)) for n in (140, 141, 144, 147, 150)] == [138, 139, 142, 144, 147]  # the nearer end's
     assert moved(160) == 160  # nothing is known
     with pytest.raises(InputError, match="P02_01: got no such key"):
-        visor.read_mapping(tmp_path, "P02_01")
-    assert visor.read_mapping(tmp_path / "nowhere", V) is None
+        visor.read_mapping(path, "P02_01")
+    assert visor.find_mapping(tmp_path / "nowhere") is None
+    assert visor.read_mapping(None, V).number(visor.Frame(7, False, ())) == 7
 
 
 def test_a_mask_has_the_pixels_that_the_polygon_has() -> None:

@@ -72,6 +72,7 @@ class Camera:
     """In pixels of 854 x 480."""
     source: str
     """Where it comes from, in words."""
+    is_guess: bool = False
 
 
 def annotated(files: Sequence[Path], mapping: visor.Mapping, grasps: Sequence[Grasp]) -> dict[str, Seen]:
@@ -197,7 +198,7 @@ def pinhole(focal: float | None = None) -> Camera:
     f = GUESSED_FOCAL * SIZE[0] if focal is None else focal
     K = np.array([[f, 0.0, SIZE[0] / 2], [0.0, f, SIZE[1] / 2], [0.0, 0.0, 1.0]])
     guess = f"a guess: the focal length {f:g} px, which HOMan takes for EPIC-KITCHENS"
-    return Camera(K, guess if focal is None else "focal length as given")
+    return Camera(K, guess, True) if focal is None else Camera(K, "focal length as given")
 
 
 def read_camera(path: Path) -> Camera:

@@ -92,14 +92,15 @@ class Mapping:
         return frame.number + self.epic[near] - near
 
 
-def read_mapping(folder: Path, video: str) -> Mapping | None:
-    """The frame numbers of a video, from the ``frame_mapping.json`` in a folder or below; None where there is none.
+def find_mapping(folder: Path) -> Path | None:
+    """The ``frame_mapping.json`` in a folder or below, where there is one."""
+    return next(iter(sorted(folder.rglob(MAPPING))), None)
 
-    Raises ``InputError``, also for a mapping without the video.
-    """
-    path = next(iter(sorted(folder.rglob(MAPPING))), None)
+
+def read_mapping(path: Path | None, video: str) -> Mapping:
+    """The frame numbers of a video; the same numbers without a file. Raises ``InputError``, also without the video."""
     if path is None:
-        return None
+        return Mapping({})
     given = json_stream.member(path, video)
     return Mapping({_number(path, video, a): _number(path, f"{video}.{plain(a)}", b) for a, b in given.items()})
 

@@ -6,7 +6,7 @@ import csv
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from getagrip import files, priors
@@ -20,11 +20,12 @@ from getagrip.run.pool import cores, in_processes
 
 COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name", "mp4_name")
 """Of the table of candidates: EPIC-Grasps' own, those that an annotator has still to fill left out."""
+UNMAPPED = f"no {visor.MAPPING} beside VISOR's files: its frame numbers are taken for EPIC's, a few frames off"
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Where everything is that clips are made of."""
+    """Where everything is that clips are made of. Raises ``UsageError`` for options that do not go together."""
 
     visor: Path
     frames: Path | None = None
@@ -34,6 +35,14 @@ class Sources:
     cameras: Path | None = None
     focal: float | None = None
 
+    def __post_init__(self) -> None:
+        if (self.frames is None) == (self.videos is None):
+            raise UsageError("--frames or --videos: name one of them, the folder of EPIC-KITCHENS' images or videos")
+        if self.cameras is not None and self.focal is not None:
+            raise UsageError("--cameras and --focal: name one of them")
+        if self.focal is not None and not 0.05 * epic.SIZE[0] <= self.focal <= 100 * epic.SIZE[0]:
+            raise UsageError(f"--focal: got {self.focal:g}, expected pixels of images {epic.SIZE[0]} wide")
+
 
 @dataclass(frozen=True)
 class Job:
@@ -42,6 +51,7 @@ class Job:
     video: str
     grasps: tuple[epic_files.Grasp, ...]
     annotations: tuple[Path, ...]
+    mapping: Path | None
     sources: Sources
     out: Path
 
@@ -52,24 +62,20 @@ class Imported:
 
     clips: Sequence[Outcome] = ()
     notes: Sequence[str] = ()
-    """What was left out or guessed, in words."""
-    handless: int = field(default=0, kw_only=True)
+    """What was left out, in words."""
+    handless: int = 0
     """Clips that lack their hands."""
+    guessed: int = 0
+    """Clips made now whose camera is a guess."""
 
 
 def import_epic(table: Path, errata: Path | None, sources: Sources, starts: Path | None, out: Path, debug: bool) -> int:
     """Write EPIC-Grasps' clips as ``out/<name>/``, videos shared out over processes; 1 if a grasp failed, else 0.
 
     Clips that are there are kept; those that lack their hands are made again once there is a hand file for them.
-    ``starts`` is a folder of poses for ``reconstruct --init priors``, which is only looked at. Raises ``UsageError``
-    for options that do not go together, ``InputError`` for tables that are malformed.
+    ``starts`` is a folder of poses for ``reconstruct --init priors``, which is only looked at. Raises ``InputError``
+    for tables that are malformed, and where VISOR is not.
     """
-    if (sources.frames is None) == (sources.videos is None):
-        raise UsageError("--frames or --videos: name one of them, the folder of EPIC-KITCHENS' images or videos")
-    if sources.cameras is not None and sources.focal is not None:
-        raise UsageError("--cameras and --focal: name one of them")
-    if sources.focal is not None and not 0.05 * epic.SIZE[0] <= sources.focal <= 100 * epic.SIZE[0]:
-        raise UsageError(f"--focal: got {sources.focal:g}, expected pixels of images {epic.SIZE[0]} wide")
     grasps = epic_files.read_grasps(table, errata or epic_files.errata_beside(table))
     _tell_starts(starts, grasps, sources.cad)
     there = visor.find(sources.visor)
@@ -80,8 +86,11 @@ def import_epic(table: Path, errata: Path | None, sources: Sources, starts: Path
     if absent:
         count = sum(map(len, absent.values()))
         print(f"{count} grasps left out: VISOR's files of {len(absent)} videos are not there", file=sys.stderr)
-    jobs = [Job(v, tuple(g), tuple(there[v]), sources, out) for v, g in by_video.items() if v in there]
-    counts, handless = Counter[str](), 0
+    mapping = visor.find_mapping(sources.visor)
+    if mapping is None:
+        print(UNMAPPED, file=sys.stderr)
+    jobs = [Job(v, tuple(g), tuple(there[v]), mapping, sources, out) for v, g in by_video.items() if v in there]
+    counts, handless, guessed = Counter[str](), 0, 0
     with progress_bar() as bar:
         task = bar.add_task("videos", total=len(jobs))
         for job, imported in _done(jobs):
@@ -94,8 +103,11 @@ def import_epic(table: Path, errata: Path | None, sources: Sources, starts: Path
             for note in imported.notes:
                 print(f"{job.video}: {note}", file=sys.stderr)
             handless += imported.handless
+            guessed += imported.guessed
             bar.advance(task)
     print(f"{counts['done']} clips, {counts['kept']} already there, {counts['failed']} failed")
+    if guessed:
+        print(f"the camera of {guessed} clips is {epic.pinhole().source}; name --cameras or --focal", file=sys.stderr)
     if handless:
         print(
             f"{handless} clips lack their hand.npz: docs/estimators.md tells how to make it from a clip's frames; "
@@ -117,7 +129,7 @@ def _done(jobs: Sequence[Job]) -> Iterator[tuple[Job, Imported]]:
 
 def import_video(job: Job) -> Imported:
     """Write the clips of one video. Raises nothing."""
-    outcomes, notes, handless = list[Outcome](), list[str](), 0
+    outcomes, notes, handless, guessed = list[Outcome](), list[str](), 0, 0
     try:
         waiting = []
         for grasp in job.grasps:
@@ -128,19 +140,14 @@ def import_video(job: Job) -> Imported:
             else:
                 waiting.append(grasp)
         if not waiting:
-            return Imported(outcomes, notes, handless=handless)
-        mapping = visor.read_mapping(job.sources.visor, job.video)
-        if mapping is None:
-            notes.append(f"no {visor.MAPPING}: VISOR's frame numbers are taken for EPIC's, a few frames off")
+            return Imported(outcomes, notes, handless)
         camera = _camera(job)
-        if camera.source.startswith("a guess"):
-            notes.append(f"its camera is {camera.source}; name --cameras or --focal")
-        seen = epic.annotated(job.annotations, mapping or visor.Mapping({}), waiting)
+        seen = epic.annotated(job.annotations, visor.read_mapping(job.mapping, job.video), waiting)
         for grasp in waiting:
             try:
                 hands = _hand_file(job, grasp)
                 mesh = epic.category_mesh(grasp.category, job.sources.cad)
-                made = epic.clip(grasp, seen.pop(grasp.name), *mesh, camera, hands, mapping is not None)
+                made = epic.clip(grasp, seen.pop(grasp.name), *mesh, camera, hands, job.mapping is not None)
                 if isinstance(made, str):
                     notes.append(f"{grasp.name}: left out: {made}")
                     continue
@@ -150,11 +157,12 @@ def import_video(job: Job) -> Imported:
                 write_clip(clip, masks, folder, images, replace=(folder / "clip.json").is_file())
                 outcomes.append(Outcome(grasp.name, "done", str(folder)))
                 handless += hands is None
+                guessed += camera.is_guess and (hands is None or hands.K is None)
             except Exception as error:  # one grasp's trouble must not end the others
                 outcomes.append(failure(grasp.name, error))
     except Exception as error:
         outcomes.append(failure(job.video, error))
-    return Imported(outcomes, notes, handless=handless)
+    return Imported(outcomes, notes, handless, guessed)
 
 
 def _hand_file(job: Job, grasp: epic_files.Grasp) -> epic.HandFile | None:
@@ -204,19 +212,19 @@ def find_candidates(
     if not labels:
         raise UsageError("--actions: name EPIC_100_train.csv or EPIC_100_validation.csv, or both")
     actions = epic_files.read_actions(labels)
-    found, failed, unlabelled, numbered = list[epic_candidates.Candidate](), 0, 0, True
-    there = visor.find(annotations)
+    found, failed, unlabelled = list[epic_candidates.Candidate](), 0, 0
+    there, mapping = visor.find(annotations), visor.find_mapping(annotations)
+    if mapping is None:
+        print(UNMAPPED, file=sys.stderr)
     with progress_bar() as bar:
         task = bar.add_task("videos", total=len(there))
         for video, paths in there.items():
             try:
                 sparse = [path for path in paths if not visor.is_dense(path)]  # contacts are marked there
-                mapping = visor.read_mapping(annotations, video)
                 frames = (frame for path in sparse for frame in visor.read_frames(path))
-                touching = epic_candidates.contacts(frames, mapping or visor.Mapping({}))
+                touching = epic_candidates.contacts(frames, visor.read_mapping(mapping, video))
                 found += epic_candidates.candidates(video, touching, actions.get(video, []))
                 unlabelled += video not in actions
-                numbered &= mapping is not None
             except InputError as error:
                 outcome = failure(video, error)
                 print(f"failed: {outcome.message}", outcome.trace if debug else "", file=sys.stderr)
@@ -231,8 +239,6 @@ def find_candidates(
         print(f"{category}: {count}")
     if unlabelled:
         print(f"{unlabelled} of {len(there)} videos have no labelled actions: left out", file=sys.stderr)
-    if not numbered:
-        print(f"no {visor.MAPPING}: VISOR's frame numbers are taken for EPIC's, a few frames off", file=sys.stderr)
     print(f"{out}: {len(chosen)} candidates from {len(there) - failed} videos")
     return 1 if failed else 0
 
