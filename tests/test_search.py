@@ -15,7 +15,7 @@ from getagrip import se3
 from getagrip.energy import Local
 from getagrip.mesh import Mesh
 from getagrip.motion import Fixed, Free, Hinge, Soft
-from getagrip.search import Schedule, distinct, explored, hinge_from, resampled, spread, turns
+from getagrip.search import Stage, distinct, explored, hinge_from, resampled, spread, turns
 from getagrip.shape import Shape
 from getagrip.solve import Poses, minimise
 
@@ -142,9 +142,10 @@ def test_turned_hypotheses_reach_the_lower_of_two_minima() -> None:
         se3.exp_so3(np.array([[np.pi - 0.3, 0.0, 0.0], [np.pi, 0.2, 0.0]])), np.zeros((2, 3)), np.zeros(2), 4
     )
     T = np.tile(np.eye(4), (4, 1, 1))
+    stage = Stage("coarse", level=64, frames=4, iterations=5, keep=2)
     first = minimise(starts, [Upright()], T, iterations=10)
     assert first.energy.min() > 0.3
     for rounds in (0, 4):
-        found = explored(first, [Upright()], T, shape, Schedule(rounds=rounds))
+        found = explored(first, [Upright()], T, shape, replace(stage, rounds=rounds))
         np.testing.assert_array_equal(found.energy[:2], first.energy)  # nothing is lost
         assert len(found.energy) == 2 if rounds == 0 else found.energy.min() < 0.01

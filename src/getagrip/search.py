@@ -49,6 +49,10 @@ class Stage:
     frames: int
     iterations: int
     keep: int
+    rounds: int = 0
+    """How often the best of the stage are turned and fitted again."""
+    parents: int = 8
+    """How many of them."""
     soft: bool = False
     """Whether each frame may deviate a little from the motion, from this stage on."""
 
@@ -59,12 +63,8 @@ class Schedule:
 
     static_iterations: int = 6
     loose_iterations: int = 3
-    rounds: int = 6
-    """How often the best of the first stage are turned and fitted again."""
-    parents: int = 8
-    """How many of them."""
     stages: tuple[Stage, ...] = (
-        Stage("coarse", level=64, frames=8, iterations=5, keep=16),
+        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=6),
         Stage("middle", level=64, frames=15, iterations=6, keep=6),
         Stage("fine", level=128, frames=MAX, iterations=8, keep=4),
         Stage("finest", level=256, frames=MAX, iterations=8, keep=4),
@@ -77,16 +77,14 @@ class Schedule:
 
 
 THOROUGH = Schedule(
-    rounds=12,
-    parents=16,
     stages=(
-        Stage("coarse", level=64, frames=8, iterations=5, keep=32),
-        Stage("middle", level=64, frames=15, iterations=8, keep=12),
-        Stage("fine", level=128, frames=MAX, iterations=12, keep=6),
+        Stage("coarse", level=64, frames=8, iterations=8, keep=24, rounds=6),
+        Stage("middle", level=64, frames=15, iterations=8, keep=10),
+        Stage("fine", level=128, frames=MAX, iterations=12, keep=6, rounds=3, parents=4),
         Stage("finest", level=256, frames=MAX, iterations=16, keep=4),
     ),
 )
-"""A longer search: more hypotheses go on, and further."""
+"""A longer search: more hypotheses go on, and further, and are turned with all that is known in view."""
 
 TermsAt = Callable[[Stage, Int[ndarray, "n"]], Sequence[Term]]
 """The energy of a stage at some of the frames."""
@@ -171,16 +169,16 @@ def explored(
     terms: Sequence[Term],
     T_cam_hand: Float[ndarray, "N 4 4"],
     shape: Shape,
-    schedule: Schedule,
+    stage: Stage,
 ) -> Solution[M]:
-    """The solutions of the first stage, and those found from the best of them turned, in several rounds."""
+    """The solutions of a stage, and those found from the best of them turned, in several rounds."""
     rng = np.random.default_rng(0)
-    for _ in range(schedule.rounds):
-        parents = distinct(solution.motion.poses(), solution.energy, shape, schedule.parents)
+    for _ in range(stage.rounds):
+        parents = distinct(solution.motion.poses(), solution.energy, shape, stage.parents)
         if not len(parents):
             break
         children = solution.motion.take(np.tile(parents, 2)).turned(turns(shape.axes, len(parents), rng))
-        solution = solution.joined(minimise(children, terms, T_cam_hand, schedule.stages[0].iterations))
+        solution = solution.joined(minimise(children, terms, T_cam_hand, stage.iterations))
     return solution
 
 
@@ -214,9 +212,8 @@ def search(
             terms = terms_at(stage, index)
         if stage.soft and not isinstance(motion, Soft):
             motion = Soft[Motion](motion, np.zeros((len(motion.poses().scale), len(index), 6)), SOFT_RIDGE)
-        solution = minimise(motion, terms, T_cam_hand[index], stage.iterations)
-        if not k:
-            solution = explored(solution, terms, T, shape, schedule)
+        T = T_cam_hand[index]
+        solution = explored(minimise(motion, terms, T, stage.iterations), terms, T, shape, stage)
         solution = solution.take(distinct(solution.motion.poses(), solution.energy, shape, stage.keep))
         motion = solution.motion
         watch(stage.name)

@@ -24,7 +24,7 @@ SCHEDULE = Schedule(
     static_iterations=8,
     loose_iterations=0,
     stages=(
-        Stage("coarse", level=64, frames=1, iterations=6, keep=10),
+        Stage("coarse", level=64, frames=1, iterations=6, keep=10, rounds=6),
         Stage("fine", level=128, frames=1, iterations=10, keep=4),
         Stage("finest", level=256, frames=1, iterations=10, keep=1),
     ),
