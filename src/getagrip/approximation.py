@@ -26,7 +26,7 @@ from getagrip import se3
 
 PRECISION = 1e-10
 """Relative change of E, and of the hinge, at which the search for the best hinge ends."""
-TRIAL, LONGEST = 20, 500
+TRIAL, LONGEST = 20, 200
 """Steps from each start, and then from the best of them."""
 
 

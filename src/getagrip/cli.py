@@ -180,6 +180,27 @@ class Study(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Stats(Command):
+    """Print how long stable grasps last, category by category: the paper's dataset tables."""
+
+    source: Annotated[Positional[str], arg(metavar="epic-grasps|LIST")]
+    """epic-grasps, followed by its CSV; or a list that segment wrote: its segments.csv or JSON."""
+    csv: Annotated[Positional[Path | None], arg(metavar="CSV", help_behavior_hint="")] = None
+    """EPIC-Grasps' table, as published."""
+    fps: Annotated[Literal["paper", "true"] | None, arg(help_behavior_hint="(default: paper)")] = None
+    """epic-grasps: 50 frames per second in every video, as the paper has it, or as its frames are really numbered."""
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    """Write stats.md and stats.csv here."""
+    json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Write every number here, unrounded."""
+
+    def run(self) -> int:
+        from getagrip.run.stats import print_stats
+
+        return print_stats(self.source, self.csv, self.fps, self.out, self.json)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Bench(Command):
     """Compare methods on a dataset: the paper's tables, with intervals. What is done already is kept."""
 
@@ -413,6 +434,7 @@ Commands = (
     | Annotated[Evaluate, subcommand("evaluate")]
     | Annotated[Segment, subcommand("segment")]
     | Annotated[Study, subcommand("study")]
+    | Annotated[Stats, subcommand("stats")]
     | Annotated[Bench, subcommand("bench")]
     | Annotated[InitCommand, subcommand("init")]
     | Annotated[Imports, subcommand("import", description="Make clips from other people's layouts.")]

@@ -17,12 +17,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip import se3
 from getagrip.approximation import Hinge, mean_rotation, pose_hinge, rotation_hinge
-from getagrip.clip import FINGERS, Clip
+from getagrip.clip import FINGERS, Clip, Truth
 from getagrip.errors import InputError
 from getagrip.grasps import Definition, PairwiseIou, segment
 
@@ -88,7 +88,7 @@ class Spread:
 
     mean: float
     std: float
-    """Standard deviation, of these grasps and not of a population (divided by n)."""
+    """Standard deviation of these grasps, divided by n."""
     low: float
     middle: float
     high: float
@@ -103,8 +103,8 @@ class Spread:
         given = given[np.isfinite(given)]
         if len(given) == 0:
             return Spread(np.nan, np.nan, np.nan, np.nan, np.nan, 0)
-        low, middle, high = np.percentile(given, [25.0, 50.0, 75.0])
-        return Spread(float(given.mean()), float(given.std()), float(low), float(middle), float(high), len(given))
+        low, middle, high = map(float, np.percentile(given, [25.0, 50.0, 75.0]))
+        return Spread(float(given.mean()), float(given.std()), low, middle, high, len(given))
 
 
 def study(
@@ -125,7 +125,8 @@ def study_grasp(clip: Clip, iou: PairwiseIou, first: int, last: int) -> Studied:
     turn = rotation_hinge(R[grasp], c[grasp])
     free = pose_hinge(R[grasp], c[grasp], size)
     at_hand = pose_hinge(R[grasp], c[grasp], size, through=np.zeros(3))
-    turned, moved = fingers(clip, frames, grasp)
+    pads = [clip.hand.regions[finger] for finger in FINGERS]
+    turned, moved = fingers(_truth(clip).hand_vertices[frames], pads, grasp)
     values = {
         "contact_iou": kept_contact(iou, frames, slice(first, last + 1)),
         "fingers_turned": turned,
@@ -168,13 +169,18 @@ def object_in_hand(clip: Clip) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, 
     The centre is that of the object's surface, and the size its radius of gyration over the root of 3. Raises
     ``InputError`` for a clip without truth.
     """
-    if clip.truth is None:
-        raise InputError(clip.folder / "truth.npz", "", "no such file", "the true poses: they are what is studied")
+    truth = _truth(clip)
     areas = clip.mesh.vertex_areas / clip.mesh.vertex_areas.sum()
     centre = areas @ clip.mesh.vertices
-    size = clip.truth.scale * float(np.sqrt(areas @ np.sum((clip.mesh.vertices - centre) ** 2, axis=1) / 3.0))
-    T_hand_obj = se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
-    return T_hand_obj[:, :3, :3], se3.transform(T_hand_obj, clip.truth.scale * centre[None])[:, 0], size
+    size = truth.scale * float(np.sqrt(areas @ np.sum((clip.mesh.vertices - centre) ** 2, axis=1) / 3.0))
+    T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
+    return T_hand_obj[:, :3, :3], se3.transform(T_hand_obj, truth.scale * centre[None])[:, 0], size
+
+
+def _truth(clip: Clip) -> Truth:
+    if clip.truth is None:
+        raise InputError(clip.folder / "truth.npz", "", "no such file", "the true poses: they are what is studied")
+    return clip.truth
 
 
 def kept_contact(iou: PairwiseIou | Float[ndarray, "T T"], frames: slice, grasp: slice) -> Float[ndarray, "N"]:
@@ -189,20 +195,20 @@ def kept_contact(iou: PairwiseIou | Float[ndarray, "T T"], frames: slice, grasp:
     return np.divide((pairs * others).sum(axis=1), count, out=np.full(len(rows), np.nan), where=count > 0)
 
 
-def fingers(clip: Clip, frames: slice, grasp: slice) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
-    """How far the pads of the fingertips have turned [rad] and moved [m] in the hand frame, mean over the five.
+def fingers(
+    vertices: Float[ndarray, "N V 3"], pads: Sequence[Int[ndarray, "_"]], grasp: slice
+) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
+    """How far pads of a hand (ids of its vertices) have turned [rad] and moved [m] in the hand frame, on average.
 
-    ``frames`` are the clip's, ``grasp`` counts from the first of these: its mean pose is the one they are compared
-    with. Not a number where a pad has too few vertices to show how it is turned, or for a clip without truth.
+    They are compared with their mean pose in the frames of the grasp. Turns are not a number where a pad has too few
+    vertices to show them.
     """
-    if clip.truth is None:
-        return np.full((2, frames.stop - frames.start), np.nan)[0], np.full(frames.stop - frames.start, np.nan)
     turned, moved = [], []
-    for finger in FINGERS:
-        pad = clip.truth.hand_vertices[frames][:, clip.hand.regions[finger]]
+    for ids in pads:
+        pad = vertices[:, ids]
         centre = pad.mean(axis=1, keepdims=True)
         R = _turns(pad - centre, grasp)
-        turned.append(se3.angle_between(mean_rotation(R[grasp]), R) if R is not None else np.full(len(pad), np.nan))
+        turned.append(np.full(len(pad), np.nan) if R is None else se3.angle_between(mean_rotation(R[grasp]), R))
         moved.append(np.linalg.norm((centre - centre[grasp].mean(axis=0))[:, 0], axis=1))
     return np.mean(turned, axis=0), np.mean(moved, axis=0)
 

@@ -63,8 +63,15 @@ def _draw(curves: Mapping[str, Sequence[Spread]]) -> Figure:
         if n >= 3:
             axes.set_xlabel("time, the grasp from 0 to 1")
     words = "lines: mean over grasps · bands: middle half of them · blue: the stable grasp"
-    figure.text(0.055, 0.012, f"{words}; outside, the axis found inside it is kept", color=FAINT)
+    figure.text(0.055, 0.012, f"{words}; outside, the axis found inside it is kept{_seen(curves)}", color=FAINT)
     return figure
+
+
+def _seen(curves: Mapping[str, Sequence[Spread]]) -> str:
+    """How many of the grasps there are to see before and after."""
+    spreads = curves["static_rotation"]
+    before, after = (spreads[int(np.argmin(np.abs(TIMES - time)))].grasps for time in (-0.25, 1.25))
+    return f" · at -0.25: {before} grasps, at 1.25: {after}"
 
 
 def _panel(axes: Axes, curves: Mapping[str, Sequence[Spread]], lines: Mapping[str, tuple[str, str]]) -> None:
