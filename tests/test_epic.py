@@ -23,7 +23,7 @@ from getagrip import arrays, se3
 from getagrip.clip import read_clip, read_masks
 from getagrip.datasets import epic, epic_candidates, epic_files, visor
 from getagrip.datasets.categories import CATEGORIES
-from getagrip.datasets.epic_images import Video
+from getagrip.datasets.epic_images import Frames, Video
 from getagrip.errors import InputError
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track
@@ -382,6 +382,50 @@ def test_frames_of_a_video_are_those_at_their_times(tmp_path: Path) -> None:
         Video(tmp_path, "P08_01")([1])
 
 
+def test_a_hand_file_that_does_not_fit_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
+    path = tmp_path / "h.npz"
+    for key, value in [
+        ("frames", np.zeros(3)),
+        ("frames", np.array([1, 1, 2])),
+        ("frames", np.zeros((0,), int)),
+        ("K", np.full((3, 3), np.nan)),
+        ("K", np.eye(3)),
+    ]:
+        arrays.write(path, hand_arrays(3) | {key: value})
+        refused(lambda: epic.hand_file(path), str(path), key)
+    arrays.write(path, hand_arrays(3))
+    refused(lambda: epic.hand_file(path).track([1, 2]), str(path), "vertices", "(2, any, 3)")
+
+
+@given(content=st.binary(max_size=64), header=st.booleans())
+def test_any_bytes_for_images_cameras_and_hands_are_refused_in_words(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes, header: bool
+) -> None:
+    folder = tmp_path_factory.mktemp("bytes")
+    (folder / V).mkdir()
+    path = folder / V / "frame_0000000001.jpg"
+    path.write_bytes(b"\xff\xd8\xff" * header + content)
+    reads: list[tuple[Path, Callable[[], object]]] = [
+        (path, lambda: Frames(folder, V)([1])),
+        (path, lambda: epic.read_camera(path)),
+        (path, lambda: epic.hand_file(path)),
+    ]
+    for file, read in reads:
+        with pytest.raises(InputError) as caught:
+            read()
+        assert str(file) in str(caught.value)
+
+
+def test_a_huge_image_is_refused_by_its_header(tmp_path: Path, refused: Callable[..., str]) -> None:
+    (tmp_path / V).mkdir()
+    path = tmp_path / V / "frame_0000000001.jpg"
+    content = bytearray(cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes())
+    at = content.index(b"\xff\xc0")
+    content[at + 5 : at + 9] = b"\xff\xff\xff\xff"
+    path.write_bytes(content)
+    refused(lambda: Frames(tmp_path, V)([1]), str(path), "65535 x 65535")
+
+
 # Candidates
 
 
@@ -403,6 +447,9 @@ def test_contacts_are_of_hands_and_of_what_their_gloves_touch(tmp_path: Path) ->
         (5, "left", "cup", "coffee cup"),
         (5, "right", "pan", "pan"),
     }
+    nameless = thing("", "cup", 13, box(0, 0, 9, 9))
+    idle = visor_frame(8, nameless, hand("left", "hand-not-in-contact"), hand("right", None), tmp=tmp_path)
+    assert epic_candidates.contacts([idle], visor.Mapping({})) == [[]]
     free = visor_frame(8, cup, hand("left", "k", box(0, 0, 5, 5)), knife, tmp=tmp_path)
     assert epic_candidates.contacts([free], visor.Mapping({})) == [[]]  # marked, and no category
 

@@ -78,7 +78,7 @@ def contacts(frames: Iterable[Frame], mapping: Mapping) -> list[list[Contact]]:
             continue
         found = out.setdefault(mapping.number(frame), [])
         for hand in hands:
-            touched = by_id.get(hand.touches or "")
+            touched = by_id.get(hand.touches) if hand.touches else None
             category = None if touched is None or touched.hands else category_of(touched.name)
             if touched is not None and category is not None:
                 found += [Contact(mapping.number(frame), side, category, touched.name) for side in hand.hands]

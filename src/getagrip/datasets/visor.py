@@ -24,7 +24,7 @@ from numpy import ndarray
 
 from getagrip.datasets import json_stream
 from getagrip.errors import InputError
-from getagrip.files import is_plain_name, plain, shown
+from getagrip.files import plain, shown
 from getagrip.hands.model import Side
 
 SPARSE_SIZE, DENSE_SIZE = (1920, 1080), (854, 480)
@@ -38,6 +38,7 @@ UNTOLD = ("none-of-the-above", "inconclusive", "None")
 """Instead of the id of what a hand touches: nothing; something without a mask, or the annotators disagree."""
 MOST_POINTS = 100_000
 """Of the polygons of one annotation."""
+LONGEST_NAME = 200
 MAPPING = "frame_mapping.json"
 
 
@@ -156,14 +157,14 @@ def _annotation(path: Path, key: str, given: Any, dense: bool) -> Annotation:
     if not isinstance(given, dict):
         raise InputError(path, key, shown(given), "an object")
     name, class_id = given.get("name"), given.get("class_id")
-    if not isinstance(name, str) or not is_plain_name(name.replace("/", " ")):
+    if not isinstance(name, str) or not name.strip() or len(name) > LONGEST_NAME:
         raise InputError(path, f"{key}.name", shown(name), "a name")
     if not (class_id is None or type(class_id) is int):
         raise InputError(path, f"{key}.class_id", shown(class_id), "a whole number")
     hands = _hands(name, class_id, given.get("on_which_hand"))
     return Annotation(
         str(given.get("id", "")),
-        name,
+        name.strip(),
         class_id,
         _polygons(path, f"{key}.segments", given.get("segments"), DENSE_SIZE if dense else SPARSE_SIZE),
         hands,
