@@ -238,7 +238,7 @@ def test_hawor(tmp_path: Path, mano_folder: Path, side: Side) -> None:
     path.write_text(json.dumps({key: value.tolist() for key, value in record.items()}))
     hands = read([path], "hawor", reading(side, mano_folder, focal=focal))
     np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
-    with pytest.raises(UsageError, match="--focal"):
+    with pytest.raises(UsageError, match="--estimator-focal"):
         read([path], "hawor", reading(side, mano_folder))
 
 

@@ -23,6 +23,11 @@ Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate
 Workers = Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core for more than 3 clips)")]
 Inits = Annotated[int, arg(metavar="N")]
 PriorsPath = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
+Intrinsics = Annotated[
+    tuple[float, float, float, float] | None, arg(name="K", metavar="FX FY CX CY", help_behavior_hint="")
+]
+Focal = Annotated[float | None, arg(metavar="PX", help_behavior_hint="")]
+Labels = Annotated[tuple[str, ...], arg(metavar="LABEL...", help_behavior_hint="")]
 Flag = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
 
 
@@ -350,6 +355,138 @@ class ImportEpic(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ImportHands(Command):
+    """Hands from an estimator's files: into a clip that lacks them, or into a file for a clip to come."""
+
+    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...", help_behavior_hint="")]
+    """.npz, .json, .pkl, .pt, .npy: a file for each image, named like it, or one for all (docs/estimators.md)."""
+    source: Annotated[Literal["hamer", "wilor", "hawor", "frankmocap", "mano", "joints"], arg(name="from")]
+    """Whose they are; mano: plain parameters; joints: 21 of them in metres, before the camera."""
+    clip: Annotated[Path | None, arg(metavar="CLIP", help_behavior_hint="")] = None
+    """The clip's folder. Its side, its frames and its camera are taken from it."""
+    out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """Instead of a clip, a file for clip new --hands. It needs --side, --frames, --size and a camera."""
+    mano: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: the generic hand)")] = None
+    """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
+    pose: Literal["axis-angle", "pca", "matrix"] | None = None
+    """mano: what hand_pose holds."""
+    mean: Literal["flat", "mean"] | None = None
+    """mano: whether poses are relative to the flat hand or to MANO's mean pose."""
+    order: Literal["openpose", "ho3d"] | None = None
+    """joints: their order (docs/hands.md)."""
+    estimator_focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """hawor: the focal length that it was run with."""
+    side: Literal["left", "right"] | None = None
+    """With --out: which hand."""
+    frames: Annotated[tuple[int, int] | None, arg(metavar="FIRST LAST", help_behavior_hint="")] = None
+    """With --out: numbers of the frames, the last included."""
+    size: Annotated[tuple[int, int] | None, arg(metavar="WIDTH HEIGHT", help_behavior_hint="")] = None
+    """With --out: of the images."""
+    K: Intrinsics = None
+    """With --out: the camera."""
+    focal: Focal = None
+    """With --out: instead of K, the focal length; the principal point is in the middle."""
+    guess_focal: Flag = False
+    """With --out: guess it. Depths and sizes are guesses then, too."""
+    overwrite: Flag = False
+    """Replace hands that are there already."""
+
+    def check(self) -> None:
+        from getagrip import files
+
+        if self.out is not None:
+            files.check_file("--out", self.out)
+
+    def run(self) -> int:
+        from getagrip.run.hands import Told, import_hands
+        from getagrip.run.intrinsics import Lens
+
+        told = Told(self.mano, self.pose, self.mean, self.order, self.estimator_focal)
+        lens = Lens(self.K, self.focal, self.guess_focal)
+        new = (self.side, self.frames, self.size, lens)
+        return import_hands(self.files, self.source, told, self.clip, self.out, new, self.overwrite)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportMasks(Command):
+    """Masks from files: a folder of PNG (labels, palettes as of SAM 2, colours), COCO's .json, or .npz, into a clip."""
+
+    path: Annotated[Positional[Path], arg(metavar="PATH")]
+    """The folder or file; images are named like the clip's frames, or by the same numbers."""
+    clip: Annotated[Path, arg(metavar="CLIP")]
+    """The clip's folder."""
+    object: Labels = ()
+    """The object: values of its labels, #rrggbb, or names of COCO's categories. Not needed where there is one only."""
+    ignore: Labels = ()
+    """What hides it, likewise: hands, other things in front."""
+    first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    """The number of the first frame's mask, where masks are counted differently from frames."""
+    overwrite: Flag = False
+    """Replace masks that are there already."""
+
+    def run(self) -> int:
+        from getagrip.run.masks import into_clip
+
+        return into_clip(self.path, self.object, self.ignore, self.first, self.clip, self.overwrite)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipCommand(Command):
+    """Make a clip of your own video, in one go or in steps: what is missing is told, and how to get it."""
+
+    action: Positional[Literal["new"]]
+    """new: make one."""
+    video: Annotated[Positional[Path], arg(metavar="VIDEO")]
+    """The video, undistorted."""
+    out: Folder
+    """The clip's folder; its name is the clip's."""
+    interval: Annotated[tuple[int, int] | None, arg(metavar="START END", help_behavior_hint="")] = None
+    """The stable grasp: its first and last frame, counted from 1."""
+    side: Literal["left", "right"] | None = None
+    """Which hand."""
+    mesh: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """The object's shape: .obj, .ply, .stl or .glb."""
+    size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
+    """Rescale the mesh to this largest side of its bounding box."""
+    diameter_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
+    """Rescale the mesh to this largest distance between two of its points."""
+    known_scale: Flag = False
+    """The mesh, in metres, has the object's size. Else, unless it is rescaled, its size is found with its pose."""
+    category: str = "object"
+    """What it is, in a word."""
+    masks: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
+    """As for import masks, which can add them later."""
+    mask_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: START)")] = None
+    """The number of the mask of frame START."""
+    object: Labels = ()
+    """Of the masks: the object's labels."""
+    ignore: Labels = ()
+    """Of the masks: labels of what hides it."""
+    hands: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    """A hand.npz; import hands makes one, and can add it later."""
+    K: Intrinsics = None
+    """The camera. Not needed where the hand file has it."""
+    focal: Focal = None
+    """Instead of K, the focal length; the principal point is in the middle."""
+    guess_focal: Flag = False
+    """Guess it. Depths and sizes are guesses then, too."""
+    overwrite: Flag = False
+    """Replace a clip that is there already."""
+
+    def run(self) -> int:
+        from getagrip.run.intrinsics import Lens
+        from getagrip.run.own_video import Ingredients, new_clip
+
+        given = Ingredients(
+            video=self.video, interval=self.interval, side=self.side, category=self.category, mesh=self.mesh,
+            side_mm=self.size_mm, diameter_mm=self.diameter_mm, known_scale=self.known_scale, masks=self.masks,
+            mask_of_first=self.mask_first, object=self.object, ignore=self.ignore, hands=self.hands,
+            lens=Lens(self.K, self.focal, self.guess_focal),
+        )  # fmt: skip
+        return new_clip(given, self.out, self.overwrite)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Epic(Command):
     """Find where stable grasps may be in EPIC-KITCHENS: where VISOR says that a hand touches an object."""
 
@@ -427,6 +564,8 @@ Imports = (
     | Annotated[Import, _dataset("hoi4d", "HOI4D's rigid objects: every stable grasp seen.")]
     | Annotated[Import, _dataset("ho3d", "HO-3D: every stable grasp seen.")]
     | Annotated[ImportEpic, subcommand("epic")]
+    | Annotated[ImportHands, subcommand("hands")]
+    | Annotated[ImportMasks, subcommand("masks")]
 )
 Commands = (
     Annotated[Demo, subcommand("demo")]
@@ -438,6 +577,7 @@ Commands = (
     | Annotated[Bench, subcommand("bench")]
     | Annotated[InitCommand, subcommand("init")]
     | Annotated[Imports, subcommand("import", description="Make clips from other people's layouts.")]
+    | Annotated[ClipCommand, subcommand("clip")]
     | Annotated[Epic, subcommand("epic")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Doctor, subcommand("doctor")]

@@ -142,6 +142,11 @@ def read_mesh(path: Path) -> Mesh:
     Closed meshes that are wound inward are turned outward. Raises ``InputError`` for an unreadable file, no faces,
     degenerate faces, non-finite vertices or an absurd size.
     """
+    return checked_mesh(path, *parse_mesh(path))
+
+
+def parse_mesh(path: Path) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
+    """Vertices and faces of a mesh file, not checked, in the file's own unit. Raises ``InputError``."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(path, "mesh", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")
@@ -151,7 +156,7 @@ def read_mesh(path: Path) -> Mesh:
     vertices, faces = parse_obj(path, content) if suffix == ".obj" else _parse(path, suffix, content)
     if suffix == ".ply" and len(faces) < (promised := _ply_faces(content)):
         raise InputError(path, "faces", f"{len(faces)} faces", f"{promised}, as its header says; is it cut short?")
-    return checked_mesh(path, vertices, faces)
+    return vertices, faces
 
 
 def _parse(path: Path, suffix: str, content: bytes) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:

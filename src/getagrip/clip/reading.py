@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,26 @@ def read_clip(folder: str | Path) -> Clip:
         truth=_read_truth(folder, hand, fields["scale"], mesh) if has_truth else None,
         provenance=fields["provenance"],
     )
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What ``clip.json`` says, its hands, mesh and masks not looked at."""
+
+    folder: Path
+    fields: dict[str, Any]
+    """All of it, checked."""
+    frames: tuple[str, ...]
+    size: tuple[int, int]
+    K: Float[ndarray, "T 3 3"]
+
+
+def read_outline(folder: str | Path) -> Outline:
+    """The outline of a clip, which may lack its hands yet. Raises ``InputError``."""
+    folder = _folder(folder)
+    fields, path = _fields(folder), folder / "clip.json"
+    frames, size = _frame_names(path, fields["frames"]), _size(path, fields["size"])
+    return Outline(folder, fields, frames, size, _intrinsics(path, fields["camera"], len(frames), size))
 
 
 def read_name(folder: str | Path) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Shaped, UInt8
 from numpy import ndarray
 
 from getagrip import arrays, files
@@ -44,12 +44,14 @@ def write_clip(
     return folder
 
 
-def write_hand(hand: HandTrack, path: Path) -> None:
-    """Write the hands of a clip."""
+def write_hand(hand: HandTrack, path: Path, extra: Mapping[str, Shaped[ndarray, "..."]] | None = None) -> None:
+    """Write the hands of a clip, and arrays that a clip's reader passes over."""
     regions = {f"region_{name}": ids for name, ids in hand.regions.items()}
     joints = {} if hand.joints is None else {"joints": hand.joints}
     T_cam_hand = {"T_cam_hand": hand.T_cam_hand}
-    arrays.write(path, {"vertices": hand.vertices, "faces": hand.faces} | T_cam_hand | joints | regions)
+    arrays.write(
+        path, {"vertices": hand.vertices, "faces": hand.faces} | T_cam_hand | joints | regions | dict(extra or {})
+    )
 
 
 def _fields(clip: Clip) -> dict[str, object]:

@@ -173,7 +173,7 @@ def _seen(path: Path, record: records.Record, source: Source, reading: Reading, 
         return frankmocap.seen(path, record, camera)
     if source == "hawor":
         if reading.focal is None:
-            raise UsageError("--focal: got nothing, expected the focal length that HaWoR was run with [px]")
+            raise UsageError("--estimator-focal: got nothing, expected the focal length that HaWoR was run with [px]")
         return hawor.seen(path, record, camera, reading.focal)
     return hamer.seen(path, record, reading.side, camera)
 

@@ -1,0 +1,73 @@
+"""A stretch of a video, frame by frame, each once and in the order in which they are shown.
+
+Frames are counted from 1 by decoding them from the beginning: no seeking, which is off by frames in many files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from getagrip.clip.reading import LARGEST_IMAGE, LARGEST_SIDE
+from getagrip.errors import InputError
+
+FORMATS = "mov,mp4,matroska,webm,avi,mpegts"
+"""Containers that are read. Not playlists, which can name other files."""
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """What is known of a video before its frames are decoded."""
+
+    path: Path
+    fps: float
+    size: tuple[int, int]
+    """Width and height as shown [px]: a telephone's upright video is stored lying, and turned."""
+
+
+def video_info(path: Path) -> VideoInfo:
+    """Rate and size of a video, from its first frame. Raises ``InputError``."""
+    first = next(_decoded(path), None)
+    if first is None:
+        raise InputError(path, "", "no frames", "a video")
+    image, fps = first
+    return VideoInfo(path, fps, (image.shape[1], image.shape[0]))
+
+
+def video_frames(path: Path, first: int, last: int) -> Iterator[UInt8[ndarray, "H W 3"]]:
+    """The RGB images of the frames ``first`` to ``last``, both included, counted from 1. Raises ``InputError``."""
+    n = 0
+    for n, (image, _) in enumerate(_decoded(path), start=1):
+        if n >= first:
+            yield image
+        if n == last:
+            return
+    raise InputError(path, "", f"{n} frames", f"at least {last}, for the interval {first} to {last}")
+
+
+def _decoded(path: Path) -> Iterator[tuple[UInt8[ndarray, "H W 3"], float]]:
+    """All frames, and the frames per second."""
+    import av
+    from av.error import FFmpegError
+
+    if not path.is_file():
+        raise InputError(path, "", "no such file", "a video")
+    options = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
+    try:
+        with av.open(f"file:{path.resolve()}", options=options) as container:
+            stream = container.streams.video[0]
+            width, height = stream.width, stream.height
+            if not 0 < max(width, height) <= LARGEST_SIDE or width * height > LARGEST_IMAGE:
+                raise InputError(path, "size", f"{width} x {height} pixels", f"at most {LARGEST_IMAGE / 1e6:g} million")
+            stream.thread_type = "AUTO"
+            fps = float(stream.average_rate or 30)
+            for frame in container.decode(stream):
+                quarters = round(frame.rotation / 90.0)
+                yield np.rot90(np.asarray(frame.to_ndarray(format="rgb24"), np.uint8), quarters), fps
+    except (FFmpegError, IndexError, OSError, ValueError) as error:
+        raise InputError(path, "", f"a file that does not decode as video ({error})", "a video") from error

@@ -1,0 +1,54 @@
+"""The camera of a user's own images, as far as the user knows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip.plausible import check_intrinsics
+from getagrip.errors import InputError, UsageError
+
+
+@dataclass(frozen=True)
+class Lens:
+    """What a command is told of a camera."""
+
+    K: tuple[float, float, float, float] | None = None
+    """fx, fy, cx, cy [px]."""
+    focal: float | None = None
+    """Focal length [px], the principal point in the middle."""
+    guess_focal: bool = False
+    """Whether a guess is wanted."""
+
+    @property
+    def given(self) -> bool:
+        """Whether there is anything."""
+        return self.K is not None or self.focal is not None or self.guess_focal
+
+
+def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], str]:
+    """The pinhole of images of some size [px], and where it comes from. Raises ``UsageError``."""
+    told = [lens.K is not None, lens.focal is not None, lens.guess_focal]
+    if sum(told) != 1:
+        raise UsageError(f"--K, --focal, --guess-focal: got {sum(told)} of them, expected one")
+    width, height = size
+    if lens.K is not None:
+        fx, fy, cx, cy = lens.K
+        source = "given as fx, fy, cx, cy"
+    else:
+        fx = fy = float(max(size)) if lens.focal is None else lens.focal
+        cx, cy = width / 2.0, height / 2.0
+        source = "the focal length as given, the principal point in the middle"
+        if lens.focal is None:
+            source = "a guess: the focal length is the longer side of the image, the principal point in the middle"
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    try:
+        check_intrinsics(Path(), K[None], size)
+    except InputError as error:
+        option = "--K" if lens.K is not None else "--focal"
+        raise UsageError(f"{option}: got {error.given}, expected {error.expected}") from error
+    return K, source

@@ -1,0 +1,65 @@
+"""``getagrip import masks``: other people's masks into a clip that lacks them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from getagrip import files
+from getagrip.clip.mask_sources import MaskReader, Wanted, open_masks
+from getagrip.clip.reading import read_outline
+from getagrip.errors import InputError, UsageError
+
+
+def into_clip(
+    source: Path, objects: tuple[str, ...], ignore: tuple[str, ...], first: int | None, folder: Path, overwrite: bool
+) -> int:
+    """Add ``masks/`` to a clip's folder.
+
+    ``first`` is the number in the name of the first frame's mask, where masks are counted differently. Raises
+    ``InputError``, and ``UsageError`` where there are masks already.
+    """
+    outline = read_outline(folder)
+    target = outline.folder / "masks"
+    if target.exists() and not overwrite:
+        raise UsageError(f"{target}: exists already; --overwrite replaces it")
+    names = outline.frames
+    if first is not None:
+        numbers = [int(name) if name.isascii() and name.isdigit() else -1 for name in names]
+        if min(numbers) < 0:
+            raise UsageError(f"--first: got {first}, expected none: the clip's frames have no numbers")
+        names = tuple(f"{number - numbers[0] + first:06d}" for number in numbers)
+    reader = open_masks(source, Wanted(names, outline.size, objects, ignore))
+    with files.new_folder(target, overwrite) as new:
+        seen = write_masks(reader, outline.frames, new)
+        if not seen:
+            raise InputError(source, "", "masks without a pixel of the object", "masks that show it")
+    fields = dict(outline.fields)
+    fields["provenance"] = dict(fields["provenance"]) | {"masks": told(source, objects, ignore)}
+    part = outline.folder / f".clip.json.{os.getpid()}"
+    files.write_json(part, fields)
+    part.replace(outline.folder / "clip.json")
+    print(f"{target}: the object is seen in {seen} of {len(names)} frames")
+    return 0
+
+
+def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> int:
+    """Write the masks of all frames, one at a time in memory; returns in how many the object is seen."""
+    import cv2
+
+    seen = 0
+    for kind in ("object", "ignore"):
+        (folder / kind).mkdir(parents=True)
+    for n, name in enumerate(frames):
+        for kind, mask in zip(("object", "ignore"), reader(n), strict=True):
+            cv2.imwrite(str(folder / kind / f"{name}.png"), mask.astype(np.uint8) * 255)
+            seen += int(kind == "object" and mask.any())
+    return seen
+
+
+def told(source: Path, objects: tuple[str, ...], ignore: tuple[str, ...]) -> str:
+    """Where masks come from, for a clip's provenance."""
+    labels = f", object {', '.join(objects)}" if objects else ""
+    return f"from {source.name}{labels}" + (f", ignored {', '.join(ignore)}" if ignore else ", nothing ignored")
