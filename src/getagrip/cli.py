@@ -517,6 +517,28 @@ class Epic(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Annotate(Command):
+    """Mark where stable grasps start and end, on a page in your browser that only this machine can open."""
+
+    source: Annotated[Positional[Path], arg(metavar="VIDEO|CANDIDATES")]
+    """A video, a folder of images, or a list (.csv, .json) of videos with rough start and end, hand and category, as
+    epic candidates writes it."""
+    out: Folder
+    """Where marks are kept as they are made. Called again with the same folder, it goes on where it stopped."""
+    videos: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: where the list is)")] = None
+    """For a list: where its videos are, or folders of their images."""
+    port: int = 8765
+    """Where the page is served, on 127.0.0.1."""
+    export: Flag = False
+    """Serve nothing: write the grasps marked so far, each person's as a table and as JSON, and how far people agree."""
+
+    def run(self) -> int:
+        from getagrip.annotate.command import annotate
+
+        return annotate(self.source, self.videos, self.out, self.port, self.export)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Report(Command):
     """Draw a picture of a result into its folder: report.png."""
 
@@ -579,6 +601,7 @@ Commands = (
     | Annotated[Imports, subcommand("import", description="Make clips from other people's layouts.")]
     | Annotated[ClipCommand, subcommand("clip")]
     | Annotated[Epic, subcommand("epic")]
+    | Annotated[Annotate, subcommand("annotate")]
     | Annotated[Report, subcommand("report")]
     | Annotated[Doctor, subcommand("doctor")]
 )

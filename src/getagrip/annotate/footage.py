@@ -1,0 +1,173 @@
+"""Frames by index, as JPEG: what the page shows. Of a video (``video``), or of a folder of images."""
+
+from __future__ import annotations
+
+import re
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.files import read_bytes
+
+IMAGES = (".jpg", ".jpeg", ".png")
+WIDEST = 1280
+"""Images are sent at most so wide [px]."""
+LARGEST_SIDE = 8192
+"""Limit of the sides of what is read [px]."""
+LARGEST_IMAGE = 64 * 2**20
+"""Limit in bytes of an image's file."""
+MOST_FRAMES = 2_000_000
+"""No footage is longer: eleven hours at 50 frames per second."""
+FOLDER_FPS = 30.0
+"""Frames per second that images in a folder are played at."""
+QUALITY = 88
+"""Of the JPEG images."""
+CACHE = 64 * 2**20
+"""Bytes of JPEG images that are kept of one footage."""
+
+
+class Footage(Protocol):
+    """Frames 0 .. N-1 in the order they are shown in."""
+
+    @property
+    def frames(self) -> int:
+        """N."""
+
+    @property
+    def fps(self) -> float:
+        """Frames per second, on average."""
+
+    def time(self, index: int) -> float:
+        """When a frame is shown, from the start [s]."""
+
+    def number(self, index: int) -> int:
+        """The number that the footage's own naming gives a frame."""
+
+    def index(self, number: int) -> int:
+        """The frame of a number, the nearest where it has none."""
+
+    def jpeg(self, index: int) -> bytes:
+        """A frame. Raises ``InputError`` where it does not decode."""
+
+
+def seconds(footage: Footage, start: int, end: int) -> float:
+    """How long frames ``start`` to ``end`` last, the last one included [s]."""
+    return footage.time(end) - footage.time(start) + 1.0 / footage.fps
+
+
+@dataclass
+class Cache:
+    """The JPEG images that were asked for last, of so many bytes together."""
+
+    limit: int = CACHE
+    held: int = 0
+    images: OrderedDict[int, bytes] = field(default_factory=OrderedDict)
+
+    def get(self, index: int) -> bytes | None:
+        """An image, if it is there."""
+        if index in self.images:
+            self.images.move_to_end(index)
+        return self.images.get(index)
+
+    def put(self, index: int, image: bytes) -> None:
+        """Keep an image, and forget those that were not wanted for longest."""
+        self.held += len(image) - len(self.images.pop(index, b""))
+        self.images[index] = image
+        while self.held > self.limit and len(self.images) > 1:
+            _, old = self.images.popitem(last=False)
+            self.held -= len(old)
+
+
+@dataclass(frozen=True)
+class ImageFolder:
+    """Images of a folder, in the order of the numbers that their names end in; by name where not all have one."""
+
+    paths: tuple[Path, ...]
+    numbers: tuple[int, ...]
+    fps: float = FOLDER_FPS
+
+    @staticmethod
+    def open(folder: Path) -> ImageFolder:
+        """The images of a folder, of which there must be some. Raises ``InputError``."""
+        paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGES and path.is_file())
+        if not 0 < len(paths) <= MOST_FRAMES:
+            raise InputError(folder, "", f"{len(paths)} images in it", f"images ({', '.join(IMAGES)})")
+        ends = [re.search(r"([0-9]{1,9})$", path.stem) for path in paths]
+        named = {int(end[1]): path for end, path in zip(ends, paths, strict=True) if end}
+        if len(named) < len(paths):
+            return ImageFolder(tuple(paths), tuple(range(1, len(paths) + 1)))
+        numbers = tuple(sorted(named))
+        return ImageFolder(tuple(named[number] for number in numbers), numbers)
+
+    @property
+    def frames(self) -> int:
+        """How many images there are."""
+        return len(self.paths)
+
+    def time(self, index: int) -> float:
+        """When an image is shown [s]: by its number, so that gaps count."""
+        return (self.numbers[index] - self.numbers[0]) / self.fps
+
+    def number(self, index: int) -> int:
+        """The number in the image's name, or its place from 1."""
+        return self.numbers[index]
+
+    def index(self, number: int) -> int:
+        """The image of a number, or the nearest to it."""
+        return int(np.argmin(np.abs(np.array(self.numbers) - number)))
+
+    def jpeg(self, index: int) -> bytes:
+        """An image, as JPEG whatever its file is. Raises ``InputError``."""
+        import cv2
+
+        path = self.paths[index]
+        content = read_bytes(path, LARGEST_IMAGE)
+        _check_size(path, content)
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+        if image is None:
+            raise InputError(path, "", "an image that does not decode", "a JPEG or PNG image")
+        return encoded(np.asarray(image, np.uint8))
+
+
+def encoded(bgr: UInt8[ndarray, "H W 3"]) -> bytes:
+    """An image as JPEG, made narrower where it is too wide."""
+    import cv2
+
+    height, width = bgr.shape[:2]
+    if width > WIDEST:
+        size = WIDEST, max(1, round(height * WIDEST / width))
+        bgr = np.asarray(cv2.resize(bgr, size, interpolation=cv2.INTER_AREA), np.uint8)
+    _, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    return bytes(content.tobytes())
+
+
+def _check_size(path: Path, content: bytes) -> None:
+    """Refuse an image by the size in its header, before memory is taken for its pixels. Raises ``InputError``."""
+    size = _png_size(content) or _jpeg_size(content)
+    if size is None:
+        raise InputError(path, "", "an image with neither a JPEG's nor a PNG's header", "a JPEG or PNG image")
+    if not 0 < max(size) <= LARGEST_SIDE:
+        raise InputError(path, "size", f"{size[0]} x {size[1]} pixels", f"at most {LARGEST_SIDE} a side")
+
+
+def _png_size(content: bytes) -> tuple[int, int] | None:
+    if content[:8] != b"\x89PNG\r\n\x1a\n" or content[12:16] != b"IHDR":
+        return None
+    return int.from_bytes(content[16:20], "big"), int.from_bytes(content[20:24], "big")
+
+
+def _jpeg_size(content: bytes) -> tuple[int, int] | None:
+    """Width and height in the header of a JPEG's first frame."""
+    at = 2
+    while content[:2] == b"\xff\xd8" and at + 9 <= len(content) and content[at] == 0xFF:
+        kind, length = content[at + 1], int.from_bytes(content[at + 2 : at + 4], "big")
+        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
+            return int.from_bytes(content[at + 7 : at + 9], "big"), int.from_bytes(content[at + 5 : at + 7], "big")
+        at += 2 + length
+    return None

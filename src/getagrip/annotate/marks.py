@@ -1,0 +1,126 @@
+"""A mark: what one person says of a task. Either an interval in which the grasp is stable, or why there is none."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from getagrip.annotate.footage import Footage, seconds
+from getagrip.errors import GetagripError
+from getagrip.files import is_plain_name, shown
+
+REASONS = ("no stable grasp", "out of view", "other CAD")
+"""Why a task is discarded: nothing is held stably, hand and object are not seen, the thing is unlike its mesh."""
+SETTABLE = frozenset({"start", "end", "side", "category", "entity", "reason", "deleted"})
+"""What the page may change."""
+TOKEN = re.compile(r"[A-Za-z0-9-]{8,64}")
+"""What the page calls its marks, changes and tabs."""
+
+
+class RefusedError(GetagripError):
+    """A change that cannot be made. The message is for the person who marks."""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """The state of a mark. Frames count from 0, both included."""
+
+    mark: str
+    task: str
+    annotator: str
+    start: int | None = None
+    end: int | None = None
+    side: str | None = None
+    category: str | None = None
+    entity: str | None = None
+    reason: str | None = None
+    """One of ``REASONS``: then it has neither start nor end."""
+    deleted: bool = False
+    start_number: int | None = None
+    """Start and end in the footage's own numbers."""
+    end_number: int | None = None
+    seconds: float | None = None
+    """How long it lasts."""
+
+    @property
+    def interval(self) -> tuple[int, int] | None:
+        """Start and end of a grasp that has both."""
+        return None if self.start is None or self.end is None or self.deleted else (self.start, self.end)
+
+
+COLUMNS = tuple(field.name for field in fields(Mark))
+
+
+@dataclass(frozen=True)
+class Change:
+    """What the page wants of a mark: only what a person has touched, so that two tabs can change the same one."""
+
+    change: str
+    """Unlike any other: the page sends a change again where it saw no answer."""
+    mark: str
+    task: str
+    annotator: str
+    tab: str
+    sets: Mapping[str, Any]
+
+
+def read_change(content: Mapping[str, Any]) -> Change:
+    """A change as the page sends it. Raises ``RefusedError``."""
+    named = {key: content.get(key) for key in ("change", "mark", "tab")}
+    for key, value in named.items():
+        if not isinstance(value, str) or not TOKEN.fullmatch(value):
+            raise RefusedError(f"{key}: got {shown(value)}, expected 8 to 64 letters, digits or hyphens")
+    sets = content.get("set")
+    if not isinstance(sets, dict) or not sets or not sets.keys() <= SETTABLE:
+        raise RefusedError(f"set: got {shown(sets)}, expected some of {', '.join(sorted(SETTABLE))}")
+    _check(sets)
+    who = annotator(content.get("annotator"))
+    return Change(str(named["change"]), str(named["mark"]), str(content.get("task")), who, str(named["tab"]), sets)
+
+
+def annotator(name: object) -> str:
+    """The name of a person, which also names files. Raises ``RefusedError``."""
+    if not isinstance(name, str) or not is_plain_name(name) or len(name) > 60:
+        raise RefusedError(f"annotator: got {shown(name)}, expected a name of up to 60 letters, without / and \\")
+    return name
+
+
+def _check(sets: Mapping[str, Any]) -> None:
+    """Raise ``RefusedError`` for values that no mark can have."""
+    for key, value in sets.items():
+        if key == "deleted":
+            fine, expected = isinstance(value, bool), "true or false"
+        elif key in ("start", "end"):
+            fine = value is None or (isinstance(value, int) and not isinstance(value, bool))
+            expected = "a frame"
+        elif key == "side":
+            fine, expected = value in ("left", "right"), "left or right"
+        elif key == "reason":
+            fine, expected = value is None or value in REASONS, f"one of {', '.join(REASONS)}"
+        else:
+            fine = isinstance(value, str) and 0 < len(value.strip()) <= 200 and value.isprintable()
+            expected = "a name of up to 200 letters"
+        if not fine:
+            raise RefusedError(f"{key}: got {shown(value)}, expected {expected}")
+
+
+def changed(mark: Mark, sets: Mapping[str, Any], footage: Footage) -> Mark:
+    """A mark after a change, complete with what the footage says of its frames. Raises ``RefusedError``."""
+    new = replace(mark, **sets)
+    for frame in (new.start, new.end):
+        if frame is not None and not 0 <= frame < footage.frames:
+            raise RefusedError(f"frame {frame}: the footage has frames 0 to {footage.frames - 1}")
+    if new.end is not None and (new.start is None or new.end < new.start):
+        raise RefusedError("a grasp cannot end before it starts")
+    if new.reason is not None and new.start is not None:
+        raise RefusedError("a mark is a grasp or the reason why there is none, not both")
+    if new.reason is None and new.start is None and not new.deleted:
+        raise RefusedError("a mark needs a start, or a reason why there is none")
+    return replace(
+        new,
+        start_number=None if new.start is None else footage.number(new.start),
+        end_number=None if new.end is None else footage.number(new.end),
+        seconds=None if new.start is None or new.end is None else seconds(footage, new.start, new.end),
+    )

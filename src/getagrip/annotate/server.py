@@ -1,0 +1,178 @@
+"""The page over HTTP, for this machine only.
+
+The server listens on 127.0.0.1. A page of another site that a browser has open could still send requests here: those
+are told by the name they ask for (``Host``) and by where they come from (``Origin``, ``Sec-Fetch-Site``), and refused.
+"""
+
+from __future__ import annotations
+
+import json
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files as package_files
+from typing import Any
+from urllib.parse import parse_qs, quote, urlsplit
+
+from getagrip.annotate.marks import RefusedError
+from getagrip.annotate.project import Project
+from getagrip.errors import GetagripError, InputError, UsageError
+
+ADDRESS = "127.0.0.1"
+LARGEST_BODY = 64 * 2**10
+"""Bytes of a request."""
+PATIENCE = 60.0
+"""A connection without requests is closed after so long [s]."""
+PAGE = {
+    "/": ("index.html", "text/html"),
+    "/page.css": ("page.css", "text/css"),
+    "/page.js": ("page.js", "text/javascript"),
+    "/player.js": ("player.js", "text/javascript"),
+    "/saving.js": ("saving.js", "text/javascript"),
+}
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class Server(ThreadingHTTPServer):
+    """Serves one project."""
+
+    daemon_threads = True
+
+    def __init__(self, project: Project, port: int) -> None:
+        """Listen on a port, on any free one for 0. Raises ``UsageError`` where it is taken."""
+        self.project = project
+        try:
+            super().__init__((ADDRESS, port), _Handler)
+        except (OSError, OverflowError) as error:
+            raise UsageError(f"--port: got {port}, expected a free port ({error})") from error
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{ADDRESS}:{self.server_port}/"
+
+    def hosts(self) -> set[str]:
+        """What this server is called by its own page."""
+        return {f"{name}:{self.server_port}" for name in (ADDRESS, "localhost")}
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of connections that end early."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Server
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "getagrip", ""
+    timeout = PATIENCE
+
+    def do_GET(self) -> None:
+        """Answer with the page, a frame, or data."""
+        self._answer(self._get)
+
+    def do_POST(self) -> None:
+        """Make a change."""
+        self._answer(self._post)
+
+    def _answer(self, act: Any) -> None:
+        """Do what is asked; errors become one line of JSON, never a traceback."""
+        try:
+            if (reason := self._foreign()) is not None:
+                self.close_connection = True
+                self._send_json({"error": reason}, HTTPStatus.FORBIDDEN)
+            else:
+                act()
+        except RefusedError as error:
+            self._send_json({"error": str(error)}, HTTPStatus.CONFLICT)
+        except InputError as error:
+            self._send_json({"error": str(error)}, HTTPStatus.UNPROCESSABLE_ENTITY)
+        except (GetagripError, ValueError) as error:
+            self._send_json({"error": str(error)}, HTTPStatus.BAD_REQUEST)
+        except ConnectionError:
+            self.close_connection = True
+
+    def _foreign(self) -> str | None:
+        """Why a request is refused before it is looked at."""
+        hosts = self.server.hosts()
+        if self.headers.get("Host") not in hosts:
+            return "requests to another host are refused"
+        origin = self.headers.get("Origin")
+        if origin is not None and origin not in {f"http://{host}" for host in hosts}:
+            return "requests from other sites are refused"
+        site = self.headers.get("Sec-Fetch-Site", "same-origin")
+        if site not in ("same-origin", "none") and urlsplit(self.path).path != "/":
+            return "requests from other sites are refused"
+        return None
+
+    def _get(self) -> None:
+        url = urlsplit(self.path)
+        asked = {key: values[-1] for key, values in parse_qs(url.query).items()}
+        project = self.server.project
+        if url.path in PAGE:
+            name, kind = PAGE[url.path]
+            content = (package_files("getagrip.annotate") / "page" / name).read_bytes()
+            self._send(content, f"{kind}; charset=utf-8")
+        elif url.path == "/frame":
+            image, time, number = project.frame(asked.get("task"), _whole(asked.get("n")))
+            self._send(image, "image/jpeg", {"X-Time": f"{time:.6f}", "X-Number": str(number)})
+        elif url.path == "/api/tasks":
+            self._send_json(project.overview(asked.get("annotator")))
+        elif url.path == "/api/task":
+            self._send_json(project.task(asked.get("task")))
+        elif url.path == "/api/marks":
+            self._send_json(project.marks(asked.get("task"), asked.get("annotator")))
+        elif url.path == "/api/agreement":
+            self._send_json(project.agreement())
+        elif url.path in ("/grasps.csv", "/grasps.json"):
+            kind = url.path.rpartition(".")[2]
+            text = project.exported(kind, asked.get("annotator"))
+            name = quote(f"{asked.get('annotator')}.{kind}")
+            head = {"Content-Disposition": f"attachment; filename*=UTF-8''{name}"}
+            self._send(text.encode(), f"text/{kind}; charset=utf-8", head)
+        else:
+            self._send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
+
+    def _post(self) -> None:
+        length = _whole(self.headers.get("Content-Length"))
+        if not 0 <= length <= LARGEST_BODY or self.headers.get("Content-Type") != "application/json":
+            self.close_connection = True  # what follows is not read
+            raise UsageError(f"expected JSON of at most {LARGEST_BODY} bytes")
+        try:
+            content = json.loads(self.rfile.read(length))
+        except RecursionError as error:
+            raise UsageError("expected a JSON object") from error
+        if not isinstance(content, dict):
+            raise UsageError("expected a JSON object")
+        if self.path == "/api/change":
+            self._send_json(self.server.project.change(content))
+        elif self.path == "/api/undo":
+            self._send_json(self.server.project.undo(content))
+        else:
+            self._send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
+
+    def _send_json(self, content: dict[str, Any], status: HTTPStatus = HTTPStatus.OK) -> None:
+        self._send(json.dumps(content, allow_nan=False).encode(), "application/json", status=status)
+
+    def _send(
+        self, content: bytes, kind: str, head: dict[str, str] | None = None, status: HTTPStatus = HTTPStatus.OK
+    ) -> None:
+        self.send_response(status)
+        own = {"Content-Type": kind, "Content-Length": str(len(content))}
+        for key, value in {**HEADERS, **own, **(head or {})}.items():
+            self.send_header(key, value)
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Print nothing for each request."""
+
+
+def _whole(text: str | None) -> int:
+    """A whole number in a request. Raises ``UsageError``."""
+    if text is None or not text.isascii() or not text.isdigit() or len(text) > 9:
+        raise UsageError("expected a whole number")
+    return int(text)
