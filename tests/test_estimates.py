@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import pickle
 import struct
@@ -20,6 +21,7 @@ from test_hands_mano import fake_mano, python2
 
 from getagrip import arrays, se3
 from getagrip.camera import project
+from getagrip.clip import FINGERS
 from getagrip.clip.naming import frame_of
 from getagrip.errors import InputError, UsageError
 from getagrip.estimates import Hands, Reading, read
@@ -32,6 +34,7 @@ from getagrip.hands.model import MIRROR, Side, mirrored, mirrored_pose
 SIZE = (640, 480)
 K = np.array([[612.0, 0.0, 311.0], [0.0, 612.0, 247.0], [0.0, 0.0, 1.0]])
 FRAMES = ("000007", "000008", "000009")
+SCRIPTS = Path(__file__).resolve().parents[1] / "scripts" / "estimators"
 SIDES: list[Side] = ["right", "left"]
 
 
@@ -319,7 +322,6 @@ def test_what_no_file_tells_is_asked_for(tmp_path: Path) -> None:
 def test_joints(tmp_path: Path, side: Side) -> None:
     """Joints of a generic hand, in either order, give that hand back but for what the prior takes."""
     known = Known(side, None)
-    known = Known(side, None)
     given_joints = np.empty_like(known.joints)
     given_joints[:, ORDERS["ho3d"]] = known.joints
     content = {"joints": given_joints[[2, 0]], "frames": np.array(["000009", "frame_7"])}
@@ -374,6 +376,46 @@ def test_weak_perspective_keeps_what_is_seen() -> None:
         other = WeakPerspective.of_translation(full, 1234.0, np.array(SIZE) / 2.0)
         np.testing.assert_allclose(other.origin, weak.origin, rtol=1e-6)
         np.testing.assert_allclose(other.pixels_per_metre, weak.pixels_per_metre, rtol=1e-6)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_scripts_write_what_the_importer_makes(tmp_path: Path, mano_folder: Path, side: Side) -> None:
+    """The hand file that the estimators' scripts write, in plain numpy, is that of ``import hands``."""
+    known = Known(side, mano_folder)
+    spec = importlib.util.spec_from_file_location("hand_file", SCRIPTS / "hand_file.py")
+    assert spec is not None
+    assert spec.loader is not None
+    hand_file = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hand_file)
+    records = [hamer_record(known, n, "crop") for n in range(3)]
+    paths = [write_npz(tmp_path / f"{name}.npz", r) for name, r in zip(FRAMES, records, strict=True)]
+    expected = read(paths, "hamer", reading(side, mano_folder)).track
+    right = mano.load(mano_folder / "MANO_RIGHT.pkl", "right").model
+    vertices, joints, poses = [], [], []
+    for n, record in enumerate(records):
+        R, fingers = known.raw(n)
+        shaped = right.with_shape(known.betas[n])
+        posed = shaped.with_pose(se3.log_so3(fingers).reshape(45))
+        root = shaped.joints[0]
+        t = hand_file.translation(record["pred_cam"], record["box_center"], record["box_size"], K)
+        seen = [(x - root) @ R.T + root for x in (posed.vertices, posed.joints)]
+        flat, T = hand_file.hand_frame(seen[0], root, R, t, side)
+        vertices.append(flat)
+        joints.append(hand_file.hand_frame(seen[1], root, R, t, side)[0])
+        poses.append(T)
+    pads = hand_file.fingertip_pads(right.template, right.joints, right.faces, right.weights)
+    path = tmp_path / "hand.npz"
+    hand_file.write(path, vertices, joints, poses, right.faces, pads, side, [7, 8, 9], K, "known")
+    written = arrays.read(path, lambda _: True)  # the made-up faces are no surface's, so not by read_hand
+    for field in ("vertices", "T_cam_hand", "joints", "faces"):
+        np.testing.assert_allclose(written[field], getattr(expected, field), atol=1e-6)
+    hand = generic.load("right")  # a surface, on which normals weighted by area and by angle agree
+    regions = mano.regions(hand.template, hand.faces, hand.joints, hand.weights)
+    pads = hand_file.fingertip_pads(hand.template, hand.joints, hand.faces, hand.weights)
+    for finger in FINGERS:
+        assert f"region_{finger}" in written
+        both = np.intersect1d(pads[finger], regions[finger])
+        assert len(both) > 0.9 * max(len(pads[finger]), len(regions[finger]))
 
 
 def test_names_of_frames() -> None:

@@ -1,0 +1,80 @@
+"""What the estimators' scripts share: hands as ``hand.npz``. Plain numpy; lies beside them, in any environment.
+
+Conventions: metres; camera axes x right, y down, z forward. The hand frame is MANO's at zero global rotation, so that
+``T_cam_hand = [R | J0 - R J0 + t]`` with MANO's global rotation R, its translation t and its root joint J0.
+"""
+
+import numpy as np
+
+FINGERS = {"thumb": 13, "index": 1, "middle": 4, "ring": 10, "pinky": 7}
+"""First of each finger's three joints among MANO's 16."""
+MIRROR = np.array([-1.0, 1.0, 1.0])
+
+
+def fingertip_pads(template, joints, faces, weights):
+    """Vertices of the last phalanges that face as the finger does, of MANO's flat right hand.
+
+    template (778, 3), joints (16, 3), faces (F, 3), skinning weights (778, 16).
+    """
+    a, b, c = np.moveaxis(template[faces], 1, 0)
+    normals = np.zeros_like(template)
+    for k in range(3):
+        np.add.at(normals, faces[:, k], np.cross(b - a, c - a))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    pads = {}
+    for finger, first in FINGERS.items():
+        along = joints[first + 2] - joints[first + 1]
+        along /= np.linalg.norm(along)
+        facing = np.array([0.0, -1.0, -2.0 if finger == "thumb" else 0.0])
+        facing -= (facing @ along) * along
+        facing /= np.linalg.norm(facing)
+        pads[finger] = np.flatnonzero((weights[:, first + 2] > 0.5) & (normals @ facing > 0.2))
+    return pads
+
+
+def translation(cam, centre, side, K):
+    """MANO's translation before a real pinhole K, from (s, tx, ty) in a crop of a middle and a side [px].
+
+    A crop shows b s / 2 pixels to the metre, the hand's origin at centre + (b s / 2) (tx, ty); tx as in the image, not
+    as in a mirrored crop.
+    """
+    scale = side * cam[0] / 2.0
+    z = K[0, 0] / scale
+    u, v = centre + scale * np.asarray(cam[1:])
+    return np.array([z * (u - K[0, 2]) / K[0, 0], z * (v - K[1, 2]) / K[1, 1], z])
+
+
+def hand_frame(vertices, root, R, t, side):
+    """One frame's hand from a network's own numbers, which are a right hand's, of a left one in the mirrored crop.
+
+    vertices (N, 3): turned by R (3, 3) about the root joint (3,), without translation; t (3,): ``translation``. Returns
+    the vertices in the hand frame, and T_cam_hand (4, 4), of the hand as it is.
+    """
+    flat = (vertices - root) @ R + root
+    if side == "left":
+        flat, root, R = flat * MIRROR, root * MIRROR, MIRROR[:, None] * R * MIRROR
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, root - R @ root + t
+    return flat, T
+
+
+def write(path, vertices, joints, T_cam_hand, faces, pads, side, frames, K, camera):
+    """Write the file.
+
+    vertices (T, 778, 3) and joints (T, 21, 3) in the hand frame, T_cam_hand (T, 4, 4), faces (F, 3) of the right hand,
+    pads as ``fingertip_pads``, frames (T,) whole numbers, K (3, 3); ``camera`` says in words where K is from: with the
+    word "guess" in them if it is one.
+    """
+    faces = np.asarray(faces, dtype=np.int64)
+    np.savez_compressed(
+        path,
+        vertices=np.asarray(vertices, dtype=float),
+        joints=np.asarray(joints, dtype=float),
+        T_cam_hand=np.asarray(T_cam_hand, dtype=float),
+        faces=faces[:, ::-1] if side == "left" else faces,
+        frames=np.asarray(frames, dtype=np.int64),
+        K=np.asarray(K, dtype=float),
+        side=np.array(side),
+        provenance_camera=np.array(camera),
+        **{f"region_{finger}": ids for finger, ids in pads.items()},
+    )
