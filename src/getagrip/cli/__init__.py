@@ -1,0 +1,54 @@
+"""The command line: what each command takes. What it does stands elsewhere, and is imported when it runs."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+from tyro.conf import OmitArgPrefixes, subcommand
+
+from getagrip.cli.command import Command
+from getagrip.cli.footage import Annotate, ClipCommand, Epic
+from getagrip.cli.imports import Imports
+from getagrip.cli.labelled import Segment, Stats, Study
+from getagrip.cli.results import Bench, Demo, Doctor, Evaluate, InitCommand, Reconstruct, Report
+from getagrip.errors import GetagripError, UsageError
+
+Commands = (
+    Annotated[Demo, subcommand("demo")]
+    | Annotated[Reconstruct, subcommand("reconstruct")]
+    | Annotated[Evaluate, subcommand("evaluate")]
+    | Annotated[Segment, subcommand("segment")]
+    | Annotated[Study, subcommand("study")]
+    | Annotated[Stats, subcommand("stats")]
+    | Annotated[Bench, subcommand("bench")]
+    | Annotated[InitCommand, subcommand("init")]
+    | Annotated[Imports, subcommand("import", description="Make clips from other people's layouts.")]
+    | Annotated[ClipCommand, subcommand("clip")]
+    | Annotated[Epic, subcommand("epic")]
+    | Annotated[Annotate, subcommand("annotate")]
+    | Annotated[Report, subcommand("report")]
+    | Annotated[Doctor, subcommand("doctor")]
+)
+DESCRIPTION = "Where an object is in the hand that holds it: from hands, masks and the object's mesh, for every frame."
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run a command. Returns 0 when all is done, 1 when some of it failed, 2 when the call is wrong."""
+    command: Command = tyro.cli(
+        Commands, prog="getagrip", description=DESCRIPTION, args=args, config=(OmitArgPrefixes,)
+    )
+    try:
+        command.check()
+        return command.run()
+    except KeyboardInterrupt:
+        print("interrupted; what was finished is kept", file=sys.stderr)
+        return 130
+    except (GetagripError, OSError) as error:
+        if command.debug:
+            traceback.print_exc()
+        print(f"getagrip: {error}", file=sys.stderr)
+        return 2 if isinstance(error, UsageError) else 1

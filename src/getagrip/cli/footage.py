@@ -1,0 +1,128 @@
+"""Commands that begin with a video: a clip of one's own, candidates in EPIC-KITCHENS, annotation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from getagrip.cli.command import (
+    Command,
+    File,
+    Flag,
+    Folder,
+    OptionalFile,
+)
+from getagrip.cli.imports import Focal, Intrinsics, Labels
+
+Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipCommand(Command):
+    """Make a clip of your own video, in one go or in steps: what is missing is told, and how to get it."""
+
+    action: Positional[Literal["new"]]
+    """new: make one."""
+    video: Annotated[Positional[Path], arg(metavar="VIDEO")]
+    """The video, undistorted."""
+    out: Folder
+    """The clip's folder; its name is the clip's."""
+    interval: Annotated[tuple[int, int] | None, arg(metavar="START END", help_behavior_hint="")] = None
+    """The stable grasp: its first and last frame, counted from 1."""
+    side: Literal["left", "right"] | None = None
+    """Which hand."""
+    mesh: OptionalFile = None
+    """The object's shape: .obj, .ply, .stl or .glb."""
+    size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
+    """Rescale the mesh to this largest side of its bounding box."""
+    diameter_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
+    """Rescale the mesh to this largest distance between two of its points."""
+    known_scale: Flag = False
+    """The mesh, in metres, has the object's size. Else, unless it is rescaled, its size is found with its pose."""
+    category: str = "object"
+    """What it is, in a word."""
+    masks: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
+    """As for import masks, which can add them later."""
+    mask_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: START)")] = None
+    """The number of the mask of frame START."""
+    object: Labels = ()
+    """Of the masks: the object's labels."""
+    ignore: Labels = ()
+    """Of the masks: labels of what hides it."""
+    hands: OptionalFile = None
+    """A hand.npz; import hands makes one, and can add it later."""
+    K: Intrinsics = None
+    """The camera. Not needed where the hand file has it."""
+    focal: Focal = None
+    """Instead of K, the focal length; the principal point is in the middle."""
+    guess_focal: Flag = False
+    """Guess it. Depths and sizes are guesses then, too."""
+    overwrite: Flag = False
+    """Replace a clip that is there already."""
+
+    def run(self) -> int:
+        from getagrip.run.intrinsics import Lens
+        from getagrip.run.own_video import Ingredients, new_clip
+
+        given = Ingredients(
+            video=self.video, interval=self.interval, side=self.side, category=self.category, mesh=self.mesh,
+            side_mm=self.size_mm, diameter_mm=self.diameter_mm, known_scale=self.known_scale, masks=self.masks,
+            mask_of_first=self.mask_first, object=self.object, ignore=self.ignore, hands=self.hands,
+            lens=Lens(self.K, self.focal, self.guess_focal),
+        )  # fmt: skip
+        return new_clip(given, self.out, self.overwrite)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Epic(Command):
+    """Find where stable grasps may be in EPIC-KITCHENS: where VISOR says that a hand touches an object."""
+
+    action: Positional[Literal["candidates"]]
+    """candidates: a table of hands, objects and rough extents, to be annotated."""
+    visor: Folder
+    """VISOR's sparse annotations, and its frame_mapping.json, anywhere below."""
+    actions: Annotated[tuple[Path, ...], arg(metavar="CSV...")]
+    """EPIC-100's action labels: EPIC_100_train.csv, EPIC_100_validation.csv."""
+    categories: Annotated[tuple[Category, ...], arg(help_behavior_hint="(default: all)")] = ()
+    """Kinds of objects."""
+    out: File
+    """Where the table goes (CSV)."""
+    json: OptionalFile = None
+    """Write all that is known of the candidates here."""
+
+    def check(self) -> None:
+        from getagrip import files
+
+        files.check_file("--out", self.out)
+        if self.json is not None:
+            files.check_file("--json", self.json)
+
+    def run(self) -> int:
+        from getagrip.run.epic import find_candidates
+
+        return find_candidates(self.visor, self.actions, self.categories, self.out, self.json, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Annotate(Command):
+    """Mark where stable grasps start and end, on a page in your browser that only this machine can open."""
+
+    source: Annotated[Positional[Path], arg(metavar="VIDEO|CANDIDATES")]
+    """A video, a folder of images, or a list (.csv, .json) of videos with rough start and end, hand and category, as
+    epic candidates writes it."""
+    out: Folder
+    """Where marks are kept as they are made. Called again with the same folder, it goes on where it stopped."""
+    videos: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: where the list is)")] = None
+    """For a list: where its videos are, or folders of their images."""
+    port: int = 8765
+    """Where the page is served, on 127.0.0.1."""
+    export: Flag = False
+    """Serve nothing: write the grasps marked so far, each person's as a table and as JSON, and how far people agree."""
+
+    def run(self) -> int:
+        from getagrip.annotate.command import annotate
+
+        return annotate(self.source, self.videos, self.out, self.port, self.export)

@@ -1,0 +1,101 @@
+"""Commands about sequences whose true poses are known: stable grasps, the study, the tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from getagrip.cli.command import (
+    Clips,
+    Command,
+    Folder,
+    OptionalFile,
+    OptionalFolder,
+    Workers,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment(Command):
+    """Find the stable grasps in clips with true poses; no masks are needed."""
+
+    clips: Clips = ()
+    """Clip folders, or folders of clips."""
+    tau: float = 0.5
+    """In a stable grasp, the contacts of every two frames have an intersection over union above this."""
+    contact_mm: Annotated[float, arg(metavar="MM")] = 0.0
+    """Points of the object so near to the hand's surface, or inside it, are in contact."""
+    points: Literal["vertices", "area", "fragments"] = "vertices"
+    """Contact is a set of vertices, of points spread evenly over the object's area, or of patches."""
+    rule: Literal["all-pairs", "first", "consecutive"] = "all-pairs"
+    """Frames that are compared: all (the paper's definition), all with the first, or neighbours (two weaker tests)."""
+    shortest: Annotated[int, arg(metavar="N")] = 20
+    """Frames of the shortest grasp."""
+    out: OptionalFolder = None
+    """Write segments.csv and a picture of each clip here."""
+    json: OptionalFile = None
+    """Write every number here, unrounded."""
+    workers: Workers = None
+    """Processes to share the clips between."""
+
+    def run(self) -> int:
+        from getagrip.grasps import Definition
+        from getagrip.run.segments import segment_clips
+
+        definition = Definition(self.tau, self.contact_mm / 1e3, self.points, self.rule, self.shortest)
+        return segment_clips(self.clips, definition, self.out, self.json, self.workers, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study(Command):
+    """Measure what changes within the stable grasps of clips with true poses, and outside them: the paper's study."""
+
+    clips: Clips = ()
+    """Clip folders, or folders of clips: whole sequences, not cut to grasps, show what is outside. No masks needed."""
+    out: Folder
+    """Where study.png, grasps.csv, curves.csv and summary.csv go."""
+    tau: float = 0.5
+    """In a stable grasp, the contacts of every two frames have an intersection over union above this."""
+    contact_mm: Annotated[float, arg(metavar="MM")] = 0.0
+    """Points of the object so near to the hand's surface, or inside it, are in contact."""
+    points: Literal["vertices", "area", "fragments"] = "vertices"
+    """Contact is a set of vertices, of points spread evenly over the object's area, or of patches."""
+    rule: Literal["all-pairs", "first", "consecutive"] = "all-pairs"
+    """Frames that are compared, as for the command segment."""
+    shortest: Annotated[int, arg(metavar="N")] = 20
+    """Frames of the shortest grasp."""
+    json: OptionalFile = None
+    """Write every number here, unrounded."""
+    workers: Workers = None
+    """Processes to share the clips between."""
+
+    def run(self) -> int:
+        from getagrip.grasps import Definition
+        from getagrip.run.study import study_clips
+
+        definition = Definition(self.tau, self.contact_mm / 1e3, self.points, self.rule, self.shortest)
+        return study_clips(self.clips, definition, self.out, self.json, self.workers, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stats(Command):
+    """Print how long stable grasps last, category by category: the paper's dataset tables."""
+
+    source: Annotated[Positional[str], arg(metavar="epic-grasps|LIST")]
+    """epic-grasps, followed by its CSV; or a list that segment wrote: its segments.csv or JSON."""
+    csv: Annotated[Positional[Path | None], arg(metavar="CSV", help_behavior_hint="")] = None
+    """EPIC-Grasps' table, as published."""
+    fps: Annotated[Literal["paper", "true"] | None, arg(help_behavior_hint="(default: paper)")] = None
+    """epic-grasps: 50 frames per second in every video, as the paper has it, or as its frames are really numbered."""
+    out: OptionalFolder = None
+    """Write stats.md and stats.csv here."""
+    json: OptionalFile = None
+    """Write every number here, unrounded."""
+
+    def run(self) -> int:
+        from getagrip.run.stats import print_stats
+
+        return print_stats(self.source, self.csv, self.fps, self.out, self.json)

@@ -1,0 +1,219 @@
+"""Commands from clips to results, and what is said of results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from getagrip.cli.command import (
+    Clips,
+    Command,
+    File,
+    Flag,
+    Folder,
+    OptionalFile,
+    OptionalFolder,
+    Results,
+    Seed,
+    Workers,
+)
+from getagrip.errors import UsageError
+from getagrip.options import Init, Method, Options, PriorsFile
+
+Inits = Annotated[int, arg(metavar="N")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo(Command):
+    """Make a clip, reconstruct it, evaluate it, and draw a report."""
+
+    out: Folder = Path("out/demo")
+    """Where the clip, the result and report.png go."""
+
+    def run(self) -> int:
+        from getagrip import demo
+
+        demo.run(self.out)
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reconstruct(Command):
+    """Find the pose of the object in the hand, in the frames of each clip."""
+
+    clips: Clips = ()
+    """Clip folders, or folders of clips."""
+    out: Folder
+    """Where the results go: a folder for each clip, of the clip's name. Those that are there already are kept."""
+    method: Method = "soft-hinge"
+    """How the object may move in the hand: about one axis (the paper's), a little off it too, not at all, freely. The
+    last three are other people's methods, to compare with."""
+    inits: Inits = 50
+    """Poses to start from."""
+    init: Init = "uniform"
+    """Rotations spread evenly (uniform); or first those that init learn has found (clusters) or that a folder holds by
+    category and side, as the authors of the paper keep theirs (priors), and even ones for the rest."""
+    priors: OptionalFile = None
+    """For clusters, the file that init learn has written; for priors, the folder."""
+    thorough: Flag = False
+    """Search longer, about three times."""
+    seed: Seed = 0
+    """Seed of all that is random."""
+    frames: Annotated[int, arg(metavar="N")] = 30
+    """Frames to use, spread evenly over the clip."""
+    workers: Workers = None
+    """Processes to share the clips between."""
+    overwrite: Flag = False
+    """Make results again that are there already."""
+
+    def run(self) -> int:
+        from getagrip.run.batch import reconstruct_clips
+
+        options = Options(
+            method=self.method, inits=self.inits, seed=self.seed, frames=self.frames, thorough=self.thorough,
+            init=self.init, priors=_priors(self.priors, self.init),
+        )  # fmt: skip
+        return reconstruct_clips(self.clips, self.out, options, self.workers, self.overwrite, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(Command):
+    """Print the metrics of results against their clips."""
+
+    results: Results = ()
+    """Result folders, or folders of results."""
+    clips: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: where they were made from)")] = None
+    """A clip, or the folder that holds the clips by name."""
+    json: OptionalFile = None
+    """Write every number here, unrounded."""
+
+    def run(self) -> int:
+        from getagrip.run.scores import evaluate_results
+
+        return evaluate_results(self.results, self.clips, self.json, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench(Command):
+    """Compare methods on a dataset: the paper's tables, with intervals. What is done already is kept."""
+
+    dataset: Annotated[Positional[str], arg(metavar="DATASET")]
+    """synthetic, dexycb, or a folder of clips with their truth."""
+    out: Folder
+    """Where clips, results, tables and plots go. Called again with the same folder, it goes on where it stopped."""
+    methods: Annotated[tuple[Method, ...], arg(help_behavior_hint="(default: all)")] = ()
+    """What to compare. An ablation compares one-dof and soft-hinge, unless others are named."""
+    ablation: Annotated[
+        Literal["physical", "occlusion", "axis", "inits", "hand-noise", "mask-noise", "scale", "sca"] | None,
+        arg(help_behavior_hint="(default: none)"),
+    ] = None
+    """Instead of methods as they are, compare each in several settings."""
+    split: Annotated[
+        Literal["train", "test", "all"] | None, arg(help_behavior_hint="(default: test; all of a folder)")
+    ] = None
+    """Which part of a dataset: train is for tuning."""
+    clips: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
+    """So many clips of it, spread evenly."""
+    preset: Literal["clean", "hamer", "frankmocap", "wild"] = "clean"
+    """synthetic: everything as it is, with the errors of a hand tracker, or with little known, as in the wild."""
+    root: OptionalFolder = None
+    """dexycb: where it is, as for the command import."""
+    meshes: OptionalFolder = None
+    """dexycb: where the YCB meshes are."""
+    init: Init = "uniform"
+    """Where the search starts: as for reconstruct."""
+    priors: OptionalFile = None
+    """For clusters and priors: the file or folder, as for reconstruct."""
+    inits: Inits = 50
+    """Poses to start from."""
+    thorough: Flag = False
+    """Search longer, about three times."""
+    seed: Seed = 0
+    """Seed of all that is random."""
+    workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
+    """Processes to share the clips between."""
+    json: OptionalFile = None
+    """Write every number here, unrounded."""
+    overwrite: Flag = False
+    """Make results again that are there already."""
+
+    def run(self) -> int:
+        from getagrip.bench.command import Plan, bench
+        from getagrip.bench.sources import Source
+
+        source = Source(self.dataset, self.out / "clips", self.split, self.clips, self.preset, self.root, self.meshes)
+        options = Options(
+            inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
+            priors=_priors(self.priors, self.init),
+        )  # fmt: skip
+        choice = (self.methods, self.ablation, options)
+        return bench(Plan(source, self.out, *choice, self.workers, self.overwrite, self.json), self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InitCommand(Command):
+    """Learn where a search may start, from clips with true poses: rotations of each kind of object in each hand."""
+
+    action: Positional[Literal["learn"]]
+    """learn: cluster the true rotations, and take the mean of the true translations."""
+    clips: Clips = ()
+    """Clip folders, or folders of clips."""
+    out: File
+    """Where the poses go. The file says whose hands it was learnt from, and is not used for those."""
+    k: int = 50
+    """Rotations of each kind of object in each hand."""
+    leave_out: Annotated[tuple[str, ...], arg(metavar="SUBJECT...", help_behavior_hint="")] = ()
+    """Whose hands not to learn from: those on whose clips the poses will be tried."""
+    way: Annotated[Literal["geodesic", "axis-angle"], arg(name="clusters")] = "geodesic"
+    """k-means by the angles between rotations; or, as in the paper, of rotation vectors."""
+    seed: Seed = 0
+    """Seed of all that is random."""
+
+    def check(self) -> None:
+        from getagrip import files
+
+        files.check_file("--out", self.out)
+
+    def run(self) -> int:
+        from getagrip.run.init import learn
+
+        return learn(self.clips, self.out, self.k, self.way, self.leave_out, self.seed, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Command):
+    """Draw a picture of a result into its folder: report.png."""
+
+    result: Annotated[Positional[Path], arg(metavar="RESULT")]
+    """A result folder."""
+
+    def run(self) -> int:
+        from getagrip.run.scores import report_result
+
+        return report_result(self.result)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doctor(Command):
+    """Check the installation, and compile what the first run would have to."""
+
+    def run(self) -> int:
+        from getagrip import doctor
+
+        return doctor.run()
+
+
+def _priors(path: Path | None, init: Init) -> PriorsFile | None:
+    """The starting poses that the user names, identified."""
+    if init == "uniform" and path is not None:
+        raise UsageError(f"--priors: got {path}, expected none without --init clusters or priors")
+    if path is None:
+        if init != "uniform":
+            raise UsageError(f"--priors: got nothing, expected a file or folder for --init {init}")
+        return None
+    from getagrip import priors
+
+    return priors.given(path, init)
