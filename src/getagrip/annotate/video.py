@@ -65,6 +65,8 @@ class Video:
         options = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
         container = av.open(f"file:{self.path.resolve()}", options=options)
         stream = container.streams.video[0]
+        if stream.codec_context is None:
+            raise InputError(self.path, "", "a stream of an unknown kind", "a video")
         stream.thread_type = "AUTO"
         if not 0 < max(stream.width, stream.height) <= LARGEST_SIDE:
             given = f"{stream.width} x {stream.height} pixels"
@@ -144,21 +146,33 @@ class Video:
         if 0 <= self._at < index and self._times[self._at] >= key:
             self._advance(index, key)
             return
-        # Containers seek by decoding times, some only roughly: go to an earlier key frame where one came out too late.
-        for place in range(nearest, -1, -1):
-            key = self._keys[place]
-            self._container.seek(key, stream=self._container.streams.video[0])
+        # Containers seek by decoding times, some only roughly: where a later frame came out, begin earlier, twice as
+        # far each time, and at last at the very beginning.
+        for back in (0, 1, 2, 4, 8, nearest + 1):
+            if back <= nearest:
+                self._container.seek(self._keys[nearest - back], stream=self._container.streams.video[0])
+            else:
+                self._container.close()
+                self._container = self._open()
             self._decoded, self._at = self._container.decode(video=0), -1
             if self._advance(index, key):
                 return
 
     def _advance(self, index: int, key: int) -> bool:
-        """Decode on to a frame; whether it came. Frames before the key frame may be damaged and are passed over."""
+        """Decode on to a frame; whether it came. Frames before the key frame may be damaged and are passed over.
+
+        Raises ``InputError`` where times are not in the order of the frames: AVI does not keep those of B-frames.
+        """
+        last = None
         for frame in self._decoded:
-            if frame.pts is None or frame.pts < key:
+            if last is not None and (frame.pts is None or frame.pts <= last):
+                expected = "frames in the order of their times: convert the video to .mp4"
+                raise InputError(self.path, "", f"the time {frame.pts} after {last}", expected)
+            last = frame.pts
+            if last is None or last < key:
                 continue
-            at = bisect_left(self._times, frame.pts)
-            if at >= self.frames or self._times[at] != frame.pts:
+            at = bisect_left(self._times, last)
+            if at >= self.frames or self._times[at] != last:
                 continue
             self._at = at
             if index - BEHIND < at <= index and self.cache.get(at) is None:

@@ -137,24 +137,19 @@ function defaults() {
   return { side, ...(category && { category }), ...(entity && { entity }) };
 }
 
-async function start() {
+function start() {
   if (discarded()) return say("This clip is discarded: undo that first.");
-  const frame = await player.settled();
-  if (!frame) return;
   const mark = target();
-  if (mark && mark.end !== null && frame.index > mark.end) return say("A grasp cannot start after its end: move the end first.");
-  if (mark) change(mark.mark, { start: frame.index });
-  else change(fresh(), { start: frame.index, ...defaults() });
+  if (mark && mark.end !== null && player.at > mark.end) return say("A grasp cannot start after its end: move the end first.");
+  if (mark) change(mark.mark, { start: player.at });
+  else change(fresh(), { start: player.at, ...defaults() });
 }
 
-async function end() {
+function end() {
   const mark = target();
   if (!mark) return say("Mark the start first: go there and press s.");
-  const frame = await player.settled();
-  if (!frame) return;
-  if (frame.index < mark.start) return say("A grasp cannot end before it starts.");
-  change(mark.mark, { end: frame.index });
-  if (mark.end === null) $("category").classList.toggle("wanted", !mark.category);
+  if (player.at < mark.start) return say("A grasp cannot end before it starts.");
+  change(mark.mark, { end: player.at });
 }
 
 function discard(reason) {
@@ -280,7 +275,7 @@ function drawTasks() {
   $("progress").textContent = `${done} of ${state.tasks.length} done`;
   const signs = { marked: "✓", discarded: "✕", started: "…" };
   $("task-list").replaceChildren(...state.tasks.map((task) => {
-    const about = [task.start !== null && `${task.start}–${task.end}`, task.side, !task.found && "no footage"].filter(Boolean).join(" · ");
+    const about = [task.start !== null && `${task.start}–${task.end}`, task.found ? task.side : "no footage"].filter(Boolean).join(" · ");
     const text = element("span", {}, [task.video, task.entity ?? task.category].filter(Boolean).join(" · "), element("small", { textContent: about }));
     const button = element("button", { onclick: () => openTask(task), title: task.key, className: task.found ? "" : "missing" }, element("i", { textContent: signs[task.state] ?? "" }), text);
     if (task.key === state.task?.key) button.ariaCurrent = "true";

@@ -54,10 +54,9 @@ export class Player {
     }
   }
 
-  /** The frame to mark: while playing the one on the screen, else the one that was asked for last, once it is there. */
-  async settled() {
-    if (this.playing || (this.shown && this.shown.index === this.wanted)) return this.shown;
-    return this.show(this.wanted);
+  /** The frame to mark: while playing the one on the screen, else the one that was asked for last. */
+  get at() {
+    return this.playing ? this.shown.index : this.wanted;
   }
 
   fetch(index) {

@@ -1,0 +1,240 @@
+"""The annotation page in a real browser: open, step, mark, reload, nothing lost; two tabs at once."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from annotated import BITS, FRAMES, write_video
+
+from getagrip.annotate.command import DATABASE
+from getagrip.annotate.project import Project
+from getagrip.annotate.server import Server
+from getagrip.annotate.store import Store
+from getagrip.annotate.tasks import Task
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+
+READ_CANVAS = f"""() => {{
+  const canvas = document.getElementById("picture"), context = canvas.getContext("2d");
+  let number = 0;
+  for (let bit = 0; bit < {BITS}; bit += 1) {{
+    const [red] = context.getImageData((bit + 0.5) * canvas.width / {BITS}, canvas.height / 2, 1, 1).data;
+    if (red > 127) number |= 1 << bit;
+  }}
+  return number;
+}}"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory: Any) -> list[Path]:
+    folder = tmp_path_factory.mktemp("videos")
+    return [write_video(folder / f"{name}.mp4") for name in ("first", "second")]
+
+
+class Served:
+    """A server that can be stopped and started again on the same port and file."""
+
+    def __init__(self, tasks: list[Task], database: Path) -> None:
+        self.tasks, self.database, self.port = tasks, database, 0
+        self.start()
+
+    def start(self) -> None:
+        self.project = Project(self.tasks, Store(self.database))
+        self.server = Server(self.project, self.port)
+        self.port = self.server.server_port
+        self.thread = threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.02})
+        self.thread.start()
+
+    def stop(self) -> None:
+        self.server.shutdown()
+        self.thread.join()
+        self.server.server_close()
+        self.project.close()
+
+    def grasps(self) -> list[tuple[Any, ...]]:
+        return [(mark.start, mark.end, mark.side, mark.category) for mark in self.project.store.marks()]
+
+
+@pytest.fixture
+def served(videos: list[Path], tmp_path: Path) -> Iterator[Served]:
+    first, second = videos
+    tasks = [Task("first", "first", first), Task("second", "second", second, 11, 50, "left", "mug", "red mug", 20)]
+    made = Served(tasks, tmp_path / DATABASE)
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def context(browser: Any) -> Iterator[Any]:
+    """A browser's profile: its tabs share what the page keeps."""
+    made = browser.new_context(viewport={"width": 1400, "height": 860})
+    yield made
+    made.close()
+
+
+def opened(context: Any, served: Served, who: str | None = "ann") -> Any:
+    """A tab with the page, its first frame on the screen; `who` is None where the browser knows the name."""
+    page = context.new_page()
+    page.on("pageerror", lambda error: pytest.fail(f"the page raised {error}"))
+    page.goto(served.server.url)
+    if who is not None:
+        page.fill("#name-field", who)
+        page.keyboard.press("Enter")
+    shows(page, 1)
+    return page
+
+
+def shows(page: Any, number: int) -> None:
+    """Wait until a frame is on the screen, and see that it is that frame."""
+    playwright.expect(page.locator("#frame")).to_have_text(str(number))
+    assert page.evaluate(READ_CANVAS) == number - 1
+
+
+def saved(page: Any) -> None:
+    playwright.expect(page.locator("#saved")).to_have_text("All saved")
+
+
+def mark(page: Any, start: int, end: int) -> None:
+    """Mark a grasp with the keyboard, from the first frame on."""
+    page.keyboard.press("Home")
+    shows(page, 1)
+    for _ in range(start):
+        page.keyboard.press("ArrowRight")
+    page.keyboard.press("s")
+    for _ in range((end - start) // 10):
+        page.keyboard.press("Shift+ArrowRight")
+    for _ in range((end - start) % 10):
+        page.keyboard.press("ArrowRight")
+    page.keyboard.press("e")
+    playwright.expect(page.locator("#marks li").first).to_contain_text(f"– {end + 1}")
+    saved(page)
+
+
+def test_step_mark_reload_nothing_is_lost(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    page.keyboard.press("ArrowRight")
+    shows(page, 2)
+    page.keyboard.press("Shift+ArrowRight")
+    shows(page, 12)
+    page.keyboard.press("ArrowLeft")
+    shows(page, 11)
+    page.keyboard.press("End")
+    shows(page, FRAMES)
+    page.keyboard.press("ArrowRight")
+    shows(page, FRAMES)
+    mark(page, 3, 25)
+    page.fill("#category", "plate")
+    page.keyboard.press("Enter")
+    page.keyboard.press("h")
+    saved(page)
+    assert served.grasps() == [(3, 25, "left", "plate")]
+    page.reload()
+    shows(page, 1)
+    playwright.expect(page.locator("#marks li")).to_contain_text("4 – 26")
+    playwright.expect(page.locator("#category")).to_have_value("plate")
+    for _ in range(4):  # hand, object, end, start
+        page.keyboard.press("u")
+    playwright.expect(page.locator("#marks li")).to_have_count(0)
+    assert served.grasps() == []
+
+
+def test_two_tabs_at_once(context: Any, served: Served) -> None:
+    one = opened(context, served)
+    two = opened(context, served, None)
+    mark(one, 3, 25)
+    playwright.expect(two.locator("#marks li")).to_have_count(1)  # without a reload
+    two.keyboard.press("End")
+    shows(two, FRAMES)
+    two.locator("#marks li").click()
+    shows(two, 4)
+    two.keyboard.press("ArrowRight")
+    two.keyboard.press("s")  # the second tab moves the start, the first one the kind of object
+    one.fill("#category", "bowl")
+    one.keyboard.press("Enter")
+    saved(one)
+    saved(two)
+    for page in (one, two):
+        playwright.expect(page.locator("#marks li")).to_contain_text("5 – 26")
+        playwright.expect(page.locator("#marks li")).to_contain_text("bowl")
+    assert served.grasps() == [(4, 25, "right", "bowl")]
+
+
+def test_marks_made_while_the_server_is_away_are_kept(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    served.stop()
+    page.keyboard.press("s")
+    playwright.expect(page.locator("#saved")).to_contain_text("Server not reached")
+    served.start()
+    saved(page)
+    assert [grasp[0] for grasp in served.grasps()] == [0]
+
+
+def test_marks_made_while_the_server_is_away_outlive_the_tab(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    served.stop()
+    page.keyboard.press("s")
+    playwright.expect(page.locator("#saved")).to_contain_text("Server not reached")
+    page.close()
+    served.start()
+    again = opened(context, served, None)
+    saved(again)
+    playwright.expect(again.locator("#marks li")).to_have_count(1)
+    assert [grasp[0] for grasp in served.grasps()] == [0]
+
+
+def test_candidates_are_gone_through_and_discarded(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    page.keyboard.press("n")
+    shows(page, 11)  # where the candidate may begin
+    playwright.expect(page.locator("#category")).to_have_value("mug")
+    playwright.expect(page.locator("#side [aria-checked=true]")).to_have_text("Left")
+    page.keyboard.press("3")
+    saved(page)
+    playwright.expect(page.locator("#progress")).to_have_text("1 of 2 done")
+    page.keyboard.press("s")
+    playwright.expect(page.locator("#next-step")).to_contain_text("discarded")
+    page.keyboard.press("3")
+    page.keyboard.press("s")
+    saved(page)
+    assert served.grasps() == [(10, None, "left", "mug")]
+    page.reload()  # comes back to the clip that was open
+    shows(page, 11)
+    playwright.expect(page.locator("#marks li")).to_have_count(1)
+
+
+def test_playback_shows_frames_in_order_and_stops_at_the_end(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    page.evaluate(
+        """() => { window.seen = []; new MutationObserver(() =>
+        seen.push(Number(document.getElementById("frame").textContent)))
+        .observe(document.getElementById("frame"), {childList: true, characterData: true, subtree: true}); }"""
+    )
+    page.keyboard.press(" ")
+    playwright.expect(page.locator("#frame")).to_have_text(str(FRAMES), timeout=20_000)
+    shows(page, FRAMES)
+    seen = page.evaluate("seen")
+    assert seen == sorted(seen)
+    playwright.expect(page.locator("#play")).to_contain_text("Play")
+
+
+def test_nothing_is_asked_of_other_hosts(context: Any, served: Served) -> None:
+    asked: list[str] = []
+    context.on("request", lambda request: asked.append(request.url))
+    mark(opened(context, served), 1, 3)
+    assert asked
+    assert all(url.startswith(served.server.url) for url in asked)
