@@ -39,7 +39,7 @@ class Options:
     priors: PriorsFile | None = None
     """Where the poses of ``init`` are."""
     thorough: bool = False
-    """Search longer, about three times, for the methods that fit all frames at once."""
+    """Search two to three times as long. For the methods that fit all frames at once; no other changes by it."""
     seed: int = 0
     """Turns the set of starting rotations; the same seed gives the same result."""
     frames: int = 30

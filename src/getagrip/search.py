@@ -64,10 +64,10 @@ class Schedule:
     static_iterations: int = 6
     loose_iterations: int = 3
     stages: tuple[Stage, ...] = (
-        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=6),
-        Stage("middle", level=64, frames=15, iterations=6, keep=6),
-        Stage("fine", level=128, frames=MAX, iterations=8, keep=4),
-        Stage("finest", level=256, frames=MAX, iterations=8, keep=4),
+        Stage("coarse", level=64, frames=8, iterations=8, keep=20, rounds=3),
+        Stage("middle", level=64, frames=15, iterations=8, keep=8),
+        Stage("fine", level=128, frames=MAX, iterations=10, keep=4),
+        Stage("finest", level=256, frames=MAX, iterations=10, keep=4),
     )
 
     def softened(self) -> Schedule:
@@ -78,13 +78,13 @@ class Schedule:
 
 THOROUGH = Schedule(
     stages=(
-        Stage("coarse", level=64, frames=8, iterations=8, keep=24, rounds=6),
-        Stage("middle", level=64, frames=15, iterations=8, keep=10),
-        Stage("fine", level=128, frames=MAX, iterations=12, keep=6, rounds=3, parents=4),
+        Stage("coarse", level=64, frames=8, iterations=5, keep=32, rounds=8, parents=12),
+        Stage("middle", level=64, frames=15, iterations=8, keep=12),
+        Stage("fine", level=128, frames=MAX, iterations=12, keep=6, rounds=2, parents=3),
         Stage("finest", level=256, frames=MAX, iterations=16, keep=4),
     ),
 )
-"""A longer search: more hypotheses go on, and further, and are turned with all that is known in view."""
+"""A longer search: more hypotheses go on, and further, and are turned once more with all frames in view."""
 
 TermsAt = Callable[[Stage, Int[ndarray, "n"]], Sequence[Term]]
 """The energy of a stage at some of the frames."""

@@ -59,7 +59,7 @@ class Reconstruct(Command):
     priors: OptionalFile = None
     """For clusters, the file that init learn has written; for priors, the folder."""
     thorough: Flag = False
-    """Search longer, about three times."""
+    """Search two to three times as long, for the methods that fit all frames at once."""
     seed: Seed = 0
     """Seed of all that is random."""
     frames: Annotated[int, arg(metavar="N")] = 30
@@ -130,7 +130,7 @@ class Bench(Command):
     inits: Inits = 50
     """Poses to start from."""
     thorough: Flag = False
-    """Search longer, about three times."""
+    """Search two to three times as long, for the methods that fit all frames at once."""
     seed: Seed = 0
     """Seed of all that is random."""
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None

@@ -1,0 +1,29 @@
+"""The longer search: what it starts from is the same, what it finds is no worse."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+from getagrip.datasets.synthetic import Options as ClipOptions
+from getagrip.datasets.synthetic import synthesise
+from getagrip.options import Options
+from getagrip.reconstruct import reconstruct
+from getagrip.search import THOROUGH, Schedule
+
+
+def test_the_longer_search_finds_no_worse_and_says_what_it_was() -> None:
+    clip, masks = synthesise("mug", 2, ClipOptions(frames=8, size=(320, 240), focal=300.0))
+    usual, longer = (reconstruct(clip, masks, Options(inits=20, thorough=thorough)) for thorough in (False, True))
+    assert longer.energy["total"] < 1.01 * usual.energy["total"]
+    assert (usual.options["thorough"], longer.options["thorough"]) == (False, True)
+
+
+def test_the_longer_search_goes_through_the_same_stages_and_keeps_more() -> None:
+    for usual, longer in zip(Schedule().stages, THOROUGH.stages, strict=True):
+        assert replace(usual, iterations=0, keep=0, rounds=0, parents=0) == replace(
+            longer, iterations=0, keep=0, rounds=0, parents=0
+        )
+        assert longer.keep >= usual.keep
+        assert longer.rounds >= usual.rounds
+    assert all(a.keep >= b.keep for a, b in pairwise(THOROUGH.stages))
