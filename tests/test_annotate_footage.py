@@ -28,7 +28,7 @@ UNEVEN = [40 + n + n * n // 30 for n in range(FRAMES)]
 def test_every_frame_is_the_one_written(tmp_path: Path, suffix: str, times: list[int] | None) -> None:
     video = Video(write_video(tmp_path / f"a.{suffix}", times))
     assert video.frames == FRAMES
-    order = list(range(FRAMES)) + list(range(FRAMES - 1, -1, -1)) + random.Random(0).sample(range(FRAMES), 25)
+    order = list(range(FRAMES)) + list(range(FRAMES - 1, -1, -4)) + random.Random(0).sample(range(FRAMES), 12)
     for n in order:
         video.cache = Cache(limit=1)  # nothing kept: every frame is decoded
         assert number_in(video.jpeg(n)) == n

@@ -126,6 +126,8 @@ def mark(page: Any, start: int, end: int) -> None:
 
 
 def test_step_mark_reload_nothing_is_lost(context: Any, served: Served) -> None:
+    asked: list[str] = []
+    context.on("request", lambda request: asked.append(request.url))
     page = opened(context, served)
     page.keyboard.press("ArrowRight")
     shows(page, 2)
@@ -150,7 +152,9 @@ def test_step_mark_reload_nothing_is_lost(context: Any, served: Served) -> None:
     for _ in range(4):  # hand, object, end, start
         page.keyboard.press("u")
     playwright.expect(page.locator("#marks li")).to_have_count(0)
+    saved(page)
     assert served.grasps() == []
+    assert all(url.startswith(served.server.url) for url in asked)  # nothing is asked of other hosts
 
 
 def test_two_tabs_at_once(context: Any, served: Served) -> None:
@@ -197,6 +201,21 @@ def test_marks_made_while_the_server_is_away_outlive_the_tab(context: Any, serve
     assert [grasp[0] for grasp in served.grasps()] == [0]
 
 
+def test_marks_do_not_go_to_another_database(context: Any, served: Served, tmp_path: Path) -> None:
+    page = opened(context, served)
+    served.stop()
+    own, served.database = served.database, tmp_path / "other.sqlite"
+    served.start()
+    page.keyboard.press("s")
+    playwright.expect(page.locator("#saved")).to_contain_text("Server not reached")
+    assert served.grasps() == []
+    served.stop()
+    served.database = own
+    served.start()
+    saved(page)
+    assert [grasp[0] for grasp in served.grasps()] == [0]
+
+
 def test_candidates_are_gone_through_and_discarded(context: Any, served: Served) -> None:
     page = opened(context, served)
     page.keyboard.press("n")
@@ -230,11 +249,3 @@ def test_playback_shows_frames_in_order_and_stops_at_the_end(context: Any, serve
     seen = page.evaluate("seen")
     assert seen == sorted(seen)
     playwright.expect(page.locator("#play")).to_contain_text("Play")
-
-
-def test_nothing_is_asked_of_other_hosts(context: Any, served: Served) -> None:
-    asked: list[str] = []
-    context.on("request", lambda request: asked.append(request.url))
-    mark(opened(context, served), 1, 3)
-    assert asked
-    assert all(url.startswith(served.server.url) for url in asked)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import asdict
+from hashlib import sha256
 from threading import Lock
 from typing import Any
 
@@ -27,6 +28,8 @@ class Project:
     def __init__(self, tasks: list[Task], store: Store) -> None:
         self.tasks = {task.key: task for task in tasks}
         self.store = store
+        self.name = sha256(str(store.path.resolve()).encode()).hexdigest()[:16]
+        """What the page calls the database, so that it takes no other for it."""
         self._open: OrderedDict[str, Footage] = OrderedDict()
         self._lock = Lock()
 
@@ -46,7 +49,7 @@ class Project:
             asdict(task) | {"path": None, "found": task.path is not None, "state": _state(own.get(task.key, []))}
             for task in self.tasks.values()
         ]
-        return {"tasks": tasks, "categories": CATEGORIES, "reasons": marks.REASONS}
+        return {"project": self.name, "tasks": tasks, "categories": CATEGORIES, "reasons": marks.REASONS}
 
     def task(self, key: object) -> dict[str, Any]:
         """The frames of a task. Raises ``RefusedError`` for an unknown one, ``InputError`` where it does not open."""

@@ -147,7 +147,9 @@ class _Handler(BaseHTTPRequestHandler):
             raise UsageError("expected a JSON object") from error
         if not isinstance(content, dict):
             raise UsageError("expected a JSON object")
-        if self.path == "/api/change":
+        if content.get("project", self.server.project.name) != self.server.project.name:
+            self._send_json({"error": "another database of marks is open"}, HTTPStatus.SERVICE_UNAVAILABLE)
+        elif self.path == "/api/change":
             self._send_json(self.server.project.change(content))
         elif self.path == "/api/undo":
             self._send_json(self.server.project.undo(content))

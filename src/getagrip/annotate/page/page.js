@@ -9,7 +9,8 @@ const REASONS = {
   "out of view": "neither hand nor object is seen",
   "other CAD": "the thing has not the shape of its kind",
 };
-const POLL = 2000; // ms between questions whether another tab has changed something
+const POLL = 1500; // ms between questions whether another tab has changed something
+const COMPARE = 1500; // ms after the last change until people are compared again
 
 const state = {
   annotator: localStorage.getItem("getagrip-annotator"),
@@ -41,7 +42,8 @@ function problem(text) {
 function onAnswer(path, sent, answer) {
   if (sent.task === state.task?.key && sent.annotator === state.annotator) take(answer);
   if (path === "/api/undo" && answer.undone === false) say("Nothing left to undo in this tab.");
-  overview();
+  clearTimeout(state.compare);
+  state.compare = setTimeout(drawAgreement, COMPARE);
 }
 
 function onRefused(text) {
@@ -61,6 +63,11 @@ function take(answer) {
   state.marks = answer.marks;
   state.newest = answer.newest;
   if (!state.marks.some((mark) => mark.mark === state.chosen)) state.chosen = null;
+  const now = state.marks.some((mark) => mark.end !== null) ? "marked" : discarded() ? "discarded" : state.marks.length ? "started" : "";
+  if (now !== state.task.state) {
+    state.task.state = now;
+    drawTasks();
+  }
   draw();
 }
 
@@ -74,8 +81,9 @@ async function refresh(always) {
 }
 
 async function overview() {
-  const { tasks, categories, reasons } = await ask("/api/tasks", { annotator: state.annotator });
+  const { project, tasks, categories, reasons } = await ask("/api/tasks", { annotator: state.annotator });
   Object.assign(state, { tasks, categories, reasons });
+  saving.project = project;
   drawTasks();
   drawAgreement();
 }
@@ -87,6 +95,7 @@ async function openTask(task) {
   state.defaults = { side: task.side ?? state.defaults.side ?? "right", category: task.category ?? "", entity: task.entity ?? "" };
   location.hash = encodeURIComponent(task.key);
   problem(null);
+  player.close();
   draw();
   drawTasks();
   $("where").textContent = `${task.key} · opening …`;
@@ -102,7 +111,9 @@ async function openTask(task) {
     draw();
     await player.show(info.first);
   } catch (error) {
-    if (state.task === task) problem(error.message);
+    if (state.task !== task) return;
+    $("where").textContent = task.key;
+    problem(error.message);
   }
 }
 
@@ -260,7 +271,7 @@ function draw() {
   $("category").classList.toggle("wanted", Boolean(mark && !mark.category));
   $("categories").replaceChildren(...state.categories.map((value) => element("option", { value })));
   $("reasons").replaceChildren(...state.reasons.map((reason, n) => {
-    const button = element("button", { onclick: () => discard(reason), disabled: grasps().length > 0 }, element("kbd", { textContent: n + 1 }), ` ${reason} `, element("small", { textContent: REASONS[reason] }));
+    const button = element("button", { onclick: () => discard(reason), disabled: !state.info || grasps().length > 0 }, element("kbd", { textContent: n + 1 }), ` ${reason} `, element("small", { textContent: REASONS[reason] }));
     button.ariaPressed = String(discarded()?.reason === reason);
     return button;
   }));
@@ -287,7 +298,7 @@ function drawTasks() {
 async function drawAgreement() {
   for (const kind of ["csv", "json"]) $(kind).href = `/grasps.${kind}?${new URLSearchParams({ annotator: state.annotator })}`;
   const { pairs } = await ask("/api/agreement", {});
-  const line = (pair) => `${pair.first} and ${pair.second}: ${pair.iou === null ? "no grasps to compare" : `temporal IOU ${(100 * pair.iou).toFixed(1)} % over ${pair.grasps} grasps`} in ${pair.tasks} clip${pair.tasks > 1 ? "s" : ""}`;
+  const line = (pair) => `${pair.first} and ${pair.second}: ${pair.iou === null ? "no grasps to compare" : `temporal IOU ${(100 * pair.iou).toFixed(1)} % over ${pair.grasps} grasp${pair.grasps === 1 ? "" : "s"}`} in ${pair.tasks} clip${pair.tasks === 1 ? "" : "s"}`;
   $("agreement").textContent = pairs.length ? pairs.map(line).join("\n") : "Agreement is shown once two people have marked a clip.";
 }
 
@@ -396,7 +407,7 @@ async function begin(name) {
     localStorage.setItem("getagrip-annotator", name);
     $("annotator").textContent = name;
     await saving.flush(); // what an earlier page could not send
-    const next = state.tasks.find((task) => task.key === before) ?? state.tasks.find((task) => !task.state && task.found) ?? state.tasks[0];
+    const next = state.tasks.find((task) => task.key === before) ?? state.tasks.find((task) => !task.state && task.found) ?? state.tasks.find((task) => task.found);
     await openTask(next);
   } catch (error) {
     problem(error.message);

@@ -16,13 +16,20 @@ export class Player {
     this.epoch = 0;
   }
 
-  /** Another task: `info` as the server describes its frames. */
-  open(task, info) {
+  /** Show nothing. */
+  close() {
     this.pause();
     this.epoch += 1;
     this.frames.clear();
-    this.loading.clear();
-    Object.assign(this, { task, info, shown: null });
+    this.loading = new Map();
+    this.shown = null;
+    this.canvas.getContext("2d").clearRect(0, 0, this.canvas.width, this.canvas.height);
+  }
+
+  /** Another task: `info` as the server describes its frames. */
+  open(task, info) {
+    this.close();
+    Object.assign(this, { task, info, wanted: info.first });
   }
 
   /** Draw a frame; resolves to it once it is on the screen, to null where another was wanted meanwhile. */

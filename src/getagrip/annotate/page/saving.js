@@ -1,5 +1,6 @@
 // Changes on their way to the server. They are kept in the browser until it has answered, and sent in order, so that a
-// reload, a closed tab or a server that is away for a while loses none. The server takes each one once.
+// reload, a closed tab or a server that is away for a while loses none. The server takes each one once. Each database of
+// marks has its own queue: a server that has another one open is as good as away.
 
 const KEY = "getagrip-unsaved";
 
@@ -14,17 +15,19 @@ export class Saving {
   constructor(onAnswer, onRefused, onPending) {
     Object.assign(this, { onAnswer, onRefused, onPending });
     this.sending = null;
+    this.project = null; // what the server calls the database that the changes are for
   }
 
   get waiting() {
-    return Object.keys(localStorage).filter((key) => key.startsWith(`${KEY}:`)).sort();
+    return Object.keys(localStorage).filter((key) => key.startsWith(`${KEY}:${this.project}:`)).sort();
   }
 
   /** Send what follows all that was given before. */
   add(path, content) {
     // Keys sort by time, so that what an earlier page left behind goes first.
     const order = `${String(Date.now()).padStart(15, "0")}-${String(this.count = (this.count ?? 0) + 1).padStart(6, "0")}`;
-    localStorage.setItem(`${KEY}:${order}-${content.change}`, JSON.stringify({ path, content }));
+    const sent = { path, content: { ...content, project: this.project } };
+    localStorage.setItem(`${KEY}:${this.project}:${order}-${content.change}`, JSON.stringify(sent));
     this.onPending(this.waiting.length);
     return this.flush();
   }
@@ -43,9 +46,10 @@ export class Saving {
       try {
         answer = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(content) });
         body = await answer.json();
+        if (answer.status === 503) throw new Error(body.error);
       } catch {
         this.onPending(keys.length, true);
-        setTimeout(() => this.flush(), 2000);
+        setTimeout(() => this.flush(), 1000);
         return;
       }
       localStorage.removeItem(keys[0]);
