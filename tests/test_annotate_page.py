@@ -182,7 +182,7 @@ def test_marks_made_while_the_server_is_away_are_kept(context: Any, served: Serv
     page = opened(context, served)
     served.stop()
     page.keyboard.press("s")
-    playwright.expect(page.locator("#saved")).to_contain_text("Server not reached")
+    playwright.expect(page.locator("#saved")).to_contain_text("Not saved")
     served.start()
     saved(page)
     assert [grasp[0] for grasp in served.grasps()] == [0]
@@ -192,7 +192,7 @@ def test_marks_made_while_the_server_is_away_outlive_the_tab(context: Any, serve
     page = opened(context, served)
     served.stop()
     page.keyboard.press("s")
-    playwright.expect(page.locator("#saved")).to_contain_text("Server not reached")
+    playwright.expect(page.locator("#saved")).to_contain_text("Not saved")
     page.close()
     served.start()
     again = opened(context, served, None)
@@ -207,7 +207,7 @@ def test_marks_do_not_go_to_another_database(context: Any, served: Served, tmp_p
     own, served.database = served.database, tmp_path / "other.sqlite"
     served.start()
     page.keyboard.press("s")
-    playwright.expect(page.locator("#saved")).to_contain_text("Server not reached")
+    playwright.expect(page.locator("#saved")).to_contain_text("another database")
     assert served.grasps() == []
     served.stop()
     served.database = own

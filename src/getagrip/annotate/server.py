@@ -7,6 +7,7 @@ are told by the name they ask for (``Host``) and by where they come from (``Orig
 from __future__ import annotations
 
 import json
+import sqlite3
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files as package_files
@@ -42,6 +43,7 @@ class Server(ThreadingHTTPServer):
     """Serves one project."""
 
     daemon_threads = True
+    closed = False
 
     def __init__(self, project: Project, port: int) -> None:
         """Listen on a port, on any free one for 0. Raises ``UsageError`` where it is taken."""
@@ -59,6 +61,11 @@ class Server(ThreadingHTTPServer):
     def hosts(self) -> set[str]:
         """What this server is called by its own page."""
         return {f"{name}:{self.server_port}" for name in (ADDRESS, "localhost")}
+
+    def server_close(self) -> None:
+        """Listen no more, and answer nothing more on connections that are still open."""
+        self.closed = True
+        super().server_close()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of connections that end early."""
@@ -80,6 +87,9 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, act: Any) -> None:
         """Do what is asked; errors become one line of JSON, never a traceback."""
+        if self.server.closed:
+            self.close_connection = True
+            return
         try:
             if (reason := self._foreign()) is not None:
                 self.close_connection = True
@@ -94,6 +104,9 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_json({"error": str(error)}, HTTPStatus.BAD_REQUEST)
         except ConnectionError:
             self.close_connection = True
+        except (OSError, sqlite3.Error) as error:  # a full disk, a file that is locked: the page keeps and tries again
+            self.close_connection = True
+            self._send_json({"error": str(error)}, HTTPStatus.SERVICE_UNAVAILABLE)
 
     def _foreign(self) -> str | None:
         """Why a request is refused before it is looked at."""

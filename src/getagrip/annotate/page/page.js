@@ -51,9 +51,9 @@ function onRefused(text) {
   refresh(true);
 }
 
-function onPending(count, away) {
+function onPending(count, reason) {
   $("saved").className = count ? "pending" : "";
-  if (away) $("saved").textContent = `Server not reached: ${count} change${count > 1 ? "s" : ""} kept here, tried again`;
+  if (reason) $("saved").textContent = `Not saved, ${reason}: ${count} change${count > 1 ? "s" : ""} kept here, tried again`;
   else $("saved").textContent = count ? "Saving …" : "All saved";
 }
 

@@ -47,8 +47,8 @@ export class Saving {
         answer = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(content) });
         body = await answer.json();
         if (answer.status === 503) throw new Error(body.error);
-      } catch {
-        this.onPending(keys.length, true);
+      } catch (error) {
+        this.onPending(keys.length, answer ? error.message : "the server is not reached");
         setTimeout(() => this.flush(), 1000);
         return;
       }
