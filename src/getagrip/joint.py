@@ -8,12 +8,12 @@ import numpy as np
 
 from getagrip import se3
 from getagrip.errors import GetagripError
-from getagrip.motion import Fixed, Free, Hinge, Motion, Soft
+from getagrip.motion import Fixed, Hinge, Motion, Soft
 from getagrip.objective import energy_of
 from getagrip.options import Options
 from getagrip.problem import Found, Problem
 from getagrip.result import Axis
-from getagrip.search import THOROUGH, Schedule, TermsAt, hinge_from, search
+from getagrip.search import THOROUGH, Schedule, TermsAt, freed, hinge_from, search, soft_hinge
 from getagrip.solve import Status
 from getagrip.starts import starting_poses
 
@@ -25,15 +25,16 @@ def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = N
     """
     clip, options, centre = problem.clip, problem.options, problem.clip.mesh.centre
     energy = energy_of(problem, options.push, options.pull)
-    schedule = THOROUGH if options.thorough else Schedule()
+    model, finer = _models(options)
     solution = search(
         starts=starting_poses(clip, problem.masks, options.inits, options.seed, problem.poses),
-        model=_model(options),
+        model=model,
         terms_at=energy if more is None else lambda stage, index: [*energy(stage, index), *more(stage, index)],
         T_cam_hand=clip.hand.T_cam_hand,
         shape=problem.shape,
-        schedule=schedule.softened() if options.method == "soft-hinge" else schedule,
+        schedule=THOROUGH if options.thorough else Schedule(),
         watch=watch,
+        finer=finer,
     )
     if not len(solution.energy):
         raise GetagripError(str(Status.INVISIBLE))
@@ -50,18 +51,17 @@ def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = N
     )
 
 
-def _model(options: Options) -> Callable[[Soft[Fixed]], Motion]:
-    """From the search's loose fit to the motion model of the method."""
+def _models(options: Options) -> tuple[Callable[[Soft[Fixed]], Motion], Callable[[Motion], Motion] | None]:
+    """From the search's loose fit to the motion of the method, and from that to that of the finer stages, if another.
+
+    The soft hinge is free at first: held to a plain hinge too early, right poses lose whose motion is not quite one.
+    """
+    anywhere, origin = options.axis == "free", np.zeros(3)
     if options.method == "static":
-        return lambda loose: loose.core
-    if options.method == "dynamic":
-
-        def free(loose: Soft[Fixed]) -> Free:
-            held = loose.poses()
-            return Free(held.R, held.centre, loose.core.log_scale, loose.core.free_scale)
-
-        return free
-    return lambda loose: hinge_from(loose, options.axis == "free", np.zeros(3))
+        return lambda loose: loose.core, None
+    if options.method == "one-dof":
+        return lambda loose: hinge_from(loose, anywhere, origin), None
+    return freed, None if options.method == "dynamic" else lambda motion: soft_hinge(motion, anywhere, origin)
 
 
 def _axis(motion: Motion) -> Axis | None:

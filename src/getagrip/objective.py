@@ -24,9 +24,11 @@ CONTACTS = {64: 8, 128: None, 256: None}
 """Vertices of each contact region in use at each level; all of them at the finer ones."""
 FINE_FACES = 4000
 """Objects of more faces are decimated to so many for the finer silhouettes (for the others: ``shape``)."""
-PHYSICAL = 0.25
+PUSH, PULL = 0.25, 0.075
 """The paper sums E_mask over pixels, which leaves push and pull without effect; the authors' code divides it by the
-area of the mask. Ours multiplies push and pull by this fraction of the mean area of the masks instead."""
+area of the mask. Ours multiplies push and pull by these fractions of the mean area of the masks instead. Pull has less:
+a hand may well go without touching with all five fingertips, but not into the object.
+"""
 
 
 def energy_of(problem: Problem, push: float, pull: float) -> Callable[[Stage, Int[ndarray, "n"]], list[Term]]:
@@ -40,15 +42,15 @@ def energy_of(problem: Problem, push: float, pull: float) -> Callable[[Stage, In
     surface = {64: Surface.of(coarse, centre)}
     surface[128] = surface[256] = surface[64] if fine is coarse else Surface.of(fine, centre)
     hands = {level: HandContacts.of(clip.hand, count) for level, count in CONTACTS.items()}
-    physical = PHYSICAL * observation.area.mean() * observation.K[:, 0]
+    physical = observation.area.mean() * observation.K[:, 0]
 
     def terms(stage: Stage, index: Int[ndarray, "n"]) -> list[Term]:
         level = stage.level
         at, hand = observation.take(index), hands[level].take(index)
         coverage = 1.0 if level == 64 else 0.0
         mask = MaskTerm(surface[level], at, level, step=STEP[level], delta=DELTA[level], coverage=coverage)
-        push_term = PushTerm(touch, hand, push * physical[index])
-        pull_term = PullTerm(touch, hand, pull * physical[index])
+        push_term = PushTerm(touch, hand, push * PUSH * physical[index])
+        pull_term = PullTerm(touch, hand, pull * PULL * physical[index])
         return [mask, *([push_term] if push else []), *([pull_term] if pull else [])]
 
     return terms

@@ -1,10 +1,9 @@
 """Multi-start, coarse-to-fine search: many rotations at low resolution and few frames, fewer and fewer at higher.
 
-Pruning waits until the wanted motion model has been fitted: on the energy of a static fit the right start is often
-lost. Then the best are turned and fitted again, a few rounds of it: local minima lie side by side, and in pairs. The
-axis of a hinge comes from the data: after a static fit, a fit with a small free deviation per frame, whose rotation
-vectors' principal direction is the axis. (Angle zero about any axis is a dead start: the energy does not see the axis
-there.)
+Pruning waits until the motion model has been fitted: on the energy of a static fit the right start is often lost. Then
+the best are turned and fitted again, a few rounds of it: local minima lie side by side, and in pairs. The axis of a
+hinge comes from the data: after a static fit, a fit with a small free deviation per frame, whose rotation vectors'
+principal direction is the axis. (Angle zero about any axis is a dead start: the energy does not see the axis there.)
 """
 
 from __future__ import annotations
@@ -53,8 +52,6 @@ class Stage:
     """How often the best of the stage are turned and fitted again."""
     parents: int = 8
     """How many of them."""
-    soft: bool = False
-    """Whether each frame may deviate a little from the motion, from this stage on."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +66,6 @@ class Schedule:
         Stage("fine", level=128, frames=MAX, iterations=10, keep=4),
         Stage("finest", level=256, frames=MAX, iterations=10, keep=4),
     )
-
-    def softened(self) -> Schedule:
-        """The schedule whose two finest stages are soft: they fit, and rank, what is not quite on a hinge."""
-        *coarse, fine, finest = self.stages
-        return replace(self, stages=(*coarse, replace(fine, soft=True), replace(finest, soft=True)))
 
 
 THOROUGH = Schedule(
@@ -119,6 +111,32 @@ def hinge_from(loose: Soft[Fixed], free_location: bool, anchor: Float[ndarray, "
         point = np.broadcast_to(anchor, centre.shape).copy()
     R = se3.exp_so3(mean[:, 0]) @ base.R
     return Hinge(R, centre, base.log_scale, point, direction, angle, base.free_scale, free_location, ANGLE_RIDGE)
+
+
+def freed(loose: Soft[Fixed]) -> Free:
+    """The same poses, a free one in each frame."""
+    held = loose.poses()
+    return Free(held.R, held.centre, loose.core.log_scale, loose.core.free_scale)
+
+
+def soft_hinge(motion: Motion, free_location: bool, anchor: Float[ndarray, "3"]) -> Soft[Hinge]:
+    """The same poses as those of the hinge nearest to them (``hinge_from``), and the deviations from it.
+
+    Raises ``TypeError`` for a motion that is not ``Free``.
+    """
+    if not isinstance(motion, Free):
+        raise TypeError(type(motion))
+    N = motion.R.shape[1]
+    base = Fixed(motion.R[:, N // 2], motion.centre[:, N // 2], motion.log_scale, N, motion.free_scale)
+    held = motion.poses()
+    hinge = hinge_from(Soft(base, _deviation(held, base.poses()), RIDGE), free_location, anchor)
+    return Soft(hinge, _deviation(held, hinge.poses()), SOFT_RIDGE)
+
+
+def _deviation(poses: InHand, core: InHand) -> Float[ndarray, "B N 6"]:
+    """What a ``Soft`` adds to its core."""
+    w = se3.log_so3(poses.R @ np.swapaxes(core.R, -1, -2))
+    return np.concatenate([poses.centre - core.centre, w], axis=-1)
 
 
 def resampled(motion: M, old: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> M:
@@ -190,11 +208,13 @@ def search(
     shape: Shape,
     schedule: Schedule,
     watch: Callable[[str], None],
+    finer: Callable[[Motion], Motion] | None = None,
 ) -> Solution[Motion]:
     """Run the stages from B starting poses; the distinct solutions of the last stage, best first.
 
-    ``model`` turns a loose fit into the wanted motion, ``watch`` is told the name of each stage when it
-    ends. The result is empty when every start is behind the camera.
+    ``model`` turns a loose fit into the motion of the coarse stages, ``finer`` that into another before the first stage
+    that sees all frames. ``watch`` is told the name of each stage when it ends. The result is empty when every start is
+    behind the camera.
     """
     N = len(T_cam_hand)
     first = schedule.stages[0]
@@ -210,8 +230,8 @@ def search(
             wanted = spread(N, stage.frames)
             motion, index = resampled(motion, index, wanted), wanted
             terms = terms_at(stage, index)
-        if stage.soft and not isinstance(motion, Soft):
-            motion = Soft[Motion](motion, np.zeros((len(motion.poses().scale), len(index), 6)), SOFT_RIDGE)
+        if finer and stage.frames == MAX:
+            motion, finer = finer(motion), None
         T = T_cam_hand[index]
         solution = explored(minimise(motion, terms, T, stage.iterations), terms, T, shape, stage)
         solution = solution.take(distinct(solution.motion.poses(), solution.energy, shape, stage.keep))
