@@ -8,12 +8,12 @@ import numpy as np
 
 from getagrip import se3
 from getagrip.errors import GetagripError
-from getagrip.motion import Fixed, Hinge, Motion, Soft
+from getagrip.motion import Fixed, Free, Hinge, Motion, Soft
 from getagrip.objective import energy_of
 from getagrip.options import Options
 from getagrip.problem import Found, Problem
 from getagrip.result import Axis
-from getagrip.search import THOROUGH, Schedule, TermsAt, freed, hinge_from, search, soft_hinge
+from getagrip.search import THOROUGH, Schedule, TermsAt, hinge_from, search, soft_hinge, stiffened
 from getagrip.solve import Status
 from getagrip.starts import starting_poses
 
@@ -54,14 +54,21 @@ def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = N
 def _models(options: Options) -> tuple[Callable[[Soft[Fixed]], Motion], Callable[[Motion], Motion] | None]:
     """From the search's loose fit to the motion of the method, and from that to that of the finer stages, if another.
 
-    The soft hinge is free at first: held to a plain hinge too early, right poses lose whose motion is not quite one.
+    The soft hinge has no axis at first: held to one too early, right poses lose whose motion is not quite a hinge.
     """
     anywhere, origin = options.axis == "free", np.zeros(3)
     if options.method == "static":
         return lambda loose: loose.core, None
-    if options.method == "one-dof":
-        return lambda loose: hinge_from(loose, anywhere, origin), None
-    return freed, None if options.method == "dynamic" else lambda motion: soft_hinge(motion, anywhere, origin)
+    if options.method == "dynamic":
+
+        def free(loose: Soft[Fixed]) -> Free:
+            held = loose.poses()
+            return Free(held.R, held.centre, loose.core.log_scale, loose.core.free_scale)
+
+        return free, None
+    if options.method == "soft-hinge":
+        return stiffened, lambda motion: soft_hinge(motion, anywhere, origin)
+    return lambda loose: hinge_from(loose, anywhere, origin), None
 
 
 def _axis(motion: Motion) -> Axis | None:

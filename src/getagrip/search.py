@@ -26,6 +26,8 @@ M = TypeVar("M", bound=Motion)
 
 RIDGE = (2e5 / 16, 1.2e3 / 16)
 """Stiffness of the deviations while the axis is looked for [px^2 per m^2, px^2 per rad^2]."""
+COARSE_RIDGE = (2e5 / 4, 1.2e3 / 4)
+"""Stiffness of the deviations of a soft hinge in the coarse stages, where it has no axis yet, likewise."""
 SOFT_RIDGE = (3e5, 2e3)
 """Stiffness of the deviations of a soft hinge, likewise."""
 ANGLE_RIDGE = 400.0
@@ -113,30 +115,22 @@ def hinge_from(loose: Soft[Fixed], free_location: bool, anchor: Float[ndarray, "
     return Hinge(R, centre, base.log_scale, point, direction, angle, base.free_scale, free_location, ANGLE_RIDGE)
 
 
-def freed(loose: Soft[Fixed]) -> Free:
-    """The same poses, a free one in each frame."""
-    held = loose.poses()
-    return Free(held.R, held.centre, loose.core.log_scale, loose.core.free_scale)
+def stiffened(loose: Soft[Fixed]) -> Soft[Fixed]:
+    """The motion of a soft hinge's coarse stages: a fit as loose, but held a little more."""
+    return replace(loose, ridge=COARSE_RIDGE)
 
 
 def soft_hinge(motion: Motion, free_location: bool, anchor: Float[ndarray, "3"]) -> Soft[Hinge]:
     """The same poses as those of the hinge nearest to them (``hinge_from``), and the deviations from it.
 
-    Raises ``TypeError`` for a motion that is not ``Free``.
+    Raises ``TypeError`` for a motion that is no loose fit.
     """
-    if not isinstance(motion, Free):
+    if not (isinstance(motion, Soft) and isinstance(motion.core, Fixed)):
         raise TypeError(type(motion))
-    N = motion.R.shape[1]
-    base = Fixed(motion.R[:, N // 2], motion.centre[:, N // 2], motion.log_scale, N, motion.free_scale)
-    held = motion.poses()
-    hinge = hinge_from(Soft(base, _deviation(held, base.poses()), RIDGE), free_location, anchor)
-    return Soft(hinge, _deviation(held, hinge.poses()), SOFT_RIDGE)
-
-
-def _deviation(poses: InHand, core: InHand) -> Float[ndarray, "B N 6"]:
-    """What a ``Soft`` adds to its core."""
-    w = se3.log_so3(poses.R @ np.swapaxes(core.R, -1, -2))
-    return np.concatenate([poses.centre - core.centre, w], axis=-1)
+    hinge, held = hinge_from(motion, free_location, anchor), motion.poses()
+    core = hinge.poses()
+    w = se3.log_so3(held.R @ np.swapaxes(core.R, -1, -2))
+    return Soft(hinge, np.concatenate([held.centre - core.centre, w], axis=-1), SOFT_RIDGE)
 
 
 def resampled(motion: M, old: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> M:
