@@ -16,17 +16,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from getagrip.annotate.footage import LARGEST_SIDE, MOST_FRAMES, WIDEST, Cache, encoded
+from getagrip.annotate.footage import MOST_FRAMES, WIDEST, Cache, encoded
+from getagrip.clip.video import open_video
 from getagrip.datasets.epic_files import VIDEO, numbering_rate
 from getagrip.errors import InputError
 
 if TYPE_CHECKING:
     from av import VideoFrame
-    from av.container import InputContainer
 
 SUFFIXES = (".mp4", ".MP4", ".mov", ".MOV", ".m4v", ".mkv", ".webm", ".avi")
-FORMATS = "mov,mp4,matroska,webm,avi,mpegts"
-"""Containers that are read. Not playlists, which can name other files."""
 BEHIND = 48
 """So many frames before one that is asked for are kept as well, since they have been decoded: for steps back."""
 
@@ -45,7 +43,7 @@ class Video:
         self._at = -1
         """Index of the frame decoded last."""
         try:
-            self._container = self._open()
+            self._container = open_video(path)
             stream = self._container.streams.video[0]
             self._base = Fraction(stream.time_base or Fraction(1, 90_000))
             self._times, self._keys = self._read_times(path)
@@ -56,27 +54,10 @@ class Video:
             raise InputError(path, "", f"a file that is no video ({error})", "a video") from error
         self._rate = numbering_rate(path.stem) if VIDEO.fullmatch(path.stem) else None
 
-    def _open(self) -> InputContainer:
-        """The file, opened such that nothing it says can open another. Raises ``InputError``."""
-        import av
-
-        if not self.path.is_file():
-            raise InputError(self.path, "", "no such file", "a video")
-        options = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
-        container = av.open(f"file:{self.path.resolve()}", options=options)
-        stream = container.streams.video[0]
-        if stream.codec_context is None:
-            raise InputError(self.path, "", "a stream of an unknown kind", "a video")
-        stream.thread_type = "AUTO"
-        if not 0 < max(stream.width, stream.height) <= LARGEST_SIDE:
-            given = f"{stream.width} x {stream.height} pixels"
-            raise InputError(self.path, "size", given, f"at most {LARGEST_SIDE} a side")
-        return container
-
     def _read_times(self, path: Path) -> tuple[list[int], list[int]]:
         """Presentation times of all frames and of the key frames, rising, in units of the stream's time base."""
         times, keys = set(), set()
-        with self._open() as container:
+        with open_video(self.path) as container:
             for packet in container.demux(container.streams.video[0]):
                 if packet.size == 0 or packet.is_discard:
                     continue
@@ -153,7 +134,7 @@ class Video:
                 self._container.seek(self._keys[nearest - back], stream=self._container.streams.video[0])
             else:
                 self._container.close()
-                self._container = self._open()
+                self._container = open_video(self.path)
             self._decoded, self._at = self._container.decode(video=0), -1
             if self._advance(index, key):
                 return

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import UInt8
@@ -15,6 +16,9 @@ from numpy import ndarray
 
 from getagrip.clip.reading import LARGEST_IMAGE, LARGEST_SIDE
 from getagrip.errors import InputError
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
 
 FORMATS = "mov,mp4,matroska,webm,avi,mpegts"
 """Containers that are read. Not playlists, which can name other files."""
@@ -50,8 +54,8 @@ def video_frames(path: Path, first: int, last: int) -> Iterator[UInt8[ndarray, "
     raise InputError(path, "", f"{n} frames", f"at least {last}, for the interval {first} to {last}")
 
 
-def _decoded(path: Path) -> Iterator[tuple[UInt8[ndarray, "H W 3"], float]]:
-    """All frames, and the frames per second."""
+def open_video(path: Path) -> InputContainer:
+    """A video file, opened such that nothing it says can open another. Raises ``InputError``."""
     import av
     from av.error import FFmpegError
 
@@ -59,15 +63,29 @@ def _decoded(path: Path) -> Iterator[tuple[UInt8[ndarray, "H W 3"], float]]:
         raise InputError(path, "", "no such file", "a video")
     options = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
     try:
-        with av.open(f"file:{path.resolve()}", options=options) as container:
-            stream = container.streams.video[0]
-            width, height = stream.width, stream.height
-            if not 0 < max(width, height) <= LARGEST_SIDE or width * height > LARGEST_IMAGE:
-                raise InputError(path, "size", f"{width} x {height} pixels", f"at most {LARGEST_IMAGE / 1e6:g} million")
-            stream.thread_type = "AUTO"
-            fps = float(stream.average_rate or 30)
+        container = av.open(f"file:{path.resolve()}", options=options)
+        stream = container.streams.video[0]
+    except (FFmpegError, IndexError, OSError, ValueError) as error:
+        raise InputError(path, "", f"a file that does not decode as video ({error})", "a video") from error
+    if stream.codec_context is None:
+        raise InputError(path, "", "a stream of an unknown kind", "a video")
+    width, height = stream.width, stream.height
+    if not 0 < max(width, height) <= LARGEST_SIDE or width * height > LARGEST_IMAGE:
+        raise InputError(path, "size", f"{width} x {height} pixels", f"at most {LARGEST_IMAGE / 1e6:g} million")
+    stream.thread_type = "AUTO"
+    return container
+
+
+def _decoded(path: Path) -> Iterator[tuple[UInt8[ndarray, "H W 3"], float]]:
+    """All frames, and the frames per second."""
+    from av.error import FFmpegError
+
+    with open_video(path) as container:
+        stream = container.streams.video[0]
+        fps = float(stream.average_rate or 30)
+        try:
             for frame in container.decode(stream):
                 quarters = round(frame.rotation / 90.0)
                 yield np.rot90(np.asarray(frame.to_ndarray(format="rgb24"), np.uint8), quarters), fps
-    except (FFmpegError, IndexError, OSError, ValueError) as error:
-        raise InputError(path, "", f"a file that does not decode as video ({error})", "a video") from error
+        except (FFmpegError, OSError, ValueError) as error:
+            raise InputError(path, "", f"a file that does not decode as video ({error})", "a video") from error

@@ -70,15 +70,14 @@ class Video:
 
 def _at_times(path: Path, times: dict[int, Fraction]) -> Iterator[tuple[int, UInt8[ndarray, "H W 3"]]]:
     """The images that are shown at some rising times [s]: one seek to the first, then decoded onwards."""
-    import av
     from av.error import FFmpegError
+
+    from getagrip.clip.video import open_video
 
     waiting = list(times.items())
     try:
-        with av.open(str(path)) as container:
+        with open_video(path) as container:
             stream = container.streams.video[0]
-            if max(stream.width, stream.height) > LARGEST_SIDE:
-                raise InputError(path, "size", f"{stream.width} x {stream.height}", f"at most {LARGEST_SIDE} px")
             base = stream.time_base or Fraction(1, 90_000)
             begin = Fraction(stream.start_time or 0) * base
             half = 1 / (2 * Fraction(stream.average_rate or 60))
