@@ -63,10 +63,10 @@ class Schedule:
     static_iterations: int = 6
     loose_iterations: int = 3
     stages: tuple[Stage, ...] = (
-        Stage("coarse", level=64, frames=8, iterations=8, keep=20, rounds=3),
-        Stage("middle", level=64, frames=15, iterations=8, keep=8),
-        Stage("fine", level=128, frames=MAX, iterations=10, keep=4),
-        Stage("finest", level=256, frames=MAX, iterations=10, keep=4),
+        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3),
+        Stage("middle", level=64, frames=15, iterations=6, keep=6),
+        Stage("fine", level=128, frames=MAX, iterations=8, keep=4),
+        Stage("finest", level=256, frames=MAX, iterations=8, keep=4),
     )
 
 
