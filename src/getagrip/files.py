@@ -6,7 +6,9 @@ names found in files are used as paths only once they are known to stay inside t
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
 import os
 import shutil
@@ -110,6 +112,24 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError(path, "", f"a JSON {type(content).__name__}", "a JSON object")
     return content
+
+
+def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tuple[str, dict[str, str]]]]:
+    """The heads of a table, and its rows by head, each with the words that begin its key: "line 7, ".
+
+    ``what`` the file should be, in words. Raises ``InputError`` for what is no CSV in UTF-8, and for ragged rows.
+    """
+    try:
+        lines = csv.reader(io.StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
+        heads = next(lines, [])
+        rows = []
+        for cells in filter(None, lines):
+            if len(cells) != len(heads):
+                raise InputError(path, f"line {lines.line_num}", f"{len(cells)} cells", f"{len(heads)}, as in line 1")
+            rows.append((f"line {lines.line_num}, ", dict(zip(heads, cells, strict=True))))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, "", f"text that is no CSV ({error})", what) from error
+    return heads, rows
 
 
 def read_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:

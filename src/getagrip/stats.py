@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Sequence
@@ -15,7 +13,7 @@ import numpy as np
 
 from getagrip.datasets.epic_files import numbering_rate, read_grasps
 from getagrip.errors import InputError
-from getagrip.files import plain, read_bytes, shown
+from getagrip.files import csv_rows, plain, read_bytes, shown
 
 Fps = Literal["paper", "true"]
 PAPER_FPS = 50.0
@@ -97,17 +95,8 @@ def _json_rows(path: Path, content: bytes) -> list[tuple[str, dict[str, Any]]]:
     return [(f"[{n}].", row) for n, row in enumerate(rows)]
 
 
-def _csv_rows(path: Path, content: bytes) -> list[tuple[str, dict[str, Any]]]:
-    try:
-        lines = csv.reader(io.StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
-        heads = next(lines, [])
-        rows = []
-        for cells in filter(None, lines):
-            if len(cells) != len(heads):
-                raise InputError(path, f"line {lines.line_num}", f"{len(cells)} cells", f"{len(heads)}, as in line 1")
-            rows.append((f"line {lines.line_num}, ", dict(zip(heads, cells, strict=True))))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, "", f"text that is no CSV ({error})", "a list of grasps, CSV or JSON") from error
+def _csv_rows(path: Path, content: bytes) -> Sequence[tuple[str, dict[str, Any]]]:
+    heads, rows = csv_rows(path, content, "a list of grasps, CSV or JSON")
     for head in ("object", "side", "duration"):
         if heads.count(head) != 1:
             given = f"{heads.count(head)} columns of this name among {shown(heads)}"

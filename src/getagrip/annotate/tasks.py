@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +13,7 @@ from getagrip.annotate.footage import Footage, ImageFolder
 from getagrip.annotate.video import SUFFIXES, Video
 from getagrip.datasets.epic_files import LAST_FRAME, SIDES, subject_of
 from getagrip.errors import InputError
-from getagrip.files import is_plain_name, plain, read_bytes, shown
+from getagrip.files import csv_rows, is_plain_name, plain, read_bytes, shown
 
 LARGEST_LIST = 64 * 2**20
 """Limit in bytes of a list."""
@@ -171,17 +169,8 @@ def _json_rows(path: Path, content: bytes) -> list[tuple[str, dict[str, Any]]]:
     return [(f"[{n}].", cast(dict[str, Any], row)) for n, row in enumerate(rows)]
 
 
-def _csv_rows(path: Path, content: bytes) -> list[tuple[str, dict[str, Any]]]:
-    try:
-        lines = csv.reader(io.StringIO(content.decode("utf-8-sig"), newline=""), strict=True)
-        heads = next(lines, [])
-        if len(set(heads)) < len(heads):
-            raise InputError(path, "line 1", "a column twice", "each once")
-        rows = []
-        for cells in filter(None, lines):
-            if len(cells) != len(heads):
-                raise InputError(path, f"line {lines.line_num}", f"{len(cells)} cells", f"{len(heads)}, as in line 1")
-            rows.append((f"line {lines.line_num}, ", dict(zip(heads, cells, strict=True))))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, "", f"text that is no CSV ({error})", "a list of candidates in UTF-8") from error
+def _csv_rows(path: Path, content: bytes) -> Sequence[tuple[str, dict[str, Any]]]:
+    heads, rows = csv_rows(path, content, "a list of candidates in UTF-8")
+    if len(set(heads)) < len(heads):
+        raise InputError(path, "line 1", "a column twice", "each once")
     return rows

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -17,13 +17,16 @@ from getagrip.cli.command import (
     Workers,
 )
 
+if TYPE_CHECKING:
+    from getagrip.grasps import Definition
+
 
 @dataclass(frozen=True, kw_only=True)
-class Segment(Command):
-    """Find the stable grasps in clips with true poses; no masks are needed."""
+class Grasps(Command):
+    """What a command takes that finds stable grasps."""
 
     clips: Clips = ()
-    """Clip folders, or folders of clips."""
+    """Clip folders, or folders of clips: whole sequences, not cut to grasps already. No masks are needed."""
     tau: float = 0.5
     """In a stable grasp, the contacts of every two frames have an intersection over union above this."""
     contact_mm: Annotated[float, arg(metavar="MM")] = 0.0
@@ -34,50 +37,42 @@ class Segment(Command):
     """Frames that are compared: all (the paper's definition), all with the first, or neighbours (two weaker tests)."""
     shortest: Annotated[int, arg(metavar="N")] = 20
     """Frames of the shortest grasp."""
-    out: OptionalFolder = None
-    """Write segments.csv and a picture of each clip here."""
     json: OptionalFile = None
     """Write every number here, unrounded."""
     workers: Workers = None
     """Processes to share the clips between."""
 
-    def run(self) -> int:
+    def definition(self) -> Definition:
+        """What counts as stable."""
         from getagrip.grasps import Definition
-        from getagrip.run.segments import segment_clips
 
-        definition = Definition(self.tau, self.contact_mm / 1e3, self.points, self.rule, self.shortest)
-        return segment_clips(self.clips, definition, self.out, self.json, self.workers, self.debug)
+        return Definition(self.tau, self.contact_mm / 1e3, self.points, self.rule, self.shortest)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study(Command):
-    """Measure what changes within the stable grasps of clips with true poses, and outside them: the paper's study."""
+class Segment(Grasps):
+    """Find the stable grasps in clips with true poses."""
 
-    clips: Clips = ()
-    """Clip folders, or folders of clips: whole sequences, not cut to grasps, show what is outside. No masks needed."""
-    out: Folder
-    """Where study.png, grasps.csv, curves.csv and summary.csv go."""
-    tau: float = 0.5
-    """In a stable grasp, the contacts of every two frames have an intersection over union above this."""
-    contact_mm: Annotated[float, arg(metavar="MM")] = 0.0
-    """Points of the object so near to the hand's surface, or inside it, are in contact."""
-    points: Literal["vertices", "area", "fragments"] = "vertices"
-    """Contact is a set of vertices, of points spread evenly over the object's area, or of patches."""
-    rule: Literal["all-pairs", "first", "consecutive"] = "all-pairs"
-    """Frames that are compared, as for the command segment."""
-    shortest: Annotated[int, arg(metavar="N")] = 20
-    """Frames of the shortest grasp."""
-    json: OptionalFile = None
-    """Write every number here, unrounded."""
-    workers: Workers = None
-    """Processes to share the clips between."""
+    out: OptionalFolder = None
+    """Write segments.csv and a picture of each clip here."""
 
     def run(self) -> int:
-        from getagrip.grasps import Definition
+        from getagrip.run.segments import segment_clips
+
+        return segment_clips(self.clips, self.definition(), self.out, self.json, self.workers, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study(Grasps):
+    """Measure what changes within the stable grasps of clips with true poses, and outside them: the paper's study."""
+
+    out: Folder
+    """Where study.png, grasps.csv, curves.csv and summary.csv go."""
+
+    def run(self) -> int:
         from getagrip.run.study import study_clips
 
-        definition = Definition(self.tau, self.contact_mm / 1e3, self.points, self.rule, self.shortest)
-        return study_clips(self.clips, definition, self.out, self.json, self.workers, self.debug)
+        return study_clips(self.clips, self.definition(), self.out, self.json, self.workers, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)
