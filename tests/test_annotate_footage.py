@@ -12,9 +12,9 @@ import av
 import cv2
 import numpy as np
 import pytest
-from annotated import FRAMES, number_in, write_images, write_video
+from annotated import BITS, FRAMES, number_in, write_images, write_video
 
-from getagrip.annotate.footage import Cache, ImageFolder, seconds
+from getagrip.annotate.footage import Cache, ImageFolder, encoded, seconds
 from getagrip.annotate.tasks import open_footage, read_tasks
 from getagrip.annotate.video import Video
 from getagrip.datasets.epic_images import Video as EpicVideo
@@ -30,7 +30,7 @@ def test_every_frame_is_the_one_written(tmp_path: Path, suffix: str, times: list
     assert video.frames == FRAMES
     order = list(range(FRAMES)) + list(range(FRAMES - 1, -1, -4)) + random.Random(0).sample(range(FRAMES), 12)
     for n in order:
-        video.cache = Cache(limit=1)  # nothing kept: every frame is decoded
+        video.shown.cache = Cache(len, limit=1)  # nothing kept: every frame is decoded
         assert number_in(video.jpeg(n)) == n
     written = times or list(range(37, 37 + FRAMES))
     for n in (0, 1, 30, FRAMES - 1):
@@ -55,8 +55,8 @@ def test_the_file_has_b_frames_and_starts_late(tmp_path: Path) -> None:
 def test_steps_back_come_from_the_cache_which_is_bounded(tmp_path: Path) -> None:
     video = Video(write_video(tmp_path / "a.mp4"))
     video.jpeg(40)
-    assert {38, 39, 40} <= video.cache.images.keys()
-    cache = Cache(limit=100)
+    assert {38, 39, 40} <= video.shown.cache.images.keys()
+    cache = Cache(len, limit=100)
     for n in range(50):
         cache.put(n, bytes(30))
         assert cache.held == sum(map(len, cache.images.values())) <= 100
@@ -64,6 +64,16 @@ def test_steps_back_come_from_the_cache_which_is_bounded(tmp_path: Path) -> None
     assert cache.get(0) is None
     cache.put(1, bytes(1000))
     assert cache.get(1) is not None  # what was asked for is there even where it is too large
+
+
+def test_whole_images_are_those_that_are_shown(tmp_path: Path) -> None:
+    video = Video(write_video(tmp_path / "a.mp4"))
+    folder = ImageFolder.open(write_images(tmp_path / "P01_01", [7, 8, 9]))
+    for footage, n, number in ((video, 50, 50), (video, 20, 20), (video, 33, 33), (folder, 2, 9)):
+        image = footage.image(n)
+        assert image.shape == (*footage.size[::-1], 3) == (64, 32 * BITS, 3)
+        assert number_in(encoded(image[..., ::-1])) == number
+    video.close()
 
 
 def test_seconds_count_the_last_frame(tmp_path: Path) -> None:

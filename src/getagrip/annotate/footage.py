@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
@@ -43,6 +44,10 @@ class Footage(Protocol):
     def fps(self) -> float:
         """Frames per second, on average."""
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the frames [px]."""
+
     def time(self, index: int) -> float:
         """When a frame is shown, from the start [s]."""
 
@@ -53,7 +58,10 @@ class Footage(Protocol):
         """The frame of a number, the nearest where it has none."""
 
     def jpeg(self, index: int) -> bytes:
-        """A frame. Raises ``InputError`` where it does not decode."""
+        """A frame to be shown, made smaller where it is wide. Raises ``InputError`` where it does not decode."""
+
+    def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
+        """A frame, all of its pixels: red, green, blue. Raises ``InputError`` where it does not decode."""
 
 
 def seconds(footage: Footage, start: int, end: int) -> float:
@@ -61,27 +69,34 @@ def seconds(footage: Footage, start: int, end: int) -> float:
     return footage.time(end) - footage.time(start) + 1.0 / footage.fps
 
 
-@dataclass
-class Cache:
-    """The JPEG images that were asked for last, of so many bytes together."""
+Kept = TypeVar("Kept")
 
+
+@dataclass
+class Cache(Generic[Kept]):
+    """The images that were asked for last, of so many bytes together."""
+
+    weigh: Callable[[Kept], int]
+    """The bytes of an image."""
     limit: int = CACHE
     held: int = 0
-    images: OrderedDict[int, bytes] = field(default_factory=OrderedDict)
+    images: OrderedDict[int, Kept] = field(default_factory=OrderedDict)
 
-    def get(self, index: int) -> bytes | None:
+    def get(self, index: int) -> Kept | None:
         """An image, if it is there."""
         if index in self.images:
             self.images.move_to_end(index)
         return self.images.get(index)
 
-    def put(self, index: int, image: bytes) -> None:
+    def put(self, index: int, image: Kept) -> None:
         """Keep an image, and forget those that were not wanted for longest."""
-        self.held += len(image) - len(self.images.pop(index, b""))
+        if index in self.images:
+            self.held -= self.weigh(self.images.pop(index))
+        self.held += self.weigh(image)
         self.images[index] = image
         while self.held > self.limit and len(self.images) > 1:
             _, old = self.images.popitem(last=False)
-            self.held -= len(old)
+            self.held -= self.weigh(old)
 
 
 @dataclass(frozen=True)
@@ -122,8 +137,21 @@ class ImageFolder:
         """The image of a number, or the nearest to it."""
         return int(np.argmin(np.abs(np.array(self.numbers) - number)))
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the first image [px]. Raises ``InputError`` where it does not decode."""
+        height, width = self._bgr(0).shape[:2]
+        return width, height
+
     def jpeg(self, index: int) -> bytes:
         """An image, as JPEG whatever its file is. Raises ``InputError``."""
+        return encoded(self._bgr(index))
+
+    def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
+        """An image, all of its pixels. Raises ``InputError``."""
+        return np.ascontiguousarray(self._bgr(index)[..., ::-1])
+
+    def _bgr(self, index: int) -> UInt8[ndarray, "H W 3"]:
         import cv2
 
         path = self.paths[index]
@@ -132,7 +160,7 @@ class ImageFolder:
         image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
         if image is None:
             raise InputError(path, "", "an image that does not decode", "a JPEG or PNG image")
-        return encoded(np.asarray(image, np.uint8))
+        return np.asarray(image, np.uint8)
 
 
 def encoded(bgr: UInt8[ndarray, "H W 3"]) -> bytes:
