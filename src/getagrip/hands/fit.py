@@ -67,7 +67,7 @@ def fit_joints(model: HandModel, joints_cam: Float[ndarray, "T 21 3"], order: Jo
     cost, H, g = _normal_equations(model, chains, prior, state, Y)
     damping, converged = 1e-3, False
     for _ in range(STEPS):
-        new = state.moved(*_step(H, g, damping), chains.wrist)
+        new = state.moved(*arrow_step(H, g, damping), chains.wrist)
         new_cost, new_H, new_g = _normal_equations(model, chains, prior, new, Y)
         if new_cost > cost:
             damping *= 10.0
@@ -188,10 +188,10 @@ def _normal_equations(
     return cost, H, g
 
 
-def _step(
+def arrow_step(
     H: Float[ndarray, "T D D"], g: Float[ndarray, "T D"], damping: float
 ) -> tuple[Float[ndarray, "T 51"], Float[ndarray, "S"]]:
-    """Solve the damped block-arrow normal equations for the frames' and the shape's steps."""
+    """Solve the damped block-arrow normal equations for the frames' steps and that of what all frames share."""
     A, B = H[:, :51, :51].copy(), H[:, :51, 51:]
     i = np.arange(51)
     A[:, i, i] *= 1.0 + damping

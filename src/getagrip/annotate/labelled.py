@@ -1,0 +1,93 @@
+"""From a person's labels to what ``getagrip clip new`` takes: a hand file, and a folder of masks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from getagrip import files, se3
+from getagrip.annotate.clicked_hands import SCALE, ClickedHands, hands_from_clicks
+from getagrip.annotate.labels import FRONT, OBJECT, Labels
+from getagrip.annotate.propagated_masks import propagate
+from getagrip.clip.writing import write_hand
+from getagrip.kernels.depth import covered
+from getagrip.run.intrinsics import Lens, intrinsics
+
+BESIDE = 0.004
+"""The fitted hand is so far off its true outline: pixels beside it say nothing either [m]."""
+
+
+@dataclass(frozen=True)
+class Made:
+    """What was made of labels."""
+
+    hands: ClickedHands
+    confidence: dict[int, float]
+    """Of the mask of each frame, 1 where it was drawn; see ``propagated_masks``."""
+    command: str
+    """What makes a clip of it, but for the object's mesh."""
+
+
+def make(
+    labels: Labels, image: Callable[[int], UInt8[ndarray, "H W 3"]], lens: Lens, out: Path, overwrite: bool = False
+) -> Made:
+    """Write ``out/hand.npz`` and ``out/masks/<number>.png``: 0, ``OBJECT``, or ``FRONT`` for what hides it or may.
+
+    ``image`` gives the footage's frames, from 0. Files number frames from 1, as ``clip new`` does. Where the lens is a
+    guess, or nothing is known of it, the files say that depth and size are guesses, too. Raises ``UsageError`` for
+    labels that do not suffice, and where ``out`` exists and is not to be replaced.
+    """
+    import cv2
+
+    K, camera = intrinsics(lens if lens.given else Lens(guess_focal=True), labels.size)
+    hands = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
+    confidence = {}
+    with files.new_folder(out, overwrite) as new:
+        (new / "masks").mkdir()
+        for n, drawn, sure in propagate(image, labels.label_maps(), labels.first, labels.last):
+            mask = with_hand(drawn, hands, n - labels.first, K)
+            cv2.imwrite(str(new / "masks" / f"{n + 1:06d}.png"), mask)
+            confidence[n] = sure
+        write_hand(hands.hand, new / "hand.npz", _extra(labels, hands, K, camera))
+    return Made(hands, confidence, command(labels, out))
+
+
+def with_hand(
+    drawn: UInt8[ndarray, "H W"], hands: ClickedHands, row: int, K: Float[ndarray, "3 3"]
+) -> UInt8[ndarray, "H W"]:
+    """A mask in which pixels that the hand covers, or may, and that do not show the object, are in front of it."""
+    import cv2
+
+    posed = se3.transform(hands.hand.T_cam_hand[row], hands.hand.vertices[row])
+    hand = covered(posed, hands.hand.faces, K, (drawn.shape[1], drawn.shape[0])).astype(np.uint8)
+    beside = max(1, round(BESIDE * K[0, 0] / float(posed[:, 2].mean())))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * beside + 1, 2 * beside + 1))
+    return np.where((cv2.dilate(hand, disc) > 0) & (drawn != OBJECT), FRONT, drawn).astype(np.uint8)
+
+
+def command(labels: Labels, out: Path) -> str:
+    """The call that makes a clip of what ``make`` has written."""
+    return (
+        f"getagrip clip new {labels.video} --interval {labels.first + 1} {labels.last + 1} --side {labels.side} "
+        f"--hands {out / 'hand.npz'} --masks {out / 'masks'} --object {OBJECT} --ignore {FRONT} "
+        f"--mesh MESH --out CLIP"
+    )
+
+
+def _extra(labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera: str) -> dict[str, ndarray]:
+    """What a hand file says of its frames, its camera and where it comes from."""
+    off = float(np.sqrt(np.nanmean(hands.residuals**2)))
+    told = {
+        "hands": f"joints clicked on {len(hands.keys)} frames, the generic hand fitted ({off:.1f} px off, root mean "
+        "square), smooth between them",
+        "hands_scale": SCALE,
+        "camera": camera,
+    }
+    numbers = np.arange(labels.first + 1, labels.last + 2)
+    extra = {"frames": numbers, "K": K, "side": np.array(labels.side)}
+    return extra | {f"provenance_{key}": np.array(text) for key, text in told.items()}

@@ -1,0 +1,252 @@
+"""What a person has clicked on some frames: the joints of the hand, the outline of the object, what is in front of it.
+
+As JSON, one file for one grasp:
+
+    {"video": "kitchen.mp4", "size": [1920, 1080], "side": "left", "fps": 30.0, "first": 57, "last": 112,
+     "frames": {"57": {"joints": [[x, y], null, ...], "object": [[[x, y], ...], ...], "front": [[[x, y], ...], ...]}}}
+
+Frames are counted from 0, first and last included; points are in pixels of the footage, the middle of its first pixel
+at (0.5, 0.5). ``joints`` are 21, wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, null
+where not clicked. ``object`` are polygons around what is seen of the object, ``front`` around whatever else than the
+hand that holds it hides it; where both overlap, ``front`` counts. A frame may have joints, or polygons, or both: a key
+that is left out says nothing, an empty list of polygons says that there is nothing to be seen.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from getagrip import files
+from getagrip.clip.reading import LARGEST_IMAGE, LARGEST_SIDE
+from getagrip.clip.segments import polygons
+from getagrip.errors import InputError
+from getagrip.hands.model import Side
+
+OBJECT, FRONT = 1, 2
+"""Values of a label map; 0 is everything else."""
+LAST_FRAME = 10**7
+MOST_POLYGONS, MOST_CORNERS = 100, 5000
+"""Of one frame and kind; of one polygon."""
+
+Polygons = tuple[Float[ndarray, "_ 2"], ...]
+
+
+@dataclass(frozen=True)
+class FrameLabels:
+    """What was clicked on one frame."""
+
+    joints: Float[ndarray, "21 2"] | None = None
+    """NaN where not clicked [px]."""
+    object: Polygons | None = None
+    front: Polygons | None = None
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What was clicked on the frames of one grasp."""
+
+    video: str
+    """Name of the footage."""
+    size: tuple[int, int]
+    """Width and height of its images [px]."""
+    side: Side
+    fps: float
+    first: int
+    last: int
+    frames: dict[int, FrameLabels]
+
+    @property
+    def clicks(self) -> dict[int, Float[ndarray, "21 2"]]:
+        """The joints, where there are any: rising frames."""
+        return {n: frame.joints for n, frame in sorted(self.frames.items()) if frame.joints is not None}
+
+    def label_maps(self) -> dict[int, UInt8[ndarray, "H W"]]:
+        """Of each frame on which the object was outlined, or said not to be seen: 0, ``OBJECT`` or ``FRONT``."""
+        return {n: _label_map(frame, self.size) for n, frame in sorted(self.frames.items()) if frame.object is not None}
+
+
+def _label_map(frame: FrameLabels, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
+    out = np.zeros(size[::-1], np.uint8)
+    for value, shapes in ((OBJECT, frame.object), (FRONT, frame.front)):
+        corners = [shape.ravel().tolist() for shape in shapes or ()]
+        out[polygons(Path(), "", corners, size)] = value
+    return out
+
+
+def read(path: str | Path) -> Labels:
+    """The labels in a file. Raises ``InputError``."""
+    return parse(files.read_json(Path(path)), path)
+
+
+def write(labels: Labels, path: str | Path) -> None:
+    """Write labels to a file, whole or not at all."""
+    path = Path(path)
+    part = path.with_name(f".{path.name}.part")
+    try:
+        files.write_json(part, to_json(labels))
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def to_json(labels: Labels) -> dict[str, Any]:
+    """Labels as the file has them."""
+    fields = {key: getattr(labels, key) for key in ("video", "side", "fps", "first", "last")}
+    frames = {str(n): _frame_json(frame) for n, frame in sorted(labels.frames.items())}
+    return fields | {"size": list(labels.size), "frames": frames}
+
+
+def _frame_json(frame: FrameLabels) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    if frame.joints is not None:
+        out["joints"] = [None if np.isnan(point).any() else _rounded(point) for point in frame.joints]
+    for key in ("object", "front"):
+        shapes = getattr(frame, key)
+        if shapes is not None:
+            out[key] = [[_rounded(point) for point in shape] for shape in shapes]
+    return out
+
+
+def _rounded(point: Float[ndarray, "2"]) -> list[float]:
+    """A hundredth of a pixel is more than anybody can click."""
+    return [round(float(x), 2) for x in point]
+
+
+def parse(content: Mapping[str, Any], source: str | Path) -> Labels:
+    """Labels from JSON, of which nothing is believed. Raises ``InputError`` in the name of ``source``."""
+    checked = _Checked(Path(source), content)
+    size = checked.size()
+    first = checked.whole("first", 0, LAST_FRAME)
+    last = checked.whole("last", first, LAST_FRAME)
+    return Labels(
+        video=checked.name("video"),
+        size=size,
+        side=checked.side(),
+        fps=checked.rate(),
+        first=first,
+        last=last,
+        frames=checked.frames(first, last, size),
+    )
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """A reader of one JSON object."""
+
+    path: Path
+    content: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        known = {"video", "size", "side", "fps", "first", "last", "frames"}
+        _only(self.path, "", self.content, known, known)
+
+    def wrong(self, key: str, expected: str) -> InputError:
+        return InputError(self.path, key, files.shown(self.content[key]), expected)
+
+    def name(self, key: str) -> str:
+        value = self.content[key]
+        if not isinstance(value, str) or not files.is_plain_name(value):
+            raise self.wrong(key, "the name of a file, without folders")
+        return value
+
+    def side(self) -> Side:
+        value: Literal["left", "right"] = self.content["side"]
+        if value not in get_args(Side):
+            raise self.wrong("side", "left or right")
+        return value
+
+    def rate(self) -> float:
+        value = self.content["fps"]
+        if not _is_number(value) or not 0.1 <= value <= 10_000:
+            raise self.wrong("fps", "frames per second, 0.1 to 10000")
+        return float(value)
+
+    def whole(self, key: str, least: int, most: int) -> int:
+        value = self.content[key]
+        if type(value) is not int or not least <= value <= most:
+            raise self.wrong(key, f"a whole number from {least} to {most}")
+        return value
+
+    def size(self) -> tuple[int, int]:
+        value = self.content["size"]
+        pair = isinstance(value, list | tuple) and len(value) == 2 and all(type(n) is int and n > 0 for n in value)
+        if not pair or max(value) > LARGEST_SIDE or value[0] * value[1] > LARGEST_IMAGE:
+            raise self.wrong("size", f"width and height in pixels, at most {LARGEST_IMAGE / 1e6:g} million in all")
+        return value[0], value[1]
+
+    def frames(self, first: int, last: int, size: tuple[int, int]) -> dict[int, FrameLabels]:
+        given = self.content["frames"]
+        if not isinstance(given, Mapping):
+            raise self.wrong("frames", "an object with a key for each frame")
+        out = {}
+        for text, frame in given.items():
+            where = f"frames.{files.plain(text)}"
+            if not re.fullmatch(r"0|[1-9][0-9]{0,7}", text) or not first <= int(text) <= last:
+                raise InputError(self.path, where, "a key that is no frame of the grasp", f"{first} to {last}")
+            if not isinstance(frame, Mapping):
+                raise InputError(self.path, where, files.shown(frame), "an object")
+            _only(self.path, where, frame, {"joints", "object", "front"}, set())
+            out[int(text)] = FrameLabels(
+                _joints(self.path, f"{where}.joints", frame.get("joints"), size),
+                _polygons(self.path, f"{where}.object", frame.get("object"), size),
+                _polygons(self.path, f"{where}.front", frame.get("front"), size),
+            )
+        return dict(sorted(out.items()))
+
+
+def _only(path: Path, where: str, given: Mapping[str, Any], known: set[str], needed: set[str]) -> None:
+    """Raise ``InputError`` for keys that nobody knows, and for missing ones."""
+    for key in [key for key in given if key not in known][:1]:
+        expected = f"one of {', '.join(sorted(known))}"
+        raise InputError(path, f"{where}.{files.plain(key)}".lstrip("."), "an unknown key", expected)
+    for key in sorted(needed - given.keys())[:1]:
+        raise InputError(path, key, "no such key", "it")
+
+
+def _joints(path: Path, key: str, given: object, size: tuple[int, int]) -> Float[ndarray, "21 2"] | None:
+    if given is None:
+        return None
+    if not isinstance(given, list | tuple) or len(given) != 21:
+        raise InputError(path, key, files.shown(given), "21 points, null where there is none")
+    rows = [
+        [math.nan, math.nan] if point is None else _point(path, f"{key}[{n}]", point, size)
+        for n, point in enumerate(given)
+    ]
+    return np.array(rows)
+
+
+def _polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> Polygons | None:
+    if given is None:
+        return None
+    if not isinstance(given, list | tuple) or len(given) > MOST_POLYGONS:
+        raise InputError(path, key, files.shown(given), f"at most {MOST_POLYGONS} polygons [[x, y], ...]")
+    out = []
+    for n, corners in enumerate(given):
+        if not isinstance(corners, list | tuple) or not 3 <= len(corners) <= MOST_CORNERS:
+            raise InputError(path, f"{key}[{n}]", files.shown(corners), f"3 to {MOST_CORNERS} corners [x, y]")
+        out.append(np.array([_point(path, f"{key}[{n}][{k}]", corner, size) for k, corner in enumerate(corners)]))
+    return tuple(out)
+
+
+def _point(path: Path, key: str, given: object, size: tuple[int, int]) -> list[float]:
+    """A point in the image, or beside it by no more than the image's own size."""
+    pair = isinstance(given, list | tuple) and len(given) == 2 and all(_is_number(x) for x in given)
+    if not pair or not isinstance(given, list | tuple):
+        raise InputError(path, key, files.shown(given), "[x, y] in pixels")
+    if not all(-side <= x <= 2 * side for x, side in zip(given, size, strict=True)):
+        raise InputError(path, key, files.shown(given), f"a point in or about the {size[0]} x {size[1]} image")
+    return [float(x) for x in given]
+
+
+def _is_number(value: object) -> bool:
+    """Whether it is a finite number, and no truth value."""
+    return type(value) is int or (isinstance(value, float) and math.isfinite(value))

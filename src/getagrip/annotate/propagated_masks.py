@@ -1,0 +1,242 @@
+"""From outlines drawn on a few frames to masks of every frame: dense optical flow, GrabCut along the border.
+
+Each mask is carried as a signed distance from its border, frame by frame: from the key before forwards, from the key
+after backwards. Where a pixel of the new frame was in the old one is told by dense inverse search (DIS; Kroeger, Timofte,
+Dai, Van Gool, "Fast Optical Flow using Dense Inverse Search", ECCV 2016). After each step GrabCut (Rother, Kolmogorov,
+Blake, SIGGRAPH 2004) draws the border anew in a narrow band, so that errors do not grow. The two are blended, each the
+more the nearer its key is.
+
+The confidence of a frame is how far the two agree (intersection over union), 1 on keys. Where there is one only, before
+the first key and after the last, it is its trust: the share of the border for which flow there and back agrees, all
+steps since the key multiplied.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+from numpy import ndarray
+
+from getagrip.annotate.labels import FRONT, OBJECT
+from getagrip.errors import UsageError
+
+Image = UInt8[ndarray, "H W 3"]
+Images = Callable[[int], Image]
+"""RGB by frame, from 0; of any one size that has the shape of the masks'."""
+
+SIDE = 200.0
+"""Masks are carried at a size at which the object's longer side is about so long [px]. All below is at that size."""
+MARGIN = 120
+"""What moves farther than this from one frame to the next is lost [px]."""
+FAR = 16
+"""Signed distances end here [px]."""
+BAND = 4.0
+"""GrabCut moves the border by less than this [px]."""
+ROUNDS = 2
+"""Of GrabCut."""
+BACK = 1.5
+"""Flow there and back agrees if it ends so near to where it began [px]."""
+
+KINDS = (OBJECT, FRONT)
+
+
+class Propagated(NamedTuple):
+    """The mask of a frame."""
+
+    frame: int
+    labels: UInt8[ndarray, "H W"]
+    """0, ``OBJECT`` or ``FRONT``."""
+    confidence: float
+    """From 0, lost, to 1, as drawn."""
+
+
+class Carried(NamedTuple):
+    """The mask of a frame on its way; small, since those of all frames between two keys are kept."""
+
+    frame: int
+    corner: tuple[int, int]
+    """Left and top of the part of the image that holds all of it [px]."""
+    inside: Float32[ndarray, "2 h w"]
+    """Signed distances from the borders of ``KINDS``, above 0 inside, -FAR to FAR [px]."""
+    trust: float
+
+
+def propagate(image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int) -> Iterator[Propagated]:
+    """The masks of the frames ``first`` to ``last``, both included, in order; those of keys are as they are given.
+
+    Images are asked for from one key to the next and back again. Raises ``UsageError`` where no key shows the object,
+    keys are outside the interval or of different sizes.
+    """
+    _check(keys, first, last)
+    frames = sorted(keys)
+    size = _working_size(keys)
+    back = list(_carry(image, keys, frames[0], first, size))
+    yield from (_propagated(each, each.trust, keys, size) for each in back[::-1])
+    for start, end in pairwise(frames):
+        yield Propagated(start, keys[start], 1.0)
+        back = list(_carry(image, keys, end, start + 1, size))[::-1]
+        for one, other in zip(_carry(image, keys, start, end - 1, size), back, strict=True):
+            yield _propagated(*_blended(one, other, (one.frame - start) / (end - start)), keys, size)
+    yield Propagated(frames[-1], keys[frames[-1]], 1.0)
+    yield from (_propagated(each, each.trust, keys, size) for each in _carry(image, keys, frames[-1], last, size))
+
+
+def _check(keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int) -> None:
+    if not any((labels == OBJECT).any() for labels in keys.values()):
+        raise UsageError("outlines: got no frame with the object's, expected one at least")
+    outside = [n for n in keys if not first <= n <= last]
+    if outside:
+        raise UsageError(f"outlines: got some on frame {outside[0]}, expected them on frames {first} to {last}")
+    if len({labels.shape for labels in keys.values()}) > 1:
+        raise UsageError("outlines: got masks of different sizes, expected one size")
+
+
+def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]]) -> tuple[int, int]:
+    """Width and height at which the object's longer side is ``SIDE``; never more than the masks'."""
+    sides = [np.ptp(np.nonzero(labels == OBJECT), axis=1).max() for labels in keys.values() if (labels == OBJECT).any()]
+    shrunk = min(1.0, SIDE / max(1.0, float(np.median(sides))))
+    height, width = next(iter(keys.values())).shape
+    return max(16, round(shrunk * width)), max(16, round(shrunk * height))
+
+
+def _carry(
+    image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], key: int, to: int, size: tuple[int, int]
+) -> Iterator[Carried]:
+    """The mask of a key, carried to the frames after it until ``to``, or before it."""
+    if key == to:
+        return
+    now, before = _of_key(key, keys[key], size), _resized(image(key), size)
+    towards = 1 if to > key else -1
+    for frame in range(key + towards, to + towards, towards):
+        after = _resized(image(frame), size)
+        now = _step(now, before, after, frame)
+        yield now
+        before = after
+
+
+def _of_key(frame: int, labels: UInt8[ndarray, "H W"], size: tuple[int, int]) -> Carried:
+    import cv2
+
+    masks = [cv2.resize((labels == kind).astype(np.float32), size, interpolation=cv2.INTER_AREA) for kind in KINDS]
+    return _cut(frame, (0, 0), np.stack([_signed_distance(mask > 0.5) for mask in masks]), 1.0)
+
+
+def _resized(image: Image, size: tuple[int, int]) -> Image:
+    import cv2
+
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _step(now: Carried, before: Image, after: Image, frame: int) -> Carried:
+    """A mask in the next frame."""
+    import cv2
+
+    if not now.inside.size:  # nothing is seen of it
+        return now._replace(frame=frame)
+    height, width = before.shape[:2]
+    (left, top), (h, w) = now.corner, now.inside.shape[1:]
+    rows = slice(max(0, top - MARGIN), min(height, top + h + MARGIN))
+    columns = slice(max(0, left - MARGIN), min(width, left + w + MARGIN))
+    a, b = before[rows, columns], after[rows, columns]
+    back, there = _flow(b, a), _flow(a, b)
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in b.shape[1::-1]))
+    came = x + back[..., 0], y + back[..., 1]
+    old = (came[0] + columns.start - left, came[1] + rows.start - top)
+    inside = np.stack(
+        [cv2.remap(kind, *old, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, -float(FAR)) for kind in now.inside]
+    )
+    off = np.linalg.norm(back + cv2.remap(there, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE), axis=-1)
+    border = np.abs(inside[0]) < 2.0
+    trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
+    refined = np.stack([_refined(b, kind) for kind in inside])
+    return _cut(frame, (columns.start, rows.start), refined, trust)
+
+
+def _flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
+    """Where each pixel of a is in b, less where it is in a [px]."""
+    import cv2
+
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    grey = (cv2.cvtColor(np.ascontiguousarray(each), cv2.COLOR_RGB2GRAY) for each in (a, b))
+    return np.asarray(search.calc(*grey, None), np.float32)
+
+
+def _refined(image: Image, inside: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
+    """Signed distances from the border that GrabCut finds near to the given one."""
+    import cv2
+
+    near = inside > -FAR
+    if not (inside > BAND).any() or near.all():
+        return inside
+    labels = np.where(inside > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    labels[inside > BAND], labels[inside < -BAND] = cv2.GC_FGD, cv2.GC_BGD
+    rows, columns = (slice(int(i.min()), int(i.max()) + 1) for i in np.nonzero(near))
+    part = np.ascontiguousarray(labels[rows, columns])
+    colours = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.setRNGSeed(0)  # GrabCut begins with k-means from random centres
+    image = np.ascontiguousarray(image[rows, columns])
+    labels[rows, columns] = cv2.grabCut(image, part, (0, 0, 0, 0), *colours, ROUNDS, cv2.GC_INIT_WITH_MASK)[0]
+    found = _signed_distance((labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD))
+    return np.asarray(cv2.GaussianBlur(found, (0, 0), 1.0), np.float32)
+
+
+def _signed_distance(mask: Bool[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
+    """Distance from the border between pixels, above 0 inside, up to ``FAR`` [px]."""
+    import cv2
+
+    distances = []
+    for each in (mask, ~mask):
+        seen = each.astype(np.uint8)
+        if seen.all():
+            distances.append(np.full(mask.shape, float(FAR), np.float32))
+        else:
+            distances.append(np.maximum(cv2.distanceTransform(seen, cv2.DIST_L2, 5) - 0.5, 0.0))
+    return np.clip(distances[0] - distances[1], -FAR, FAR).astype(np.float32)
+
+
+def _cut(frame: int, corner: tuple[int, int], inside: Float32[ndarray, "2 h w"], trust: float) -> Carried:
+    """Only the part that holds what is inside, and what is near to it."""
+    near = (inside > -FAR).any(axis=0)
+    if not near.any():
+        return Carried(frame, corner, inside[:, :0, :0], trust)
+    rows, columns = (slice(int(i.min()), int(i.max()) + 1) for i in np.nonzero(near))
+    return Carried(frame, (corner[0] + columns.start, corner[1] + rows.start), inside[:, rows, columns].copy(), trust)
+
+
+def _blended(one: Carried, other: Carried, share: float) -> tuple[Carried, float]:
+    """Two masks of a frame made one, the other's ``share`` from 0 to 1 by how near its key is; how far they agree."""
+    left, top = np.minimum(one.corner, other.corner).tolist()
+    ends = [np.add(each.corner, each.inside.shape[:0:-1]) for each in (one, other)]
+    width, height = (np.maximum(*ends) - (left, top)).tolist()
+    a, b = (_placed(each, (left, top), (width, height)) for each in (one, other))
+    weights = np.array([(1.0 - share) * one.trust, share * other.trust]) + 1e-6
+    inside = (weights[0] * a + weights[1] * b) / weights.sum()
+    union = np.count_nonzero((a[0] > 0) | (b[0] > 0))
+    agreement = np.count_nonzero((a[0] > 0) & (b[0] > 0)) / union if union else 1.0
+    return Carried(one.frame, (left, top), inside.astype(np.float32), 0.0), float(agreement)
+
+
+def _placed(each: Carried, corner: tuple[int, int], size: tuple[int, int]) -> Float32[ndarray, "2 h w"]:
+    """Signed distances in another part of the image, which holds theirs."""
+    out = np.full((2, *size[::-1]), -float(FAR), np.float32)
+    (left, top), (h, w) = np.subtract(each.corner, corner).tolist(), each.inside.shape[1:]
+    out[:, top : top + h, left : left + w] = each.inside
+    return out
+
+
+def _propagated(
+    each: Carried, confidence: float, keys: Mapping[int, UInt8[ndarray, "H W"]], size: tuple[int, int]
+) -> Propagated:
+    """At the size of the keys' masks."""
+    import cv2
+
+    height, width = next(iter(keys.values())).shape
+    whole = _placed(each, (0, 0), size)
+    labels = np.zeros((height, width), np.uint8)
+    for kind, inside in zip(KINDS, whole, strict=True):  # what is in front wins
+        labels[cv2.resize(inside, (width, height), interpolation=cv2.INTER_LINEAR) > 0] = kind
+    return Propagated(each.frame, labels, confidence)
