@@ -114,7 +114,7 @@ def read(root: Path, mano: Path, **options: Any) -> list[tracks.Track]:
 
 def clips(root: Path, mano: Path, whole: bool = False) -> list[Any]:
     notes: list[str] = []
-    found = tracks.pieces(read(root, mano), arctic.DEFINITION, whole, notes.append)
+    found = tracks.pieces(read(root, mano), notes.append, arctic.DEFINITION, whole)
     return [tracks.clip(piece, 20, notes.append) for piece in found]
 
 

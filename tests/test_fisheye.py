@@ -112,12 +112,13 @@ def test_a_quarter_turn_turns_the_picture_clockwise():
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs HOT3D's samples in the folder 'shared' beside the checkout")
 def test_objects_of_hot3d_fall_into_the_published_boxes():
-    from getagrip.datasets.hot3d import _objects
+    from getagrip.datasets.hot3d import Objects
     from getagrip.datasets.hot3d_files import find, read_recording
 
-    _, meshes = _objects(DATA, print)
+    objects = Objects.below(DATA)
     for (name, files), stream in zip(find(DATA).items(), ("1201-1", "214-1"), strict=True):
         recording = read_recording(name, files)
+        meshes = objects.read(recording, print)
         camera = recording.camera
         T_fisheye_world = camera.pinhole.T_fisheye_pinhole @ se3.inverse(camera.T_world_cam)
         errors = []

@@ -114,7 +114,7 @@ def test_hands_are_mano_s_or_fitted_to_the_joints(root: Path, mano: Path) -> Non
 
 def test_a_grasp_ends_where_nothing_is_known(root: Path) -> None:
     notes: list[str] = []
-    (piece,) = tracks.pieces(read(root, None), ho3d.DEFINITION, False, notes.append)
+    (piece,) = tracks.pieces(read(root, None), notes.append, ho3d.DEFINITION, False)
     np.testing.assert_array_equal(piece.track.numbers, np.arange(TAKEN, LOST))
     clip, masks = tracks.clip(piece, 20, notes.append)
     assert clip.frames[0] == f"{TAKEN:04d}"

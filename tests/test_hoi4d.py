@@ -117,16 +117,16 @@ def test_left_hands_are_those_of_the_published_file(root: Path, mano: Path) -> N
 def test_frames_without_a_hand_are_gaps(root: Path, mano: Path) -> None:
     (root / "handpose" / "refinehandpose_right" / INDEX / "28.pickle").unlink()
     notes: list[str] = []
-    (piece,) = tracks.pieces(read(root, mano), hoi4d.DEFINITION, False, notes.append)
+    (piece,) = tracks.pieces(read(root, mano), notes.append, hoi4d.DEFINITION, False)
     np.testing.assert_array_equal(piece.track.numbers, np.arange(TAKEN, 28))
-    (whole,) = tracks.pieces(read(root, mano), hoi4d.DEFINITION, True, notes.append)
+    (whole,) = tracks.pieces(read(root, mano), notes.append, hoi4d.DEFINITION, True)
     np.testing.assert_array_equal(whole.track.numbers, np.arange(28))
 
 
 @pytest.mark.parametrize("kind", ["mask", "shift_mask"])
 def test_labels_are_masks(root: Path, mano: Path, kind: str) -> None:
     write_labels(root, kind)
-    (piece,) = tracks.pieces(read(root, mano), hoi4d.DEFINITION, False, print)
+    (piece,) = tracks.pieces(read(root, mano), print, hoi4d.DEFINITION, False)
     clip, masks = tracks.clip(piece, 20, print)
     assert "drawn by people" in clip.provenance["masks"]
     seen, ignore = masks.object[0], masks.ignore[0]
@@ -190,7 +190,7 @@ def test_broken_labels_are_named(root: Path, mano: Path) -> None:
     small = path.read_bytes()
     for damaged in (content[: len(content) // 2], b"", small):
         path.write_bytes(damaged)
-        (piece,) = tracks.pieces(read(root, mano), hoi4d.DEFINITION, False, print)
+        (piece,) = tracks.pieces(read(root, mano), print, hoi4d.DEFINITION, False)
         with pytest.raises(InputError, match=r"00007\.png"):
             tracks.clip(piece, 20, print)
 

@@ -11,8 +11,9 @@ from test_umetrack import profile
 
 from getagrip import se3
 from getagrip.clip import FINGERS
-from getagrip.datasets import hot3d
+from getagrip.datasets import hot3d, hot3d_timelines, tracks
 from getagrip.errors import InputError
+from getagrip.grasps import Definition, segment
 from getagrip.kernels.depth import depth_and_face
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "hot3d"
@@ -162,6 +163,117 @@ def test_object_names_that_could_be_paths_are_refused(root, name):
     (root / "assets" / "instance.json").write_text(json.dumps({"111": {"instance_name": name}}))
     with pytest.raises(InputError, match=r"instance\.json: 111"):
         list(hot3d.read(root))
+
+
+def test_an_import_goes_on_where_it_stopped(root, tmp_path, run):
+    call = ("import", "hot3d", root, "--out", tmp_path / "out")
+    status, said, _ = run(*call)
+    assert (status, said.splitlines()[-1]) == (0, "1 clips, 0 already there, 0 sequences failed")
+    made = tmp_path / "out" / f"{NAME}-red_box-right"
+    stamp = (made / "hand.npz").stat().st_mtime_ns
+    broken = root / "sequences" / "P0000_bad"
+    broken.mkdir()
+    (broken / "dynamic_objects.csv").write_text("object_uid\n")
+    status, said, err = run(*call)
+    assert (status, said.splitlines()[-1]) == (1, "0 clips, 1 already there, 1 sequences failed")
+    assert "P0000_bad" in err
+    assert (made / "hand.npz").stat().st_mtime_ns == stamp
+    assert json.loads((made / "clip.json").read_text())["provenance"]["subject"] == "P0000"
+
+
+def test_whole_recordings_show_what_is_outside_of_the_holds(root, tmp_path, run):
+    assert run("import", "hot3d", root, "--out", tmp_path / "out", "--whole")[0] == 0
+    name = "P0000--0123abcd--red_box--right"
+    assert [folder.name for folder in (tmp_path / "out").iterdir()] == [name]
+    assert not (tmp_path / "out" / name / "masks").exists()
+    (source,) = hot3d.sources(root)
+    (piece,) = hot3d.whole(source.read(print), print)
+    clip, _ = tracks.clip(piece, hot3d.SHORTEST, print)
+    assert (clip.name, clip.frames) == (name, frames(tmp_path / "out" / name))
+    assert clip.frames == tuple(f"{n:06d}" for n in range(FRAMES))
+    assert segment(clip, Definition(contact=0.005, points="area", shortest=5))[1] == [(2, 13)]
+
+
+def frames(clip):
+    """The frames that a clip's folder tells of."""
+    return tuple(json.loads((clip / "clip.json").read_text())["frames"])
+
+
+def timelines(path, **changes):
+    """A list in which the right hand has the box from frame 3 to 6, then from 8 to 40; and what is not to be read."""
+    segments = [(3, 6, "right", "inhand"), (6, 8, None, "scene_dynamic"), (8, 40, "right", "inhand")]
+    segments += [(9, 9, "right", "inhand"), (50, 2, "right", "inhand"), (0, 15, "left", "inhand")]
+    entry = {
+        "timeline_name": f"{NAME}_red_box_00000_00016", "seq_name": NAME, "cat": "red_box", "total_start": 0,
+        "total_end": FRAMES, "segments": [dict(zip(("st", "ed", "side", "ref"), s, strict=True)) for s in segments],
+    }  # fmt: skip
+    path.write_text(json.dumps([entry | changes]))
+    return path
+
+
+def test_grasps_of_a_list(root, tmp_path, run):
+    listed = timelines(tmp_path / "hit.json")
+    status, _, err = run("import", "hot3d", root, "--out", tmp_path / "out", "--timelines", listed)
+    assert status == 0
+    assert "hit.json: 1 grasps end before they start: left out" in err
+    assert f"{NAME}-red_box-right-00009-00009: hand and object are known in 1 of its frames: left out" in err
+    found = {folder.name: frames(folder) for folder in (tmp_path / "out").iterdir()}
+    assert found == {
+        f"{NAME}-red_box-right-00003-00006": tuple(f"{n:06d}" for n in range(3, 7)),  # both ends included
+        f"{NAME}-red_box-right-00008-00040": tuple(f"{n:06d}" for n in range(8, FRAMES)),
+    }
+
+
+def test_a_list_that_counts_other_frames_is_refused_unless_its_first_number_is_given(root, tmp_path, run):
+    listed = timelines(tmp_path / "hit.json", total_end=FRAMES + 4)
+    call = ("import", "hot3d", root, "--out", tmp_path / "out", "--timelines", listed)
+    status, _, err = run(*call)
+    assert status == 1
+    assert "got 16 frames, expected 20, as the list counts them: say with --first-frame" in err
+    assert run(*call, "--first-frame", 4)[0] == 0
+    found = {folder.name: frames(folder) for folder in (tmp_path / "out").iterdir()}
+    assert found[f"{NAME}-red_box-right-00003-00006"] == ("000000", "000001", "000002")
+    assert found[f"{NAME}-red_box-right-00008-00040"][0] == "000004"
+
+
+def test_wrong_calls_with_lists(root, tmp_path, run):
+    listed = timelines(tmp_path / "hit.json", seq_name="P0001_other")
+    call = ("import", "hot3d", root, "--out", tmp_path / "out")
+    assert run(*call, "--timelines", listed)[0] == 1
+    assert run(*call, "--timelines", listed, "--whole")[0] == 2
+    assert run(*call, "--first-frame", 3)[0] == 2
+    status, _, err = run("import", "ho3d", root, "--out", tmp_path / "out", "--timelines", listed)
+    assert (status, "--timelines" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"seq_name": "../x"}, r"\[0\].seq_name"),
+        ({"seq_name": None}, r"\[0\].seq_name"),
+        ({"cat": 3}, r"\[0\].cat"),
+        ({"total_end": "16"}, r"\[0\].total_end"),
+        ({"total_end": -1}, r"\[0\].total_end"),
+        ({"segments": None}, r"\[0\].segments"),
+        ({"segments": [3]}, r"\[0\].segments"),
+        ({"segments": [{"ed": 3}]}, r"segments\[0\].st"),
+        ({"segments": [{"st": 1.5, "ed": 3}]}, r"segments\[0\].st"),
+        ({"segments": [{"st": 1, "ed": 10**30}]}, r"segments\[0\].ed"),
+        ({"segments": [{"st": 1, "ed": 3, "ref": "thrown"}]}, r"segments\[0\].ref"),
+        ({"segments": [{"st": 1, "ed": 3, "ref": []}]}, r"segments\[0\].ref"),
+        ({"segments": [{"st": 1, "ed": 3, "ref": "inhand", "side": None}]}, r"segments\[0\].side"),
+    ],
+)
+def test_broken_lists_are_named(tmp_path, changes, named):
+    with pytest.raises(InputError, match=named):
+        hot3d_timelines.read(timelines(tmp_path / "hit.json", **changes))
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"[" * 100_000, b"\xff", b"[3]", b"null"])
+def test_what_is_no_list_is_refused(tmp_path, content):
+    (tmp_path / "hit.json").write_bytes(content)
+    with pytest.raises(InputError, match=r"hit\.json"):
+        hot3d_timelines.read(tmp_path / "hit.json")
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs HOT3D's samples in the folder 'shared' beside the checkout")

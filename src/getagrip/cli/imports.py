@@ -41,12 +41,16 @@ class Import(Command):
     view: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0)")] = None
     """arctic: the camera, 0 on the head, 1 to 8 fixed."""
     whole: Flag = False
-    """dexycb, arctic, hoi4d, ho3d: not the grasps but all frames, without masks: for segment and study."""
+    """Not the grasps but all frames, without masks: for segment and study."""
+    timelines: OptionalFile = None
+    """hot3d: a list of grasps (hot3d_hit.json), instead of the holds found here."""
+    first_frame: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0)")] = None
+    """hot3d: the list's number of a recording's first frame; else the recording must be as long as the list has it."""
 
     def run(self) -> int:
         from getagrip.run.imports import Given, import_clips
 
-        given = Given(self.meshes, self.mano, self.view, self.whole)
+        given = Given(self.meshes, self.mano, self.view, self.whole, self.timelines, self.first_frame)
         return import_clips(self.source, self.root, self.out, given, self.debug)
 
 

@@ -1,4 +1,4 @@
-"""What the readers of ARCTIC, HOI4D and HO-3D share: true tracks of a hand and an object, cut into clips.
+"""What the readers of ARCTIC, HOI4D, HO-3D and HOT3D share: true tracks of a hand and an object, cut into clips.
 
 A reader turns a sequence into ``Track``s. Here a track is cut where it has gaps and where the joint of its object
 turns, its stable grasps are found (Eq. 2), and each piece becomes a clip, with masks. At no time is more than one
@@ -112,19 +112,14 @@ class Piece:
     """A part of a track that becomes a clip."""
 
     track: Track
-    number: int
-    """Counts the pieces of one hand and object in a sequence, from 1."""
+    name: str
+    """What its clip is called."""
     made_of: str
     """What it is, in words."""
-    masks: bool
-
-    @property
-    def name(self) -> str:
-        """What its clip is called."""
-        return self.track.name + (f"{BETWEEN}{self.number}" if self.number > 1 else "")
+    masks: bool = True
 
 
-def pieces(tracks: Iterable[Track], definition: Definition, whole: bool, note: Note) -> Iterator[Piece]:
+def pieces(tracks: Iterable[Track], note: Note, definition: Definition, whole: bool) -> Iterator[Piece]:
     """The stable grasps of some tracks, or (``whole``) all of each, as far as nothing is missing and no joint turns.
 
     Whole pieces have no masks: they are for what looks at true poses only, and are many frames long.
@@ -147,7 +142,8 @@ def pieces(tracks: Iterable[Track], definition: Definition, whole: bool, note: N
                         f"a stable grasp: contact IOU above {definition.tau:g} between all pairs of frames, "
                         f"{area:.3f} on average, at {1e3 * definition.contact:g} mm"
                     )
-                yield Piece(part.take(np.arange(first, last + 1)), number, made_of, masks=not whole)
+                name = track.name + f"{BETWEEN}{number}" * (number > 1)
+                yield Piece(part.take(np.arange(first, last + 1)), name, made_of, masks=not whole)
         if number == 0:
             kind = "no run" if whole else "no stable grasp"
             note(f"{track.name}: {kind} of {definition.shortest} frames: left out")

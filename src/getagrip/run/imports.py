@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 from getagrip.clip import write_clip
 from getagrip.datasets import arctic, dexycb, dexycb_files, ho3d, hoi4d, tracks
-from getagrip.errors import UsageError
-from getagrip.grasps import Definition
+from getagrip.errors import InputError, UsageError
 from getagrip.run.batch import FEW, progress_bar
 from getagrip.run.job import Outcome, failure
 from getagrip.run.pool import cores, in_processes
 
 TAKES = {
-    "hot3d": (),
+    "hot3d": ("whole", "timelines", "first_frame"),
     "dexycb": ("meshes", "whole"),
     "arctic": ("mano", "view", "whole"),
     "hoi4d": ("mano", "whole"),
     "ho3d": ("meshes", "mano", "whole"),
 }
 """The options of each source."""
+
+
+Cut = Callable[[Iterable[tracks.Track], tracks.Note], Iterator[tracks.Piece]]
+"""How tracks become the pieces that clips are made of."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,8 @@ class Given:
     mano: Path | None
     view: int | None
     whole: bool
+    timelines: Path | None = None
+    first_frame: int | None = None
 
 
 def import_clips(source: str, root: Path, out: Path, given: Given, debug: bool) -> int:
@@ -43,10 +49,11 @@ def import_clips(source: str, root: Path, out: Path, given: Given, debug: bool) 
     """
     for option, value in vars(given).items():
         if option not in TAKES[source] and value not in (None, False):
-            taken = ", ".join(f"--{name}" for name in TAKES[source]) or "none"
-            raise UsageError(f"--{option}: got {value}, expected none: {source} takes {taken}")
+            taken = ", ".join(f"--{name.replace('_', '-')}" for name in TAKES[source])
+            raise UsageError(f"--{option.replace('_', '-')}: got {value}, expected none: {source} takes {taken}")
     if source == "hot3d":
-        return import_hot3d(root, out)
+        found, cut, shortest = _of_hot3d(root, given)
+        return import_tracks(found, cut, shortest, out, debug)
     if source == "dexycb" and not given.whole:
         return import_dexycb(root, given.meshes, out, debug)
     if source == "dexycb":
@@ -57,28 +64,32 @@ def import_clips(source: str, root: Path, out: Path, given: Given, debug: bool) 
         found, definition = hoi4d.find(root, given.mano), hoi4d.DEFINITION
     else:
         found, definition = ho3d.find(root, given.meshes, given.mano), ho3d.DEFINITION
-    return import_tracks(found, definition, out, given.whole, debug)
+    cut = partial(tracks.pieces, definition=definition, whole=given.whole)
+    return import_tracks(found, cut, definition.shortest, out, debug)
 
 
-def import_hot3d(root: Path, out: Path) -> int:
-    """Write the holds of HOT3D recordings as ``out/<clip name>/``; 1 if a clip is there already, else 0.
+def _of_hot3d(root: Path, given: Given) -> tuple[list[tracks.Source], Cut, int]:
+    """The recordings of HOT3D, how they are cut, and the fewest frames of a clip."""
+    from getagrip.datasets import hot3d, hot3d_timelines
 
-    Raises ``InputError`` for files that are missing or malformed, when all else is done.
-    """
-    from getagrip.datasets import hot3d
+    if given.timelines is None:
+        if given.first_frame is not None:
+            raise UsageError(f"--first-frame: got {given.first_frame}, expected none without --timelines")
+        return hot3d.sources(root), hot3d.whole if given.whole else hot3d.holds, hot3d.SHORTEST
+    if given.whole:
+        raise UsageError("--timelines and --whole: name one of them")
+    listed = hot3d_timelines.read(given.timelines, _say)
+    frames = dict.fromkeys(listed.frames) if given.first_frame is not None else listed.frames
+    found = hot3d.sources(root, frames)
+    if not found:
+        raise InputError(root, "", f"none of the {len(frames)} recordings of {listed.file}", "one of them at least")
+    if len(found) < len(frames):
+        _say(f"{len(frames) - len(found)} of {len(frames)} recordings of {listed.file} are not there: left out")
+    return found, partial(listed.cut, first_frame=given.first_frame or 0), hot3d_timelines.FEWEST
 
-    say: Callable[[str], None] = lambda words: print(words, file=sys.stderr)  # noqa: E731
-    failures = 0
-    with progress_bar() as bar:
-        task = bar.add_task(f"clips of {root}", total=None)
-        for clip, masks in hot3d.read(root, note=say):
-            try:
-                print(write_clip(clip, masks, out / clip.name))
-            except UsageError as error:
-                say(f"failed: {error}")
-                failures += 1
-            bar.advance(task)
-    return 1 if failures else 0
+
+def _say(words: str) -> None:
+    print(words, file=sys.stderr)
 
 
 @dataclass(frozen=True)
@@ -119,19 +130,19 @@ class TracksJob:
     """A sequence to make clips of."""
 
     source: tracks.Source
-    definition: Definition
+    cut: Cut
+    shortest: int
+    """The fewest frames of a clip."""
     out: Path
-    whole: bool
 
     @property
     def name(self) -> str:
         return self.source.name
 
 
-def import_tracks(sources: Sequence[tracks.Source], definition: Definition, out: Path, whole: bool, debug: bool) -> int:
-    """Write the stable grasps of sequences as ``out/<clip name>/``, or all frames (``whole``), as ``import_dexycb``."""
-    jobs = [TracksJob(source, definition, out, whole) for source in sources]
-    return _share_out(jobs, _import_source, debug)
+def import_tracks(sources: Sequence[tracks.Source], cut: Cut, shortest: int, out: Path, debug: bool) -> int:
+    """Write the pieces of sequences as ``out/<clip name>/``, as ``import_dexycb`` does."""
+    return _share_out([TracksJob(source, cut, shortest, out) for source in sources], _import_source, debug)
 
 
 J = TypeVar("J", DexYcbJob, TracksJob)
@@ -180,11 +191,11 @@ def _import_source(job: TracksJob) -> Imported:
     outcomes: list[Outcome] = []
     notes: list[str] = []
     try:
-        for piece in tracks.pieces(job.source.read(notes.append), job.definition, job.whole, notes.append):
+        for piece in job.cut(job.source.read(notes.append), notes.append):
             folder = job.out / piece.name
             if folder.exists():
                 outcomes.append(Outcome(piece.name, "kept", f"{folder}: already there"))
-            elif (made := tracks.clip(piece, job.definition.shortest, notes.append)) is not None:
+            elif (made := tracks.clip(piece, job.shortest, notes.append)) is not None:
                 outcomes.append(Outcome(piece.name, "done", str(write_clip(*made, folder))))
     except Exception as error:
         outcomes.append(failure(job.name, error))
