@@ -20,11 +20,12 @@ from hypothesis import strategies as st
 
 from getagrip.annotate.agreement import agreements, matched, temporal_iou
 from getagrip.annotate.command import DATABASE, write_files
-from getagrip.annotate.marks import REASONS, Mark, RefusedError
+from getagrip.annotate.marks import REASONS, Mark
 from getagrip.annotate.project import Project
 from getagrip.annotate.server import LARGEST_BODY, Server
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task
+from getagrip.annotate.versions import RefusedError
 from getagrip.datasets.epic_files import read_grasps
 from getagrip.stats import read_list
 
@@ -70,7 +71,7 @@ def test_marks_are_there_when_the_file_is_opened_again(project: Project) -> None
     grasp(project, 10, 40)
     project.change(change(new(), {"reason": "out of view"}, task="candidate"))
     again = Project(list(project.tasks.values()), Store(project.store.path))
-    assert again.store.marks() == project.store.marks()
+    assert again.store.marks.standing() == project.store.marks.standing()
     assert [task["state"] for task in again.overview("ann")["tasks"]] == ["marked", "discarded"]
     assert [task["state"] for task in again.overview("bob")["tasks"]] == ["", ""]
     (mark,) = again.marks(VIDEO, "ann")["marks"]
@@ -84,33 +85,33 @@ def test_two_tabs_that_change_one_mark_lose_nothing(project: Project) -> None:
     project.change(change(mark, {"end": 50}, tab="tab-one-"))
     project.change(change(mark, {"category": "cup"}, tab="tab-two-"))
     project.change(change(mark, {"start": 12}, tab="tab-one-"))
-    (state,) = project.store.marks(VIDEO)
+    (state,) = project.store.marks.standing(VIDEO)
     assert (state.start, state.end, state.category) == (12, 50, "cup")
-    assert [one.end for one in project.store.history(mark)] == [None, 40, 50, 50, 50]
+    assert [one.end for one in project.store.marks.history(mark)] == [None, 40, 50, 50, 50]
 
 
 def test_changes_at_once_are_all_kept(project: Project) -> None:
     marks = [new() for _ in range(40)]
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda mark: project.change(change(mark, {"start": 3})), marks))
-    assert {mark.mark for mark in project.store.marks(VIDEO)} == {*marks}
+    assert {mark.mark for mark in project.store.marks.standing(VIDEO)} == {*marks}
 
 
 def test_two_processes_may_share_a_file(project: Project) -> None:
     other = Store(project.store.path)
     grasp(project, 10, 40)
-    assert other.marks() == project.store.marks()
+    assert other.marks.standing() == project.store.marks.standing()
     other.close()
 
 
 def test_a_change_that_is_sent_twice_is_made_once(project: Project) -> None:
     sent = change(new(), {"start": 5})
     assert project.change(sent) == project.change(sent)
-    assert len(project.store.history(sent["mark"])) == 1
+    assert len(project.store.marks.history(sent["mark"])) == 1
     taken = undo()
     assert project.undo(taken)["undone"]
     project.undo(taken)
-    assert len(project.store.history(sent["mark"])) == 2
+    assert len(project.store.marks.history(sent["mark"])) == 2
 
 
 @settings(max_examples=10)
@@ -119,17 +120,17 @@ def test_undo_goes_back_through_every_state(
     tmp_path_factory: Any, video: Path, steps: list[tuple[int, str, int]]
 ) -> None:
     made = Project([Task(VIDEO, VIDEO, video)], Store(tmp_path_factory.mktemp("undo") / DATABASE))
-    marks, states = [new() for _ in range(3)], [made.store.marks()]
+    marks, states = [new() for _ in range(3)], [made.store.marks.standing()]
     for which, field, value in steps:
         given_value = {"side": "left" if value % 2 else "right", "deleted": bool(value % 2)}.get(field, value)
         try:
             made.change(change(marks[which], {field: given_value}))
         except RefusedError:
             continue
-        states.append(made.store.marks())
+        states.append(made.store.marks.standing())
     for state in reversed(states[:-1]):
         assert made.undo(undo())["undone"]
-        assert made.store.marks() == state
+        assert made.store.marks.standing() == state
     assert not made.undo(undo())["undone"]
     made.close()
 
@@ -139,11 +140,11 @@ def test_a_tab_undoes_its_own_changes_only(project: Project) -> None:
     project.change(change(mine, {"start": 1}, tab="tab-one-"))
     project.change(change(theirs, {"start": 2}, tab="tab-two-"))
     project.undo(undo(tab="tab-one-"))
-    assert [mark.mark for mark in project.store.marks()] == [theirs]
+    assert [mark.mark for mark in project.store.marks.standing()] == [theirs]
     project.change(change(theirs, {"end": 9}, tab="tab-one-"))
     with pytest.raises(RefusedError, match="another tab"):
         project.undo(undo(tab="tab-two-"))
-    assert project.store.marks()[0].end == 9
+    assert project.store.marks.standing()[0].end == 9
 
 
 @pytest.mark.parametrize(
@@ -158,7 +159,7 @@ def test_a_tab_undoes_its_own_changes_only(project: Project) -> None:
 def test_impossible_changes_are_refused_and_change_nothing(project: Project, sets: dict[str, Any]) -> None:
     with pytest.raises(RefusedError):
         project.change(change(new(), sets))
-    assert project.store.newest(VIDEO, "ann") == 0
+    assert project.store.marks.newest(VIDEO, "ann") == 0
 
 
 @pytest.mark.parametrize("key", ["change", "mark", "tab", "annotator", "task"])
@@ -311,7 +312,7 @@ def test_the_page_is_for_this_machine_only(server: Server) -> None:
     for head in foreign:
         assert ask(server, "/api/change", sent, head)[0] == 403
         assert ask(server, f"/frame?task={VIDEO}&n=0", head=head)[0] == 403
-    assert server.project.store.marks() == []
+    assert server.project.store.marks.standing() == []
     assert ask(server, "/api/change", sent, {"Origin": f"http://{own}"})[0] == 200
     assert ask(server, "/", head={"Host": f"localhost:{server.server_port}"})[0] == 200
 
@@ -342,7 +343,7 @@ def test_forms_of_other_sites_cannot_be_sent(server: Server) -> None:
 
 def test_a_database_that_cannot_be_written_is_told(server: Server) -> None:
     other = sqlite3.connect(server.project.store.path)
-    server.project.store._db.execute("PRAGMA busy_timeout = 50")
+    server.project.store.database.connection.execute("PRAGMA busy_timeout = 50")
     other.execute("BEGIN EXCLUSIVE")
     sent = change(new(), {"start": 4})
     assert ask(server, "/api/change", sent)[0] == 503

@@ -67,7 +67,7 @@ class Served:
         self.project.close()
 
     def grasps(self) -> list[tuple[Any, ...]]:
-        return [(mark.start, mark.end, mark.side, mark.category) for mark in self.project.store.marks()]
+        return [(mark.start, mark.end, mark.side, mark.category) for mark in self.project.store.marks.standing()]
 
 
 @pytest.fixture

@@ -51,7 +51,7 @@ def annotate(source: Path, videos: Path | None, out: Path, port: int, write: boo
 def write_files(project: Project, out: Path) -> int:
     """Write ``grasps-<annotator>.csv`` and ``.json`` for each person, ``discards.csv`` and ``agreement.json``; 0."""
     known = project.known()
-    others = len(project.store.marks()) - len(known)
+    others = len(project.store.marks.standing()) - len(known)
     if others:
         print(f"{others} marks belong to other footage: left out", file=sys.stderr)
     for name in sorted({mark.annotator for mark in known}):

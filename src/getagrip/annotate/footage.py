@@ -57,11 +57,14 @@ class Footage(Protocol):
     def index(self, number: int) -> int:
         """The frame of a number, the nearest where it has none."""
 
-    def jpeg(self, index: int) -> bytes:
-        """A frame to be shown, made smaller where it is wide. Raises ``InputError`` where it does not decode."""
+    def jpeg(self, index: int, whole: bool = False) -> bytes:
+        """A frame to be shown, ``whole`` or made smaller where it is wide. Raises ``InputError``."""
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
         """A frame, all of its pixels: red, green, blue. Raises ``InputError`` where it does not decode."""
+
+    def close(self) -> None:
+        """Close the files, until a frame is asked for again."""
 
 
 def seconds(footage: Footage, start: int, end: int) -> float:
@@ -143,13 +146,16 @@ class ImageFolder:
         height, width = self._bgr(0).shape[:2]
         return width, height
 
-    def jpeg(self, index: int) -> bytes:
+    def jpeg(self, index: int, whole: bool = False) -> bytes:
         """An image, as JPEG whatever its file is. Raises ``InputError``."""
-        return encoded(self._bgr(index))
+        return encoded(self._bgr(index), LARGEST_SIDE if whole else WIDEST)
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
         """An image, all of its pixels. Raises ``InputError``."""
         return np.ascontiguousarray(self._bgr(index)[..., ::-1])
+
+    def close(self) -> None:
+        """No file is kept open."""
 
     def _bgr(self, index: int) -> UInt8[ndarray, "H W 3"]:
         import cv2
@@ -163,13 +169,13 @@ class ImageFolder:
         return np.asarray(image, np.uint8)
 
 
-def encoded(bgr: UInt8[ndarray, "H W 3"]) -> bytes:
+def encoded(bgr: UInt8[ndarray, "H W 3"], widest: int = WIDEST) -> bytes:
     """An image as JPEG, made narrower where it is too wide."""
     import cv2
 
     height, width = bgr.shape[:2]
-    if width > WIDEST:
-        size = WIDEST, max(1, round(height * WIDEST / width))
+    if width > widest:
+        size = widest, max(1, round(height * widest / width))
         bgr = np.asarray(cv2.resize(bgr, size, interpolation=cv2.INTER_AREA), np.uint8)
     _, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     return bytes(content.tobytes())

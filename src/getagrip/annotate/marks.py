@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields, replace
 from typing import Any
 
 from getagrip.annotate.footage import Footage, seconds
-from getagrip.errors import GetagripError
-from getagrip.files import is_plain_name, shown
+from getagrip.annotate.versions import Database, RefusedError, Versions
+from getagrip.files import shown
 
 REASONS = ("no stable grasp", "out of view", "other CAD")
 """Why a task is discarded: nothing is held stably, hand and object are not seen, the thing is unlike its mesh."""
 SETTABLE = frozenset({"start", "end", "side", "category", "entity", "reason", "deleted"})
 """What the page may change."""
-TOKEN = re.compile(r"[A-Za-z0-9-]{8,64}")
-"""What the page calls its marks, changes and tabs."""
-
-
-class RefusedError(GetagripError):
-    """A change that cannot be made. The message is for the person who marks."""
+SCHEMA = """
+CREATE TABLE versions (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT,
+    change TEXT NOT NULL UNIQUE, tab TEXT NOT NULL, at TEXT NOT NULL,
+    undoes INTEGER REFERENCES versions (seq),
+    mark TEXT NOT NULL, task TEXT NOT NULL, annotator TEXT NOT NULL,
+    start INTEGER, end INTEGER, side TEXT, category TEXT, entity TEXT, reason TEXT, deleted INTEGER NOT NULL,
+    start_number INTEGER, end_number INTEGER, seconds REAL
+);
+CREATE INDEX versions_of_mark ON versions (mark, seq);
+CREATE INDEX versions_of_task ON versions (task, annotator, tab);
+CREATE VIEW marks AS SELECT * FROM versions AS v
+    WHERE seq = (SELECT max(seq) FROM versions WHERE mark = v.mark) AND NOT deleted;
+"""
 
 
 @dataclass(frozen=True)
@@ -53,38 +60,15 @@ class Mark:
 COLUMNS = tuple(field.name for field in fields(Mark))
 
 
-@dataclass(frozen=True)
-class Change:
-    """What the page wants of a mark: only what a person has touched, so that two tabs can change the same one."""
-
-    change: str
-    """Unlike any other: the page sends a change again where it saw no answer."""
-    mark: str
-    task: str
-    annotator: str
-    tab: str
-    sets: Mapping[str, Any]
+def versions(database: Database) -> Versions[Mark]:
+    """The marks in a database."""
+    order = "task, annotator, start, mark"
+    return Versions(database, "versions", "marks", "mark", "task", order, COLUMNS, astuple, _mark)
 
 
-def read_change(content: Mapping[str, Any]) -> Change:
-    """A change as the page sends it. Raises ``RefusedError``."""
-    named = {key: content.get(key) for key in ("change", "mark", "tab")}
-    for key, value in named.items():
-        if not isinstance(value, str) or not TOKEN.fullmatch(value):
-            raise RefusedError(f"{key}: got {shown(value)}, expected 8 to 64 letters, digits or hyphens")
-    sets = content.get("set")
-    if not isinstance(sets, dict) or not sets or not sets.keys() <= SETTABLE:
-        raise RefusedError(f"set: got {shown(sets)}, expected some of {', '.join(sorted(SETTABLE))}")
-    _check(sets)
-    who = annotator(content.get("annotator"))
-    return Change(str(named["change"]), str(named["mark"]), str(content.get("task")), who, str(named["tab"]), sets)
-
-
-def annotator(name: object) -> str:
-    """The name of a person, which also names files. Raises ``RefusedError``."""
-    if not isinstance(name, str) or not is_plain_name(name) or len(name) > 60:
-        raise RefusedError(f"annotator: got {shown(name)}, expected a name of up to 60 letters, without / and \\")
-    return name
+def _mark(row: tuple[Any, ...]) -> Mark:
+    values = dict(zip(COLUMNS, row, strict=True))
+    return Mark(**values | {"deleted": bool(values["deleted"])})
 
 
 def _check(sets: Mapping[str, Any]) -> None:
@@ -108,6 +92,7 @@ def _check(sets: Mapping[str, Any]) -> None:
 
 def changed(mark: Mark, sets: Mapping[str, Any], footage: Footage) -> Mark:
     """A mark after a change, complete with what the footage says of its frames. Raises ``RefusedError``."""
+    _check(sets)
     new = replace(mark, **sets)
     for frame in (new.start, new.end):
         if frame is not None and not 0 <= frame < footage.frames:

@@ -10,24 +10,28 @@ from threading import Lock
 from typing import Any
 
 from getagrip import files
-from getagrip.annotate import agreement, export, marks
+from getagrip.annotate import agreement, export, labels, marks, versions
 from getagrip.annotate.footage import Footage
-from getagrip.annotate.marks import Mark, RefusedError
+from getagrip.annotate.labelling import Grasp, Labelling
+from getagrip.annotate.marks import Mark
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, open_footage
-from getagrip.annotate.video import Video
+from getagrip.annotate.versions import RefusedError, token
 from getagrip.datasets.epic_files import CATEGORIES
+from getagrip.run.intrinsics import Lens
 
 MOST_OPEN = 4
 """Footage that is kept open at once."""
 
 
 class Project:
-    """Tasks and the store of their marks."""
+    """Tasks and the store of what is said of them."""
 
-    def __init__(self, tasks: list[Task], store: Store) -> None:
+    def __init__(self, tasks: list[Task], store: Store, lens: Lens | None = None) -> None:
+        """``lens`` is the camera of all footage; without one the focal length is guessed."""
         self.tasks = {task.key: task for task in tasks}
         self.store = store
+        self.labelling = Labelling(store, lens or Lens(), store.path.parent)
         self.name = sha256(str(store.path.resolve()).encode()).hexdigest()[:16]
         """What the page calls the database, so that it takes no other for it."""
         self._open: OrderedDict[str, Footage] = OrderedDict()
@@ -35,15 +39,16 @@ class Project:
 
     def close(self) -> None:
         """Close all files."""
+        self.labelling.close()
         with self._lock:
             while self._open:
-                _close(self._open.popitem()[1])
+                self._open.popitem()[1].close()
         self.store.close()
 
     def overview(self, annotator: object) -> dict[str, Any]:
         """All tasks, and how far somebody is with each: "", started, marked, discarded."""
         own: dict[str, list[Mark]] = {}
-        for mark in self.store.marks(annotator=marks.annotator(annotator)):
+        for mark in self.store.marks.standing(annotator=versions.annotator(annotator)):
             own.setdefault(mark.task, []).append(mark)
         tasks = [
             asdict(task) | {"path": None, "found": task.path is not None, "state": _state(own.get(task.key, []))}
@@ -59,38 +64,81 @@ class Project:
         contact = None if task.contact is None else footage.index(task.contact)
         return {"frames": footage.frames, "fps": footage.fps, "first": first, "last": last, "contact": contact}
 
-    def frame(self, key: object, index: int) -> tuple[bytes, float, int]:
+    def frame(self, key: object, index: int, whole: bool = False) -> tuple[bytes, float, int]:
         """A frame as JPEG, when it is shown [s], and its number. Raises ``RefusedError`` and ``InputError``."""
         footage = self.footage(self._task(key))
         if not 0 <= index < footage.frames:
             raise RefusedError(f"frame {index}: the footage has frames 0 to {footage.frames - 1}")
-        return footage.jpeg(index), footage.time(index), footage.number(index)
+        return footage.jpeg(index, whole), footage.time(index), footage.number(index)
 
     def marks(self, key: object, annotator: object) -> dict[str, Any]:
         """Somebody's marks of a task, and the number of the change that made them what they are."""
-        task, name = self._task(key), marks.annotator(annotator)
-        newest = self.store.newest(task.key, name)  # before the marks: what changes in between is asked for again
-        return {"newest": newest, "marks": [asdict(mark) for mark in self.store.marks(task.key, name)]}
+        task, name = self._task(key), versions.annotator(annotator)
+        newest = self.store.marks.newest(task.key, name)  # before the marks: what changes in between is asked for again
+        return {"newest": newest, "marks": [asdict(mark) for mark in self.store.marks.standing(task.key, name)]}
 
     def change(self, content: Mapping[str, Any]) -> dict[str, Any]:
         """Make a change. Raises ``RefusedError``."""
-        change = marks.read_change(content)
-        footage = self.footage(self._task(change.task))
-        self.store.apply(change, lambda mark, sets: marks.changed(mark, sets, footage))
-        return self.marks(change.task, change.annotator)
+        change = versions.read_change(content, marks.SETTABLE)
+        blank = Mark(token(content, "mark"), str(content.get("task")), versions.annotator(content.get("annotator")))
+        footage = self.footage(self._task(blank.task))
+        self.store.marks.apply(change, blank, lambda mark, sets: marks.changed(mark, sets, footage))
+        return self.marks(blank.task, blank.annotator)
 
     def undo(self, content: Mapping[str, Any]) -> dict[str, Any]:
-        """Take back a tab's last change of a task. Raises ``RefusedError``."""
-        task, name = self._task(content.get("task")), marks.annotator(content.get("annotator"))
-        for key in ("tab", "change"):
-            if not isinstance(value := content.get(key), str) or not marks.TOKEN.fullmatch(value):
-                raise RefusedError(f"{key}: got {files.shown(value)}, expected 8 to 64 letters, digits or hyphens")
-        undone = self.store.undo(task.key, name, content["tab"], content["change"])
+        """Take back a tab's last change of a task's marks. Raises ``RefusedError``."""
+        task, name = self._task(content.get("task")), versions.annotator(content.get("annotator"))
+        undone = self.store.marks.undo(task.key, name, token(content, "tab"), token(content, "change"))
         return self.marks(task.key, name) | {"undone": undone is not None}
+
+    def labels(self, content: Mapping[str, Any]) -> dict[str, Any]:
+        """What is said of the frames of a grasp. Raises ``RefusedError``."""
+        return self.labelling.state(self._grasp(content))
+
+    def label(self, content: Mapping[str, Any]) -> dict[str, Any]:
+        """Make a change of one of its frames. Raises ``RefusedError``."""
+        grasp = self._grasp(content)
+        self.labelling.change(grasp, content)
+        return self.labelling.state(grasp)
+
+    def unlabel(self, content: Mapping[str, Any]) -> dict[str, Any]:
+        """Take back a tab's last change of its frames. Raises ``RefusedError``."""
+        grasp = self._grasp(content)
+        undone = self.labelling.undo(grasp, token(content, "tab"), token(content, "change"))
+        return self.labelling.state(grasp) | undone
+
+    def work(self, content: Mapping[str, Any]) -> dict[str, Any]:
+        """Begin, or end, work on a grasp's labels: "propagate", "files" or "cancel". Raises ``RefusedError``."""
+        grasp = self._grasp(content)
+        known = {
+            "propagate": lambda: self.labelling.propagate(grasp),
+            "files": lambda: self.labelling.make(grasp),
+            "cancel": lambda: self.labelling.background.cancel(grasp.mark.mark),
+        }
+        if content.get("work") not in known:
+            raise RefusedError(f"work: got {files.shown(content.get('work'))}, expected one of {', '.join(known)}")
+        known[str(content["work"])]()
+        return self.labelling.state(grasp)
+
+    def drafts(self, content: Mapping[str, Any], since: int) -> dict[str, Any]:
+        """Some drafts of a grasp's frames that are newer than what was given before. Raises ``RefusedError``."""
+        return {"drafts": self.store.drafts.since(self._grasp(content).mark.mark, since)}
+
+    def labels_file(self, content: Mapping[str, Any]) -> tuple[str, str]:
+        """The labels of a grasp as JSON, and what to call the file. Raises ``RefusedError``."""
+        grasp = self._grasp(content)
+        text = files.to_json(labels.to_json(self.labelling.labels(grasp))) + "\n"
+        return text, f"labels-{grasp.name}.json"
+
+    def grasps(self) -> list[Grasp]:
+        """The finished grasps of these tasks of whose frames something is said."""
+        labelled = {one.grasp for one in self.store.keyframes.standing()}
+        found = [mark for mark in self.known() if mark.mark in labelled and mark.interval and mark.side]
+        return [Grasp(self.tasks[mark.task], self.footage(self.tasks[mark.task]), mark) for mark in found]
 
     def known(self, annotator: str | None = None) -> list[Mark]:
         """The marks of these tasks; those of other tasks in the same file are left out."""
-        return [mark for mark in self.store.marks(annotator=annotator) if mark.task in self.tasks]
+        return [mark for mark in self.store.marks.standing(annotator=annotator) if mark.task in self.tasks]
 
     def agreement(self) -> dict[str, Any]:
         """How far people agree."""
@@ -98,7 +146,7 @@ class Project:
 
     def exported(self, kind: str, annotator: object) -> str:
         """Somebody's grasps as text: "csv" or "json"."""
-        found = self.known(marks.annotator(annotator))
+        found = self.known(versions.annotator(annotator))
         if kind == "csv":
             return export.epic_csv(found, self.tasks)
         return files.to_json(export.intervals(found, self.tasks)) + "\n"
@@ -113,18 +161,21 @@ class Project:
                 self._open[name] = open_footage(task.path)
             self._open.move_to_end(name)
             while len(self._open) > MOST_OPEN:
-                _close(self._open.popitem(last=False)[1])
+                self._open.popitem(last=False)[1].close()
             return self._open[name]
+
+    def _grasp(self, content: Mapping[str, Any]) -> Grasp:
+        """The grasp that a request is about, and who asks. Raises ``RefusedError``."""
+        task, name = self._task(content.get("task")), versions.annotator(content.get("annotator"))
+        own = {mark.mark: mark for mark in self.store.marks.standing(task.key, name) if mark.start is not None}
+        if not isinstance(key := content.get("grasp"), str) or key not in own:
+            raise RefusedError(f"grasp: got {files.shown(key)}, expected one that {name} has marked in {task.key}")
+        return Grasp(task, self.footage(task), own[key])
 
     def _task(self, key: object) -> Task:
         if not isinstance(key, str) or key not in self.tasks:
             raise RefusedError(f"task: got {files.shown(key)}, expected one of the {len(self.tasks)} there are")
         return self.tasks[key]
-
-
-def _close(footage: Footage) -> None:
-    if isinstance(footage, Video):
-        footage.close()
 
 
 def _state(found: list[Mark]) -> str:

@@ -14,22 +14,29 @@ from importlib.resources import files as package_files
 from typing import Any
 from urllib.parse import parse_qs, quote, urlsplit
 
-from getagrip.annotate.marks import RefusedError
 from getagrip.annotate.project import Project
+from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError, InputError, UsageError
 
 ADDRESS = "127.0.0.1"
-LARGEST_BODY = 64 * 2**10
+LARGEST_BODY = 256 * 2**10
 """Bytes of a request."""
 PATIENCE = 60.0
 """A connection without requests is closed after so long [s]."""
+SCRIPTS = ("page", "player", "saving")
 PAGE = {
     "/": ("index.html", "text/html"),
     "/page.css": ("page.css", "text/css"),
-    "/page.js": ("page.js", "text/javascript"),
-    "/player.js": ("player.js", "text/javascript"),
-    "/saving.js": ("saving.js", "text/javascript"),
+    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in SCRIPTS},
 }
+CHANGES = {
+    "/api/change": "change",
+    "/api/undo": "undo",
+    "/api/label": "label",
+    "/api/unlabel": "unlabel",
+    "/api/work": "work",
+}
+"""Methods of the project, by where their content is sent."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'",
@@ -130,7 +137,7 @@ class _Handler(BaseHTTPRequestHandler):
             content = (package_files("getagrip.annotate") / "page" / name).read_bytes()
             self._send(content, f"{kind}; charset=utf-8")
         elif url.path == "/frame":
-            image, time, number = project.frame(asked.get("task"), _whole(asked.get("n")))
+            image, time, number = project.frame(asked.get("task"), _whole(asked.get("n")), "whole" in asked)
             self._send(image, "image/jpeg", {"X-Time": f"{time:.6f}", "X-Number": str(number)})
         elif url.path == "/api/tasks":
             self._send_json(project.overview(asked.get("annotator")))
@@ -138,14 +145,19 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_json(project.task(asked.get("task")))
         elif url.path == "/api/marks":
             self._send_json(project.marks(asked.get("task"), asked.get("annotator")))
+        elif url.path == "/api/labels":
+            self._send_json(project.labels(asked))
+        elif url.path == "/api/drafts":
+            self._send_json(project.drafts(asked, _whole(asked.get("since"))))
+        elif url.path == "/labels.json":
+            text, name = project.labels_file(asked)
+            self._send_file(text, "json", name)
         elif url.path == "/api/agreement":
             self._send_json(project.agreement())
         elif url.path in ("/grasps.csv", "/grasps.json"):
             kind = url.path.rpartition(".")[2]
             text = project.exported(kind, asked.get("annotator"))
-            name = quote(f"{asked.get('annotator')}.{kind}")
-            head = {"Content-Disposition": f"attachment; filename*=UTF-8''{name}"}
-            self._send(text.encode(), f"text/{kind}; charset=utf-8", head)
+            self._send_file(text, kind, f"{asked.get('annotator')}.{kind}")
         else:
             self._send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
 
@@ -162,12 +174,14 @@ class _Handler(BaseHTTPRequestHandler):
             raise UsageError("expected a JSON object")
         if content.get("project", self.server.project.name) != self.server.project.name:
             self._send_json({"error": "another database of marks is open"}, HTTPStatus.SERVICE_UNAVAILABLE)
-        elif self.path == "/api/change":
-            self._send_json(self.server.project.change(content))
-        elif self.path == "/api/undo":
-            self._send_json(self.server.project.undo(content))
+        elif self.path in CHANGES:
+            self._send_json(getattr(self.server.project, CHANGES[self.path])(content))
         else:
             self._send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
+
+    def _send_file(self, text: str, kind: str, name: str) -> None:
+        head = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(name)}"}
+        self._send(text.encode(), f"text/{kind}; charset=utf-8", head)
 
     def _send_json(self, content: dict[str, Any], status: HTTPStatus = HTTPStatus.OK) -> None:
         self._send(json.dumps(content, allow_nan=False).encode(), "application/json", status=status)

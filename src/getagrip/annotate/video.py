@@ -17,7 +17,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from getagrip.annotate.decoding import Decoder
-from getagrip.annotate.footage import MOST_FRAMES, WIDEST, encoded
+from getagrip.annotate.footage import LARGEST_SIDE, MOST_FRAMES, WIDEST, encoded
 from getagrip.clip.video import open_video
 from getagrip.datasets.epic_files import VIDEO, numbering_rate
 from getagrip.errors import InputError
@@ -103,16 +103,16 @@ class Video:
             found = bisect_left(range(self.frames), wanted, key=self._time)
         return min(max(found, 0), self.frames - 1)
 
-    def jpeg(self, index: int) -> bytes:
-        """A frame, as it is shown. Raises ``InputError`` where it does not decode."""
-        return self.shown.get(index)
+    def jpeg(self, index: int, whole: bool = False) -> bytes:
+        """A frame to be shown, ``whole`` or made smaller where it is wide. Raises ``InputError``."""
+        return encoded(self.image(index)[..., ::-1], LARGEST_SIDE) if whole else self.shown.get(index)
 
     def image(self, index: int) -> UInt8[ndarray, "H W 3"]:
         """A frame, all of its pixels: red, green, blue. Raises ``InputError`` where it does not decode."""
         return self.whole.get(index)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file, until a frame is asked for again."""
         self.shown.close()
         self.whole.close()
 

@@ -1,0 +1,91 @@
+"""Work that takes longer than a request: in one thread, one piece after the other, each piece told how far it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from threading import Event, Lock
+from typing import Any
+
+from getagrip.errors import GetagripError
+
+
+class CancelledError(Exception):
+    """Raised within work that is not wanted any more."""
+
+
+@dataclass
+class Job:
+    """A piece of work, and how far it is."""
+
+    what: str
+    """In a word: "propagate", "files"."""
+    state: str = "waiting"
+    """Then "running", and at last "done", "failed" or "cancelled"."""
+    done: int = 0
+    total: int = 0
+    message: str = ""
+    """What went wrong, or what was made."""
+    stop: Event = field(default_factory=Event)
+
+    def report(self, done: int, total: int) -> None:
+        """Say how far it is. Raises ``CancelledError`` where it is to stop."""
+        self.done, self.total = done, total
+        if self.stop.is_set():
+            raise CancelledError
+
+    def told(self) -> dict[str, Any]:
+        """What the page shows."""
+        return {key: getattr(self, key) for key in ("what", "state", "done", "total", "message")}
+
+
+Work = Callable[[Job], str]
+"""Does it, and says in words what was made."""
+
+
+class Background:
+    """The last job of each thing that was worked on."""
+
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(1)
+        self._jobs: dict[str, Job] = {}
+        self._lock = Lock()
+
+    def start(self, key: str, what: str, work: Work) -> None:
+        """Begin work on something, and end what is being done to it."""
+        job = Job(what)
+        with self._lock:
+            if (old := self._jobs.get(key)) is not None:
+                old.stop.set()
+            self._jobs[key] = job
+        self._pool.submit(_run, job, work)
+
+    def cancel(self, key: str) -> None:
+        """End what is being done to something."""
+        if (job := self._jobs.get(key)) is not None:
+            job.stop.set()
+
+    def job(self, key: str) -> Job | None:
+        """The last job."""
+        return self._jobs.get(key)
+
+    def close(self) -> None:
+        """End everything, and wait until it has ended."""
+        for job in list(self._jobs.values()):
+            job.stop.set()
+        self._pool.shutdown()
+
+
+def _run(job: Job, work: Work) -> None:
+    try:
+        job.report(0, 0)
+        job.state = "running"
+        job.message = work(job)
+        job.state = "done"
+    except CancelledError:
+        job.state = "cancelled"
+    except (GetagripError, OSError, MemoryError) as error:
+        job.state, job.message = "failed", str(error)
+    except Exception as error:  # a thread's errors are seen by nobody: the page has to tell
+        job.state, job.message = "failed", f"an error of the program: {type(error).__name__}: {error}"

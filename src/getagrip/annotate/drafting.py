@@ -1,0 +1,68 @@
+"""Drafts of a grasp's frames from its labels: the fitted hand as the camera sees it, and the outlines of masks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.annotate.clicked_hands import hands_from_clicks
+from getagrip.annotate.labels import FRONT, OBJECT, Labels
+from getagrip.annotate.propagated_masks import propagate
+from getagrip.annotate.tracing import traced
+from getagrip.camera import project
+from getagrip.kernels.depth import covered
+
+HAND_SIDE = 640
+"""The hand's outline is drawn from an image whose longer side is so long [px]."""
+
+
+def hand(labels: Labels, K: Float[ndarray, "3 3"]) -> dict[int, dict[str, Any]]:
+    """By frame: where the fitted hand's joints and outline are seen [px], and which clicks do not fit the others.
+
+    Raises ``UsageError`` as ``hands_from_clicks`` does.
+    """
+    found = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
+    track = found.hand
+    assert track.joints is not None
+    zoom = min(1.0, HAND_SIDE / max(labels.size))
+    small = (round(zoom * labels.size[0]), round(zoom * labels.size[1]))
+    out: dict[int, dict[str, Any]] = {}
+    for n, (T, vertices, joints) in enumerate(zip(track.T_cam_hand, track.vertices, track.joints, strict=True)):
+        mask = covered(se3.transform(T, vertices), track.faces, np.diag([zoom, zoom, 1.0]) @ K, small)
+        out[labels.first + n] = {
+            "joints": _rounded(project(K, se3.transform(T, joints))),
+            "outlines": _outlines(mask, 1.0 / zoom),
+            "doubtful": [],
+        }
+    for frame, doubtful in zip(found.keys, found.doubtful, strict=True):
+        out[frame]["doubtful"] = np.flatnonzero(doubtful).tolist()
+    return out
+
+
+def masks(labels: Labels, image: Callable[[int], UInt8[ndarray, "H W 3"]]) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Each frame with the outlines of the object and of what is in front of it [px], and how sure they are (0 to 1).
+
+    Raises ``UsageError`` as ``propagate`` does.
+    """
+    for frame, drawn, confidence in propagate(image, labels.label_maps(), labels.first, labels.last):
+        yield (
+            frame,
+            {
+                "object": _outlines(drawn == OBJECT),
+                "front": _outlines(drawn == FRONT),
+                "confidence": round(float(confidence), 3),
+            },
+        )
+
+
+def _outlines(mask: Bool[ndarray, "H W"], zoom: float = 1.0) -> list[list[list[float]]]:
+    return [_rounded(zoom * shape) for shape in traced(mask)]
+
+
+def _rounded(points: Float[ndarray, "n 2"]) -> list[list[float]]:
+    return [[round(float(x), 2) for x in point] for point in np.nan_to_num(points, posinf=-1.0, neginf=-1.0)]

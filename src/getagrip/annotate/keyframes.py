@@ -1,0 +1,187 @@
+"""A key frame: what one person has clicked on one frame of a grasp, the joints of the hand and outlines.
+
+A change names the joints and outlines that it touches; null takes one away:
+
+    {"joints": {"4": [x, y], "5": "unseen", "6": null},
+     "outlines": {"<its name>": {"of": "object", "closed": true, "points": [[x, y], ...]}},
+     "hidden": false, "deleted": false}
+
+Points are in pixels of the footage, the middle of its first pixel at (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.annotate.labels import MOST_CORNERS, MOST_POLYGONS, FrameLabels, Polygons
+from getagrip.annotate.versions import TOKEN, Database, RefusedError, Versions
+from getagrip.files import shown
+
+SETTABLE = frozenset({"joints", "outlines", "hidden", "deleted"})
+"""What the page may change."""
+UNSEEN = "unseen"
+"""A joint that a person has looked for and not found, so that the next one is asked for."""
+JOINTS = 21
+SCHEMA = """
+CREATE TABLE keyframe_versions (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT,
+    change TEXT NOT NULL UNIQUE, tab TEXT NOT NULL, at TEXT NOT NULL,
+    undoes INTEGER REFERENCES keyframe_versions (seq),
+    keyframe TEXT NOT NULL, task TEXT NOT NULL, annotator TEXT NOT NULL,
+    grasp TEXT NOT NULL, frame INTEGER NOT NULL,
+    joints TEXT NOT NULL, outlines TEXT NOT NULL, hidden INTEGER NOT NULL, deleted INTEGER NOT NULL
+);
+CREATE INDEX versions_of_keyframe ON keyframe_versions (keyframe, seq);
+CREATE INDEX versions_of_grasp ON keyframe_versions (grasp, annotator, tab);
+CREATE VIEW keyframes AS SELECT * FROM keyframe_versions AS v
+    WHERE seq = (SELECT max(seq) FROM keyframe_versions WHERE keyframe = v.keyframe) AND NOT deleted;
+"""
+
+Point = list[float]
+
+
+@dataclass(frozen=True)
+class KeyFrame:
+    """The state of a key frame."""
+
+    keyframe: str
+    """``<grasp>:<frame>``: two tabs that begin the same one mean the same."""
+    task: str
+    annotator: str
+    grasp: str
+    """The mark that it belongs to."""
+    frame: int
+    joints: dict[str, Any] = field(default_factory=dict)
+    """By number, "0" to "20": a point, or ``UNSEEN``."""
+    outlines: dict[str, Any] = field(default_factory=dict)
+    """By a name that the page makes up: ``of``, ``closed`` and ``points``."""
+    hidden: bool = False
+    """Nothing of the object is to be seen."""
+    deleted: bool = False
+
+    def polygons(self, kind: str) -> Polygons:
+        """The closed outlines of "object" or "front"."""
+        shapes = [one["points"] for one in self.outlines.values() if one["of"] == kind and one["closed"]]
+        return tuple(np.array(points, dtype=float) for points in shapes)
+
+    def labels(self) -> FrameLabels:
+        """What a file of labels says of it."""
+        objects, front = self.polygons("object"), self.polygons("front")
+        clicked = any(point != UNSEEN for point in self.joints.values())
+        return FrameLabels(
+            self._joints() if clicked else None, objects if objects or self.hidden else None, front or None
+        )
+
+    def _joints(self) -> Float[ndarray, "21 2"]:
+        points = [self.joints.get(str(n), UNSEEN) for n in range(JOINTS)]
+        return np.array([[math.nan] * 2 if point == UNSEEN else point for point in points])
+
+
+COLUMNS = tuple(one.name for one in fields(KeyFrame))
+
+
+def versions(database: Database) -> Versions[KeyFrame]:
+    """The key frames in a database."""
+    order = "task, annotator, grasp, frame"
+    return Versions(database, "keyframe_versions", "keyframes", "keyframe", "grasp", order, COLUMNS, _row, _keyframe)
+
+
+def blank(task: str, annotator: str, grasp: str, frame: int) -> KeyFrame:
+    """A frame of which nothing has been said."""
+    return KeyFrame(f"{grasp}:{frame}", task, annotator, grasp, frame)
+
+
+def from_labels(empty: KeyFrame, frame: FrameLabels) -> dict[str, Any]:
+    """The change that makes a blank key frame say what a file of labels does."""
+    joints = {} if frame.joints is None else {
+        str(n): UNSEEN if np.isnan(point).any() else point.tolist() for n, point in enumerate(frame.joints)
+    }  # fmt: skip
+    shapes = [(kind, shape) for kind in ("object", "front") for shape in getattr(frame, kind) or ()]
+    outlines = {
+        f"outline-{n:04d}": {"of": kind, "closed": True, "points": shape.tolist()}
+        for n, (kind, shape) in enumerate(shapes)
+    }
+    return {"joints": joints, "outlines": outlines, "hidden": frame.object == ()}
+
+
+def changed(keyframe: KeyFrame, sets: Mapping[str, Any], size: tuple[int, int]) -> KeyFrame:
+    """A key frame after a change, on an image of some width and height. Raises ``RefusedError``."""
+    for key in ("hidden", "deleted"):
+        if not isinstance(sets.get(key, False), bool):
+            raise RefusedError(f"{key}: got {shown(sets[key])}, expected true or false")
+    if sets.get("deleted"):
+        return replace(keyframe, deleted=True)
+    old = blank(keyframe.task, keyframe.annotator, keyframe.grasp, keyframe.frame) if keyframe.deleted else keyframe
+    new = replace(
+        old,
+        joints=old.joints | {key: _joint(key, value, size) for key, value in _object(sets, "joints").items()},
+        outlines=old.outlines | {key: _outline(key, value, size) for key, value in _object(sets, "outlines").items()},
+        hidden=sets.get("hidden", old.hidden),
+    )
+    new = replace(new, joints=_without_nothing(new.joints), outlines=_without_nothing(new.outlines))
+    for kind in ("object", "front"):
+        if sum(one["of"] == kind for one in new.outlines.values()) > MOST_POLYGONS:
+            raise RefusedError(f"outlines: got more than {MOST_POLYGONS} of one kind on a frame")
+    return new if new.joints or new.outlines or new.hidden else replace(new, deleted=True)
+
+
+def _object(sets: Mapping[str, Any], key: str) -> dict[str, Any]:
+    value = sets.get(key, {})
+    if not isinstance(value, dict):
+        raise RefusedError(f"{key}: got {shown(value)}, expected an object")
+    return value
+
+
+def _joint(key: str, value: object, size: tuple[int, int]) -> Point | str | None:
+    if key not in map(str, range(JOINTS)):
+        raise RefusedError(f"joints: got {shown(key)}, expected numbers 0 to {JOINTS - 1}")
+    if value is None or value == UNSEEN:
+        return None if value is None else UNSEEN
+    return _point(value, size)
+
+
+def _outline(key: str, value: object, size: tuple[int, int]) -> dict[str, Any] | None:
+    if not TOKEN.fullmatch(key):
+        raise RefusedError(f"outlines: got {shown(key)}, expected 8 to 64 letters, digits or hyphens")
+    if value is None:
+        return None
+    if not isinstance(value, dict) or value.keys() != {"of", "closed", "points"}:
+        raise RefusedError(f"outline: got {shown(value)}, expected of, closed and points")
+    if value["of"] not in ("object", "front") or not isinstance(value["closed"], bool):
+        raise RefusedError(f"outline: got {shown(value)}, expected one of object or front, closed or not")
+    points, least = value["points"], 3 if value["closed"] else 1
+    if not isinstance(points, list) or not least <= len(points) <= MOST_CORNERS:
+        raise RefusedError(f"outline: got {shown(points)}, expected {least} to {MOST_CORNERS} points")
+    return value | {"points": [_point(point, size) for point in points]}
+
+
+def _point(value: object, size: tuple[int, int]) -> Point:
+    """A point in the image, or beside it by no more than the image's own size, to a hundredth of a pixel."""
+    numbers = isinstance(value, list) and len(value) == 2 and all(type(x) in (int, float) for x in value)
+    if not numbers or not isinstance(value, list):
+        raise RefusedError(f"point: got {shown(value)}, expected [x, y]")
+    if not all(-side <= x <= 2 * side for x, side in zip(value, size, strict=True)):  # false for NaN, too
+        raise RefusedError(f"point: got {shown(value)}, expected one in or about the {size[0]} x {size[1]} image")
+    return [round(float(x), 2) for x in value]
+
+
+def _without_nothing(values: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _row(keyframe: KeyFrame) -> tuple[Any, ...]:
+    return tuple(json.dumps(value) if isinstance(value, dict) else value for value in asdict(keyframe).values())
+
+
+def _keyframe(row: tuple[Any, ...]) -> KeyFrame:
+    values = dict(zip(COLUMNS, row, strict=True))
+    parsed = {key: json.loads(values[key]) for key in ("joints", "outlines")}
+    return KeyFrame(**values | parsed | {key: bool(values[key]) for key in ("hidden", "deleted")})

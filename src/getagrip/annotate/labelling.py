@@ -1,0 +1,204 @@
+"""What the page can ask for about one grasp's key frames: changes, drafts, and the files that a clip is made of."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from getagrip.annotate import keyframes, labels, versions
+from getagrip.annotate.background import Background, Job
+from getagrip.annotate.footage import Footage
+from getagrip.annotate.keyframes import KeyFrame
+from getagrip.annotate.labels import Labels
+from getagrip.annotate.marks import Mark
+from getagrip.annotate.store import Store
+from getagrip.annotate.tasks import Task, open_footage
+from getagrip.annotate.versions import RefusedError
+from getagrip.files import shown
+from getagrip.hands.model import Side
+from getagrip.run.intrinsics import Lens, intrinsics
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """A finished grasp, and the footage that shows it."""
+
+    task: Task
+    footage: Footage
+    mark: Mark
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """First and last frame. Raises ``RefusedError`` where they are not marked yet."""
+        if self.mark.interval is None:
+            raise RefusedError("mark the start and the end of the grasp first")
+        return self.mark.interval
+
+    @property
+    def side(self) -> Side:
+        """Which hand. Raises ``RefusedError`` where it is not said."""
+        if self.mark.side not in ("left", "right"):
+            raise RefusedError("say first which hand holds the object")
+        return cast(Side, self.mark.side)
+
+    @property
+    def name(self) -> str:
+        """What its files are called."""
+        parts = [self.mark.annotator, self.task.video, self.mark.start_number, self.mark.end_number, self.side]
+        return re.sub(r"[^\w.-]", "_", "-".join(map(str, parts))).lstrip(".")[:120]
+
+
+class Labelling:
+    """The key frames of the grasps in a store."""
+
+    def __init__(self, store: Store, lens: Lens, out: Path) -> None:
+        """The files of grasps go into ``out``; without a lens the focal length is guessed."""
+        self.store, self.out = store, out
+        self.lens = lens if lens.given else Lens(guess_focal=True)
+        self.background = Background()
+
+    def state(self, grasp: Grasp) -> dict[str, Any]:
+        """All that is said of a grasp's frames, what drafts would be made of now, and how far the work on it is."""
+        newest = self.store.keyframes.newest(grasp.mark.mark, grasp.mark.annotator)  # before the frames, as with marks
+        own = self._own(grasp)
+        job = self.background.job(grasp.mark.mark)
+        keys = ("frame", "joints", "outlines", "hidden")
+        return {
+            "grasp": grasp.mark.mark,
+            "newest": newest,
+            "extent": grasp.extent,
+            "side": grasp.side,
+            "size": grasp.footage.size,
+            "keyframes": [{key: getattr(one, key) for key in keys} for one in own],
+            "basis": self._basis(grasp, own),
+            "drafts": self.store.drafts.newest(grasp.mark.mark),
+            "job": None if job is None else job.told(),
+        }
+
+    def change(self, grasp: Grasp, content: Mapping[str, Any]) -> None:
+        """Make a change of a key frame. Raises ``RefusedError``."""
+        frame, size = content.get("frame"), grasp.footage.size
+        if type(frame) is not int or not 0 <= frame < grasp.footage.frames:
+            raise RefusedError(f"frame: got {shown(frame)}, expected 0 to {grasp.footage.frames - 1}")
+        change = versions.read_change(content, keyframes.SETTABLE)
+        blank = keyframes.blank(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, frame)
+        self.store.keyframes.apply(change, blank, lambda old, sets: keyframes.changed(old, sets, size))
+
+    def undo(self, grasp: Grasp, tab: str, change: str) -> dict[str, Any]:
+        """Take back a tab's last change of a grasp's key frames, and say of which frame. Raises ``RefusedError``."""
+        undone = self.store.keyframes.undo(grasp.mark.mark, grasp.mark.annotator, tab, change)
+        return {"undone": undone is not None, "frame": None if undone is None else undone.frame}
+
+    def labels(self, grasp: Grasp) -> Labels:
+        """What is said of the frames of a grasp, as a file has it."""
+        (first, last), footage = grasp.extent, grasp.footage
+        frames = {one.frame: one.labels() for one in self._own(grasp) if first <= one.frame <= last}
+        video = (grasp.task.path or Path(grasp.task.video)).name
+        return Labels(video, footage.size, grasp.side, footage.fps, first, last, frames)
+
+    def take(self, grasp: Grasp, said: Labels, change: str) -> None:
+        """Lay a file of labels over what is said of a grasp's frames. Raises ``RefusedError``."""
+        for n, frame in said.frames.items():
+            blank = keyframes.blank(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, n)
+            sets = keyframes.from_labels(blank, frame)
+            one = versions.Change(f"{change}-{n}", change, sets)
+            self.store.keyframes.apply(one, blank, lambda old, sets: keyframes.changed(old, sets, said.size))
+
+    def propagate(self, grasp: Grasp) -> None:
+        """Begin to make the drafts that are not up to date. Raises ``RefusedError`` where there is nothing."""
+        basis, said = self._basis(grasp, self._own(grasp)), self.labels(grasp)
+        if not any(basis.values()):
+            raise RefusedError("nothing to fill in yet: click joints, or draw the object's outline, on a frame")
+        self._check_joints(grasp, said)
+        self.background.start(grasp.mark.mark, "propagate", lambda job: self._draft(grasp, said, basis, job))
+
+    def make(self, grasp: Grasp) -> None:
+        """Begin to write the files that a clip is made of. Raises ``RefusedError`` where something is missing."""
+        said = self.labels(grasp)
+        self._check_joints(grasp, said)
+        if not said.clicks or not said.label_maps():
+            raise RefusedError("a clip needs joints on one frame at least, and the object's outline on one")
+        self.background.start(grasp.mark.mark, "files", lambda job: self.write(grasp, said, job))
+
+    def write(self, grasp: Grasp, said: Labels, job: Job) -> str:
+        """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; the command that makes a clip of them."""
+        from getagrip.annotate.labelled import make
+
+        self.out.mkdir(parents=True, exist_ok=True)
+        labels.write(said, self.out / f"labels-{grasp.name}.json")
+        with closing(open_footage(_path(grasp))) as footage:
+
+            def image(n: int) -> UInt8[ndarray, "H W 3"]:
+                job.report(max(job.done, n - said.first), said.last - said.first + 1)
+                return footage.image(n)
+
+            made = make(said, image, self.lens, self.out / grasp.name, overwrite=True)
+        return made.command.replace(f" new {said.video} ", f" new {shlex.quote(str(_path(grasp)))} ", 1)
+
+    def close(self) -> None:
+        """End what is being done."""
+        self.background.close()
+
+    def _own(self, grasp: Grasp) -> list[KeyFrame]:
+        return self.store.keyframes.standing(grasp.mark.mark, grasp.mark.annotator)
+
+    def _basis(self, grasp: Grasp, own: Sequence[KeyFrame]) -> dict[str, str | None]:
+        """What drafts of each kind are made of now, in a word; None where there is nothing."""
+        first, last = grasp.extent
+        frames = [(one, one.labels()) for one in own if first <= one.frame <= last]
+        masks = {
+            one.frame: [[shape.tolist() for shape in shapes or ()] for shapes in (said.object, said.front)]
+            for one, said in frames
+            if said.object is not None
+        }
+        hand = {one.frame: one.joints for one, said in frames if said.joints is not None}
+        return {
+            "masks": _word(first, last, masks) if masks else None,
+            "hand": _word(first, last, hand, grasp.side, asdict(self.lens)) if hand else None,
+        }
+
+    def _check_joints(self, grasp: Grasp, said: Labels) -> None:
+        """Raise ``RefusedError`` for a frame with too few joints, by the number that the page shows."""
+        from getagrip.annotate.clicked_hands import FEWEST
+
+        for n, joints in said.clicks.items():
+            count = int(np.isfinite(joints).all(axis=1).sum())
+            if count < FEWEST:
+                number = grasp.footage.number(n)
+                raise RefusedError(f"frame {number} has {count} joints: click {FEWEST} at least, or delete them")
+
+    def _draft(self, grasp: Grasp, said: Labels, basis: Mapping[str, str | None], job: Job) -> str:
+        """Make drafts of both kinds where those that are there were made of something else."""
+        from getagrip.annotate import drafting
+
+        drafts, key, frames = self.store.drafts, grasp.mark.mark, said.last - said.first + 1
+        wanted = {kind: word for kind, word in basis.items() if word and drafts.count(key, kind, word) < frames}
+        if word := wanted.get("hand"):
+            K, _ = intrinsics(self.lens, said.size)
+            drafts.put(key, "hand", word, drafting.hand(said, K))
+        if word := wanted.get("masks"):
+            with closing(open_footage(_path(grasp))) as footage:
+                for n, content in drafting.masks(said, footage.image):
+                    drafts.put(key, "masks", word, {n: content})
+                    job.report(n - said.first + 1, frames)
+        return ""
+
+
+def _path(grasp: Grasp) -> Path:
+    assert grasp.task.path is not None  # its footage is open
+    return grasp.task.path
+
+
+def _word(*content: Any) -> str:
+    return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

@@ -1,0 +1,208 @@
+"""States of which every version is kept: a change adds one, and none is ever overwritten or removed.
+
+The newest version is the state. A change names what a person has touched and is laid over the newest version, so two
+tabs that change one thing lose nothing unless they touch the same part of it; then the later one counts and the earlier
+one is in the history.
+"""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from threading import Lock
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
+
+from getagrip.errors import GetagripError
+from getagrip.files import is_plain_name, shown
+
+TOKEN = re.compile(r"[A-Za-z0-9-]{8,64}")
+"""What the page calls its marks, changes and tabs."""
+
+
+class RefusedError(GetagripError):
+    """A change that cannot be made. The message is for the person who made it."""
+
+
+class State(Protocol):
+    """Somebody's, of a task; a frozen dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def task(self) -> str:
+        """The task it belongs to."""
+
+    @property
+    def annotator(self) -> str:
+        """Whose it is."""
+
+    @property
+    def deleted(self) -> bool:
+        """Whether it does not stand any more."""
+
+
+Kind = TypeVar("Kind", bound=State)
+
+
+@dataclass(frozen=True)
+class Change:
+    """What the page wants of a state: only what a person has touched, so that two tabs can change the same one."""
+
+    change: str
+    """Unlike any other: the page sends a change again where it saw no answer."""
+    tab: str
+    sets: Mapping[str, Any]
+
+
+class Database:
+    """An SQLite file, for any number of threads and processes."""
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self.connection = connection
+        self.lock = Lock()
+
+    def rows(self, query: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        """What a query gives."""
+        with self.lock:
+            return self.connection.execute(query, values).fetchall()
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """All or nothing, and nobody else in between."""
+        with self.lock:
+            self.connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield self.connection
+            except BaseException:
+                self.connection.execute("ROLLBACK")
+                raise
+            self.connection.execute("COMMIT")
+
+
+@dataclass(frozen=True)
+class Versions(Generic[Kind]):
+    """The versions of one kind of states, in a table and in a view of those that stand."""
+
+    database: Database
+    table: str
+    view: str
+    key: str
+    """Column of what tells states apart."""
+    scope: str
+    """Column of what is undone together, and asked for together."""
+    order: str
+    """Columns that states are sorted by."""
+    columns: tuple[str, ...]
+    row: Callable[[Kind], tuple[Any, ...]]
+    """The columns of a state."""
+    state: Callable[[tuple[Any, ...]], Kind]
+    """The state of a row."""
+
+    def standing(self, scope: str | None = None, annotator: str | None = None) -> list[Kind]:
+        """The states that stand, in order; of one scope or annotator where named."""
+        rows = self.database.rows(
+            f"SELECT {', '.join(self.columns)} FROM {self.view} WHERE (?1 IS NULL OR {self.scope} = ?1) "
+            f"AND (?2 IS NULL OR annotator = ?2) ORDER BY {self.order}",
+            (scope, annotator),
+        )
+        return [self.state(row) for row in rows]
+
+    def newest(self, scope: str, annotator: str) -> int:
+        """A number that grows with every change of somebody's states of a scope."""
+        query = f"SELECT coalesce(max(seq), 0) FROM {self.table} WHERE {self.scope} = ? AND annotator = ?"
+        return int(self.database.rows(query, (scope, annotator))[0][0])
+
+    def history(self, key: str) -> list[Kind]:
+        """All that a state was, the oldest first."""
+        query = f"SELECT {', '.join(self.columns)} FROM {self.table} WHERE {self.key} = ? ORDER BY seq"
+        return [self.state(row) for row in self.database.rows(query, (key,))]
+
+    def apply(self, change: Change, blank: Kind, complete: Callable[[Kind, Mapping[str, Any]], Kind]) -> Kind:
+        """Make a change, once, however often it is sent: of the newest version, or of ``blank`` where there is none.
+
+        Raises ``RefusedError``, as ``complete`` may, and then nothing is changed.
+        """
+        with self.database.transaction() as db:
+            key = getattr(blank, self.key)
+            latest = self._latest(db, key)
+            if latest is not None and (latest.task, latest.annotator) != (blank.task, blank.annotator):
+                raise RefusedError(f"the {self.key} belongs to another task or annotator")
+            if db.execute(f"SELECT 1 FROM {self.table} WHERE change = ?", (change.change,)).fetchone():
+                if latest is None:
+                    raise RefusedError(f"the change was made to another {self.key}")
+                return latest
+            new = complete(latest or blank, change.sets)
+            self._add(db, new, change.change, change.tab, None)
+            return new
+
+    def undo(self, scope: str, annotator: str, tab: str, change: str) -> Kind | None:
+        """Take back a tab's last change within a scope; the state as it is then, or None where nothing is left.
+
+        Raises ``RefusedError`` where it was changed elsewhere since: that is not undone from here.
+        """
+        with self.database.transaction() as db:
+            if db.execute(f"SELECT 1 FROM {self.table} WHERE change = ?", (change,)).fetchone():
+                return None  # sent again
+            last = db.execute(
+                f"SELECT seq, {self.key} FROM {self.table} AS v WHERE {self.scope} = ? AND annotator = ? AND tab = ? "
+                f"AND undoes IS NULL AND NOT EXISTS (SELECT 1 FROM {self.table} WHERE undoes = v.seq) "
+                "ORDER BY seq DESC LIMIT 1",
+                (scope, annotator, tab),
+            ).fetchone()
+            if last is None:
+                return None
+            seq, key = last
+            later = f"SELECT 1 FROM {self.table} WHERE {self.key} = ? AND seq > ? AND tab != ?"
+            if db.execute(later, (key, seq, tab)).fetchone():
+                raise RefusedError(f"not undone: this {self.key} was changed in another tab since")
+            old = self._latest(db, key, seq)
+            if old is None:  # it was made by that change
+                now = self._latest(db, key)
+                assert now is not None
+                old = replace(now, deleted=True)
+            self._add(db, old, change, tab, seq)
+            return old
+
+    def _latest(self, db: sqlite3.Connection, key: str, before: int | None = None) -> Kind | None:
+        """The newest version of a state, or the newest before a version."""
+        row = db.execute(
+            f"SELECT {', '.join(self.columns)} FROM {self.table} WHERE {self.key} = ?1 AND (?2 IS NULL OR seq < ?2) "
+            "ORDER BY seq DESC LIMIT 1",
+            (key, before),
+        ).fetchone()
+        return None if row is None else self.state(row)
+
+    def _add(self, db: sqlite3.Connection, state: Kind, change: str, tab: str, undoes: int | None) -> None:
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        holes = ", ".join("?" * (4 + len(self.columns)))
+        db.execute(
+            f"INSERT INTO {self.table} (change, tab, at, undoes, {', '.join(self.columns)}) VALUES ({holes})",
+            (change, tab, now, undoes, *self.row(state)),
+        )
+
+
+def read_change(content: Mapping[str, Any], settable: frozenset[str]) -> Change:
+    """A change as the page sends it; its values are yet to be checked. Raises ``RefusedError``."""
+    sets = content.get("set")
+    if not isinstance(sets, dict) or not sets or not sets.keys() <= settable:
+        raise RefusedError(f"set: got {shown(sets)}, expected some of {', '.join(sorted(settable))}")
+    return Change(token(content, "change"), token(content, "tab"), sets)
+
+
+def token(content: Mapping[str, Any], key: str) -> str:
+    """What the page calls something. Raises ``RefusedError``."""
+    value = content.get(key)
+    if not isinstance(value, str) or not TOKEN.fullmatch(value):
+        raise RefusedError(f"{key}: got {shown(value)}, expected 8 to 64 letters, digits or hyphens")
+    return value
+
+
+def annotator(name: object) -> str:
+    """The name of a person, which also names files. Raises ``RefusedError``."""
+    if not isinstance(name, str) or not is_plain_name(name) or len(name) > 60:
+        raise RefusedError(f"annotator: got {shown(name)}, expected a name of up to 60 letters, without / and \\")
+    return name
