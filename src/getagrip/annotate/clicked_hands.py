@@ -24,11 +24,12 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip import se3
-from getagrip.camera import backproject, project
+from getagrip.annotate.placed_hands import OUTLIER, Clicks, equations, place, turned, turning
+from getagrip.camera import project
 from getagrip.clip import HandTrack
 from getagrip.errors import UsageError
 from getagrip.hands import generic
-from getagrip.hands.fit import JOINT_NOISE, Chains, arrow_step, joints_and_jacobian
+from getagrip.hands.fit import Chains, arrow_step, joints_and_jacobian
 from getagrip.hands.model import KNUCKLES, HandModel, Side, hand_track
 from getagrip.hands.pose_prior import PosePrior
 
@@ -36,21 +37,20 @@ SCALE = "a guess: the generic hand has the size of a mean one, and its distance 
 
 FEWEST = 6
 """Joints that a frame must have."""
-CLICK_NOISE = 0.005
-"""Standard deviation of a click beside that of the joints themselves, at the hand [m]."""
-OUTLIER = 2.5
-"""Clicks beyond so many standard deviations are doubted."""
 LOOSENESS = 0.12
 """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
-CURLS = (0.3, 0.8)
-"""Bends of the fingers' joints that are tried at first [rad]."""
-ROTATIONS = 48
-"""Rotations of the hand that are tried at first."""
-PLACING_STEPS, STEPS = 12, 60
+CURLS = ((0.3, 0.3, 0.3), (0.9, 0.6, 0.4))
+"""Bends of the fingers that are tried at first, from knuckle to fingertip [rad]."""
+ROUNDS = 4
+"""Of placing hands and fitting them."""
+STEPS = 60
 TOLERANCE = 1e-5
 """Stop when a step lowers the cost by less than this share of it."""
 SHARED = 45
 """Numbers of the grasp, after the frames' 51 and before the shape."""
+
+
+Curl = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -78,14 +78,14 @@ def hands_from_clicks(
     """
     _check(clicks, first, last)
     keys = tuple(sorted(clicks))
-    seen = Seen.of(K, np.array([clicks[n] for n in keys], dtype=float))
+    given = Clicks.of(K, np.array([clicks[n] for n in keys], dtype=float))
     model = generic.load(side)
     chains, prior = Chains.of(model), PosePrior.of(model)
-    found = min((_fit(model, chains, prior, seen, curl) for curl in CURLS), key=lambda each: each[1])[0]
+    found = min((_fit(model, chains, prior, given, curl) for curl in CURLS), key=lambda each: each[1])[0]
     X, _ = joints_and_jacobian(chains, found.q, found.shape)
-    offset = project(K, se3.transform(found.T, X)) - seen.y
-    residuals = np.where(seen.there, np.linalg.norm(offset, axis=-1), np.nan)
-    doubtful = seen.there & (residuals > OUTLIER * seen.noise)
+    offset = project(K, se3.transform(found.T, X)) - given.y
+    residuals = np.where(given.there, np.linalg.norm(offset, axis=-1), np.nan)
+    doubtful = given.there & (residuals > OUTLIER * given.noise)
     T, q = between(keys, found.T, found.q, first, last)
     posed = model.with_shape(found.shape).with_pose(model_pose(q))
     return ClickedHands(hand_track(posed, T), keys, residuals, doubtful, found.shape)
@@ -102,31 +102,6 @@ def _check(clicks: Mapping[int, Float[ndarray, "21 2"]], first: int, last: int) 
         count = int(np.count_nonzero(~np.isnan(points).any(axis=1)))
         if count < FEWEST:
             raise UsageError(f"joints of frame {n}: got {count}, expected {FEWEST} at least, or none")
-
-
-class Seen(NamedTuple):
-    """Clicked joints."""
-
-    K: Float[ndarray, "3 3"]
-    y: Float[ndarray, "n 21 2"]
-    """Pixels; zero where not clicked."""
-    there: Bool[ndarray, "n 21"]
-    noise: Float[ndarray, "n 21"]
-    """Standard deviation of each [px]."""
-
-    @staticmethod
-    def of(K: Float[ndarray, "3 3"], points: Float[ndarray, "n 21 2"]) -> Seen:
-        """The noise is known in metres; the hand's extent tells how many pixels these are."""
-        there = ~np.isnan(points).any(axis=-1)
-        flat = generic.load("right").with_shape().with_pose().joints
-        per_metre = np.array([_spread(y[seen]) / _spread(flat[seen]) for y, seen in zip(points, there, strict=True)])
-        noise = per_metre[:, None] * np.hypot(JOINT_NOISE, CLICK_NOISE)
-        return Seen(K, np.where(there[..., None], points, 0.0), there, noise)
-
-
-def _spread(points: Float[ndarray, "n d"]) -> float:
-    """Mean distance from the middle, at least a trifle."""
-    return max(float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean()), 1e-6)
 
 
 class Guess(NamedTuple):
@@ -150,27 +125,34 @@ class Guess(NamedTuple):
         )
 
 
-def turned(
-    T: Float[ndarray, "n 4 4"], step: Float[ndarray, "n 6"], wrist: Float[ndarray, "3"]
-) -> Float[ndarray, "n 4 4"]:
-    """Hands shifted in their own axes and turned about the wrist."""
-    R = se3.exp_so3(step[:, 3:])
-    return T @ se3.rigid(R, step[:, :3] + wrist - R @ wrist)
+def _fit(model: HandModel, chains: Chains, prior: PosePrior, clicks: Clicks, curl: Curl) -> tuple[Guess, float]:
+    """The best hands from fingers that are bent by ``curl``, and their cost.
+
+    What is known of the grasp after a fit tells better which way the hands are turned: they are placed and fitted anew
+    as long as that helps.
+    """
+    grasp, shape = prior.mean.copy(), np.zeros(len(model.shape_names))
+    grasp[1:] = np.array(curl)[:, None] * prior.axes[1:, :, 1]
+    best, cost = None, np.inf
+    for _ in range(ROUNDS):
+        T = place(chains, clicks, grasp, shape)
+        start = Guess(T, np.tile(grasp, (len(T), 1, 1, 1)), grasp[None], shape)
+        found, new_cost = _descend(model, chains, prior, clicks, start)
+        new_cost += float(turning(found.T[:-1, :3, :3], found.T[1:, :3, :3]).sum())
+        if best is not None and new_cost > (1.0 - TOLERANCE) * cost:
+            break
+        best, cost, grasp, shape = found, new_cost, found.grasp[0], found.shape
+    assert best is not None
+    return best, cost
 
 
-def _fit(model: HandModel, chains: Chains, prior: PosePrior, seen: Seen, curl: float) -> tuple[Guess, float]:
-    """The best hands whose fingers are at first bent by ``curl`` [rad], and their cost."""
-    grasp = prior.mean.copy()
-    grasp[1:] = curl * prior.axes[1:, :, 1]
-    n = len(seen.y)
-    guess = Guess(
-        _place(chains, seen, grasp), np.tile(grasp, (n, 1, 1, 1)), grasp[None], np.zeros(len(model.shape_names))
-    )
-    cost, H, g = _normal_equations(model, chains, prior, guess, seen)
+def _descend(model: HandModel, chains: Chains, prior: PosePrior, clicks: Clicks, guess: Guess) -> tuple[Guess, float]:
+    """The minimum near a guess, and its cost."""
+    cost, H, g = _normal_equations(model, chains, prior, guess, clicks)
     damping = 1e-3
     for _ in range(STEPS):
         new = guess.moved(*arrow_step(H, g, damping), chains.wrist)
-        new_cost, new_H, new_g = _normal_equations(model, chains, prior, new, seen)
+        new_cost, new_H, new_g = _normal_equations(model, chains, prior, new, clicks)
         done = damping > 1e8
         if new_cost > cost:
             damping *= 10.0
@@ -183,14 +165,14 @@ def _fit(model: HandModel, chains: Chains, prior: PosePrior, seen: Seen, curl: f
 
 
 def _normal_equations(
-    model: HandModel, chains: Chains, prior: PosePrior, guess: Guess, seen: Seen
+    model: HandModel, chains: Chains, prior: PosePrior, guess: Guess, clicks: Clicks
 ) -> tuple[float, Float[ndarray, "n D D"], Float[ndarray, "n D"]]:
     """The cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, grasp, shape)."""
-    n, S = len(seen.y), len(guess.shape)
+    n, S = len(clicks.y), len(guess.shape)
     X, J_hand = joints_and_jacobian(chains, guess.q, guess.shape)
     J = np.zeros((n, 21, 3, 51 + SHARED + S))
     J[..., :51], J[..., 51 + SHARED :] = J_hand[..., :51], J_hand[..., 51:]
-    cost, H, g = _clicks(seen, guess.T, X, J)
+    costs, H, g = equations(clicks, guess.T, X, J)
     i = np.arange(45)
     off = (guess.q - guess.grasp).reshape(n, 45) / LOOSENESS
     for at, sign in ((6, 1.0), (51, -1.0)):
@@ -204,62 +186,7 @@ def _normal_equations(
     g[:, 51:96] += p[0] @ P[0] / n
     H[:, 96:, 96:] += np.diag(1.0 / model.shape_spread**2) / n
     g[:, 96:] += b / model.shape_spread / n
-    return cost + float(np.sum(off**2) + np.sum(p**2) + b @ b), H, g
-
-
-def _clicks(
-    seen: Seen, T: Float[ndarray, "n 4 4"], X: Float[ndarray, "n 21 3"], J: Float[ndarray, "n 21 3 D"]
-) -> tuple[float, Float[ndarray, "n D D"], Float[ndarray, "n D"]]:
-    """The clicks' share of the normal equations, for the derivatives J of the joints X in the hand's axes."""
-    costs, H, g = _each_frame(seen, T, X, J)
-    return float(costs.sum()), H, g
-
-
-def _each_frame(
-    seen: Seen, T: Float[ndarray, "n 4 4"], X: Float[ndarray, "n 21 3"], J: Float[ndarray, "n 21 3 D"]
-) -> tuple[Float[ndarray, "n"], Float[ndarray, "n D D"], Float[ndarray, "n D"]]:
-    X_cam = se3.transform(T, X)
-    z = np.maximum(X_cam[..., 2], 0.01)  # behind the camera nothing can be fitted; the cost there is large
-    X_cam = np.concatenate([X_cam[..., :2], z[..., None]], axis=-1)
-    r = (project(seen.K, X_cam) - seen.y) / seen.noise[..., None]
-    weight = seen.there / (1.0 + np.sum(r * r, axis=-1) / OUTLIER**2)  # of Cauchy's rho, for J^T J
-    fx, fy = seen.K[0, 0], seen.K[1, 1]
-    D = np.zeros((*z.shape, 2, 3))
-    D[..., 0, 0], D[..., 0, 2] = fx / z, -fx * X_cam[..., 0] / z**2
-    D[..., 1, 1], D[..., 1, 2] = fy / z, -fy * X_cam[..., 1] / z**2
-    A = (D @ T[:, None, :3, :3] @ J) / seen.noise[..., None, None]
-    n, size = len(X), J.shape[-1]
-    weighted = (A * weight[..., None, None]).reshape(n, 42, size)
-    H = np.swapaxes(weighted, 1, 2) @ A.reshape(n, 42, size)
-    g = (r.reshape(n, 1, 42) @ weighted)[:, 0]
-    costs = OUTLIER**2 * np.sum(seen.there * np.log1p(np.sum(r * r, axis=-1) / OUTLIER**2), axis=1)
-    return costs, H, g
-
-
-def _place(chains: Chains, seen: Seen, grasp: Float[ndarray, "5 3 3"]) -> Float[ndarray, "n 4 4"]:
-    """T_cam_hand of each frame for a hand that is stiff, from the best of many rotations."""
-    n, m = len(seen.y), ROTATIONS
-    X, J = joints_and_jacobian(chains, np.tile(grasp, (n, 1, 1, 1)), np.zeros(chains.directions.shape[-1]))
-    R = se3.super_fibonacci(m)
-    T = np.tile(np.eye(4), (n, m, 1, 1))
-    for k in range(n):
-        there = seen.there[k]
-        distance = seen.K[0, 0] * _spread(X[k][there]) / _spread(seen.y[k][there])
-        middle = backproject(seen.K, seen.y[k][there].mean(axis=0)[None])[0] * distance
-        T[k] = se3.rigid(R, middle - (R @ X[k][there].mean(axis=0)))
-    many = Seen(seen.K, *(np.repeat(each, m, axis=0) for each in seen[1:]))
-    T, X, J = T.reshape(n * m, 4, 4), np.repeat(X, m, axis=0), np.repeat(J[..., :6], m, axis=0)
-    cost, H, g = _each_frame(many, T, X, J)
-    damping = np.full(n * m, 1e-2)
-    for _ in range(PLACING_STEPS):
-        A = H + (damping[:, None] * np.einsum("nii->ni", H) + 1e-9)[:, None] * np.eye(6)
-        new = turned(T, -np.linalg.solve(A, g[..., None])[..., 0], chains.wrist)
-        new_cost, new_H, new_g = _each_frame(many, new, X, J)
-        better = new_cost < cost
-        T[better], cost[better], H[better], g[better] = new[better], new_cost[better], new_H[better], new_g[better]
-        damping = np.where(better, damping / 10.0, damping * 10.0)
-    best = cost.reshape(n, m).argmin(axis=1)
-    return T.reshape(n, m, 4, 4)[np.arange(n), best]
+    return float(np.sum(costs) + np.sum(off**2) + np.sum(p**2) + b @ b), H, g
 
 
 def between(

@@ -1,8 +1,8 @@
 """From outlines drawn on a few frames to masks of every frame: dense optical flow, GrabCut along the border.
 
 Each mask is carried as a signed distance from its border, frame by frame: from the key before forwards, from the key
-after backwards. Where a pixel of the new frame was in the old one is told by dense inverse search (DIS; Kroeger, Timofte,
-Dai, Van Gool, "Fast Optical Flow using Dense Inverse Search", ECCV 2016). After each step GrabCut (Rother, Kolmogorov,
+after backwards. Where a pixel of the new frame was in the old one is told by dense inverse search (DIS; Kroeger,
+Timofte, Dai, Van Gool, "Fast Optical Flow using Dense Inverse Search", ECCV 2016). After each step GrabCut (Rother, Kolmogorov,
 Blake, SIGGRAPH 2004) draws the border anew in a narrow band, so that errors do not grow. The two are blended, each the
 more the nearer its key is.
 
@@ -161,8 +161,8 @@ def _flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
     import cv2
 
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    grey = (cv2.cvtColor(np.ascontiguousarray(each), cv2.COLOR_RGB2GRAY) for each in (a, b))
-    return np.asarray(search.calc(*grey, None), np.float32)
+    a, b = (cv2.cvtColor(np.ascontiguousarray(each), cv2.COLOR_RGB2GRAY) for each in (a, b))
+    return np.asarray(search.calc(a, b, np.zeros((*a.shape, 2), np.float32)), np.float32)
 
 
 def _refined(image: Image, inside: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:

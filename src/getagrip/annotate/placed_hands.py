@@ -1,0 +1,129 @@
+"""Stiff hands laid on clicked joints: which way each hand is turned before the camera, and how well that fits.
+
+The cost of a click at r standard deviations from its joint is c^2 log(1 + r^2 / c^2) (Cauchy), so that a few wrong ones
+count little.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.camera import backproject, project
+from getagrip.hands import generic
+from getagrip.hands.fit import JOINT_NOISE, Chains, joints_and_jacobian
+
+CLICK_NOISE = 0.005
+"""Standard deviation of a click beside that of the joints themselves, at the hand [m]."""
+OUTLIER = 2.5
+"""Clicks beyond so many standard deviations are doubted."""
+ROTATIONS = 48
+"""Rotations that are tried, spread evenly."""
+STEPS = 12
+"""Of each of them."""
+TURN = 0.7
+"""A hand turns about so much from one clicked frame to the next [rad]."""
+
+
+class Clicks(NamedTuple):
+    """Clicked joints."""
+
+    K: Float[ndarray, "3 3"]
+    y: Float[ndarray, "n 21 2"]
+    """Pixels; zero where not clicked."""
+    there: Bool[ndarray, "n 21"]
+    noise: Float[ndarray, "n 21"]
+    """Standard deviation of each [px]."""
+
+    @staticmethod
+    def of(K: Float[ndarray, "3 3"], points: Float[ndarray, "n 21 2"]) -> Clicks:
+        """The noise is known in metres; the hand's extent tells how many pixels these are."""
+        there = ~np.isnan(points).any(axis=-1)
+        flat = generic.load("right").with_shape().with_pose().joints
+        per_metre = np.array([_spread(y[seen]) / _spread(flat[seen]) for y, seen in zip(points, there, strict=True)])
+        noise = per_metre[:, None] * np.hypot(JOINT_NOISE, CLICK_NOISE)
+        return Clicks(K, np.where(there[..., None], points, 0.0), there, noise)
+
+
+def _spread(points: Float[ndarray, "n d"]) -> float:
+    """Mean distance from the middle, at least a trifle."""
+    return max(float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean()), 1e-6)
+
+
+def turned(
+    T: Float[ndarray, "n 4 4"], step: Float[ndarray, "n 6"], wrist: Float[ndarray, "3"]
+) -> Float[ndarray, "n 4 4"]:
+    """Hands shifted in their own axes and turned about the wrist."""
+    R = se3.exp_so3(step[:, 3:])
+    return T @ se3.rigid(R, step[:, :3] + wrist - R @ wrist)
+
+
+def equations(
+    clicks: Clicks, T: Float[ndarray, "n 4 4"], X: Float[ndarray, "n 21 3"], J: Float[ndarray, "n 21 3 D"]
+) -> tuple[Float[ndarray, "n"], Float[ndarray, "n D D"], Float[ndarray, "n D"]]:
+    """Each frame's cost, J^T J and J^T r, for the derivatives J of the joints X in the hand's axes."""
+    X_cam = se3.transform(T, X)
+    z = np.maximum(X_cam[..., 2], 0.01)  # behind the camera nothing can be fitted; the cost there is large
+    X_cam = np.concatenate([X_cam[..., :2], z[..., None]], axis=-1)
+    r = (project(clicks.K, X_cam) - clicks.y) / clicks.noise[..., None]
+    weight = clicks.there / (1.0 + np.sum(r * r, axis=-1) / OUTLIER**2)  # of Cauchy's rho, for J^T J
+    fx, fy = clicks.K[0, 0], clicks.K[1, 1]
+    D = np.zeros((*z.shape, 2, 3))
+    D[..., 0, 0], D[..., 0, 2] = fx / z, -fx * X_cam[..., 0] / z**2
+    D[..., 1, 1], D[..., 1, 2] = fy / z, -fy * X_cam[..., 1] / z**2
+    A = (D @ T[:, None, :3, :3] @ J) / clicks.noise[..., None, None]
+    n, size = len(X), J.shape[-1]
+    weighted = (A * weight[..., None, None]).reshape(n, 42, size)
+    H = np.swapaxes(weighted, 1, 2) @ A.reshape(n, 42, size)
+    g = (r.reshape(n, 1, 42) @ weighted)[:, 0]
+    costs = OUTLIER**2 * np.sum(clicks.there * np.log1p(np.sum(r * r, axis=-1) / OUTLIER**2), axis=1)
+    return costs, H, g
+
+
+def place(
+    chains: Chains, clicks: Clicks, grasp: Float[ndarray, "5 3 3"], shape: Float[ndarray, "S"]
+) -> Float[ndarray, "n 4 4"]:
+    """T_cam_hand of stiff hands with given fingers, those of many rotations that fit and turn little between frames."""
+    n, m = len(clicks.y), ROTATIONS
+    X, J = joints_and_jacobian(chains, grasp[None], shape)
+    R = se3.super_fibonacci(m)
+    T = np.tile(np.eye(4), (n, m, 1, 1))
+    for k, there in enumerate(clicks.there):
+        distance = clicks.K[0, 0] * _spread(X[0, there]) / _spread(clicks.y[k, there])
+        middle = backproject(clicks.K, clicks.y[k, there].mean(axis=0)[None])[0] * distance
+        T[k] = se3.rigid(R, middle - R @ X[0, there].mean(axis=0))
+    many = Clicks(clicks.K, *(np.repeat(each, m, axis=0) for each in clicks[1:]))
+    T, X, J = T.reshape(n * m, 4, 4), np.repeat(X, n * m, axis=0), np.repeat(J[..., :6], n * m, axis=0)
+    cost, H, g = equations(many, T, X, J)
+    damping = np.full(n * m, 1e-2)
+    for _ in range(STEPS):
+        A = H + (damping[:, None] * np.einsum("nii->ni", H) + 1e-9)[:, None] * np.eye(6)
+        new = turned(T, -np.linalg.solve(A, g[..., None])[..., 0], chains.wrist)
+        new_cost, new_H, new_g = equations(many, new, X, J)
+        better = new_cost < cost
+        T[better], cost[better], H[better], g[better] = new[better], new_cost[better], new_H[better], new_g[better]
+        damping = np.where(better, damping / 10.0, damping * 10.0)
+    T = T.reshape(n, m, 4, 4)
+    return T[np.arange(n), _smoothest(cost.reshape(n, m), T[..., :3, :3])]
+
+
+def turning(Ra: Float[ndarray, "*#batch 3 3"], Rb: Float[ndarray, "*#batch 3 3"]) -> Float[ndarray, "*batch"]:
+    """The cost of turning from one clicked frame to the next."""
+    return np.asarray((se3.angle_between(Ra, Rb) / TURN) ** 2)
+
+
+def _smoothest(cost: Float[ndarray, "n m"], R: Float[ndarray, "n m 3 3"]) -> Int[ndarray, "n"]:
+    """One of m rotations in each frame such that their costs and those of turning have the least sum (Viterbi)."""
+    total, came = cost[0], []
+    for k in range(1, len(cost)):
+        both = total[:, None] + turning(R[k - 1][:, None], R[k][None])
+        came.append(both.argmin(axis=0))
+        total = both.min(axis=0) + cost[k]
+    path = [int(total.argmin())]
+    for before in came[::-1]:
+        path.append(int(before[path[-1]]))
+    return np.array(path[::-1])
