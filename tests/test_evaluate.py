@@ -206,11 +206,13 @@ def test_errors_name_what_does_not_fit(scene: tuple[Clip, Masks], tmp_path: Path
 
 
 def test_summary_means_over_the_clips_that_have_a_number() -> None:
-    evaluations = [{"metrics": {"iou": 0.5, "add_mm": 3.0}}, {"metrics": {"iou": 1.0}}, {"metrics": {"iou": np.nan}}]
+    metrics = [{"iou": 0.5, "add_mm": 3.0}, {"iou": 1.0}, {"iou": np.nan}]
+    evaluations = [{"method": m, "metrics": k} for m, k in zip(("a", "b", "a"), metrics, strict=True)]
     out = ev.summary(evaluations)
     assert out["mean"] == {"iou": 0.75, "add_mm": 3.0}
     assert out["clips"] == {"iou": 2, "add_mm": 1}
     assert out["samples"] == evaluations
+    assert out["methods"]["a"] == {"mean": {"iou": 0.5, "add_mm": 3.0}, "clips": {"iou": 1, "add_mm": 1}}
 
 
 def test_tables_fit_a_terminal_and_json_holds_what_they_show(scene: tuple[Clip, Masks], tmp_path: Path) -> None:

@@ -237,6 +237,19 @@ def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray
     return Mesh(mesh.vertices, mesh.faces[:, ::-1].copy()) if mesh.is_closed and mesh.volume < 0 else mesh
 
 
+def with_area(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Int[ndarray, "..."]:
+    """The faces that have an area: scans and CADs hold some that have none, which show nothing.
+
+    All are returned where they are no triangles of these vertices: ``checked_mesh`` says what is wrong with them.
+    """
+    if vertices.ndim != 2 or faces.ndim != 2 or not faces.size or faces.min() < 0 or faces.max() >= len(vertices):
+        return faces
+    with np.errstate(invalid="ignore", over="ignore"):
+        a, b, c = np.moveaxis(vertices[faces[:, :3]], 1, 0)
+        doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        return faces[doubled > 1e-11 * np.ptp(vertices, axis=0).max(initial=0.0) ** 2]
+
+
 def merged(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
     """For each vertex the index of the first vertex at the same place."""
     _, first, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)

@@ -81,19 +81,32 @@ class Reconstruct(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(Command):
-    """Print the metrics of results against their clips."""
+    """Print the metrics of results against their clips, and of meshes that another system made, beside them."""
 
     results: Results = ()
     """Result folders, or folders of results."""
     clips: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: where they were made from)")] = None
     """A clip, or the folder that holds the clips by name."""
+    meshes: OptionalFolder = None
+    """Another system's meshes, one for each frame, in metres: DIR/<clip>/<frame>.obj (.ply, .stl, .glb). They need
+    --clips and --mesh-frame, and are called by the name of DIR."""
+    mesh_frame: Annotated[Literal["camera", "hand"] | None, arg(help_behavior_hint="")] = None
+    """What they are in: the clip's camera frame, or its hand frame."""
     json: OptionalFile = None
     """Write every number here, unrounded."""
 
     def run(self) -> int:
+        from getagrip.run.mesh_scores import Meshes
         from getagrip.run.scores import evaluate_results
 
-        return evaluate_results(self.results, self.clips, self.json, self.debug)
+        meshes = None
+        if self.meshes is not None:
+            if self.clips is None or self.mesh_frame is None:
+                raise UsageError("--meshes: got no --clips or no --mesh-frame, expected both")
+            meshes = Meshes(self.meshes, self.mesh_frame, self.clips)
+        elif self.mesh_frame is not None:
+            raise UsageError(f"--mesh-frame: got {self.mesh_frame}, expected none without --meshes")
+        return evaluate_results(self.results, self.clips, meshes, self.json, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,12 +29,12 @@ from getagrip import arrays, se3
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.pickled import numbers, read_dict
-from getagrip.datasets.tracks import Note, Source, Track, in_pixels, with_area
+from getagrip.datasets.tracks import Note, Source, Track, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.files import LARGEST_JSON, is_plain_name, read_bytes, read_json, shown
 from getagrip.grasps import Definition
 from getagrip.hands.model import Side
-from getagrip.mesh import LARGEST_FILE, Mesh, checked_mesh
+from getagrip.mesh import LARGEST_FILE, Mesh, checked_mesh, with_area
 from getagrip.obj import parse_obj
 
 DEFINITION = Definition(contact=0.0)

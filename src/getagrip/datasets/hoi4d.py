@@ -27,12 +27,12 @@ from getagrip import arrays, se3
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.pickled import numbers, read_dict
-from getagrip.datasets.tracks import MaskPair, Note, Source, Track, in_pixels, with_area
+from getagrip.datasets.tracks import MaskPair, Note, Source, Track, in_pixels
 from getagrip.errors import InputError
 from getagrip.files import read_bytes, read_colour_png, read_json, shown
 from getagrip.grasps import Definition
 from getagrip.hands.model import Side
-from getagrip.mesh import LARGEST_FILE, Mesh, checked_mesh
+from getagrip.mesh import LARGEST_FILE, Mesh, checked_mesh, with_area
 from getagrip.obj import parse_obj
 
 DEFINITION = Definition(contact=0.010)

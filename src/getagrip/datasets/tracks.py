@@ -265,11 +265,3 @@ def in_pixels(K: Float[ndarray, "3 3"], scale: float = 1.0) -> Float[ndarray, "3
     centred = K.copy()
     centred[:2, 2] += 0.5
     return np.diag([scale, scale, 1.0]) @ centred
-
-
-def with_area(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> Int[ndarray, "G 3"]:
-    """The faces that have an area: scans and CADs hold some that have none, which show nothing."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    return faces[
-        np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-11 * np.ptp(vertices, axis=0).max(initial=0.0) ** 2
-    ]

@@ -6,6 +6,7 @@ score cannot share the objective's mistakes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,9 +38,18 @@ def object_mask(
     mesh: Mesh, scale: float, T_cam_obj: Float[ndarray, "4 4"], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> Bool[ndarray, "H W"]:
     """Pixels whose centre the posed object covers; ``size`` is (width, height)."""
+    return _drawn(_posed(mesh, scale, T_cam_obj), K, size)
+
+
+def _posed(mesh: Mesh, scale: float, T_cam_obj: Float[ndarray, "4 4"]) -> Mesh:
+    return Mesh(se3.transform(T_cam_obj, scale * mesh.vertices), mesh.faces)
+
+
+def _drawn(mesh: Mesh | None, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+    """Pixels whose centre a mesh in the camera frame covers; none where there is no mesh."""
     from getagrip.kernels.depth import covered
 
-    return covered(se3.transform(T_cam_obj, scale * mesh.vertices), mesh.faces, K, size)
+    return np.zeros(size[::-1], dtype=bool) if mesh is None else covered(mesh.vertices, mesh.faces, K, size)
 
 
 def iou(predicted: Bool[ndarray, "H W"], observed: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"]) -> float:
@@ -63,6 +73,11 @@ def mask_iou(
     mesh: Mesh, scale: float, T_cam_obj: Float[ndarray, "T 4 4"], K: Float[ndarray, "T 3 3"], masks: Masks
 ) -> MaskIou:
     """IOU of a posed object with the observed masks, frame by frame."""
+    return meshes_iou([_posed(mesh, scale, T) for T in T_cam_obj], K, masks)
+
+
+def meshes_iou(meshes: Sequence[Mesh | None], K: Float[ndarray, "T 3 3"], masks: Masks) -> MaskIou:
+    """IOU of a mesh for each frame, in the camera frame, with the observed masks; 0 where there is no mesh."""
     T, H, W = masks.object.shape
     out = MaskIou(*np.full((3, T), np.nan))
     seen = np.flatnonzero(masks.seen)
@@ -74,9 +89,8 @@ def mask_iou(
     once = crops.intrinsics(K[seen])
     twice = np.array([2.0, 2.0, 1.0])[:, None] * once  # twice as many pixels each way
     for i, n in enumerate(seen):
-        full = object_mask(mesh, scale, T_cam_obj[n], K[n], (W, H))
-        out.full[n] = iou(full, masks.object[n], masks.ignore[n])
-        out.crop[n] = iou(object_mask(mesh, scale, T_cam_obj[n], once[i], (CROP, CROP)), observed[i], ignore[i])
-        fine = object_mask(mesh, scale, T_cam_obj[n], twice[i], (2 * CROP, 2 * CROP))
-        out.soft[n] = soft_iou(fine, observed[i], ignore[i])
+        mesh = meshes[int(n)]
+        out.full[n] = iou(_drawn(mesh, K[n], (W, H)), masks.object[n], masks.ignore[n])
+        out.crop[n] = iou(_drawn(mesh, once[i], (CROP, CROP)), observed[i], ignore[i])
+        out.soft[n] = soft_iou(_drawn(mesh, twice[i], (2 * CROP, 2 * CROP)), observed[i], ignore[i])
     return out

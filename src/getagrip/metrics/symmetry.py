@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip import se3
@@ -139,15 +139,24 @@ class _Surface:
 
 def surface_points(mesh: Mesh, count: int) -> Float[ndarray, "count 3"]:
     """Points spread evenly over a surface by area; the same ones every time."""
+    return at_places(mesh, *surface_places(mesh, count))
+
+
+def surface_places(mesh: Mesh, count: int) -> tuple[Int[ndarray, "count"], Float[ndarray, "count 2"]]:
+    """Where ``surface_points`` are: the face of each, and how far along its first two edges."""
     corners = mesh.vertices[mesh.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     filled = np.cumsum(area)
     face = np.searchsorted(filled, (np.arange(count) + 0.5) / count * filled[-1])
     # The plastic number's low-discrepancy sequence, folded into the triangle.
     u = (0.5 + np.outer(np.arange(count), [0.7548776662466927, 0.5698402909980532])) % 1.0
-    u = np.where(u.sum(axis=1, keepdims=True) > 1.0, 1.0 - u, u)
-    a, b, c = np.moveaxis(corners[face], 1, 0)
-    return np.asarray(a + u[:, :1] * (b - a) + u[:, 1:] * (c - a))
+    return face, np.where(u.sum(axis=1, keepdims=True) > 1.0, 1.0 - u, u)
+
+
+def at_places(mesh: Mesh, face: Int[ndarray, "n"], along: Float[ndarray, "n 2"]) -> Float[ndarray, "n 3"]:
+    """The points of a mesh at places of another one with the same faces."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces[face]], 1, 0)
+    return np.asarray(a + along[:, :1] * (b - a) + along[:, 1:] * (c - a))
 
 
 def _moments(mesh: Mesh) -> tuple[Float[ndarray, "3"], Float[ndarray, "3 3"]]:

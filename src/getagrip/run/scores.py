@@ -3,55 +3,63 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from getagrip import files
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluate import evaluate, evaluate_result, read_evaluated, summary, tables
 from getagrip.run.batch import FEW, progress_bar, tell
 from getagrip.run.job import Outcome, failure
+from getagrip.run.mesh_scores import Meshes, MeshJob, evaluate_clip_meshes, mesh_jobs
 from getagrip.run.pool import cores, in_processes
+
+Evaluated = tuple[dict[str, Any] | None, list[Outcome]]
+"""All metrics, and what could not be read."""
 
 
 @dataclass(frozen=True)
 class Job:
     """A result to evaluate."""
 
-    place: int
-    """Among those that were asked for."""
     folder: Path
     clips: Path | None
 
 
-def evaluate_results(paths: Sequence[Path], clips: Path | None, json: Path | None, debug: bool) -> int:
-    """Print the metrics of results, and write them to a file; 1 if any result could not be evaluated, else 0.
+def evaluate_results(
+    paths: Sequence[Path], clips: Path | None, meshes: Meshes | None, json: Path | None, debug: bool
+) -> int:
+    """Print the metrics of results, and write them to a file; 1 if anything could not be evaluated, else 0.
 
-    A path is a result, or a folder of results. Raises ``UsageError`` where there is nothing to do.
+    A path is a result, or a folder of results. ``meshes`` of another system are judged in the frames of our results of
+    the same clip; where there are none, in all of the clip's. Raises ``UsageError`` where there is nothing to do, and
+    ``InputError`` where there are no such meshes.
     """
-    if not paths:
-        raise UsageError("RESULT: name at least one result")
-    folders: list[Path] = []
-    failures = 0
+    if not paths and meshes is None:
+        raise UsageError("RESULT: name at least one result, or --meshes")
+    jobs: list[Job] = []
+    told: list[Outcome] = []
     for path in paths:
         try:
-            folders += results_in(path)
+            jobs += [Job(folder, clips) for folder in results_in(path)]
         except (InputError, OSError) as error:
-            tell(failure("", error), debug)
-            failures += 1
-    found: dict[int, dict[str, Any]] = {}
+            told.append(failure("", error))
+    evaluations: list[dict[str, Any]] = []
     with progress_bar() as bar:
-        task = bar.add_task("results", total=len(folders))
-        for job, made in _evaluated([Job(place, folder, clips) for place, folder in enumerate(folders)]):
-            if isinstance(made, Outcome):
-                tell(made, debug)
-                failures += 1
-            else:
-                found[job.place] = made
-            bar.advance(task)
-    evaluations = [found[place] for place in sorted(found)]
+        task = bar.add_task("results", total=len(jobs), visible=bool(jobs))
+        for made, failed in _in_order(evaluate_one, jobs, lambda: bar.advance(task)):
+            evaluations += [] if made is None else [made]
+            told += failed
+        if meshes is not None:
+            others = mesh_jobs(meshes, {made["clip"]: tuple(made["frames"]) for made in evaluations})
+            task = bar.add_task("meshes", total=len(others))
+            for made, failed in _in_order(evaluate_clip_meshes, others, lambda: bar.advance(task)):
+                evaluations += [] if made is None else [made]
+                told += failed
+    for outcome in told:
+        tell(outcome, debug)
     if evaluations:
         from rich.console import Console
 
@@ -59,26 +67,41 @@ def evaluate_results(paths: Sequence[Path], clips: Path | None, json: Path | Non
         console = Console() if sys.stdout.isatty() else Console(width=200)
         for table in tables(evaluations):
             console.print(table)
+    for made in evaluations:
+        if missing := int(made["metrics"].get("frames_without_mesh", 0)):
+            of = f"{made['method']}, {made['clip']}"
+            print(f"{of}: no mesh of {missing} of {len(made['frames'])} frames: IOU 0, no contact", file=sys.stderr)
     if json is not None:
         files.write_json(json, summary(evaluations))
-    return 1 if failures else 0
+    return 1 if told else 0
 
 
-def _evaluated(jobs: Sequence[Job]) -> Iterator[tuple[Job, dict[str, Any] | Outcome]]:
-    """Each job with its metrics or why there are none, many jobs over processes."""
+J = TypeVar("J", Job, MeshJob)
+
+
+def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callable[[], None]) -> list[Evaluated]:
+    """What comes of each job, many jobs over processes."""
+    done: dict[int, Evaluated] = {}
+    places = {id(job): place for place, job in enumerate(jobs)}
+    for job, made in _done(work, jobs):
+        dead = None, [Outcome(str(job.folder), "failed", "its process died twice; out of memory?")]
+        done[places[id(job)]] = made or dead
+        advance()
+    return [done[place] for place in sorted(done)]
+
+
+def _done(work: Callable[[J], Evaluated], jobs: Sequence[J]) -> Iterator[tuple[J, Evaluated | None]]:
     if len(jobs) <= FEW or cores() == 1:
-        yield from ((job, evaluate_one(job)) for job in jobs)
-        return
-    for job, made in in_processes(evaluate_one, jobs, min(len(jobs), cores())):
-        yield job, made or Outcome(str(job.folder), "failed", "its process died twice; out of memory?")
+        return ((job, work(job)) for job in jobs)
+    return in_processes(work, jobs, min(len(jobs), cores()))
 
 
-def evaluate_one(job: Job) -> dict[str, Any] | Outcome:
+def evaluate_one(job: Job) -> Evaluated:
     """The metrics of a result, or why there are none. Raises nothing."""
     try:
-        return evaluate_result(job.folder, job.clips)
+        return evaluate_result(job.folder, job.clips), []
     except Exception as error:  # one result's trouble must not end the others
-        return failure("" if isinstance(error, InputError) else str(job.folder), error)
+        return None, [failure("" if isinstance(error, InputError) else str(job.folder), error)]
 
 
 def results_in(path: Path) -> list[Path]:

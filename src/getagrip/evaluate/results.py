@@ -1,11 +1,11 @@
-"""Every number about a result: what docs/metrics.md defines, gathered, averaged over clips and printed."""
+"""Every number about a result: what docs/metrics.md defines, gathered."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -20,17 +20,15 @@ from getagrip.metrics.contact import (
     SIDES,
     THRESHOLDS,
     ContactDistances,
+    Side,
     contact_distances_of,
     pairwise_iou,
     stable_contact_area,
 )
-from getagrip.metrics.mask import mask_iou
+from getagrip.metrics.mask import MaskIou, mask_iou
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
 from getagrip.result import Reconstruction, read_result
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 IOU_THRESHOLDS = (0.8, 0.6)
 """SCA-IOU counts the clips whose mean IOU is above these (paper, Sec. 5.1)."""
@@ -68,31 +66,24 @@ def evaluate(result: Reconstruction, clip: Clip, masks: Masks | None) -> dict[st
 
     ``clip`` and ``masks`` hold the result's frames, in its order. What needs masks or truth is left out without them.
     """
-    predicted, true = ObjectTrack(result.T_hand_obj, result.scale), None
-    if clip.truth is not None:
-        true = ObjectTrack(se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj, clip.truth.scale)
+    predicted, true = ObjectTrack(result.T_hand_obj, result.scale), true_track(clip)
     distances = _distances(clip, predicted, true)
-    metrics, per_frame = _contact(distances[0])
+    metrics, per_frame = contact_metrics(distances[0])
     symmetry = None
     if clip.truth is not None and true is not None:
         symmetries = _symmetries(clip.mesh.vertices.tobytes(), clip.mesh.faces.tobytes())
         symmetry = symmetries.describe()
-        _add(metrics, per_frame, "", _pose(clip.mesh, predicted, true, symmetries))
+        add(metrics, per_frame, "", _pose(clip.mesh, predicted, true, symmetries))
         if clip.scale == "free":
             metrics["scale_error"] = result.scale / clip.truth.scale - 1.0
-        _add(metrics, per_frame, "truth_", _contact(distances[1]))
+        add(metrics, per_frame, "truth_", contact_metrics(distances[1]))
         for key, value in _sca(metrics):
             metrics[f"sca_add{key}"] = value * metrics["add_success"]
             metrics[f"sca_add_sym{key}"] = value * metrics["add_sym_success"]
     if masks is not None:
-        if not masks.ignore.any():
-            masks = hidden_by_hand(clip, masks)  # as the methods do
+        masks = judged(clip, masks)
         ious = mask_iou(clip.mesh, result.scale, clip.hand.T_cam_hand @ result.T_hand_obj, clip.K, masks)
-        per_frame |= {"iou": ious.crop, "iou_soft": ious.soft, "iou_full": ious.full}
-        metrics |= {key: _mean(per_frame[key]) for key in ("iou", "iou_soft", "iou_full")}
-        for threshold in IOU_THRESHOLDS:
-            above = float(metrics["iou"] > threshold)
-            metrics |= {f"sca_iou_{threshold * 100:.0f}{key}": value * above for key, value in _sca(metrics)}
+        add_iou(metrics, per_frame, ious)
     return {
         "clip": clip.name,
         "category": clip.category,
@@ -115,10 +106,17 @@ def _pose(mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetries: Sym
             f"translation{kind}_mm": 1e3 * errors.translation,
         }
         per_frame |= frames
-        metrics |= {key: _mean(values) for key, values in frames.items()}
+        metrics |= {key: mean_of(values) for key, values in frames.items()}
         metrics[f"add{kind}_success"] = float(errors.success)
-        metrics[f"add{kind}_frame_success"] = _mean(errors.frame_success)
+        metrics[f"add{kind}_frame_success"] = mean_of(errors.frame_success)
     return metrics, per_frame
+
+
+def true_track(clip: Clip) -> ObjectTrack | None:
+    """The object in the true hand's frame, where that is known."""
+    if clip.truth is None:
+        return None
+    return ObjectTrack(se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj, clip.truth.scale)
 
 
 def _distances(clip: Clip, predicted: ObjectTrack, true: ObjectTrack | None) -> list[ContactDistances]:
@@ -132,21 +130,43 @@ def _distances(clip: Clip, predicted: ObjectTrack, true: ObjectTrack | None) -> 
     return contact_distances_of(clip.mesh, [predicted], given, faces) + true_hand
 
 
-def _contact(distances: ContactDistances) -> tuple[Metrics, PerFrame]:
+def judged(clip: Clip, masks: Masks) -> Masks:
+    """Masks in which the hand is ignored where nothing else is, as the methods take them."""
+    return masks if masks.ignore.any() else hidden_by_hand(clip, masks)
+
+
+def add_iou(metrics: Metrics, per_frame: PerFrame, ious: MaskIou) -> None:
+    """Add what is known of the masks to metrics that have the SCA already."""
+    per_frame |= {"iou": ious.crop, "iou_soft": ious.soft, "iou_full": ious.full}
+    metrics |= {key: mean_of(per_frame[key]) for key in ("iou", "iou_soft", "iou_full")}
+    for threshold in IOU_THRESHOLDS:
+        above = float(metrics["iou"] > threshold)
+        metrics |= {f"sca_iou_{threshold * 100:.0f}{key}": value * above for key, value in _sca(metrics)}
+
+
+def contact_metrics(distances: ContactDistances) -> tuple[Metrics, PerFrame]:
+    """SCA on every side, how much is in contact, and how deep hand and object are inside each other."""
+    metrics, per_frame = sca_metrics(distances, SIDES)
+    add(metrics, per_frame, "", penetration(distances))
+    return metrics, per_frame
+
+
+def sca_metrics(distances: ContactDistances, sides: Sequence[Side]) -> tuple[Metrics, PerFrame]:
+    """SCA on some sides, and how much is in contact there."""
     metrics: Metrics = {}
     per_frame: PerFrame = {}
-    for side in SIDES:
+    for side in sides:
         for threshold in THRESHOLDS:
             contact, key = distances.contact(side, threshold), f"{side}_{threshold * 1e3:.0f}mm"
             overlap = pairwise_iou(contact)
             metrics[f"sca_{key}"] = stable_contact_area(overlap)
             metrics[f"sca_diagonal_{key}"] = stable_contact_area(overlap, diagonal=True)
             per_frame[f"contact_share_{key}"] = contact.mean(axis=1)
-    _add(metrics, per_frame, "", _penetration(distances))
     return metrics, per_frame
 
 
-def _penetration(distances: ContactDistances) -> tuple[Metrics, PerFrame]:
+def penetration(distances: ContactDistances) -> tuple[Metrics, PerFrame]:
+    """How deep hand and object are inside each other."""
     metrics: Metrics = {}
     per_frame: PerFrame = {}
     for side in ("object", "hand"):
@@ -154,13 +174,14 @@ def _penetration(distances: ContactDistances) -> tuple[Metrics, PerFrame]:
         inside = depth[depth > 0.0]
         deepest = depth.max(axis=1)
         per_frame[f"penetration_{side}_mm"] = deepest
-        metrics[f"penetration_{side}_mm"] = _mean(deepest)
+        metrics[f"penetration_{side}_mm"] = mean_of(deepest)
         metrics[f"penetration_{side}_max_mm"] = float(deepest.max())
-        metrics[f"penetration_{side}_inside_mm"] = _mean(inside) if inside.size else 0.0
+        metrics[f"penetration_{side}_inside_mm"] = mean_of(inside) if inside.size else 0.0
     return metrics, per_frame
 
 
-def _add(metrics: Metrics, per_frame: PerFrame, prefix: str, more: tuple[Metrics, PerFrame]) -> None:
+def add(metrics: Metrics, per_frame: PerFrame, prefix: str, more: tuple[Metrics, PerFrame]) -> None:
+    """Add metrics under names with a prefix."""
     metrics |= {prefix + key: value for key, value in more[0].items()}
     per_frame |= {prefix + key: values for key, values in more[1].items()}
 
@@ -168,10 +189,10 @@ def _add(metrics: Metrics, per_frame: PerFrame, prefix: str, more: tuple[Metrics
 def _sca(metrics: Metrics) -> list[tuple[str, float]]:
     """The prediction's SCA by definition: (``_object_0mm``, value) and so on."""
     keys = [f"_{side}_{threshold * 1e3:.0f}mm" for side in SIDES for threshold in THRESHOLDS]
-    return [(key, metrics[f"sca{key}"]) for key in keys]
+    return [(key, metrics[f"sca{key}"]) for key in keys if f"sca{key}" in metrics]
 
 
-def _mean(values: Float[ndarray, "n"]) -> float:
+def mean_of(values: Float[ndarray, "n"]) -> float:
     """Mean of the values that are there (not NaN); NaN if none is."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if known.size else float("nan")
@@ -210,82 +231,3 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):  # a recorded path may be longer than paths can be
         return False
-
-
-def summary(evaluations: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The evaluations and, for each metric, its mean over the clips that have it and their number."""
-    keys = list(dict.fromkeys(key for evaluation in evaluations for key in evaluation["metrics"]))
-    columns = {key: np.array([e["metrics"].get(key, np.nan) for e in evaluations], dtype=float) for key in keys}
-    return {
-        "samples": list(evaluations),
-        "mean": {key: _mean(values) for key, values in columns.items()},
-        "clips": {key: int(np.count_nonzero(~np.isnan(values))) for key, values in columns.items()},
-    }
-
-
-class _Column(NamedTuple):
-    heading: str
-    metric: str
-    factor: float
-    decimals: int
-
-    def cell(self, metrics: Metrics) -> str:
-        value = metrics.get(self.metric, float("nan"))
-        return "-" if np.isnan(value) else f"{self.factor * value:.{self.decimals}f}"
-
-
-_COLUMNS = (
-    _Column("IOU\n%", "iou", 100, 1),
-    _Column("full\n%", "iou_full", 100, 1),
-    _Column("ADD\nmm", "add_mm", 1, 1),
-    _Column("ADD\n%", "add_success", 100, 0),
-    _Column("sym\nmm", "add_sym_mm", 1, 1),
-    _Column("sym\n%", "add_sym_success", 100, 0),
-    _Column("rot\ndeg", "rotation_sym_deg", 1, 1),
-    _Column("trans\nmm", "translation_sym_mm", 1, 1),
-    _Column("scale\n%", "scale_error", 100, 1),
-    _Column("depth\nmm", "penetration_object_mm", 1, 1),
-    _Column("SCA\n%", "sca_object_0mm", 100, 1),
-    _Column("true\nSCA %", "truth_sca_object_0mm", 100, 1),
-)
-_KINDS = {"SCA": "sca", "truth's": "truth_sca", "SCA-ADD": "sca_add", "SCA-ADD\nsymmetric": "sca_add_sym"} | {
-    f"SCA-IOU\n> {threshold:g}": f"sca_iou_{threshold * 100:.0f}" for threshold in IOU_THRESHOLDS
-}
-
-
-def tables(evaluations: Sequence[dict[str, Any]]) -> list[Table]:
-    """One row per result and their mean; then stable contact area by definition, means over the results.
-
-    Columns of which no result has a value (there is no truth, the scale is known) are left out.
-    """
-    mean = summary(evaluations)["mean"]
-    several = len({e["method"] for e in evaluations}) > 1
-    columns = [column for column in _COLUMNS if not np.isnan(mean.get(column.metric, np.nan))]
-    results = _table("clip", [column.heading for column in columns])
-    for e in evaluations:
-        name = f"{e['clip']}\n{e['method']}" if several else e["clip"]
-        results.add_row(name, *(column.cell(e["metrics"]) for column in columns))
-    if len(evaluations) > 1:
-        results.add_section()
-        results.add_row(f"mean of {len(evaluations)}", *(column.cell(mean) for column in columns))
-
-    kinds = {h: kind for h, kind in _KINDS.items() if not np.isnan(mean.get(f"{kind}_object_0mm", np.nan))}
-    contact = _table("contact", list(kinds))
-    for side in SIDES:
-        for threshold in THRESHOLDS:
-            name = f"{side} {threshold * 1e3:.0f} mm"
-            keys = [f"{kind}_{side}_{threshold * 1e3:.0f}mm" for kind in kinds.values()]
-            contact.add_row(name, *(_Column("", key, 100, 1).cell(mean) for key in keys))
-        contact.add_section()
-    return [results, contact]
-
-
-def _table(first: str, headings: list[str]) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column(first, overflow="fold", vertical="bottom")
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
-    return table
