@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 
-from benchmarks import against_deodr, page, reconstruct_speed, scaling
+from benchmarks import against_deodr, page, reconstruct_speed, scaling, segment_speed
 
 SECTIONS = {
     "reconstruct-speed": reconstruct_speed.section,
     "against-deodr": against_deodr.section,
     "scaling": scaling.section,
+    "segment-speed": segment_speed.section,
 }
 
 

@@ -28,7 +28,7 @@ from numpy import ndarray
 from getagrip import se3
 from getagrip.clip import Clip
 from getagrip.errors import InputError, UsageError
-from getagrip.metrics.contact import AREA_POINTS, close_holes, signed_distance
+from getagrip.metrics.contact import AREA_POINTS, close_holes, moving_distance
 from getagrip.metrics.symmetry import surface_points
 
 Points = Literal["vertices", "area", "fragments"]
@@ -36,7 +36,7 @@ Rule = Literal["all-pairs", "first", "consecutive"]
 """Which pairs of frames are tested: all (Eq. 2), or those of the authors' codes, see ``stable_grasps``."""
 RULES: tuple[Rule, ...] = get_args(Rule)
 BLOCK = 128
-"""Frames whose IOU is computed at once."""
+"""Frames whose contact or IOU is computed at once."""
 FRAGMENTS = 0.01
 """Fragments of an object, as a share of its vertices."""
 OPENED = np.radians(5.0)
@@ -99,9 +99,10 @@ def contact_sets(
     T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
     hands, faces = close_holes(truth.hand_vertices, clip.hand.faces)
     contact = np.zeros((len(clip), len(local)), dtype=bool)
-    for n, (T, hand) in enumerate(zip(T_hand_obj, hands, strict=True)):
-        contact[n] = signed_distance(se3.transform(T, truth.scale * local), hand, faces, threshold) <= threshold
-        progress((n + 1) / len(clip))
+    for rows in _blocks(len(clip)):
+        in_hand = se3.transform(T_hand_obj[rows], truth.scale * local)
+        contact[rows] = moving_distance(in_hand, hands[rows], faces, threshold) <= threshold
+        progress(rows.stop / len(clip))
     if points == "fragments":
         patch = fragments(clip.mesh.vertices)
         return np.stack([contact[:, patch == k].any(axis=1) for k in range(patch.max() + 1)], axis=1)

@@ -1,0 +1,106 @@
+"""Stable grasps of a long sequence: its contacts (a hand and an object that move in every frame), then its intervals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from benchmarks.page import table
+from benchmarks.timing import timed
+from getagrip import se3
+from getagrip.clip import FINGERS, Clip, HandTrack, Truth
+from getagrip.datasets import shapes
+from getagrip.grasps import RULES, PairwiseIou, contact_sets, stable_grasps
+from getagrip.hands import generic
+from getagrip.mesh import Mesh, decimate
+
+FRAMES = 2000
+"""Of the sequence whose contacts are timed."""
+LONG = 10_000
+"""Frames whose intervals are timed."""
+HAND, OBJECT = 778, 500
+"""Vertices."""
+REPEATS = 3
+
+
+def section() -> str:
+    """Measure; the section's text."""
+    clip = sequence(FRAMES)
+    rows = []
+    for threshold in (0.0, 0.005, 0.010):
+        timing, found = timed(lambda mm=threshold: contact_sets(clip, mm), REPEATS)
+        cpu, wall = median(timing.cpu), median(timing.wall)
+        touched = found[0].sum(axis=1).mean()
+        rows.append([
+            f"{1e3 * threshold:g} mm", f"{touched:.0f}", f"{FRAMES / cpu:.0f}", f"{FRAMES / wall:.0f}",
+        ])  # fmt: skip
+    sizes = f"{clip.hand.vertices.shape[1]} vertices of the hand, {len(clip.mesh.vertices)} of the object"
+    contact = contact_sets(clip, 0.005)
+    times = []
+    for name, sets in long_contacts(contact).items():
+        for rule in RULES:
+            timing, grasps = timed(lambda rule=rule, sets=sets: stable_grasps(PairwiseIou.of(sets), rule=rule), REPEATS)
+            times.append([name, rule, str(len(grasps[0])), f"{median(timing.cpu):.2f}", f"{median(timing.wall):.2f}"])
+    return "\n\n".join([
+        f"Contacts, {FRAMES} frames, {sizes}, both moving in every frame:",
+        table(["within", "vertices in contact", "frames per CPU second", "frames per second"], rows),
+        f"Stable grasps of {LONG:,} frames once contacts are known:",
+        table(["sequence", "rule", "grasps", "CPU, s", "wall, s"], times),
+    ])  # fmt: skip
+
+
+def sequence(frames: int) -> Clip:
+    """A hand whose fingers move around a mug that moves in it, all the time."""
+    rng = np.random.default_rng(0)
+    pose = np.zeros((frames, 5, 3, 3))
+    pose[:, :4, :, 2] = (0.5 + 0.1 * np.sin(np.linspace(0.0, 40.0, frames)))[:, None, None]
+    posed = generic.load("right").with_shape().with_pose(pose.reshape(frames, 45) + 0.03 * walk(rng, frames, 45))
+    vertices, faces = thinned(posed.vertices, posed.faces, HAND)
+    mug = decimate(shapes.mug(), 2 * OBJECT)
+    place = np.array([0.01, -0.045, 0.005]) + 0.01 * walk(rng, frames, 3)
+    T_hand_obj = se3.rigid(se3.exp_so3(0.3 * walk(rng, frames, 3)), place)
+    T_cam_hand = np.tile(se3.rigid(t=np.array([0.0, 0.0, 0.5])), (frames, 1, 1))
+    return Clip(
+        folder=Path("nowhere"),
+        name="long",
+        category="mug",
+        side="right",
+        fps=30.0,
+        frames=tuple(f"{n:06d}" for n in range(frames)),
+        size=(640, 480),
+        K=np.tile([[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]], (frames, 1, 1)),
+        mesh=mug,
+        scale="known",
+        hand=HandTrack(vertices, faces, T_cam_hand, {finger: np.array([n]) for n, finger in enumerate(FINGERS)}),
+        truth=Truth(T_cam_hand @ T_hand_obj, 1.0, T_cam_hand, vertices),
+    )
+
+
+def walk(rng: np.random.Generator, frames: int, numbers: int) -> Float[ndarray, "T n"]:
+    """Random walks of unit standard deviation at 1000 frames."""
+    return np.cumsum(rng.normal(size=(frames, numbers)), axis=0) / np.sqrt(1000.0)
+
+
+def thinned(vertices: Float[ndarray, "T V 3"], faces: ndarray, count: int) -> tuple[ndarray, ndarray]:
+    """A moving mesh with about so many vertices: the nearest ones to those of a decimated first frame."""
+    from scipy.spatial import cKDTree
+
+    coarse = decimate(Mesh(vertices[0], faces), 2 * count - 4)
+    ids, inverse = np.unique(cKDTree(vertices[0]).query(coarse.vertices)[1], return_inverse=True)
+    corners = inverse[coarse.faces]
+    whole = np.all(corners != np.roll(corners, 1, axis=1), axis=1)
+    return vertices[:, ids], corners[whole]
+
+
+def long_contacts(contact: Bool[ndarray, "T V"]) -> dict[str, Bool[ndarray, "N V"]]:
+    """Long sequences: that one over and over; and one grasp from end to end, in which every pair has to be compared."""
+    rng = np.random.default_rng(0)
+    held = np.tile(rng.random(contact.shape[1]) < 0.5, (LONG, 1))
+    return {
+        "the one above, repeated": contact[np.arange(LONG) % len(contact)],
+        "one grasp from end to end": held ^ (rng.random(held.shape) < 0.02),
+    }
