@@ -1,4 +1,4 @@
-"""Stable grasps of a long sequence: its contacts (a hand and an object that move in every frame), then its intervals."""
+"""Stable grasps of a long sequence: contacts of a hand and an object that always move, then the intervals."""
 
 from __future__ import annotations
 
