@@ -80,7 +80,9 @@ class Labelling:
             "extent": grasp.extent,
             "side": grasp.side,
             "size": grasp.footage.size,
-            "keyframes": [{key: getattr(one, key) for key in keys} for one in own],
+            "keyframes": [
+                {key: getattr(one, key) for key in keys} | {"number": grasp.footage.number(one.frame)} for one in own
+            ],
             "basis": self._basis(grasp, own),
             "drafts": self.store.drafts.newest(grasp.mark.mark),
             "job": None if job is None else job.told(),
@@ -190,7 +192,7 @@ class Labelling:
         if word := wanted.get("masks"):
             with closing(open_footage(_path(grasp))) as footage:
                 for n, content in drafting.masks(said, footage.image):
-                    drafts.put(key, "masks", word, {n: content})
+                    drafts.put(key, "masks", word, {n: content | {"number": footage.number(n)}})
                     job.report(n - said.first + 1, frames)
         return ""
 

@@ -23,10 +23,14 @@ LARGEST_BODY = 256 * 2**10
 """Bytes of a request."""
 PATIENCE = 60.0
 """A connection without requests is closed after so long [s]."""
-SCRIPTS = ("page", "player", "saving")
+STYLES = ("page", "labels")
+SCRIPTS = (
+    "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "saving",
+    "tasks", "timeline", "view",
+)  # fmt: skip
 PAGE = {
     "/": ("index.html", "text/html"),
-    "/page.css": ("page.css", "text/css"),
+    **{f"/{name}.css": (f"{name}.css", "text/css") for name in STYLES},
     **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in SCRIPTS},
 }
 CHANGES = {
@@ -83,6 +87,8 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "getagrip", ""
     timeout = PATIENCE
+    wbufsize = -1  # an answer in one piece: in two, the second waits for the first to be acknowledged
+    disable_nagle_algorithm = True
 
     def do_GET(self) -> None:
         """Answer with the page, a frame, or data."""

@@ -1,6 +1,7 @@
 // Shows frames by index. What was fetched last is kept; while playing, what comes next is fetched ahead.
 
 const KEPT = 300; // frames, as compressed images
+const KEPT_WHOLE = 60; // of those that are not made smaller
 const AHEAD = 24; // frames fetched ahead of the one that is shown, while playing
 const AT_ONCE = 4; // requests
 
@@ -13,6 +14,7 @@ export class Player {
     this.shown = null; // {index, time, number}
     this.wanted = 0;
     this.playing = false;
+    this.whole = false; // all pixels of wide frames
     this.epoch = 0;
   }
 
@@ -30,6 +32,15 @@ export class Player {
   open(task, info) {
     this.close();
     Object.assign(this, { task, info, wanted: info.first });
+  }
+
+  /** Frames as they are, from now on, or made smaller where they are wide. */
+  look(whole) {
+    this.pause();
+    this.whole = whole;
+    this.epoch += 1;
+    this.frames.clear();
+    this.loading = new Map();
   }
 
   /** Draw a frame; resolves to it once it is on the screen, to null where another was wanted meanwhile. */
@@ -85,7 +96,7 @@ export class Player {
   }
 
   async load(index) {
-    const answer = await fetch(`/frame?task=${encodeURIComponent(this.task)}&n=${index}`);
+    const answer = await fetch(`/frame?task=${encodeURIComponent(this.task)}&n=${index}${this.whole ? "&whole=1" : ""}`);
     if (!answer.ok) throw new Error((await answer.json()).error);
     return {
       blob: await answer.blob(),
@@ -97,7 +108,7 @@ export class Player {
   keep(index, frame) {
     this.frames.set(index, frame);
     for (const old of this.frames.keys()) {
-      if (this.frames.size <= KEPT) break;
+      if (this.frames.size <= (this.whole ? KEPT_WHOLE : KEPT)) break;
       this.frames.delete(old);
     }
   }

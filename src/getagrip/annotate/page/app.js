@@ -1,0 +1,50 @@
+// What all parts of the page share: its state, the frames, what is on its way to the server, and what happens.
+
+import { Player } from "./player.js";
+import { Saving } from "./saving.js";
+
+export const $ = (id) => document.getElementById(id);
+
+export const state = {
+  annotator: localStorage.getItem("getagrip-annotator"),
+  tasks: [], categories: [], reasons: [],
+  task: null, // the one that is open
+  info: null, // its frames
+  marks: [], newest: -1,
+  chosen: null, // mark whose start and end are being moved
+  defaults: {}, // hand and object of the next mark
+  mode: "grasps", // or "labels"
+};
+
+// "shown" (frame), "waiting" (bool), "problem" (text), "answer" (path, sent, answer), "refused" (text), "pending"
+// (count, reason), "task" (another one is opened), "marks" (they have changed), "label" (a mark is to be labelled).
+const listeners = new Map();
+export const on = (name, act) => listeners.set(name, [...(listeners.get(name) ?? []), act]);
+export const tell = (name, ...about) => (listeners.get(name) ?? []).forEach((act) => act(...about));
+const teller = (name) => (...about) => tell(name, ...about);
+
+export const player = new Player($("picture"), teller("shown"), teller("waiting"), teller("problem"));
+export const saving = new Saving(teller("answer"), teller("refused"), teller("pending"));
+
+export async function ask(path, parameters) {
+  const answer = await fetch(`${path}?${new URLSearchParams(parameters)}`);
+  const body = await answer.json();
+  if (!answer.ok) throw new Error(body.error);
+  return body;
+}
+
+export function element(name, properties, ...children) {
+  const made = Object.assign(document.createElement(name), properties);
+  made.append(...children);
+  return made;
+}
+
+export const problem = teller("problem");
+export const pick = (from, ...keys) => Object.fromEntries(keys.map((key) => [key, from[key] ?? ""]));
+export const clock = (seconds) => `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(2).padStart(5, "0")}`;
+export const many = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
+
+export function move(to) {
+  player.pause();
+  player.show(to);
+}

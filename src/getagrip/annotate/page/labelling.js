@@ -1,0 +1,153 @@
+// Labelling the frames of a grasp: tools, keys and the mouse.
+
+import { $, move, on, player, problem, state, tell } from "./app.js";
+import { drawHand, next, tool as joints, unseen } from "./joints.js";
+import * as labels from "./labels.js";
+import { tool as outlines } from "./outlines.js";
+import { drawOverlay, toggle } from "./overlay.js";
+import { drawPanel, say } from "./panel.js";
+import { pan, pointAt, view } from "./view.js";
+
+const REACH = 8; // screen pixels within which a point is meant
+const STILL = 4; // screen pixels that a click may move
+
+const TOOLS = { joints, object: outlines("object"), front: outlines("front") };
+const tool = () => TOOLS[state.tool];
+
+function choose(name) {
+  tool().finish?.();
+  state.tool = name;
+  draw();
+}
+
+/** A point that lies in the picture, to a hundredth of a pixel. */
+const inside = (point) => point.map((value, axis) => Math.round(100 * Math.min(Math.max(value, 0), view.size[axis])) / 100);
+const inExtent = () => player.wanted >= state.labels.extent[0] && player.wanted <= state.labels.extent[1];
+
+/** Begin to label a grasp, on its first frame or, after a reload, where one was. */
+export async function begin(mark) {
+  try {
+    await labels.open(mark.mark);
+  } catch (error) {
+    problem(error.message);
+    return;
+  }
+  Object.assign(state, { mode: "labels", tool: "joints" });
+  view.fitted = true;
+  player.look(true);
+  $("label-title").textContent = `Frames ${mark.start_number} – ${mark.end_number}`;
+  tell("mode");
+  draw();
+  await player.show(Math.min(Math.max(player.wanted, mark.start), mark.end));
+}
+
+export function end() {
+  labels.close();
+  state.mode = "grasps";
+  view.fitted = true;
+  $("layer").replaceChildren();
+  player.look(false);
+  tell("mode");
+  player.show(player.wanted);
+}
+
+// ---- keys ----------------------------------------------------------------------------------------------------------
+
+const nudge = (dx, dy) => (event) => {
+  const step = Math.max(0.05, (event.shiftKey ? 10 : 1) / view.scale);
+  if (!tool().nudge(step * dx, step * dy, inside)) say("Click on a point to choose it; then w, a, s, d move it.");
+};
+
+/** The next or previous frame that has labels. */
+function keyframe(by) {
+  const frames = [...state.labels.keyframes.keys()].sort((a, b) => by * (a - b));
+  const to = frames.find((frame) => by * (frame - player.wanted) > 0);
+  if (to !== undefined) move(to);
+}
+
+function take() {
+  const why = tool().take();
+  if (why) say(why);
+}
+
+const remove = () => tool().remove();
+
+export const KEYS = {
+  "Home": () => move(state.labels.extent[0]),
+  "End": () => move(state.labels.extent[1]),
+  "[": () => keyframe(-1),
+  "]": () => keyframe(1),
+  "j": () => choose("joints"),
+  "o": () => choose("object"),
+  "f": () => choose("front"),
+  "x": () => state.tool === "joints" && unseen(),
+  "w": nudge(0, -1),
+  "a": nudge(-1, 0),
+  "s": nudge(0, 1),
+  "d": nudge(1, 0),
+  "Enter": () => tool().finish(),
+  "Escape": () => { joints.finish(); draw(); },
+  "Delete": remove,
+  "Backspace": remove,
+  "t": take,
+  "u": labels.undo,
+  "v": () => { toggle(); draw(); },
+  "g": () => labels.work("propagate"),
+  "l": end,
+};
+
+// ---- the mouse: click to place, drag points, drag the picture --------------------------------------------------------
+
+const screen = $("screen");
+screen.onpointerdown = (event) => {
+  if (event.target.closest("#closer, #farther, #zoom") || event.button === 2) return;
+  const ready = state.mode === "labels" && !player.playing && player.shown?.index === player.wanted && event.button === 0 && inExtent();
+  const at = pointAt(event), reach = REACH / view.scale;
+  const grabbed = ready ? tool().grab(at, reach) : null;
+  let [x, y] = [event.clientX, event.clientY], far = false;
+  screen.setPointerCapture(event.pointerId);
+  screen.onpointermove = (now) => {
+    far ||= Math.hypot(now.clientX - event.clientX, now.clientY - event.clientY) > STILL;
+    if (!far) return;
+    if (grabbed !== null) tool().drag(grabbed, inside(pointAt(now)));
+    else pan(now.clientX - x, now.clientY - y);
+    [x, y] = [now.clientX, now.clientY];
+  };
+  const over = (now) => {
+    screen.onpointermove = screen.onpointerup = screen.onpointercancel = null;
+    if (far) labels.settle();
+    else if (ready && now.type === "pointerup") {
+      if (grabbed !== null) tool().tap(grabbed);
+      else if (within(at)) tool().click(inside(at), reach);
+      draw();
+    } else if (state.mode === "labels" && !inExtent()) say("This frame is not part of the grasp.");
+  };
+  screen.onpointerup = screen.onpointercancel = over;
+};
+const within = (point) => point.every((value, axis) => value >= 0 && value <= view.size[axis]);
+
+// ---- drawing and buttons ---------------------------------------------------------------------------------------------
+
+export function draw() {
+  if (state.mode !== "labels") return;
+  for (const button of $("tools").children) button.ariaChecked = String(button.dataset.tool === state.tool);
+  $("joints").hidden = state.tool !== "joints";
+  $("outlines").hidden = state.tool === "joints";
+  screen.dataset.tool = state.tool;
+  drawHand();
+  drawOverlay();
+  drawPanel(next());
+}
+
+joints.changed = draw;
+view.changed = () => state.mode === "labels" && drawOverlay();
+on("labels", draw);
+on("shown", draw);
+on("undone", (undone, frame) => {
+  if (!undone) say("Nothing left to undo in this tab.");
+  else if (frame !== player.wanted) move(frame);
+});
+on("task", () => { // another clip is opened: its grasps come first
+  if (state.mode === "labels" && !state.info) end();
+});
+for (const button of $("tools").children) button.onclick = () => { choose(button.dataset.tool); button.blur(); };

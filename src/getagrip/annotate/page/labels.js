@@ -1,0 +1,158 @@
+// The key frames of one grasp, with joints and outlines, and the drafts that the server makes from them.
+
+import { ask, on, player, problem, saving, state, tell } from "./app.js";
+import { fresh, tab } from "./saving.js";
+
+const SETTLE = 600; // ms after the last of several small moves until they are sent as one
+const KEY = "getagrip-labelled"; // the grasp that this tab labels, for reloads
+
+const who = () => ({ task: state.task.key, annotator: state.annotator, grasp: state.labels.grasp });
+const outlined = (one) => one.hidden || Object.values(one.outlines).some((outline) => outline.closed && outline.of === "object");
+const blank = (frame) => ({ frame, joints: {}, outlines: {}, hidden: false, outlined: false });
+
+let moved = null; // {frame, set}: moved here, not sent yet
+let settling;
+
+/** What is said of a frame. */
+export const at = (frame) => state.labels.keyframes.get(frame) ?? blank(frame);
+export const here = () => at(player.wanted);
+export const draft = (kind, frame) => state.labels.drafts[kind].get(frame);
+
+/** Begin to label a grasp; resolves once its key frames are there. */
+export async function open(mark) {
+  const labels = await ask("/api/labels", { task: state.task.key, annotator: state.annotator, grasp: mark });
+  state.labels = { grasp: mark, keyframes: new Map(), drafts: { masks: new Map(), hand: new Map() }, seen: 0 };
+  sessionStorage.setItem(KEY, mark);
+  take(labels);
+}
+
+export function close() {
+  settle();
+  state.labels = null;
+  sessionStorage.removeItem(KEY);
+}
+
+/** The grasp that was being labelled before a reload. */
+export const before = () => sessionStorage.getItem(KEY);
+
+/** What the server says of the grasp. */
+function take(answer) {
+  const labels = state.labels;
+  if (!labels || answer.grasp !== labels.grasp) return;
+  labels.job = answer.job;
+  if (!saving.waiting.length && !moved) { // else its answer comes after what is still on its way
+    const { newest, extent, side, size, basis } = answer;
+    Object.assign(labels, { newest, extent, side, size, basis });
+    labels.keyframes = new Map(answer.keyframes.map((one) => [one.frame, { ...one, outlined: outlined(one) }]));
+  }
+  if (answer.drafts > labels.seen) fetchDrafts(labels);
+  tell("labels");
+}
+
+async function fetchDrafts(labels) {
+  if (labels.fetching) return;
+  labels.fetching = true;
+  try {
+    for (let got = null; got === null || got.length;) {
+      const answer = await ask("/api/drafts", { ...who(), since: labels.seen });
+      got = answer.drafts;
+      for (const one of got) {
+        labels.drafts[one.kind].set(one.frame, one);
+        labels.seen = one.seq;
+      }
+      if (state.labels !== labels) return;
+    }
+    tell("labels");
+  } catch { /* asked again */ } finally {
+    labels.fetching = false;
+  }
+}
+
+/** Ask whether anything is new: in another tab, or in the work that the server does. */
+export async function refresh() {
+  const labels = state.labels;
+  if (!labels || moved) return;
+  try {
+    const answer = await ask("/api/labels", who());
+    const same = answer.newest === labels.newest && answer.drafts === labels.seen && JSON.stringify(answer.extent) === JSON.stringify(labels.extent);
+    if (!same || JSON.stringify(answer.job) !== JSON.stringify(labels.job)) take(answer);
+  } catch { /* the server is away: saving tells */ }
+}
+
+// ---- changes -------------------------------------------------------------------------------------------------------
+
+const without = (values) => Object.fromEntries(Object.entries(values).filter(([, value]) => value !== null));
+
+/** Lay a change over what is said of a frame, as the server does. */
+function lay(frame, set) {
+  const old = set.deleted ? blank(frame) : at(frame);
+  const one = {
+    frame, number: old.number ?? (player.shown?.index === frame ? player.shown.number : undefined), hidden: set.hidden ?? old.hidden,
+    joints: without({ ...old.joints, ...set.joints }), outlines: without({ ...old.outlines, ...set.outlines }),
+  };
+  one.outlined = outlined(one);
+  if (one.hidden || Object.keys(one.joints).length || Object.keys(one.outlines).length) state.labels.keyframes.set(frame, one);
+  else state.labels.keyframes.delete(frame);
+}
+
+function send(frame, set) {
+  saving.add("/api/label", { ...who(), frame, change: fresh(), tab, set });
+}
+
+/** Change a frame here at once, and there as soon as it can be sent. */
+export function change(frame, set) {
+  settle();
+  problem(null);
+  lay(frame, set);
+  tell("labels");
+  send(frame, set);
+}
+
+/** One of many small moves, of which the last counts. */
+export function adjust(frame, set) {
+  if (moved && moved.frame !== frame) settle();
+  moved = { frame, set: { joints: { ...moved?.set.joints, ...set.joints }, outlines: { ...moved?.set.outlines, ...set.outlines } } };
+  lay(frame, set);
+  tell("labels");
+  clearTimeout(settling);
+  settling = setTimeout(settle, SETTLE);
+}
+
+/** Send what was moved. */
+export function settle() {
+  clearTimeout(settling);
+  if (!moved) return;
+  const { frame, set } = moved;
+  moved = null;
+  send(frame, without({ joints: Object.keys(set.joints).length ? set.joints : null, outlines: Object.keys(set.outlines).length ? set.outlines : null }));
+}
+
+export function undo() {
+  settle();
+  problem(null);
+  saving.add("/api/unlabel", { ...who(), change: fresh(), tab });
+}
+
+/** Have the server "propagate", write "files", or "cancel". */
+export async function work(what) {
+  settle();
+  await saving.flush();
+  const sent = { ...who(), work: what, project: saving.project };
+  try {
+    const answer = await fetch("/api/work", { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(sent) });
+    const body = await answer.json();
+    if (!answer.ok) throw new Error(body.error);
+    problem(null);
+    take(body);
+  } catch (error) {
+    problem(error.message);
+  }
+}
+
+on("answer", (path, sent, answer) => {
+  if (!["/api/label", "/api/unlabel"].includes(path) || sent.grasp !== state.labels?.grasp) return;
+  take(answer);
+  if (path === "/api/unlabel") tell("undone", answer.undone, answer.frame);
+});
+on("refused", () => state.labels && ask("/api/labels", who()).then(take, () => {}));
+addEventListener("pagehide", () => state.labels && settle());

@@ -1,0 +1,72 @@
+// What is drawn over the picture: what was filled in, and the joints and outlines of this frame's labels.
+
+import { $, player, state } from "./app.js";
+import { BONES, NAMES, colour, selected as joint } from "./joints.js";
+import { draft, here } from "./labels.js";
+import { selected as corner } from "./outlines.js";
+import { view } from "./view.js";
+
+let shown = true; // what was filled in
+
+export function toggle() {
+  shown = !shown;
+}
+
+const svg = (name, attributes, title) => {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (title) made.append(Object.assign(document.createElementNS("http://www.w3.org/2000/svg", "title"), { textContent: title }));
+  return made;
+};
+const path = (points, closed = true) => `M${points.map((point) => point.join(" ")).join("L")}${closed ? "Z" : ""}`;
+
+/** Masks and hand as the server has drafted them; a key frame's own outlines stand instead of its masks. */
+function drafts(frame, own) {
+  const made = [], masks = draft("masks", frame), hand = draft("hand", frame), { basis } = state.labels;
+  const stale = (one, kind) => (one.basis === basis[kind] ? "" : " stale");
+  if (masks && !own.outlined) {
+    for (const kind of ["object", "front"]) {
+      const d = masks.content[kind].map((points) => path(points)).join("");
+      if (d) made.push(svg("path", { d, class: `draft ${kind}${stale(masks, "masks")}`, "fill-rule": "evenodd" }));
+    }
+  }
+  if (hand) {
+    const { joints, outlines } = hand.content;
+    made.push(svg("path", { d: outlines.map((points) => path(points)).join(""), class: `draft hand${stale(hand, "hand")}` }));
+    if (state.tool === "joints") {
+      made.push(svg("path", { d: BONES.map((bone) => path(bone.map((n) => joints[n]), false)).join(""), class: `draft bones${stale(hand, "hand")}` }));
+    }
+  }
+  return made;
+}
+
+function outlines(own) {
+  const radius = 4.5 / view.scale, chosen = corner();
+  return Object.entries(own.outlines).flatMap(([id, one]) => {
+    const made = [svg("path", { d: path(one.points, one.closed), class: `outline ${one.of}${one.closed ? "" : " open"}`, "fill-rule": "evenodd" })];
+    if (state.tool !== one.of) return made;
+    const corners = one.points.map(([x, y], n) => {
+      const first = !one.closed && n === 0, now = chosen?.id === id && chosen.n === n;
+      return svg("circle", { cx: x, cy: y, r: first && one.points.length > 2 ? 1.7 * radius : radius, class: `corner ${one.of}${now ? " chosen" : ""}` });
+    });
+    return [...made, ...corners];
+  });
+}
+
+function joints(frame, own) {
+  const there = (n) => Array.isArray(own.joints[n]), radius = 5 / view.scale, chosen = joint();
+  const doubtful = draft("hand", frame)?.content.doubtful ?? [];
+  const bones = BONES.filter((bone) => bone.every(there)).map(([a, b]) => svg("path", { d: path([own.joints[a], own.joints[b]], false), class: "bone", stroke: colour(b) }));
+  const dots = NAMES.map((name, n) => [name, n]).filter(([, n]) => there(n)).map(([name, n]) => {
+    const [x, y] = own.joints[n], classes = `joint${n === chosen ? " chosen" : ""}${doubtful.includes(n) ? " doubtful" : ""}`;
+    return svg("circle", { cx: x, cy: y, r: state.tool === "joints" ? radius : radius / 2, fill: colour(n), class: classes }, name);
+  });
+  return [...bones, ...dots];
+}
+
+export function drawOverlay() {
+  if (!state.labels || !player.shown) return $("layer").replaceChildren();
+  const frame = player.shown.index, own = state.labels.keyframes.get(frame) ?? here();
+  if (frame !== player.wanted) return undefined; // the next frame is on its way
+  return $("layer").replaceChildren(...(shown ? drafts(frame, own) : []), ...outlines(own), ...joints(frame, own));
+}

@@ -1,0 +1,109 @@
+// Beside the picture while labelling: what to do next, the key frames, filling in, and the files that come out.
+
+import { $, element, many, move, player, state } from "./app.js";
+import { NAMES } from "./joints.js";
+import { change, here, settle, work } from "./labels.js";
+import { drawing, remove } from "./outlines.js";
+
+const FEWEST = 6; // joints of a frame that is of use
+const UNSURE = 0.85; // outlines less sure than this are named
+const NAMED = 6; // so many of them
+
+const clicked = (one) => Object.values(one.joints).filter(Array.isArray).length;
+const within = (frame) => frame >= state.labels.extent[0] && frame <= state.labels.extent[1];
+
+export function say(text) {
+  $("label-next").textContent = text;
+}
+
+/** Frames of which nothing, or nothing that is up to date, is filled in. */
+function missing() {
+  const { extent: [first, last], basis, drafts } = state.labels;
+  let count = 0;
+  for (let n = first; n <= last; n += 1) {
+    if (["masks", "hand"].some((kind) => basis[kind] && drafts[kind].get(n)?.basis !== basis[kind])) count += 1;
+  }
+  return count;
+}
+
+const busy = () => ["waiting", "running"].includes(state.labels.job?.state);
+
+function nextStep(joint) {
+  const { keyframes, job } = state.labels, own = here(), keys = [...keyframes.values()].filter((one) => within(one.frame));
+  const withJoints = keys.filter(clicked), outlined = keys.filter((one) => one.outlined);
+  if (!within(player.wanted)) return "This frame is not part of the grasp. Home goes to its start.";
+  if (state.tool !== "joints" && drawing(state.tool)) return "Click point after point along the border. To close it, click its first point again, or press Enter.";
+  if (state.tool === "joints" && Object.keys(own.joints).length && joint !== null) return `Click the ${NAMES[joint].toLowerCase()}; x where you cannot tell where it is.`;
+  if (busy()) return job.what === "files" ? "Writing the files …" : "Filling in …";
+  if (!withJoints.length) return "Go to the first frame, or one near it that shows the hand well, and click the joints in the order of the picture below.";
+  const few = withJoints.find((one) => clicked(one) < FEWEST);
+  if (few) return `A frame needs ${FEWEST} joints at least: click some more on frame ${few.number}, or delete them.`;
+  if (!outlined.length) return "Draw round what is seen of the object (o): the hand does not belong to it. Then draw round whatever else hides it (f), if anything does.";
+  if (withJoints.length < 2 || outlined.length < 2) {
+    const what = withJoints.length < 2 ? (outlined.length < 2 ? "both" : "joints") : "an outline";
+    return `Now ${what} on the last frame or near it, and in the middle where the grasp is long or turns. The frames between are filled in (g).`;
+  }
+  if (missing()) return "Fill in the other frames (g).";
+  if (job?.what === "files" && job.state === "done") return "The files are there. Run the command below, with your object's mesh, to make the clip.";
+  return "Step through the frames (→). Where something is off, t takes what was filled in, for you to correct; then fill in again. When all is right, write the files.";
+}
+
+function drawKeyframes() {
+  const rows = [...state.labels.keyframes.values()].sort((a, b) => a.frame - b.frame).map((one) => {
+    const joints = clicked(one), drawn = Object.values(one.outlines).length;
+    const about = [joints && many(joints, "joint"), drawn && many(drawn, "outline"), one.hidden && "object not seen", !within(one.frame) && "outside of the grasp"];
+    const away = element("button", { textContent: "✕", title: "Delete what is labelled on this frame", onclick: (event) => { event.stopPropagation(); change(one.frame, { deleted: true }); } });
+    const text = element("span", { className: "text" }, `${one.number ?? "…"} `, element("small", { textContent: about.filter(Boolean).join(" · ") }));
+    return element("li", { className: one.frame === player.wanted ? "chosen" : "", onclick: () => move(one.frame) }, text, away);
+  });
+  $("keyframes").replaceChildren(...rows);
+  $("no-keyframes").hidden = rows.length > 0;
+}
+
+function drawOutlines() {
+  const own = here(), names = { object: "Object", front: "In front" };
+  const rows = Object.entries(own.outlines).map(([id, one]) => {
+    const away = element("button", { textContent: "✕", title: "Delete this outline", onclick: () => remove(id) });
+    return element("li", { className: one.of }, element("span", { className: "text" }, names[one.of], element("small", { textContent: one.closed ? many(one.points.length, "point") : "not closed yet" })), away);
+  });
+  $("outline-list").replaceChildren(...rows);
+  $("hidden").checked = own.hidden;
+  $("hidden").disabled = Object.values(own.outlines).some((one) => one.of === "object");
+}
+
+function drawWork() {
+  const { job, basis, drafts, keyframes, extent: [first, last] } = state.labels, running = busy();
+  const own = [...keyframes.values()].filter((one) => within(one.frame)), hand = own.some(clicked), masks = own.some((one) => one.outlined);
+  $("fill").disabled = running || !(masks || hand);
+  $("write").disabled = running || !(masks && hand);
+  $("cancel").hidden = $("progress-bar").hidden = !running;
+  $("progress-bar").max = job?.total || 1;
+  $("progress-bar").value = job?.done ?? 0;
+  const away = missing(), frames = last - first + 1;
+  const told = { waiting: "waiting …", running: job?.total ? `${job.done} of ${job.total} frames` : "fitting the hand …", failed: `It did not work: ${job?.message}`, cancelled: "Stopped." };
+  const now = !basis.masks && !basis.hand ? "" : away ? `${away} of ${many(frames, "frame")} to be filled in.` : `All ${many(frames, "frame")} filled in.`;
+  $("fill-state").textContent = told[job?.state] ?? now;
+  $("fill-state").className = job?.state === "failed" ? "failed" : "";
+  const unsure = [...drafts.masks.values()].filter((one) => within(one.frame) && one.basis === basis.masks && one.content.confidence < UNSURE)
+    .sort((a, b) => a.content.confidence - b.content.confidence).slice(0, NAMED).sort((a, b) => a.frame - b.frame);
+  $("unsure").hidden = !unsure.length;
+  $("unsure-list").replaceChildren(...unsure.map((one) => element("button", { textContent: one.content.number, title: `${Math.round(100 * one.content.confidence)} % sure`, onclick: () => move(one.frame) })));
+  const command = job?.what === "files" && job.state === "done" ? job.message : "";
+  $("command-box").hidden = !command;
+  $("command").textContent = command;
+  $("labels-json").href = `/labels.json?${new URLSearchParams({ task: state.task.key, annotator: state.annotator, grasp: state.labels.grasp })}`;
+}
+
+export function drawPanel(joint) {
+  drawKeyframes();
+  drawOutlines();
+  drawWork();
+  say(nextStep(joint));
+}
+
+$("fill").onclick = () => { work("propagate"); $("fill").blur(); };
+$("write").onclick = () => { work("files"); $("write").blur(); };
+$("cancel").onclick = () => work("cancel");
+$("copy").onclick = () => navigator.clipboard.writeText($("command").textContent);
+$("hidden").onchange = () => { change(player.wanted, { hidden: $("hidden").checked }); $("hidden").blur(); };
+$("labels-json").onclick = settle;

@@ -1,0 +1,87 @@
+// The list of clips, and opening one of them.
+
+import { $, ask, element, on, pick, player, problem, saving, state, tell } from "./app.js";
+
+export async function overview() {
+  const { project, tasks, categories, reasons } = await ask("/api/tasks", { annotator: state.annotator });
+  Object.assign(state, { tasks, categories, reasons });
+  saving.project = project;
+  drawTasks();
+}
+
+export async function openTask(task) {
+  Object.assign(state, { task, info: null, marks: [], newest: -1, chosen: null });
+  state.defaults = { side: task.side ?? state.defaults.side ?? "right", category: task.category ?? "", entity: task.entity ?? "" };
+  location.hash = encodeURIComponent(task.key);
+  problem(null);
+  player.close();
+  tell("task");
+  drawTasks();
+  $("where").textContent = `${task.key} · opening …`;
+  try {
+    const info = await ask("/api/task", { task: task.key });
+    if (state.task !== task) return;
+    state.info = info;
+    player.open(task.key, info);
+    $("where").textContent = task.key;
+    await refresh(true);
+    const own = state.marks.filter((mark) => mark.category);
+    if (!task.category && own.length) state.defaults = pick(own.at(-1), "side", "category", "entity");
+    tell("task");
+    if (player.shown === null) await player.show(player.wanted);
+  } catch (error) {
+    if (state.task !== task) return;
+    $("where").textContent = task.key;
+    problem(error.message);
+  }
+}
+
+export function step(by) {
+  const at = state.tasks.findIndex((task) => task.key === state.task?.key);
+  const next = state.tasks[at + by];
+  if (next) openTask(next);
+}
+
+/** The marks of the open task as the server has them. */
+function take(answer) {
+  if (saving.waiting.length) return; // its answer comes after what is still on its way
+  state.marks = answer.marks;
+  state.newest = answer.newest;
+  if (!state.marks.some((mark) => mark.mark === state.chosen)) state.chosen = null;
+  const discarded = state.marks.some((mark) => mark.reason);
+  const now = state.marks.some((mark) => mark.end !== null) ? "marked" : discarded ? "discarded" : state.marks.length ? "started" : "";
+  if (now !== state.task.state) {
+    state.task.state = now;
+    drawTasks();
+  }
+  tell("marks");
+}
+
+export async function refresh(always) {
+  if (!state.task || !state.annotator) return;
+  const task = state.task.key;
+  try {
+    const answer = await ask("/api/marks", { task, annotator: state.annotator });
+    if (task === state.task.key && (always || answer.newest !== state.newest)) take(answer);
+  } catch { /* the server is away: saving tells */ }
+}
+
+on("answer", (path, sent, answer) => {
+  if (["/api/change", "/api/undo"].includes(path) && sent.task === state.task?.key && sent.annotator === state.annotator) take(answer);
+});
+on("refused", () => refresh(true));
+
+function drawTasks() {
+  $("tasks").hidden = state.tasks.length < 2;
+  const done = state.tasks.filter((task) => ["marked", "discarded"].includes(task.state)).length;
+  $("progress").textContent = `${done} of ${state.tasks.length} done`;
+  const signs = { marked: "✓", discarded: "✕", started: "…" };
+  $("task-list").replaceChildren(...state.tasks.map((task) => {
+    const about = [task.start !== null && `${task.start}–${task.end}`, task.found ? task.side : "no footage"].filter(Boolean).join(" · ");
+    const text = element("span", {}, [task.video, task.entity ?? task.category].filter(Boolean).join(" · "), element("small", { textContent: about }));
+    const button = element("button", { onclick: () => openTask(task), title: task.key, className: task.found ? "" : "missing" }, element("i", { textContent: signs[task.state] ?? "" }), text);
+    if (task.key === state.task?.key) button.ariaCurrent = "true";
+    return element("li", {}, button);
+  }));
+  $("task-list").querySelector("[aria-current]")?.scrollIntoView({ block: "nearest" });
+}
