@@ -85,6 +85,30 @@ def test_durations_with_known_answers(tmp_path: Path) -> None:
     assert durations([]) == []
 
 
+def errata_table(folder: Path, action: str = "REMAKE", of: str = "cup/P01_01_left_hand_101_220") -> Path:
+    (folder / "errata.csv").write_text(f"ACTION,old_fmt,correct_handside\n{action},{of},right hand\n")
+    return folder / "errata.csv"
+
+
+def test_errata_change_hands_or_take_grasps_away(run: Run, tmp_path: Path) -> None:
+    table = epic_table(tmp_path)
+    assert [grasp.side for grasp in read_epic(table, "paper", errata_table(tmp_path))] == ["right"] * 3
+    assert (
+        run("stats", "epic-grasps", table, "--errata", errata_table(tmp_path, "DELETE"), "--json", tmp_path / "j")[0]
+        == 0
+    )
+    assert json.loads((tmp_path / "j").read_text())[-1]["clips"] == 2
+    for action, of, words in (("TURN", "cup/P01_01_left_hand_101_220", "ACTION"), ("DELETE", "cup/x", "old_fmt")):
+        status, _, err = run("stats", "epic-grasps", table, "--errata", errata_table(tmp_path, action, of))
+        assert (status, words in err) == (1, True)
+
+
+@pytest.mark.skipif(not EPIC.is_file(), reason="needs the real data")
+def test_the_published_errata() -> None:
+    all_ = durations(read_epic(EPIC, "paper", EPIC.with_name("epicgrasps_2431_errata.csv")))[-1]
+    assert (all_.clips, all_.left, all_.right) == (2425, 1439, 986)
+
+
 def test_a_list_in_either_form_says_the_same(run: Run, tmp_path: Path) -> None:
     table, file = tmp_path / "segments.csv", tmp_path / "segments.json"
     table.write_text(LIST)
@@ -181,6 +205,7 @@ def test_wrong_calls_exit_with_2(run: Run, tmp_path: Path) -> None:
         ("epic-grasps",),
         (tmp_path / "a.csv", tmp_path / "a.csv"),
         (tmp_path / "a.csv", "--fps", "true"),
+        (tmp_path / "a.csv", "--errata", tmp_path / "a.csv"),
         ("epic-grasps", epic_table(tmp_path), "--fps", "30"),
     ):
         assert run("stats", *wrong)[0] == 2

@@ -63,14 +63,14 @@ def _row(category: str, grasps: Sequence[Grasp]) -> Row:
     return Row(category, float(seconds.mean()), float(seconds.std()), float(seconds.max()), *counts)
 
 
-def read_epic(path: Path, fps: Fps = "paper") -> list[Grasp]:
-    """EPIC-Grasps' table, its errata not applied. Raises ``InputError``, which names the line and the column.
+def read_epic(path: Path, fps: Fps = "paper", errata: Path | None = None) -> list[Grasp]:
+    """EPIC-Grasps' table, mended where errata are given. Raises ``InputError``, which names the line and the column.
 
     ``paper``: 50 frames per second in every video. ``true``: as EPIC numbers the frames of each video.
     """
     return [
         Grasp(one.category, one.side, one.frames / (PAPER_FPS if fps == "paper" else numbering_rate(one.video)))
-        for one in read_grasps(path)
+        for one in read_grasps(path, errata)
     ]
 
 

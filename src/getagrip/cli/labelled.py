@@ -83,6 +83,8 @@ class Stats(Command):
     """epic-grasps, followed by its CSV; or a list that segment wrote: its segments.csv or JSON."""
     csv: Annotated[Positional[Path | None], arg(metavar="CSV", help_behavior_hint="")] = None
     """EPIC-Grasps' table, as published."""
+    errata: OptionalFile = None
+    """epic-grasps: its errata, to be applied. The paper's table is without."""
     fps: Annotated[Literal["paper", "true"] | None, arg(help_behavior_hint="(default: paper)")] = None
     """epic-grasps: 50 frames per second in every video, as the paper has it, or as its frames are really numbered."""
     out: OptionalFolder = None
@@ -93,4 +95,4 @@ class Stats(Command):
     def run(self) -> int:
         from getagrip.run.stats import print_stats
 
-        return print_stats(self.source, self.csv, self.fps, self.out, self.json)
+        return print_stats(self.source, self.csv, self.errata, self.fps, self.out, self.json)

@@ -17,21 +17,25 @@ EPIC = "epic-grasps"
 HEADINGS = ("category", "avg [s]", "std [s]", "max [s]", "clips", "left", "right")
 
 
-def print_stats(source: str, table: Path | None, fps: Fps | None, out: Path | None, json: Path | None) -> int:
+def print_stats(
+    source: str, table: Path | None, errata: Path | None, fps: Fps | None, out: Path | None, json: Path | None
+) -> int:
     """Print how long the grasps of a list last, and write it as ``out/stats.md`` and ``stats.csv``; returns 0.
 
-    ``source`` is ``epic-grasps``, and ``table`` its CSV, or ``source`` is a list that ``segment`` wrote. Raises
-    ``UsageError`` for calls that are neither, and ``InputError``.
+    ``source`` is ``epic-grasps``, and ``table`` its CSV, or ``source`` is a list that ``segment`` wrote. ``errata`` of
+    the CSV are applied where they are given. Raises ``UsageError`` for calls that are neither, and ``InputError``.
     """
     if source == EPIC:
         if table is None:
             raise UsageError(f"stats {EPIC}: got no file, expected its CSV")
-        grasps = read_epic(table, fps or "paper")
+        grasps = read_epic(table, fps or "paper", errata)
     else:
         if table is not None:
             raise UsageError(
                 f"stats: got {source!r} and {table}, expected {EPIC} and its CSV, or one list of `segment`"
             )
+        if errata is not None:
+            raise UsageError(f"--errata: got {errata}, expected none: they are of {EPIC}")
         if fps is not None:
             raise UsageError(f"--fps: got {fps}, expected none: a list of `segment` is in seconds")
         grasps = read_list(Path(source))
