@@ -14,6 +14,7 @@ from getagrip import files, se3
 from getagrip.annotate.clicked_hands import SCALE, ClickedHands, hands_from_clicks
 from getagrip.annotate.labels import FRONT, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
+from getagrip.annotate.steadied_hands import steadied
 from getagrip.clip.writing import write_hand
 from getagrip.kernels.depth import covered
 from getagrip.run.intrinsics import Lens, intrinsics
@@ -45,7 +46,8 @@ def make(
     import cv2
 
     K, camera = intrinsics(lens if lens.given else Lens(guess_focal=True), labels.size)
-    hands = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
+    clicked = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
+    hands = steadied(clicked, labels.first, K, labels.size, image)
     confidence = {}
     with files.new_folder(out, overwrite) as new:
         (new / "masks").mkdir()
@@ -84,7 +86,7 @@ def _extra(labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera
     off = float(np.sqrt(np.nanmean(hands.residuals**2)))
     told = {
         "hands": f"joints clicked on {len(hands.keys)} frames, the generic hand fitted ({off:.1f} px off, root mean "
-        "square), smooth between them",
+        "square), in between moved with the footage",
         "hands_scale": SCALE,
         "camera": camera,
     }

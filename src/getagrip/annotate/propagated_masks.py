@@ -2,9 +2,9 @@
 
 Each mask is carried as a signed distance from its border, frame by frame: from the key before forwards, from the key
 after backwards. Where a pixel of the new frame was in the old one is told by dense inverse search (DIS; Kroeger,
-Timofte, Dai, Van Gool, "Fast Optical Flow using Dense Inverse Search", ECCV 2016). After each step GrabCut (Rother, Kolmogorov,
-Blake, SIGGRAPH 2004) draws the border anew in a narrow band, so that errors do not grow. The two are blended, each the
-more the nearer its key is.
+Timofte, Dai, Van Gool, "Fast Optical Flow using Dense Inverse Search", ECCV 2016). After each step GrabCut (Rother,
+Kolmogorov, Blake, SIGGRAPH 2004) draws the border anew in a narrow band, so that errors do not grow. The two are
+blended, each the more the nearer its key is; what has come into the image since one key is known from the other only.
 
 The confidence of a frame is how far the two agree (intersection over union), 1 on keys. Where there is one only, before
 the first key and after the last, it is its trust: the share of the border for which flow there and back agrees, all
@@ -62,6 +62,8 @@ class Carried(NamedTuple):
     """Left and top of the part of the image that holds all of it [px]."""
     inside: Float32[ndarray, "2 h w"]
     """Signed distances from the borders of ``KINDS``, above 0 inside, -FAR to FAR [px]."""
+    known: Float32[ndarray, "h w"]
+    """1 where that comes from the key, 0 where it was not in the image."""
     trust: float
 
 
@@ -122,7 +124,8 @@ def _of_key(frame: int, labels: UInt8[ndarray, "H W"], size: tuple[int, int]) ->
     import cv2
 
     masks = [cv2.resize((labels == kind).astype(np.float32), size, interpolation=cv2.INTER_AREA) for kind in KINDS]
-    return _cut(frame, (0, 0), np.stack([_signed_distance(mask > 0.5) for mask in masks]), 1.0)
+    inside = np.stack([_signed_distance(mask > 0.5) for mask in masks])
+    return _cut(frame, (0, 0), inside, np.ones(inside.shape[1:], np.float32), 1.0)
 
 
 def _resized(image: Image, size: tuple[int, int]) -> Image:
@@ -145,15 +148,24 @@ def _step(now: Carried, before: Image, after: Image, frame: int) -> Carried:
     back, there = _flow(b, a), _flow(a, b)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in b.shape[1::-1]))
     came = x + back[..., 0], y + back[..., 1]
-    old = (came[0] + columns.start - left, came[1] + rows.start - top)
-    inside = np.stack(
-        [cv2.remap(kind, *old, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, -float(FAR)) for kind in now.inside]
-    )
     off = np.linalg.norm(back + cv2.remap(there, *came, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE), axis=-1)
+    u, v = came[0] + columns.start, came[1] + rows.start
+    known = ((u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)).astype(np.float32)
+    old = np.clip(u, 0, width - 1) - left, np.clip(v, 0, height - 1) - top
+    inside = np.stack([_moved(kind, old, -float(FAR)) for kind in now.inside])
     border = np.abs(inside[0]) < 2.0
     trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
     refined = np.stack([_refined(b, kind) for kind in inside])
-    return _cut(frame, (columns.start, rows.start), refined, trust)
+    return _cut(frame, (columns.start, rows.start), refined, known * _moved(now.known, old, 1.0), trust)
+
+
+def _moved(
+    values: Float32[ndarray, "h w"], old: tuple[Float32[ndarray, "H W"], Float32[ndarray, "H W"]], outside: float
+) -> Float32[ndarray, "H W"]:
+    """Values at where pixels were."""
+    import cv2
+
+    return np.asarray(cv2.remap(values, *old, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, outside), np.float32)
 
 
 def _flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
@@ -198,34 +210,49 @@ def _signed_distance(mask: Bool[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
     return np.clip(distances[0] - distances[1], -FAR, FAR).astype(np.float32)
 
 
-def _cut(frame: int, corner: tuple[int, int], inside: Float32[ndarray, "2 h w"], trust: float) -> Carried:
+def _cut(
+    frame: int,
+    corner: tuple[int, int],
+    inside: Float32[ndarray, "2 h w"],
+    known: Float32[ndarray, "h w"],
+    trust: float,
+) -> Carried:
     """Only the part that holds what is inside, and what is near to it."""
     near = (inside > -FAR).any(axis=0)
     if not near.any():
-        return Carried(frame, corner, inside[:, :0, :0], trust)
+        return Carried(frame, corner, inside[:, :0, :0], known[:0, :0], trust)
     rows, columns = (slice(int(i.min()), int(i.max()) + 1) for i in np.nonzero(near))
-    return Carried(frame, (corner[0] + columns.start, corner[1] + rows.start), inside[:, rows, columns].copy(), trust)
+    corner = corner[0] + columns.start, corner[1] + rows.start
+    return Carried(frame, corner, inside[:, rows, columns].copy(), known[rows, columns].copy(), trust)
 
 
 def _blended(one: Carried, other: Carried, share: float) -> tuple[Carried, float]:
-    """Two masks of a frame made one, the other's ``share`` from 0 to 1 by how near its key is; how far they agree."""
+    """Two masks of a frame made one, the other's ``share`` from 0 to 1 by how near its key is; how far they agree.
+
+    They agree or not where both are known.
+    """
     left, top = np.minimum(one.corner, other.corner).tolist()
     ends = [np.add(each.corner, each.inside.shape[:0:-1]) for each in (one, other)]
     width, height = (np.maximum(*ends) - (left, top)).tolist()
-    a, b = (_placed(each, (left, top), (width, height)) for each in (one, other))
-    weights = np.array([(1.0 - share) * one.trust, share * other.trust]) + 1e-6
-    inside = (weights[0] * a + weights[1] * b) / weights.sum()
-    union = np.count_nonzero((a[0] > 0) | (b[0] > 0))
-    agreement = np.count_nonzero((a[0] > 0) & (b[0] > 0)) / union if union else 1.0
-    return Carried(one.frame, (left, top), inside.astype(np.float32), 0.0), float(agreement)
+    (a, known_a), (b, known_b) = (_placed(each, (left, top), (width, height)) for each in (one, other))
+    weight_a, weight_b = (1.0 - share) * one.trust * known_a + 1e-6, share * other.trust * known_b + 1e-6
+    inside = (weight_a * a + weight_b * b) / (weight_a + weight_b)
+    both = (known_a > 0.5) & (known_b > 0.5)
+    union = np.count_nonzero(both & ((a[0] > 0) | (b[0] > 0)))
+    agreement = np.count_nonzero(both & (a[0] > 0) & (b[0] > 0)) / union if union else 1.0
+    known = np.maximum(known_a, known_b)
+    return one._replace(corner=(left, top), inside=inside.astype(np.float32), known=known), float(agreement)
 
 
-def _placed(each: Carried, corner: tuple[int, int], size: tuple[int, int]) -> Float32[ndarray, "2 h w"]:
-    """Signed distances in another part of the image, which holds theirs."""
-    out = np.full((2, *size[::-1]), -float(FAR), np.float32)
+def _placed(
+    each: Carried, corner: tuple[int, int], size: tuple[int, int]
+) -> tuple[Float32[ndarray, "2 h w"], Float32[ndarray, "h w"]]:
+    """Signed distances, and what is known, in another part of the image, which holds theirs."""
+    inside, known = np.full((2, *size[::-1]), -float(FAR), np.float32), np.ones(size[::-1], np.float32)
     (left, top), (h, w) = np.subtract(each.corner, corner).tolist(), each.inside.shape[1:]
-    out[:, top : top + h, left : left + w] = each.inside
-    return out
+    inside[:, top : top + h, left : left + w] = each.inside
+    known[top : top + h, left : left + w] = each.known
+    return inside, known
 
 
 def _propagated(
@@ -235,7 +262,7 @@ def _propagated(
     import cv2
 
     height, width = next(iter(keys.values())).shape
-    whole = _placed(each, (0, 0), size)
+    whole, _ = _placed(each, (0, 0), size)
     labels = np.zeros((height, width), np.uint8)
     for kind, inside in zip(KINDS, whole, strict=True):  # what is in front wins
         labels[cv2.resize(inside, (width, height), interpolation=cv2.INTER_LINEAR) > 0] = kind

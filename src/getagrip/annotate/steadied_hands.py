@@ -1,0 +1,159 @@
+"""Hands between clicked frames moved to where the footage shows them: a head shakes in ways that no spline knows.
+
+Points of the hand's surface that are seen on a clicked frame are followed to the next one, and back, by sparse optical
+flow (Lucas, Kanade, IJCAI 1981; pyramids after Bouguet). In each frame in between, the turn, the size and the shift in
+the image that take the hand's own points to the followed ones are applied to the hand; before the first clicked frame
+and after the last, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int, UInt8
+from numpy import ndarray
+
+from getagrip import se3
+from getagrip.annotate.clicked_hands import ClickedHands
+from getagrip.camera import backproject, project
+from getagrip.kernels.depth import depth_and_face
+
+WIDTH = 960
+"""Images are looked at so wide at most [px]."""
+WINDOW = 21
+"""Side of what is compared around a point [px]."""
+LEVELS = 3
+"""Of the pyramid, above the image itself."""
+BACK = 1.0
+"""A point followed there and back must end so near to where it began [px]."""
+FEWEST = 12
+"""Points that must be left of those of a key."""
+ROBUST = 3.0
+"""Points that are farther off than this count less [px]."""
+
+
+def steadied(
+    hands: ClickedHands,
+    first: int,
+    K: Float[ndarray, "3 3"],
+    size: tuple[int, int],
+    image: Callable[[int], UInt8[ndarray, "H W 3"]],
+) -> ClickedHands:
+    """The same hands, those between clicked frames moved in the image. ``first`` is their first frame."""
+    shrunk = min(1.0, WIDTH / size[0])
+    small = round(size[0] * shrunk), round(size[1] * shrunk)
+    K_small = np.diag([small[0] / size[0], small[1] / size[1], 1.0]) @ K
+    hand = hands.hand
+    vertices = se3.transform(hand.T_cam_hand, hand.vertices)
+    uv = project(K_small, vertices)
+    T = hand.T_cam_hand.copy()
+    last = first + len(T) - 1
+    for start, end in pairwise(sorted({first, last, *hands.keys})):
+        frames = range(start, end + 1)
+        followed: dict[int, list[tuple[Points, float]]] = {n: [] for n in frames if n not in hands.keys}
+        for key, order in ((start, frames), (end, frames[::-1])):
+            if key in hands.keys and followed:
+                seen = _seen(vertices[key - first], hand.faces, K_small, small)
+                grey = (_grey(image(n), small) for n in order)
+                for n, points in zip(order, _followed(grey, uv[np.array(order) - first], seen), strict=True):
+                    if n in followed:
+                        followed[n].append((points, 1.0 / abs(n - key)))
+        for n, points_and_shares in followed.items():
+            moved = _similarity(uv[n - first], points_and_shares)
+            if moved is not None:
+                T[n - first] = _applied(moved, T[n - first], K_small)
+    return replace(hands, hand=replace(hand, T_cam_hand=T))
+
+
+def _grey(image: UInt8[ndarray, "H W 3"], size: tuple[int, int]) -> UInt8[ndarray, "h w"]:
+    import cv2
+
+    return np.asarray(cv2.cvtColor(cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def _seen(
+    vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], K: Float[ndarray, "3 3"], size: tuple[int, int]
+) -> Int[ndarray, "n"]:
+    """Vertices in view that nothing of the hand hides."""
+    depth, _ = depth_and_face(vertices, faces, K, size)
+    u, v = np.floor(project(K, vertices)).astype(int).T
+    inside = (u >= 0) & (v >= 0) & (u < size[0]) & (v < size[1])
+    near = vertices[:, 2] < depth[np.where(inside, v, 0), np.where(inside, u, 0)] + 0.004
+    return np.flatnonzero(inside & near)
+
+
+class Points(NamedTuple):
+    """Vertices in a frame."""
+
+    ids: Int[ndarray, "n"]
+    uv: Float[ndarray, "n 2"]
+
+
+def _followed(
+    grey: Iterator[UInt8[ndarray, "h w"]], uv: Float[ndarray, "T V 2"], ids: Int[ndarray, "n"]
+) -> Iterator[Points]:
+    """Vertices followed from the first image on, those that were lost left out. ``uv`` is where they are expected."""
+    points = Points(ids, uv[0, ids])
+    yield points
+    for k, (before, after) in enumerate(pairwise(grey)):
+        if len(points.ids):
+            old = (points.uv - 0.5).astype(np.float32)  # OpenCV's pixels have their middle at whole numbers
+            step = (uv[k + 1, points.ids] - uv[k, points.ids]).astype(np.float32)
+            new, found = _moved(before, after, old, old + step)
+            back, again = _moved(after, before, new, new - step)
+            kept = found & again & (np.linalg.norm(back - old, axis=1) < BACK)
+            points = Points(points.ids[kept], new[kept].astype(float) + 0.5)
+        yield points
+
+
+def _moved(
+    before: UInt8[ndarray, "h w"],
+    after: UInt8[ndarray, "h w"],
+    old: Float32[ndarray, "n 2"],
+    guess: Float32[ndarray, "n 2"],
+) -> tuple[Float32[ndarray, "n 2"], Bool[ndarray, "n"]]:
+    """Where points of an image are in another, and whether they were found."""
+    import cv2
+
+    steps = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 0.01)
+    new, found, _ = cv2.calcOpticalFlowPyrLK(
+        before, after, old, guess, None, None, (WINDOW, WINDOW), LEVELS, steps, cv2.OPTFLOW_USE_INITIAL_FLOW
+    )
+    return np.asarray(new, np.float32), np.asarray(found)[:, 0] == 1
+
+
+def _similarity(uv: Float[ndarray, "V 2"], followed: Sequence[tuple[Points, float]]) -> tuple[complex, complex] | None:
+    """a, b such that a z + b takes the hand's points z = u + i v to the followed ones; None where too few are left.
+
+    Each key's points have the share that is given with them.
+    """
+    kept = [(points, share) for points, share in followed if len(points.ids) >= FEWEST and share > 0.0]
+    if not kept:
+        return None
+    z = np.concatenate([uv[points.ids] for points, _ in kept]) @ [1.0, 1.0j]
+    y = np.concatenate([points.uv for points, _ in kept]) @ [1.0, 1.0j]
+    shares = np.concatenate([np.full(len(points.ids), share / len(points.ids)) for points, share in kept])
+    a, b = 1.0 + 0.0j, 0.0 + 0.0j
+    for _ in range(10):
+        weight = shares / (1.0 + np.abs(a * z + b - y) ** 2 / ROBUST**2)
+        weight /= weight.sum()
+        z0, y0 = weight @ z, weight @ y
+        a = np.sum(weight * np.conj(z - z0) * (y - y0)) / np.sum(weight * np.abs(z - z0) ** 2)
+        b = y0 - a * z0
+    return complex(a), complex(b)
+
+
+def _applied(
+    similarity: tuple[complex, complex], T_cam_hand: Float[ndarray, "4 4"], K: Float[ndarray, "3 3"]
+) -> Float[ndarray, "4 4"]:
+    """The hand turned about its ray, brought nearer and shifted as its image is."""
+    a, b = similarity
+    u, v = project(K, T_cam_hand[None, :3, 3])[0]
+    to = a * (u + 1j * v) + b
+    t = backproject(K, np.array([[to.real, to.imag]]))[0] * T_cam_hand[2, 3] / abs(a)
+    roll = se3.exp_so3(np.array([0.0, 0.0, np.angle(a)]))
+    return se3.rigid(roll @ T_cam_hand[:3, :3], t)
