@@ -99,7 +99,7 @@ def blank(task: str, annotator: str, grasp: str, frame: int) -> KeyFrame:
     return KeyFrame(f"{grasp}:{frame}", task, annotator, grasp, frame)
 
 
-def from_labels(empty: KeyFrame, frame: FrameLabels) -> dict[str, Any]:
+def from_labels(frame: FrameLabels) -> dict[str, Any]:
     """The change that makes a blank key frame say what a file of labels does."""
     joints = {} if frame.joints is None else {
         str(n): UNSEEN if np.isnan(point).any() else point.tolist() for n, point in enumerate(frame.joints)

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, cast
+from uuid import uuid4
 
 import numpy as np
 from jaxtyping import UInt8
@@ -109,13 +110,20 @@ class Labelling:
         video = (grasp.task.path or Path(grasp.task.video)).name
         return Labels(video, footage.size, grasp.side, footage.fps, first, last, frames)
 
-    def take(self, grasp: Grasp, said: Labels, change: str) -> None:
-        """Lay a file of labels over what is said of a grasp's frames. Raises ``RefusedError``."""
+    def take(self, grasp: Grasp, said: Labels) -> None:
+        """Put what a file of labels says in the place of what is said of its frames. Raises ``RefusedError``."""
+        (width, height), tab = grasp.footage.size, str(uuid4())
+        if said.size != (width, height):
+            raise RefusedError(f"labels of {said.size[0]} x {said.size[1]} pixels, footage of {width} x {height}")
+
+        def replaced(old: KeyFrame, sets: Mapping[str, Any]) -> KeyFrame:
+            blank = keyframes.blank(old.task, old.annotator, old.grasp, old.frame)
+            return keyframes.changed(blank, sets, said.size)
+
         for n, frame in said.frames.items():
             blank = keyframes.blank(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, n)
-            sets = keyframes.from_labels(blank, frame)
-            one = versions.Change(f"{change}-{n}", change, sets)
-            self.store.keyframes.apply(one, blank, lambda old, sets: keyframes.changed(old, sets, said.size))
+            change = versions.Change(str(uuid4()), tab, keyframes.from_labels(frame))
+            self.store.keyframes.apply(change, blank, replaced)
 
     def propagate(self, grasp: Grasp) -> None:
         """Begin to make the drafts that are not up to date. Raises ``RefusedError`` where there is nothing."""

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from hashlib import sha256
 from threading import Lock
 from typing import Any
+from uuid import uuid4
 
 from getagrip import files
 from getagrip.annotate import agreement, export, labels, marks, versions
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.labelling import Grasp, Labelling
+from getagrip.annotate.labels import Labels
 from getagrip.annotate.marks import Mark
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, open_footage
-from getagrip.annotate.versions import RefusedError, token
+from getagrip.annotate.versions import Change, RefusedError, token
 from getagrip.datasets.epic_files import CATEGORIES
 from getagrip.run.intrinsics import Lens
 
@@ -130,11 +132,37 @@ class Project:
         text = files.to_json(labels.to_json(self.labelling.labels(grasp))) + "\n"
         return text, f"labels-{grasp.name}.json"
 
-    def grasps(self) -> list[Grasp]:
-        """The finished grasps of these tasks of whose frames something is said."""
-        labelled = {one.grasp for one in self.store.keyframes.standing()}
-        found = [mark for mark in self.known() if mark.mark in labelled and mark.interval and mark.side]
-        return [Grasp(self.tasks[mark.task], self.footage(self.tasks[mark.task]), mark) for mark in found]
+    def labelled(self) -> Iterator[Grasp]:
+        """The finished grasps of these tasks of whose frames something is said. Raises ``InputError``."""
+        said = {one.grasp for one in self.store.keyframes.standing()}
+        for mark in self.known():
+            if mark.mark in said and mark.interval and mark.side:
+                yield Grasp(self.tasks[mark.task], self.footage(self.tasks[mark.task]), mark)
+
+    def import_labels(self, said: Labels, annotator: str) -> Grasp:
+        """Take a file of labels as an annotator's own, of a grasp that is marked if it is not yet.
+
+        Raises ``RefusedError`` where it is of other footage.
+        """
+        tasks = [task for task in self.tasks.values() if task.path is not None and task.path.name == said.video]
+        if not tasks:
+            raise RefusedError(f"video: got {files.plain(said.video)}, expected footage that is given here")
+        footage = self.footage(tasks[0])
+        inside = [task for task in tasks if _holds(task.extent(footage), (said.first, said.last))]
+        task, name = (inside or tasks)[0], versions.annotator(annotator)
+        sets = {"start": said.first, "end": said.last, "side": said.side}
+        same = [
+            mark
+            for mark in self.store.marks.standing(task.key, name)
+            if mark.interval == (said.first, said.last) and mark.side == said.side
+        ]
+        if not same:
+            blank, about = Mark(str(uuid4()), task.key, name), {"category": task.category, "entity": task.entity}
+            change = Change(str(uuid4()), str(uuid4()), sets | {key: text for key, text in about.items() if text})
+            same = [self.store.marks.apply(change, blank, lambda mark, sets: marks.changed(mark, sets, footage))]
+        grasp = Grasp(task, footage, same[0])
+        self.labelling.take(grasp, said)
+        return grasp
 
     def known(self, annotator: str | None = None) -> list[Mark]:
         """The marks of these tasks; those of other tasks in the same file are left out."""
@@ -176,6 +204,10 @@ class Project:
         if not isinstance(key, str) or key not in self.tasks:
             raise RefusedError(f"task: got {files.shown(key)}, expected one of the {len(self.tasks)} there are")
         return self.tasks[key]
+
+
+def _holds(outer: tuple[int, int], inner: tuple[int, int]) -> bool:
+    return outer[0] <= inner[0] and inner[1] <= outer[1]
 
 
 def _state(found: list[Mark]) -> str:

@@ -108,7 +108,7 @@ class Epic(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Annotate(Command):
-    """Mark where stable grasps start and end, on a page in your browser that only this machine can open."""
+    """Mark where stable grasps start and end, and label their frames, on a page that only this machine can open."""
 
     source: Annotated[Positional[Path], arg(metavar="VIDEO|CANDIDATES")]
     """A video, a folder of images, or a list (.csv, .json) of videos with rough start and end, hand and category, as
@@ -119,10 +119,21 @@ class Annotate(Command):
     """For a list: where its videos are, or folders of their images."""
     port: int = 8765
     """Where the page is served, on 127.0.0.1."""
+    K: Intrinsics = None
+    """The camera, for the hands that are fitted to clicked joints. Without it their depth and size are guesses."""
+    focal: Focal = None
+    """Instead of K, the focal length; the principal point is in the middle."""
     export: Flag = False
-    """Serve nothing: write the grasps marked so far, each person's as a table and as JSON, and how far people agree."""
+    """Serve nothing: write the grasps marked so far, each person's as a table and as JSON, and how far people agree;
+    of labelled grasps the labels, hand.npz and masks, too."""
+    import_labels: OptionalFile = None
+    """Serve nothing: take a labels file that was written before, in the place of what is said of its frames."""
+    annotator: Annotated[str, arg(metavar="NAME")] = "imported"
+    """import-labels: whose labels they are from now on."""
 
     def run(self) -> int:
-        from getagrip.annotate.command import annotate
+        from getagrip.annotate.command import Wanted, annotate
+        from getagrip.run.intrinsics import Lens
 
-        return annotate(self.source, self.videos, self.out, self.port, self.export)
+        wanted = Wanted(self.import_labels, self.annotator, self.export)
+        return annotate(self.source, self.videos, self.out, self.port, Lens(self.K, self.focal), wanted)
