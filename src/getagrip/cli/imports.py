@@ -63,7 +63,7 @@ class ImportEpic(Command):
     visor: Folder
     """VISOR's annotations, sparse, dense or both, and its frame_mapping.json, anywhere below."""
     frames: OptionalFolder = None
-    """EPIC-KITCHENS' images: P01/rgb_frames/P01_01/frame_0000000001.jpg, or P01_01/..."""
+    """EPIC-KITCHENS' images: P01/rgb_frames/P01_01/frame_0000000001.jpg or P01_01.tar, or P01_01/..."""
     videos: OptionalFolder = None
     """Instead of images, EPIC-KITCHENS' videos: P01/videos/P01_01.MP4, or P01_01.MP4."""
     hands: OptionalFolder = None

@@ -1,10 +1,11 @@
-"""The images of EPIC-KITCHENS by number, from folders of frames or from its videos, at the size of the masks."""
+"""The images of EPIC-KITCHENS by number, from folders or archives of frames or from its videos, at the masks' size."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
+from getagrip.datasets.epic_archive import Archive
 from getagrip.datasets.epic_files import numbering_rate, subject_of
 from getagrip.datasets.visor import DENSE_SIZE
 from getagrip.errors import InputError
@@ -32,17 +34,40 @@ Images = Callable[[Sequence[int]], list[UInt8[ndarray, "H W 3"]]]
 
 @dataclass(frozen=True)
 class Frames:
-    """A folder of frames: EPIC's own (``P01/rgb_frames/P01_01/frame_0000000001.jpg``), or ``P01_01`` without these."""
+    """Frames in folders, EPIC's own (``P01/rgb_frames/P01_01/frame_0000000001.jpg``) or ``P01_01`` without these; or in
+    the archives that it ships, which lie in the same places (``P01_01.tar``)."""
 
     root: Path
     video: str
 
     def __call__(self, numbers: Sequence[int]) -> list[UInt8[ndarray, "H W 3"]]:
         """The images of some frames."""
+        if not self.folder.is_dir() and self.archive is not None:
+            path, archive = self.archive.path, self.archive
+            return [_image(path, f"frame_{n:010d}.jpg", archive.read(n, LARGEST_IMAGE)) for n in numbers]
+        paths = [self.folder / f"frame_{n:010d}.jpg" for n in numbers]
+        return [_image(path, "", read_bytes(path, LARGEST_IMAGE)) for path in paths]
+
+    @property
+    def places(self) -> list[Path]:
+        """Where the video's folder may be."""
         subject = subject_of(self.video)
-        places = [self.root / subject / "rgb_frames" / self.video, self.root / subject / self.video]
-        folder = next((place for place in places if place.is_dir()), self.root / self.video)
-        return [_read_image(folder / f"frame_{n:010d}.jpg") for n in numbers]
+        return [
+            self.root / subject / "rgb_frames" / self.video,
+            self.root / subject / self.video,
+            self.root / self.video,
+        ]
+
+    @property
+    def folder(self) -> Path:
+        """Where it is, or would be."""
+        return next((place for place in self.places if place.is_dir()), self.places[-1])
+
+    @cached_property
+    def archive(self) -> Archive | None:
+        """The video's archive, where there is one."""
+        paths = [place.with_name(f"{place.name}.tar") for place in self.places]
+        return next((Archive(path) for path in paths if path.is_file()), None)
 
 
 @dataclass(frozen=True)
@@ -101,20 +126,21 @@ def _resized(frame: VideoFrame) -> UInt8[ndarray, "H W 3"]:
     return _fitted(np.asarray(frame.to_ndarray(format="rgb24"), np.uint8))
 
 
-def _read_image(path: Path) -> UInt8[ndarray, "H W 3"]:
+def _image(path: Path, key: str, given: bytes) -> UInt8[ndarray, "H W 3"]:
+    """An image at the size of the masks; path and key are named in errors."""
     import cv2
 
-    content = np.frombuffer(read_bytes(path, LARGEST_IMAGE), np.uint8)
-    height, width = _jpeg_size(path, content.tobytes())
+    height, width = _jpeg_size(path, key, given)
     if max(height, width) > LARGEST_SIDE:
-        raise InputError(path, "size", f"{width} x {height} pixels", f"at most {LARGEST_SIDE} px a side")
-    image = cv2.imdecode(content, cv2.IMREAD_COLOR)
+        expected = f"at most {LARGEST_SIDE} px a side"
+        raise InputError(path, f"{key} size".strip(), f"{width} x {height} pixels", expected)
+    image = cv2.imdecode(np.frombuffer(given, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
-        raise InputError(path, "", "an image that does not decode", "a JPEG image")
+        raise InputError(path, key, "an image that does not decode", "a JPEG image")
     return _fitted(np.asarray(image, np.uint8)[..., ::-1])
 
 
-def _jpeg_size(path: Path, content: bytes) -> tuple[int, int]:
+def _jpeg_size(path: Path, key: str, content: bytes) -> tuple[int, int]:
     """Height and width in the header of a JPEG, read before memory is taken for its pixels."""
     at = 2
     while content[:2] == b"\xff\xd8" and at + 9 <= len(content) and content[at] == 0xFF:
@@ -122,7 +148,7 @@ def _jpeg_size(path: Path, content: bytes) -> tuple[int, int]:
         if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
             return int.from_bytes(content[at + 5 : at + 7], "big"), int.from_bytes(content[at + 7 : at + 9], "big")
         at += 2 + length
-    raise InputError(path, "", "an image without a JPEG's header", "a JPEG image")
+    raise InputError(path, key, "an image without a JPEG's header", "a JPEG image")
 
 
 def _fitted(image: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "H W 3"]:

@@ -141,7 +141,7 @@ def import_video(job: Job) -> Imported:
                 waiting.append(grasp)
         if not waiting:
             return Imported(outcomes, notes, handless)
-        camera = _camera(job)
+        camera, images_of = _camera(job), _images(job)
         seen = epic.annotated(job.annotations, visor.read_mapping(job.mapping, job.video), waiting)
         for grasp in waiting:
             try:
@@ -152,7 +152,7 @@ def import_video(job: Job) -> Imported:
                     notes.append(f"{grasp.name}: left out: {made}")
                     continue
                 clip, masks = made
-                images = _images(job)([int(name) for name in clip.frames])
+                images = images_of([int(name) for name in clip.frames])
                 folder = job.out / grasp.name
                 write_clip(clip, masks, folder, images, replace=(folder / "clip.json").is_file())
                 outcomes.append(Outcome(grasp.name, "done", str(folder)))
