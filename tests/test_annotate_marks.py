@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 import sqlite3
 import threading
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from annotated import FRAMES, number_in, write_images, write_video
+from annotated import FRAMES, ask, number_in, write_images, write_video
 from conftest import Run
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -269,20 +268,6 @@ def server(project: Project) -> Iterator[Server]:
         yield made
         made.shutdown()
         thread.join()
-
-
-def ask(
-    server: Server, path: str, content: object = None, head: dict[str, str] | None = None
-) -> tuple[int, dict[str, str], bytes]:
-    """GET, or POST where there is content."""
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
-    body = content if content is None or isinstance(content, bytes) else json.dumps(content).encode()
-    kind = {"Content-Type": "application/json"} if body is not None else {}
-    connection.request("GET" if body is None else "POST", path, body, kind | (head or {}))
-    answer = connection.getresponse()
-    found = answer.status, dict(answer.getheaders()), answer.read()
-    connection.close()
-    return found
 
 
 def test_frames_and_marks_over_http(server: Server) -> None:

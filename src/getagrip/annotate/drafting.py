@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip import se3
 from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labels import FRONT, OBJECT, Labels
-from getagrip.annotate.propagated_masks import propagate
+from getagrip.annotate.propagated_masks import Images, propagate
+from getagrip.annotate.steadied_hands import steadied
 from getagrip.annotate.tracing import traced
 from getagrip.camera import project
 from getagrip.kernels.depth import covered
@@ -21,13 +22,13 @@ HAND_SIDE = 640
 """The hand's outline is drawn from an image whose longer side is so long [px]."""
 
 
-def hand(labels: Labels, K: Float[ndarray, "3 3"]) -> dict[int, dict[str, Any]]:
+def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, dict[str, Any]]:
     """By frame: where the fitted hand's joints and outline are seen [px], and which clicks do not fit the others.
 
     Raises ``UsageError`` as ``hands_from_clicks`` does.
     """
     found = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
-    track = found.hand
+    track = steadied(found, labels.first, K, labels.size, image).hand
     assert track.joints is not None
     zoom = min(1.0, HAND_SIDE / max(labels.size))
     small = (round(zoom * labels.size[0]), round(zoom * labels.size[1]))
@@ -44,7 +45,7 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"]) -> dict[int, dict[str, Any]]:
     return out
 
 
-def masks(labels: Labels, image: Callable[[int], UInt8[ndarray, "H W 3"]]) -> Iterator[tuple[int, dict[str, Any]]]:
+def masks(labels: Labels, image: Images) -> Iterator[tuple[int, dict[str, Any]]]:
     """Each frame with the outlines of the object and of what is in front of it [px], and how sure they are (0 to 1).
 
     Raises ``UsageError`` as ``propagate`` does.

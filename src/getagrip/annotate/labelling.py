@@ -194,11 +194,11 @@ class Labelling:
 
         drafts, key, frames = self.store.drafts, grasp.mark.mark, said.last - said.first + 1
         wanted = {kind: word for kind, word in basis.items() if word and drafts.count(key, kind, word) < frames}
-        if word := wanted.get("hand"):
-            K, _ = intrinsics(self.lens, said.size)
-            drafts.put(key, "hand", word, drafting.hand(said, K))
-        if word := wanted.get("masks"):
-            with closing(open_footage(_path(grasp))) as footage:
+        with closing(open_footage(_path(grasp))) as footage:
+            if word := wanted.get("hand"):
+                K, _ = intrinsics(self.lens, said.size)
+                drafts.put(key, "hand", word, drafting.hand(said, K, footage.image))
+            if word := wanted.get("masks"):
                 for n, content in drafting.masks(said, footage.image):
                     drafts.put(key, "masks", word, {n: content | {"number": footage.number(n)}})
                     job.report(n - said.first + 1, frames)

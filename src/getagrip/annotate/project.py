@@ -117,9 +117,9 @@ class Project:
             "files": lambda: self.labelling.make(grasp),
             "cancel": lambda: self.labelling.background.cancel(grasp.mark.mark),
         }
-        if content.get("work") not in known:
-            raise RefusedError(f"work: got {files.shown(content.get('work'))}, expected one of {', '.join(known)}")
-        known[str(content["work"])]()
+        if not isinstance(what := content.get("work"), str) or what not in known:
+            raise RefusedError(f"work: got {files.shown(what)}, expected one of {', '.join(known)}")
+        known[what]()
         return self.labelling.state(grasp)
 
     def drafts(self, content: Mapping[str, Any], since: int) -> dict[str, Any]:

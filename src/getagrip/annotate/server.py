@@ -21,6 +21,8 @@ from getagrip.errors import GetagripError, InputError, UsageError
 ADDRESS = "127.0.0.1"
 LARGEST_BODY = 256 * 2**10
 """Bytes of a request."""
+MOST_PASSED_OVER = 64 * 2**20
+"""Bytes of a request that is too large: of more the connection is closed."""
 PATIENCE = 60.0
 """A connection without requests is closed after so long [s]."""
 STYLES = ("page", "labels")
@@ -120,6 +122,10 @@ class _Handler(BaseHTTPRequestHandler):
         except (OSError, sqlite3.Error) as error:  # a full disk, a file that is locked: the page keeps and tries again
             self.close_connection = True
             self._send_json({"error": str(error)}, HTTPStatus.SERVICE_UNAVAILABLE)
+        except Exception as error:  # without an answer the page would try for ever
+            self.close_connection = True
+            words = f"an error of the program: {type(error).__name__}: {error}"
+            self._send_json({"error": words}, HTTPStatus.INTERNAL_SERVER_ERROR)
 
     def _foreign(self) -> str | None:
         """Why a request is refused before it is looked at."""
@@ -169,8 +175,11 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _post(self) -> None:
         length = _whole(self.headers.get("Content-Length"))
-        if not 0 <= length <= LARGEST_BODY or self.headers.get("Content-Type") != "application/json":
-            self.close_connection = True  # what follows is not read
+        if length > LARGEST_BODY or self.headers.get("Content-Type") != "application/json":
+            self.close_connection = True
+            for _ in range(0, min(length, MOST_PASSED_OVER), LARGEST_BODY):  # who is still sending hears no answer
+                self.rfile.read(min(length, LARGEST_BODY))
+                length -= LARGEST_BODY
             raise UsageError(f"expected JSON of at most {LARGEST_BODY} bytes")
         try:
             content = json.loads(self.rfile.read(length))
