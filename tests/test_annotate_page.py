@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from annotated import BITS, FRAMES, write_video
+from annotated_page import CHROMIUM, Served, chromium, saved
 
 from getagrip.annotate.command import DATABASE
-from getagrip.annotate.project import Project
-from getagrip.annotate.server import Server
-from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
 
@@ -34,40 +29,14 @@ READ_CANVAS = f"""() => {{
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+    with chromium() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")
 def videos(tmp_path_factory: Any) -> list[Path]:
     folder = tmp_path_factory.mktemp("videos")
     return [write_video(folder / f"{name}.mp4") for name in ("first", "second")]
-
-
-class Served:
-    """A server that can be stopped and started again on the same port and file."""
-
-    def __init__(self, tasks: list[Task], database: Path) -> None:
-        self.tasks, self.database, self.port = tasks, database, 0
-        self.start()
-
-    def start(self) -> None:
-        self.project = Project(self.tasks, Store(self.database))
-        self.server = Server(self.project, self.port)
-        self.port = self.server.server_port
-        self.thread = threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.02})
-        self.thread.start()
-
-    def stop(self) -> None:
-        self.server.shutdown()
-        self.thread.join()
-        self.server.server_close()
-        self.project.close()
-
-    def grasps(self) -> list[tuple[Any, ...]]:
-        return [(mark.start, mark.end, mark.side, mark.category) for mark in self.project.store.marks.standing()]
 
 
 @pytest.fixture
@@ -103,10 +72,6 @@ def shows(page: Any, number: int) -> None:
     """Wait until a frame is on the screen, and see that it is that frame."""
     playwright.expect(page.locator("#frame")).to_have_text(str(number))
     assert page.evaluate(READ_CANVAS) == number - 1
-
-
-def saved(page: Any) -> None:
-    playwright.expect(page.locator("#saved")).to_have_text("All saved")
 
 
 def mark(page: Any, start: int, end: int) -> None:

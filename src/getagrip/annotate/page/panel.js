@@ -71,6 +71,12 @@ function drawOutlines() {
   $("hidden").disabled = Object.values(own.outlines).some((one) => one.of === "object");
 }
 
+/** Buttons that go to frames, if there are any. */
+function drawFrames(id, frames) {
+  $(id).hidden = !frames.length;
+  $(`${id}-list`).replaceChildren(...frames.map(([frame, textContent, title]) => element("button", { textContent, title, onclick: () => move(frame) })));
+}
+
 function drawWork() {
   const { job, basis, drafts, keyframes, extent: [first, last] } = state.labels, running = busy();
   const own = [...keyframes.values()].filter((one) => within(one.frame)), hand = own.some(clicked), masks = own.some((one) => one.outlined);
@@ -86,8 +92,9 @@ function drawWork() {
   $("fill-state").className = job?.state === "failed" ? "failed" : "";
   const unsure = [...drafts.masks.values()].filter((one) => within(one.frame) && one.basis === basis.masks && one.content.confidence < UNSURE)
     .sort((a, b) => a.content.confidence - b.content.confidence).slice(0, NAMED).sort((a, b) => a.frame - b.frame);
-  $("unsure").hidden = !unsure.length;
-  $("unsure-list").replaceChildren(...unsure.map((one) => element("button", { textContent: one.content.number, title: `${Math.round(100 * one.content.confidence)} % sure`, onclick: () => move(one.frame) })));
+  drawFrames("unsure", unsure.map((one) => [one.frame, one.content.number, `${Math.round(100 * one.content.confidence)} % sure`]));
+  const doubted = own.map((one) => [one, (drafts.hand.get(one.frame)?.content.doubtful ?? []).filter((n) => Array.isArray(one.joints[n]))]);
+  drawFrames("doubtful", doubted.filter(([, joints]) => joints.length).map(([one, joints]) => [one.frame, one.number, joints.map((n) => NAMES[n]).join(", ")]));
   const command = job?.what === "files" && job.state === "done" ? job.message : "";
   $("command-box").hidden = !command;
   $("command").textContent = command;
