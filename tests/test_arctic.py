@@ -254,6 +254,13 @@ def test_broken_hands_are_named(root: Path, mano: Path, keys: tuple[str, ...], v
         read(root, mano)
 
 
+def test_absurdly_long_sequences_are_refused_before_memory_is_taken(root: Path, mano: Path) -> None:
+    file = root / "raw_seqs" / "s01" / "ball_use_01.object.npy"
+    np.save(file, np.zeros((tracks.MOST_FRAMES + 1, 7)))
+    with pytest.raises(InputError, match=r"object\.npy: got 20001 frames, expected at most 20000"):
+        read(root, mano)
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [

@@ -377,6 +377,12 @@ def test_broken_packed_files_are_named(pack, key, value, named):
         list(dexycb.clips(folder, meshes))
 
 
+def test_sequences_of_absurd_lengths_are_refused(pack, monkeypatch):
+    monkeypatch.setattr(dexycb_files, "MOST_FRAMES", FRAMES - 1)
+    with pytest.raises(InputError, match=f"offset: got a sequence of {FRAMES} frames"):
+        dexycb_files.find(pack[0])
+
+
 def test_the_other_sequences_are_read_before_an_error_is_raised(root):
     broken = root / SUBJECT / "20200709_000000"
     broken.mkdir()

@@ -11,7 +11,7 @@ from test_umetrack import profile
 
 from getagrip import se3
 from getagrip.clip import FINGERS
-from getagrip.datasets import hot3d, hot3d_timelines, tracks
+from getagrip.datasets import hot3d, hot3d_files, hot3d_timelines, tracks
 from getagrip.errors import InputError
 from getagrip.grasps import Definition, segment
 from getagrip.kernels.depth import depth_and_face
@@ -142,6 +142,15 @@ def test_broken_files_are_named(root, name, old, new):
     path = root / "sequences" / NAME / name
     path.write_text(new if old is None else path.read_text().replace(old, new))
     with pytest.raises(InputError, match=name.replace(".", r"\.")):
+        list(hot3d.read(root))
+
+
+def test_recordings_of_absurd_lengths_are_refused(root, monkeypatch):
+    monkeypatch.setattr(hot3d_files, "MOST_FRAMES", FRAMES - 1)
+    with pytest.raises(InputError, match=r"headset_trajectory\.csv: got 16 frames, expected 2 to 15"):
+        list(hot3d.read(root))
+    monkeypatch.setattr(hot3d_files, "LARGEST_TABLE", 1000)
+    with pytest.raises(InputError, match=r"bytes, expected at most 1000"):
         list(hot3d.read(root))
 
 

@@ -29,7 +29,7 @@ from getagrip import arrays, se3
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.pickled import numbers, read_dict
-from getagrip.datasets.tracks import Note, Source, Track, in_pixels
+from getagrip.datasets.tracks import Note, Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.files import LARGEST_JSON, is_plain_name, read_bytes, read_json, shown
 from getagrip.grasps import Definition
@@ -102,6 +102,7 @@ def _read(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator
         raise InputError(file, "", f"the name {file.name!r}", "<object>_<use or grab>_<number>.object.npy")
     poses = arrays.floats(file, {"": arrays.parse_npy(file, "", read_bytes(file))}, "", (-1, 7))
     T = len(poses)
+    check_length(file, "", T)
     subjects = base / "meta" / "misc.json"
     misc = read_json(subjects).get(subject)
     if not isinstance(misc, dict):

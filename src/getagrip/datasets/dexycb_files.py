@@ -61,7 +61,8 @@ PACKED_K = np.array([[616.641, 0.0, 308.548], [0.0, 616.258, 248.523], [0.0, 0.0
 PACKED_ARRAYS = ("sequence", "object", "offset", "obj_quat_xyzw", "obj_trans", "joints", "hand_valid")
 LARGEST_YAML = 2**20
 """Limit in bytes of a description; DexYCB's have a few hundred."""
-MOST_FRAMES = 100_000
+MOST_FRAMES = 20_000
+"""Of a sequence; DexYCB's have 72."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,8 @@ def _packed(path: Path) -> list[Sequence]:
         raise InputError(path, "object", f"{len(held)} names", f"{S}, one for each sequence")
     if offset[0] != 0 or offset[-1] != N or np.any(np.diff(offset) <= 0):
         raise InputError(path, "offset", shown(offset.tolist()), f"rising numbers from 0 to {N}")
+    if np.diff(offset).max() > MOST_FRAMES:
+        raise InputError(path, "offset", f"a sequence of {np.diff(offset).max()} frames", f"at most {MOST_FRAMES}")
     lengths = np.linalg.norm(q, axis=1)
     if np.abs(lengths - 1.0).max() > 1e-2:
         given_length = f"a quaternion of length {lengths[np.argmax(np.abs(lengths - 1.0))]:.3g}"

@@ -26,7 +26,7 @@ from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.dexycb import mesh_folder, ycb_mesh
 from getagrip.datasets.pickled import numbers, read_dict
-from getagrip.datasets.tracks import Note, Source, Track, in_pixels
+from getagrip.datasets.tracks import Note, Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.files import is_plain_name, shown
 from getagrip.grasps import Definition
@@ -75,7 +75,9 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
     """The object in the hand over a sequence."""
     name = f"{folder.parent.name}/{folder.name}"
     frames, unknown = [], 0
-    for file in sorted((folder / "meta").glob("*.pkl")):
+    files = sorted((folder / "meta").glob("*.pkl"))
+    check_length(folder, "meta", len(files))
+    for file in files:
         frame = _frame(file, with_mano=mano is not None)
         if frame is None:
             unknown += 1

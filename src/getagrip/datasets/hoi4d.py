@@ -27,7 +27,7 @@ from getagrip import arrays, se3
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.pickled import numbers, read_dict
-from getagrip.datasets.tracks import MaskPair, Note, Source, Track, in_pixels
+from getagrip.datasets.tracks import MaskPair, Note, Source, Track, check_length, in_pixels
 from getagrip.errors import InputError
 from getagrip.files import read_bytes, read_colour_png, read_json, shown
 from getagrip.grasps import Definition
@@ -90,6 +90,7 @@ def _read(root: Path, folder: Path, mano: Path, note: Note) -> Iterator[Track]:
         if not frames:
             continue
         hands += 1
+        check_length(folder, "", len(frames))
         yield Track(
             file=folder,
             subject=person,

@@ -9,6 +9,7 @@ Read are ``dynamic_objects.csv``, ``headset_trajectory.csv``, ``umetrack_hand_po
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -22,6 +23,7 @@ from numpy import ndarray
 
 from getagrip import se3
 from getagrip.errors import InputError
+from getagrip.files import LARGEST_JSON, read_bytes
 from getagrip.fisheye import Fisheye624, Pinhole, pinhole
 from getagrip.hands import umetrack
 from getagrip.hands.model import PosedHand, Side
@@ -30,6 +32,10 @@ OBJECTS = ("dynamic_objects.csv", "dynamic_objects_v2.csv")
 SLACK = 5_000_000
 """Largest difference between the times of a frame and of a pose that is taken for it [ns]; cameras and poses of one
 instant are stamped 0.1 ms apart, frames 33 ms."""
+LARGEST_TABLE = 128 * 2**20
+"""Limit in bytes of a file of poses; two minutes take some ten million."""
+MOST_FRAMES = 20_000
+"""Of a recording: five times as many as the longest has."""
 LARGEST_IMAGE = 8192
 """Longest side of an image [px]."""
 SIDES: dict[str, Side] = {"0": "left", "1": "right"}
@@ -107,6 +113,8 @@ def read_recording(name: str, files: dict[str, Path]) -> Recording:
     stamps = np.array(sorted(headset))
     # The cameras of one instant are stamped a little apart: their poses come in pairs, of which one is taken.
     times = stamps[np.concatenate([[True], np.diff(stamps) > SLACK])]
+    if not 2 <= len(times) <= MOST_FRAMES:
+        raise InputError(need("headset_trajectory.csv"), "", f"{len(times)} frames", f"2 to {MOST_FRAMES}")
     T_world_device, _ = _at(times, headset)
     objects = {uid: Poses(*_at(times, poses)) for uid, poses in _poses_csv(need(*OBJECTS)).items()}
     calibration = need("online_calibration.jsonl", "camera_models.json")
@@ -168,7 +176,7 @@ def _aria(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "
 def _quest(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> Camera:
     """The first large camera of a Quest 3, which is stream 1201-1."""
     try:
-        cameras = json.loads(path.read_text())
+        cameras = json.loads(read_bytes(path, LARGEST_JSON))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(path, "", f"an unreadable file ({error})", "a JSON list of cameras") from error
     with _named(path, "cameras", "a list of Fisheye624 cameras"):
@@ -201,8 +209,9 @@ def _poses_csv(path: Path) -> dict[str, dict[int, Float[ndarray, "4 4"]]]:
     """T_world_x by object and time [ns]."""
     columns = ["t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]", "q_wo_w", "q_wo_x", "q_wo_y", "q_wo_z"]
     poses: dict[str, dict[int, Float[ndarray, "4 4"]]] = {}
+    text = read_bytes(path, LARGEST_TABLE)
     try:
-        with path.open(newline="") as file:
+        with io.StringIO(text.decode("utf-8-sig"), newline="") as file:
             for number, row in enumerate(csv.DictReader(file), start=2):
                 with _named(path, f"line {number}", f"columns object_uid, timestamp[ns], {', '.join(columns)}"):
                     numbers = [float(row[c]) for c in columns]
@@ -216,11 +225,11 @@ def _poses_csv(path: Path) -> dict[str, dict[int, Float[ndarray, "4 4"]]]:
 
 
 def _json_lines(path: Path) -> Iterator[tuple[int, Any]]:
+    content = read_bytes(path, LARGEST_TABLE)
     try:
-        with path.open() as file:
-            for number, line in enumerate(file, start=1):
-                if line.strip():
-                    yield number, json.loads(line)
+        for number, line in enumerate(io.BytesIO(content), start=1):
+            if line.strip():
+                yield number, json.loads(line)
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(path, "", f"an unreadable file ({error})", "one JSON object a line") from error
 

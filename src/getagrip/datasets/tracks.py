@@ -29,12 +29,20 @@ from getagrip.render import Surface, true_masks
 
 VISIBLE = 25
 """Pixels of the smallest mask that counts as seen."""
+MOST_FRAMES = 20_000
+"""Of a sequence: ten times as many as the longest of these datasets has. A hand in all of them takes 0.4 GB."""
 BETWEEN = "--"
 """Stands between subject, sequence, object and side in a clip's name."""
 Note = Callable[[str], None]
 """Is told in words what is left out."""
 MaskPair = tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]
 """Where the object is seen, and what to ignore."""
+
+
+def check_length(path: Path, key: str, frames: int) -> None:
+    """Raise ``InputError`` for more frames than a sequence can have, before memory is taken for them."""
+    if frames > MOST_FRAMES:
+        raise InputError(path, key, f"{frames} frames", f"at most {MOST_FRAMES}")
 
 
 @dataclass(frozen=True)
