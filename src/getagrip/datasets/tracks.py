@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -194,14 +195,12 @@ def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] |
     """
     track, masks, dropped = piece.track, None, 0
     if piece.masks:
-        masks = _masks(track)
-        seen = np.count_nonzero(masks.object, axis=(1, 2)) >= VISIBLE
-        if np.count_nonzero(seen) < shortest:
+        rows, masks = _visible(track)
+        if len(rows) < shortest:
             note(f"{piece.name}: the object is seen in fewer than {shortest} frames: left out")
             return None
-        if not seen.all():
-            rows = np.flatnonzero(seen)
-            dropped, track, masks = len(track) - len(rows), track.take(rows), masks.take(rows)
+        if len(rows) < len(track):
+            dropped, track = len(track) - len(rows), track.take(rows)
     K = np.tile(track.K, (len(track), 1, 1))
     try:
         check_in_view(track.file, track.hand, K, track.size)
@@ -227,13 +226,21 @@ def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] |
     return made, masks
 
 
-def _masks(track: Track) -> Masks:
-    """Masks of all frames, written into place one by one: there may be many."""
+def _visible(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
+    """The frames in which the object is seen, and their masks.
+
+    Those of a long hold before a large camera are gigabytes: they are in a file, which goes with them.
+    """
     width, height = track.size
-    masks = Masks(*np.zeros((2, len(track), height, width), dtype=bool))
+    with TemporaryFile() as file:
+        both = np.memmap(file, dtype=bool, mode="w+", shape=(2, len(track), height, width))
+    rows: list[int] = []
     for row in range(len(track)):
-        masks.object[row], masks.ignore[row] = _mask_pair(track, row)
-    return masks
+        seen, ignore = _mask_pair(track, row)
+        if np.count_nonzero(seen) >= VISIBLE:
+            both[0, len(rows)], both[1, len(rows)] = seen, ignore
+            rows.append(row)
+    return np.array(rows, dtype=np.int64), Masks(both[0, : len(rows)], both[1, : len(rows)])
 
 
 def _mask_pair(track: Track, row: int) -> MaskPair:
