@@ -39,7 +39,8 @@ def video(tmp_path_factory: Any) -> Path:
 @pytest.fixture
 def served(video: Path, tmp_path: Path) -> Iterator[Served]:
     """A video in which a grasp is marked."""
-    made = Served([Task("scene", "scene", video)], tmp_path / DATABASE)
+    tasks = [Task("scene", "scene", video), Task("another", "another", video)]
+    made = Served(tasks, tmp_path / DATABASE)
     about = {"mark": MARK, "task": "scene", "annotator": "ann", "tab": "a-tab-of-old"}
     sets = ({"start": FIRST, "side": "left", "category": "disc"}, {"end": LAST})
     for n, one in enumerate(sets):
@@ -59,7 +60,8 @@ def opened(context: Any, served: Served, who: str | None = "ann") -> Any:
     """A tab that labels the grasp, its first frame on the screen."""
     page = context.new_page()
     page.on("pageerror", lambda error: pytest.fail(f"the page raised {error}"))
-    page.goto(served.server.url)
+    page.set_default_timeout(10_000)
+    page.goto(f"{served.server.url}#scene")
     if who is not None:
         page.fill("#name-field", who)
         page.keyboard.press("Enter")
@@ -270,8 +272,6 @@ def test_from_clicks_to_files(context: Any, served: Served, tmp_path: Path) -> N
     drag(page, taken[0].tolist(), (taken[0] + [9, 9]).tolist())
     expect(page.locator("#fill-state")).to_contain_text("to be filled in")
     saved(page)
-    page.keyboard.press("g")
-    expect(page.locator("#fill-state")).to_have_text(f"All {LAST - FIRST + 1} frames filled in.", timeout=30_000)
     page.click("#write")
     expect(page.locator("#command")).to_contain_text("getagrip clip new", timeout=30_000)
     (folder,) = [path for path in tmp_path.iterdir() if path.is_dir()]
@@ -303,6 +303,20 @@ def test_what_is_next_is_told_and_the_grasp_can_be_left(context: Any, served: Se
     assert kept(served).keys() == {FIRST}
     page.keyboard.press("l")
     expect(page.locator("#keyframes li")).to_have_count(1)
+
+
+def test_what_was_just_moved_is_kept_when_another_clip_is_opened(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    click(page, [100, 100])
+    saved(page)
+    before = kept(served)[FIRST].joints["0"]
+    page.keyboard.press("Shift+d")
+    page.keyboard.press("n")
+    playwright.expect(page.locator("#where")).to_have_text("another")
+    playwright.expect(page.locator("#definition")).to_be_visible()
+    saved(page)
+    assert kept(served)[FIRST].joints["0"][0] > before[0]
+    playwright.expect(page.locator("#problem")).to_be_hidden()
 
 
 def test_what_was_changed_elsewhere_is_not_undone(context: Any, served: Served) -> None:

@@ -19,6 +19,7 @@ from numpy import ndarray
 
 from getagrip.annotate import keyframes, labels, versions
 from getagrip.annotate.background import Background, Job
+from getagrip.annotate.clicked_hands import FEWEST
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.labels import Labels
@@ -81,6 +82,7 @@ class Labelling:
             "extent": grasp.extent,
             "side": grasp.side,
             "size": grasp.footage.size,
+            "fewest": FEWEST,
             "keyframes": [
                 {key: getattr(one, key) for key in keys} | {"number": grasp.footage.number(one.frame)} for one in own
             ],
@@ -180,8 +182,6 @@ class Labelling:
 
     def _check_joints(self, grasp: Grasp, said: Labels) -> None:
         """Raise ``RefusedError`` for a frame with too few joints, by the number that the page shows."""
-        from getagrip.annotate.clicked_hands import FEWEST
-
         for n, joints in said.clicks.items():
             count = int(np.isfinite(joints).all(axis=1).sum())
             if count < FEWEST:

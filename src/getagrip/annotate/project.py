@@ -136,8 +136,9 @@ class Project:
         """The finished grasps of these tasks of whose frames something is said. Raises ``InputError``."""
         said = {one.grasp for one in self.store.keyframes.standing()}
         for mark in self.known():
-            if mark.mark in said and mark.interval and mark.side:
-                yield Grasp(self.tasks[mark.task], self.footage(self.tasks[mark.task]), mark)
+            task = self.tasks[mark.task]
+            if mark.mark in said and mark.interval and mark.side and task.path is not None:
+                yield Grasp(task, self.footage(task), mark)
 
     def import_labels(self, said: Labels, annotator: str) -> Grasp:
         """Take a file of labels as an annotator's own, of a grasp that is marked if it is not yet.

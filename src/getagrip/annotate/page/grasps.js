@@ -156,6 +156,7 @@ export const bars = () => grasps().map((mark, n) => ({
 
 let comparing;
 on("answer", (path, sent, answer) => {
+  if (!["/api/change", "/api/undo"].includes(path)) return;
   if (path === "/api/undo" && answer.undone === false) say("Nothing left to undo in this tab.");
   clearTimeout(comparing);
   comparing = setTimeout(drawAgreement, COMPARE);

@@ -7,7 +7,7 @@ const FINGERS = ["Thumb", "Index", "Middle", "Ring", "Little"];
 export const NAMES = ["Wrist", ...FINGERS.flatMap((finger) => ["knuckle", "middle joint", "last joint", "tip"].map((joint, n) =>
   `${finger} ${finger === "Thumb" ? ["root, at the wrist", "knuckle", "last joint", "tip"][n] : joint}`))];
 export const BONES = FINGERS.flatMap((_, finger) => [0, 1, 2, 3].map((n) => [n ? 4 * finger + n : 0, 4 * finger + n + 1]));
-export const COLOURS = ["#9aa0a6", "#e4572e", "#f2a541", "#3fa34d", "#2e86de", "#9b5de5"];
+const COLOURS = ["#9aa0a6", "#e4572e", "#f2a541", "#3fa34d", "#2e86de", "#9b5de5"];
 export const colour = (joint) => COLOURS[Math.ceil(joint / 4)];
 /** The back of a right hand, fingers up. */
 const PICTURE = [[100, 200], [70, 176], [46, 150], [29, 126], [17, 104], [66, 104], [58, 70], [54, 48], [51, 28], [94, 98], [92, 56], [91, 33], [90, 11], [120, 103], [124, 66], [126, 44], [127, 24], [143, 117], [154, 90], [160, 74], [165, 57]];

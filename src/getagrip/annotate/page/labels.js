@@ -6,7 +6,7 @@ import { fresh, tab } from "./saving.js";
 const SETTLE = 600; // ms after the last of several small moves until they are sent as one
 const KEY = "getagrip-labelled"; // the grasp that this tab labels, for reloads
 
-const who = () => ({ task: state.task.key, annotator: state.annotator, grasp: state.labels.grasp });
+const who = () => state.labels.about;
 const outlined = (one) => one.hidden || Object.values(one.outlines).some((outline) => outline.closed && outline.of === "object");
 const blank = (frame) => ({ frame, joints: {}, outlines: {}, hidden: false, outlined: false });
 
@@ -20,8 +20,9 @@ export const draft = (kind, frame) => state.labels.drafts[kind].get(frame);
 
 /** Begin to label a grasp; resolves once its key frames are there. */
 export async function open(mark) {
-  const labels = await ask("/api/labels", { task: state.task.key, annotator: state.annotator, grasp: mark });
-  state.labels = { grasp: mark, keyframes: new Map(), drafts: { masks: new Map(), hand: new Map() }, seen: 0 };
+  const about = { task: state.task.key, annotator: state.annotator, grasp: mark };
+  const labels = await ask("/api/labels", about);
+  state.labels = { about, grasp: mark, keyframes: new Map(), drafts: { masks: new Map(), hand: new Map() }, seen: 0 };
   sessionStorage.setItem(KEY, mark);
   take(labels);
 }
@@ -41,8 +42,8 @@ function take(answer) {
   if (!labels || answer.grasp !== labels.grasp) return;
   labels.job = answer.job;
   if (!saving.waiting.length && !moved) { // else its answer comes after what is still on its way
-    const { newest, extent, side, size, basis } = answer;
-    Object.assign(labels, { newest, extent, side, size, basis });
+    const { newest, extent, side, size, fewest, basis } = answer;
+    Object.assign(labels, { newest, extent, side, size, fewest, basis });
     labels.keyframes = new Map(answer.keyframes.map((one) => [one.frame, { ...one, outlined: outlined(one) }]));
   }
   if (answer.drafts > labels.seen) fetchDrafts(labels);

@@ -5,7 +5,6 @@ import { NAMES } from "./joints.js";
 import { change, here, settle, work } from "./labels.js";
 import { drawing, remove } from "./outlines.js";
 
-const FEWEST = 6; // joints of a frame that is of use
 const UNSURE = 0.85; // outlines less sure than this are named
 const NAMED = 6; // so many of them
 
@@ -29,15 +28,15 @@ function missing() {
 const busy = () => ["waiting", "running"].includes(state.labels.job?.state);
 
 function nextStep(joint) {
-  const { keyframes, job } = state.labels, own = here(), keys = [...keyframes.values()].filter((one) => within(one.frame));
+  const { keyframes, job, fewest } = state.labels, own = here(), keys = [...keyframes.values()].filter((one) => within(one.frame));
   const withJoints = keys.filter(clicked), outlined = keys.filter((one) => one.outlined);
   if (!within(player.wanted)) return "This frame is not part of the grasp. Home goes to its start.";
   if (state.tool !== "joints" && drawing(state.tool)) return "Click point after point along the border. To close it, click its first point again, or press Enter.";
   if (state.tool === "joints" && Object.keys(own.joints).length && joint !== null) return `Click the ${NAMES[joint].toLowerCase()}; x where you cannot tell where it is.`;
   if (busy()) return job.what === "files" ? "Writing the files …" : "Filling in …";
-  if (!withJoints.length) return "Go to the first frame, or one near it that shows the hand well, and click the joints in the order of the picture below.";
-  const few = withJoints.find((one) => clicked(one) < FEWEST);
-  if (few) return `A frame needs ${FEWEST} joints at least: click some more on frame ${few.number}, or delete them.`;
+  if (!withJoints.length) return "Go to the first frame, or one near it that shows the hand well, and click the joints in the order of the picture below. The mouse wheel brings it closer.";
+  const few = withJoints.find((one) => clicked(one) < fewest);
+  if (few) return `A frame needs ${fewest} joints at least: click some more on frame ${few.number}, or delete them.`;
   if (!outlined.length) return "Draw round what is seen of the object (o): the hand does not belong to it. Then draw round whatever else hides it (f), if anything does.";
   if (withJoints.length < 2 || outlined.length < 2) {
     const what = withJoints.length < 2 ? (outlined.length < 2 ? "both" : "joints") : "an outline";
@@ -98,7 +97,7 @@ function drawWork() {
   const command = job?.what === "files" && job.state === "done" ? job.message : "";
   $("command-box").hidden = !command;
   $("command").textContent = command;
-  $("labels-json").href = `/labels.json?${new URLSearchParams({ task: state.task.key, annotator: state.annotator, grasp: state.labels.grasp })}`;
+  $("labels-json").href = `/labels.json?${new URLSearchParams(state.labels.about)}`;
 }
 
 export function drawPanel(joint) {
@@ -111,6 +110,6 @@ export function drawPanel(joint) {
 $("fill").onclick = () => { work("propagate"); $("fill").blur(); };
 $("write").onclick = () => { work("files"); $("write").blur(); };
 $("cancel").onclick = () => work("cancel");
-$("copy").onclick = () => navigator.clipboard.writeText($("command").textContent);
+$("copy").onclick = () => { navigator.clipboard.writeText($("command").textContent); $("copy").blur(); };
 $("hidden").onchange = () => { change(player.wanted, { hidden: $("hidden").checked }); $("hidden").blur(); };
 $("labels-json").onclick = settle;

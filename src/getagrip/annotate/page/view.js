@@ -8,7 +8,7 @@ const WHEEL = 0.0015; // of the logarithm of the scale, per pixel that a wheel t
 export const view = { scale: 1, x: 0, y: 0, size: [16, 9], fitted: true, changed: () => {} };
 
 /** The whole picture, as large as it fits. */
-export function fit() {
+function fit() {
   const { width, height } = $("screen").getBoundingClientRect();
   const scale = Math.min(width / view.size[0], height / view.size[1]);
   place(scale, (width - scale * view.size[0]) / 2, (height - scale * view.size[1]) / 2);
