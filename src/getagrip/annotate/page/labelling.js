@@ -24,7 +24,7 @@ function choose(name) {
 const inside = (point) => point.map((value, axis) => Math.round(100 * Math.min(Math.max(value, 0), view.size[axis])) / 100);
 const inExtent = () => player.wanted >= state.labels.extent[0] && player.wanted <= state.labels.extent[1];
 
-/** Begin to label a grasp, on its first frame or, after a reload, where one was. */
+/** Begin to label a grasp: at its start, or where one is in it where that was done before. */
 export async function begin(mark) {
   try {
     await labels.open(mark.mark);
@@ -38,7 +38,8 @@ export async function begin(mark) {
   $("label-title").textContent = `Frames ${mark.start_number} – ${mark.end_number}`;
   tell("mode");
   draw();
-  await player.show(Math.min(Math.max(player.wanted, mark.start), mark.end));
+  const here = Math.min(Math.max(player.wanted, mark.start), mark.end);
+  await player.show(state.labels.keyframes.size ? here : mark.start);
 }
 
 export function end() {

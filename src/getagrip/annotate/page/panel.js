@@ -86,7 +86,7 @@ function drawWork() {
   $("progress-bar").value = job?.done ?? 0;
   const away = missing(), frames = last - first + 1;
   const told = { waiting: "waiting …", running: job?.total ? `${job.done} of ${job.total} frames` : "fitting the hand …", failed: `It did not work: ${job?.message}`, cancelled: "Stopped." };
-  const now = !basis.masks && !basis.hand ? "" : away ? `${away} of ${many(frames, "frame")} to be filled in.` : `All ${many(frames, "frame")} filled in.`;
+  const now = !basis.masks && !basis.hand ? "" : away ? `${away} of ${many(frames, "frame")} to be filled in${drafts.masks.size || drafts.hand.size ? " again" : ""}.` : `All ${many(frames, "frame")} filled in.`;
   $("fill-state").textContent = told[job?.state] ?? now;
   $("fill-state").className = job?.state === "failed" ? "failed" : "";
   const unsure = [...drafts.masks.values()].filter((one) => within(one.frame) && one.basis === basis.masks && one.content.confidence < UNSURE)
