@@ -14,6 +14,7 @@ that is left out says nothing, an empty list of polygons says that there is noth
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Mapping
@@ -88,11 +89,13 @@ def read(path: str | Path) -> Labels:
 
 
 def write(labels: Labels, path: str | Path) -> None:
-    """Write labels to a file, whole or not at all."""
+    """Write labels to a file, a line for each frame, whole or not at all."""
     path = Path(path)
     part = path.with_name(f".{path.name}.part")
+    fields = to_json(labels)
+    frames = ",\n".join(f"  {json.dumps(n)}: {json.dumps(frame)}" for n, frame in fields.pop("frames").items())
     try:
-        files.write_json(part, to_json(labels))
+        part.write_text(f'{json.dumps(fields)[:-1]}, "frames": {{\n{frames}\n}}}}\n', "utf-8")
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)

@@ -30,12 +30,14 @@ Images = Callable[[int], Image]
 
 SIDE = 200.0
 """Masks are carried at a size at which the object's longer side is about so long [px]. All below is at that size."""
+ENOUGH = 1e6
+"""Small images are enlarged for that up to so many pixels."""
 MARGIN = 120
 """What moves farther than this from one frame to the next is lost [px]."""
 FAR = 16
 """Signed distances end here [px]."""
-BAND = 4.0
-"""GrabCut moves the border by less than this [px]."""
+BAND, UNSURE_BAND = 3.0, 10.0
+"""GrabCut moves the border by less than this, the second where flow there and back disagrees [px]."""
 ROUNDS = 2
 """Of GrabCut."""
 BACK = 1.5
@@ -98,11 +100,11 @@ def _check(keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int) -> 
 
 
 def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]]) -> tuple[int, int]:
-    """Width and height at which the object's longer side is ``SIDE``; never more than the masks'."""
+    """Width and height at which the object's longer side is ``SIDE``; only small masks are enlarged for that."""
     sides = [np.ptp(np.nonzero(labels == OBJECT), axis=1).max() for labels in keys.values() if (labels == OBJECT).any()]
-    shrunk = min(1.0, SIDE / max(1.0, float(np.median(sides))))
     height, width = next(iter(keys.values())).shape
-    return max(16, round(shrunk * width)), max(16, round(shrunk * height))
+    zoom = min(SIDE / max(1.0, float(np.median(sides))), max(1.0, float(np.sqrt(ENOUGH / (width * height)))))
+    return max(16, round(zoom * width)), max(16, round(zoom * height))
 
 
 def _carry(
@@ -155,7 +157,7 @@ def _step(now: Carried, before: Image, after: Image, frame: int) -> Carried:
     inside = np.stack([_moved(kind, old, -float(FAR)) for kind in now.inside])
     border = np.abs(inside[0]) < 2.0
     trust = now.trust * (float(np.mean(off[border] < BACK)) if border.any() else 1.0)
-    refined = np.stack([_refined(b, kind) for kind in inside])
+    refined = np.stack([_refined(b, kind, off < BACK) for kind in inside])
     return _cut(frame, (columns.start, rows.start), refined, known * _moved(now.known, old, 1.0), trust)
 
 
@@ -177,15 +179,16 @@ def _flow(a: Image, b: Image) -> Float32[ndarray, "H W 2"]:
     return np.asarray(search.calc(a, b, np.zeros((*a.shape, 2), np.float32)), np.float32)
 
 
-def _refined(image: Image, inside: Float32[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
-    """Signed distances from the border that GrabCut finds near to the given one."""
+def _refined(image: Image, inside: Float32[ndarray, "h w"], sure: Bool[ndarray, "h w"]) -> Float32[ndarray, "h w"]:
+    """Signed distances from the border that GrabCut finds near to the given one, and less near where flow is unsure."""
     import cv2
 
     near = inside > -FAR
-    if not (inside > BAND).any() or near.all():
+    band = np.where(sure, BAND, UNSURE_BAND)
+    if not (inside > band).any() or near.all():
         return inside
     labels = np.where(inside > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-    labels[inside > BAND], labels[inside < -BAND] = cv2.GC_FGD, cv2.GC_BGD
+    labels[inside > band], labels[inside < -band] = cv2.GC_FGD, cv2.GC_BGD
     rows, columns = (slice(int(i.min()), int(i.max()) + 1) for i in np.nonzero(near))
     part = np.ascontiguousarray(labels[rows, columns])
     colours = np.zeros((1, 65)), np.zeros((1, 65))

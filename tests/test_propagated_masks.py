@@ -1,0 +1,156 @@
+"""Outlines carried from key frames: a textured thing that moves over a textured ground, its true mask known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+from numpy import ndarray
+
+from getagrip.annotate.labels import FRONT, OBJECT
+from getagrip.annotate.propagated_masks import propagate
+from getagrip.errors import UsageError
+
+SIZE = (240, 180)
+LAST = 10
+
+
+def texture(seed: int, tint: tuple[float, float, float]) -> ndarray:
+    """Blots of all sizes."""
+    rng = np.random.default_rng(seed)
+    layers = [cv2.resize(rng.random((n, n)), (512, 512), interpolation=cv2.INTER_CUBIC) for n in (8, 32, 128)]
+    grey = np.clip(sum(layers) / 3.0, 0.0, 1.0)
+    return np.asarray(np.clip(60 + 140 * grey[..., None] * np.array(tint), 0, 255), np.uint8)
+
+
+THING, GROUND, BAR = texture(0, (1.3, 0.6, 0.5)), texture(1, (0.5, 0.8, 1.2)), texture(2, (0.5, 1.3, 0.5))
+
+
+def pose(n: int) -> ndarray:
+    """Where the thing is: it crosses the image, turns and grows, and the hand shakes."""
+    angle, size = 4.0 * n, 1.0 + 0.02 * n
+    turn = cv2.getRotationMatrix2D((256.0, 256.0), angle, size)
+    turn[:, 2] += [68.0 + 9.0 * n + 3.0 * np.sin(2.1 * n) - 256.0, 88.0 + 4.0 * np.cos(1.7 * n) - 256.0]
+    return turn
+
+
+SHAPE = 256 + np.array([[-45, -30], [5, -48], [50, -10], [30, 45], [-10, 20], [-40, 40]], np.float32)
+
+
+def drawn(n: int, offset: float = 0.0, bar: bool = False) -> tuple[ndarray, ndarray]:
+    """An image and its label map."""
+    T = pose(n)
+    T[0, 2] += offset
+    ground = GROUND[20 + n : 20 + n + SIZE[1], 30 : 30 + SIZE[0]]
+    corners = SHAPE @ T[:, :2].T + T[:, 2]
+    labels = np.zeros(SIZE[::-1], np.uint8)
+    cv2.fillPoly(labels, [np.round(16 * corners).astype(np.int32)], OBJECT, shift=4)
+    thing = cv2.warpAffine(THING, T, SIZE)
+    image = np.where(labels[..., None] == OBJECT, thing, ground)
+    if bar:
+        labels[100:125] = FRONT
+        image[100:125] = BAR[100:125, : SIZE[0]]
+    noise = np.random.default_rng(n).normal(0.0, 3.0, image.shape)
+    return np.clip(image + noise, 0, 255).astype(np.uint8), labels
+
+
+def iou(a: ndarray, b: ndarray) -> float:
+    return float((a & b).sum() / max((a | b).sum(), 1))
+
+
+Draw = Callable[[int], tuple[ndarray, ndarray]]
+
+
+class Scored(NamedTuple):
+    labels: ndarray
+    iou: float
+    confidence: float
+
+
+def carried(keys: tuple[int, ...], draw: Draw = drawn, last: int = LAST) -> dict[int, Scored]:
+    """What becomes of the true masks of some frames."""
+    found = propagate(lambda n: draw(n)[0], {n: draw(n)[1] for n in keys}, 0, last)
+    return {n: Scored(labels, iou(labels == OBJECT, draw(n)[1] == OBJECT), sure) for n, labels, sure in found}
+
+
+def worst(found: dict[int, Scored]) -> tuple[float, float]:
+    """The smallest IOU and the smallest confidence."""
+    return min(each.iou for each in found.values()), min(each.confidence for each in found.values())
+
+
+def test_a_moving_thing_is_kept_between_two_keys() -> None:
+    found = carried((0, LAST))
+    assert list(found) == list(range(LAST + 1))
+    score, confidence = worst(found)
+    assert score > 0.9
+    assert confidence > 0.8
+    for key in (0, LAST):
+        np.testing.assert_array_equal(found[key].labels, drawn(key)[1])
+        assert found[key].confidence == 1.0
+
+
+def test_before_the_first_and_after_the_last_key_it_is_followed_and_trusted_less_and_less() -> None:
+    found = carried((5,))
+    assert worst(found)[0] > 0.93
+    sure = [found[n].confidence for n in range(LAST + 1)]
+    assert sure[:6] == sorted(sure[:6])
+    assert sure[5:] == sorted(sure[5:], reverse=True)
+
+
+def test_backwards_is_the_same_as_forwards() -> None:
+    there, back = carried((0, 4), last=4), carried((0, 4), lambda n: drawn(4 - n), last=4)
+    for n, each in there.items():
+        assert iou(each.labels == OBJECT, back[4 - n].labels == OBJECT) > 0.98
+
+
+def test_what_is_in_front_stays_in_front() -> None:
+    for each in (found := carried((0, 5), lambda n: drawn(n, bar=True), last=5)).values():
+        assert (each.labels[105:120, 40:200] == FRONT).mean() > 0.95
+    assert worst(found)[0] > 0.9
+
+
+def test_what_enters_the_image_comes_from_the_key_that_shows_it() -> None:
+    def entering(n: int) -> tuple[ndarray, ndarray]:
+        return drawn(n, offset=-72.0)
+
+    assert (entering(0)[1][:, 0] == OBJECT).any()
+    assert not (entering(LAST)[1][:, 0] == OBJECT).any()
+    assert worst(carried((0, LAST), entering))[0] > 0.85
+
+
+def test_a_cut_is_seen_by_the_confidence() -> None:
+    def cut(n: int) -> tuple[ndarray, ndarray]:
+        image, labels = drawn(n)
+        return (image, labels) if n < 5 else (image[:, ::-1].copy(), labels[:, ::-1].copy())
+
+    assert worst(carried((0, LAST), cut))[1] < 0.5
+
+
+def test_nothing_stays_nothing() -> None:
+    keys = {0: drawn(0)[1], 6: np.zeros(SIZE[::-1], np.uint8), LAST: np.zeros(SIZE[::-1], np.uint8)}
+    found = {n: (labels, sure) for n, labels, sure in propagate(lambda n: drawn(n)[0], keys, 0, LAST)}
+    assert all(not found[n][0].any() and found[n][1] == 1.0 for n in range(6, LAST + 1))
+
+
+def test_images_may_be_smaller_than_masks() -> None:
+    """As footage is that is shown smaller than it is."""
+
+    def large(n: int) -> tuple[ndarray, ndarray]:
+        image, labels = drawn(n)
+        return image, np.kron(labels, np.ones((3, 3), np.uint8))
+
+    assert worst(carried((0, 5), large, last=5))[0] > 0.95
+
+
+def test_what_cannot_be_propagated_is_refused() -> None:
+    for keys, words in (
+        ({}, "no frame"),
+        ({0: np.zeros((4, 4), np.uint8)}, "no frame"),
+        ({99: drawn(0)[1]}, "frame 99"),
+        ({0: drawn(0)[1], 1: np.zeros((4, 4), np.uint8)}, "sizes"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            list(propagate(lambda n: drawn(n)[0], keys, 0, LAST))
