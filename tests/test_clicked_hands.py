@@ -124,6 +124,19 @@ def test_one_frame_will_do() -> None:
     assert np.ptp(found.hand.T_cam_hand, axis=0).max() < 1e-12
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_points_without_sense_give_a_hand_before_the_camera_or_are_refused(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    clicks = {n: rng.normal([900.0, 500.0], [30.0, 150.0, 1500.0][seed % 3], (21, 2)) for n in (2, 9)}
+    try:
+        found = hands_from_clicks(clicks, K, "left", 0, 10)
+    except UsageError as error:
+        assert "no hand looks like that" in str(error)  # noqa: PT017
+    else:
+        assert se3.is_rigid(found.hand.T_cam_hand).all()
+        assert (found.hand.T_cam_hand[:, 2, 3] > 0.0).all()
+
+
 def test_what_cannot_be_fitted_is_refused() -> None:
     few = np.full((21, 2), np.nan)
     few[: FEWEST - 1] = 100.0
@@ -133,6 +146,7 @@ def test_what_cannot_be_fitted_is_refused() -> None:
         ({3: few}, f"frame 3: got {FEWEST - 1}"),
         ({3: np.full((21, 2), np.inf)}, "finite"),
         ({3: np.zeros((20, 2))}, r"\(21, 2\)"),
+        ({3: np.full((21, 2), 100.0) + np.arange(42).reshape(21, 2) % 5}, "within 4 px"),
     ):
         with pytest.raises(UsageError, match=words):
             hands_from_clicks(clicks, K, "right", 0, 40)

@@ -27,6 +27,7 @@ from getagrip import se3
 from getagrip.annotate.placed_hands import OUTLIER, Clicks, equations, place, turned, turning
 from getagrip.camera import project
 from getagrip.clip import HandTrack
+from getagrip.clip.plausible import FARTHEST, NEAREST
 from getagrip.errors import UsageError
 from getagrip.hands import generic
 from getagrip.hands.fit import Chains, arrow_step, joints_and_jacobian
@@ -37,6 +38,8 @@ SCALE = "a guess: the generic hand has the size of a mean one, and its distance 
 
 FEWEST = 6
 """Joints that a frame must have."""
+SMALLEST = 10.0
+"""Extent of the clicks of a frame [px]."""
 LOOSENESS = 0.12
 """Standard deviation of each number of the fingers' pose from that of the grasp [rad]."""
 CURLS = ((0.3, 0.3, 0.3), (0.9, 0.6, 0.4))
@@ -48,7 +51,6 @@ TOLERANCE = 1e-5
 """Stop when a step lowers the cost by less than this share of it."""
 SHARED = 45
 """Numbers of the grasp, after the frames' 51 and before the shape."""
-
 
 Curl = tuple[float, float, float]
 
@@ -74,7 +76,8 @@ def hands_from_clicks(
     """The hand in the frames ``first`` to ``last``, both included, from joints clicked on some of them [px].
 
     ``clicks`` are wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, NaN where not clicked.
-    Raises ``UsageError`` for no clicked frame, for one with fewer than ``FEWEST`` joints or outside the interval.
+    Raises ``UsageError`` for no clicked frame, for one with fewer than ``FEWEST`` joints or outside the interval, and
+    for clicks that no hand looks like.
     """
     _check(clicks, first, last)
     keys = tuple(sorted(clicks))
@@ -82,6 +85,7 @@ def hands_from_clicks(
     model = generic.load(side)
     chains, prior = Chains.of(model), PosePrior.of(model)
     found = min((_fit(model, chains, prior, given, curl) for curl in CURLS), key=lambda each: each[1])[0]
+    _check_found(keys, found)
     X, _ = joints_and_jacobian(chains, found.q, found.shape)
     offset = project(K, se3.transform(found.T, X)) - given.y
     residuals = np.where(given.there, np.linalg.norm(offset, axis=-1), np.nan)
@@ -102,6 +106,16 @@ def _check(clicks: Mapping[int, Float[ndarray, "21 2"]], first: int, last: int) 
         count = int(np.count_nonzero(~np.isnan(points).any(axis=1)))
         if count < FEWEST:
             raise UsageError(f"joints of frame {n}: got {count}, expected {FEWEST} at least, or none")
+        extent = float(np.max(np.nanmax(points, axis=0) - np.nanmin(points, axis=0)))
+        if extent < SMALLEST:
+            raise UsageError(f"joints of frame {n}: got all within {extent:.3g} px, expected a hand of {SMALLEST:g} px")
+
+
+def _check_found(keys: Sequence[int], found: Guess) -> None:
+    """Raise ``UsageError`` where clicks led to no hand."""
+    for n, T, q in zip(keys, found.T, found.q, strict=True):
+        if not NEAREST < T[2, 3] < FARTHEST or np.abs(q).max() > np.pi:
+            raise UsageError(f"joints of frame {n}: no hand looks like that; is the side right, and each joint's name?")
 
 
 class Guess(NamedTuple):

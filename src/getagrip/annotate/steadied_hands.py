@@ -20,6 +20,7 @@ from numpy import ndarray
 from getagrip import se3
 from getagrip.annotate.clicked_hands import ClickedHands
 from getagrip.camera import backproject, project
+from getagrip.clip.plausible import NEAREST
 from getagrip.kernels.depth import depth_and_face
 
 WIDTH = 960
@@ -49,6 +50,7 @@ def steadied(
     K_small = np.diag([small[0] / size[0], small[1] / size[1], 1.0]) @ K
     hand = hands.hand
     vertices = se3.transform(hand.T_cam_hand, hand.vertices)
+    vertices[..., 2] = np.maximum(vertices[..., 2], NEAREST)
     uv = project(K_small, vertices)
     T = hand.T_cam_hand.copy()
     last = first + len(T) - 1
