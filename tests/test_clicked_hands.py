@@ -58,7 +58,7 @@ def joints_of(found: ClickedHands, rows: tuple[int, ...] = KEYS) -> np.ndarray:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_known_hands_are_found_again(side: Side, seed: int) -> None:
     truth = held(side, seed)
     found = hands_from_clicks(clicked(truth, seed), K, side, 0, 40)
@@ -124,10 +124,10 @@ def test_one_frame_will_do() -> None:
     assert np.ptp(found.hand.T_cam_hand, axis=0).max() < 1e-12
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_points_without_sense_give_a_hand_before_the_camera_or_are_refused(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    clicks = {n: rng.normal([900.0, 500.0], [30.0, 150.0, 1500.0][seed % 3], (21, 2)) for n in (2, 9)}
+    clicks = {n: rng.normal([900.0, 500.0], [30.0, 150.0, 1500.0][seed], (21, 2)) for n in (2, 9)}
     try:
         found = hands_from_clicks(clicks, K, "left", 0, 10)
     except UsageError as error:
