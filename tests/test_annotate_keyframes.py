@@ -364,6 +364,15 @@ def test_too_little_to_work_with_is_told(clicking: Clicking) -> None:
         clicking.project.work(clicking.about | {"work": "propagate"})
 
 
+def test_clicks_that_are_no_hand_are_told_by_the_frame_that_is_shown_and_outlines_filled_in(clicking: Clicking) -> None:
+    clicking.click(FIRST, joints={str(n): [150.0, 100.0] for n in range(21)}, outlines=disc(FIRST))
+    job = clicking.work("propagate")
+    assert job["state"] == "failed"
+    assert f"frame {FIRST + 1}:" in job["message"]
+    drafts = clicking.project.drafts(clicking.about, 0)["drafts"]
+    assert [(one["kind"], one["frame"]) for one in drafts] == [("masks", n) for n in range(FIRST, LAST + 1)]
+
+
 def test_files_make_a_clip_and_labels_are_taken_back(clicking: Clicking, video: Path, run: Run, tmp_path: Path) -> None:
     for frame in (FIRST, LAST):
         clicking.label(frame)

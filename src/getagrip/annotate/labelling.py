@@ -18,7 +18,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from getagrip.annotate import keyframes, labels, versions
-from getagrip.annotate.background import Background, Job
+from getagrip.annotate.background import Background, Job, Work
 from getagrip.annotate.clicked_hands import FEWEST
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.keyframes import KeyFrame
@@ -27,6 +27,7 @@ from getagrip.annotate.marks import Mark
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, open_footage
 from getagrip.annotate.versions import RefusedError
+from getagrip.errors import UsageError
 from getagrip.files import shown
 from getagrip.hands.model import Side
 from getagrip.run.intrinsics import Lens, intrinsics
@@ -133,7 +134,7 @@ class Labelling:
         if not any(basis.values()):
             raise RefusedError("nothing to fill in yet: click joints, or draw the object's outline, on a frame")
         self._check_joints(grasp, said)
-        self.background.start(grasp.mark.mark, "propagate", lambda job: self._draft(grasp, said, basis, job))
+        self._start(grasp, "propagate", lambda job: self._draft(grasp, said, basis, job))
 
     def make(self, grasp: Grasp) -> None:
         """Begin to write the files that a clip is made of. Raises ``RefusedError`` where something is missing."""
@@ -141,7 +142,7 @@ class Labelling:
         self._check_joints(grasp, said)
         if not said.clicks or not said.label_maps():
             raise RefusedError("a clip needs joints on one frame at least, and the object's outline on one")
-        self.background.start(grasp.mark.mark, "files", lambda job: self.write(grasp, said, job))
+        self._start(grasp, "files", lambda job: self.write(grasp, said, job))
 
     def write(self, grasp: Grasp, said: Labels, job: Job) -> str:
         """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; the command that makes a clip of them."""
@@ -161,6 +162,21 @@ class Labelling:
     def close(self) -> None:
         """End what is being done."""
         self.background.close()
+
+    def _start(self, grasp: Grasp, what: str, work: Work) -> None:
+        """Begin some work, whose errors name frames by the numbers that the page shows."""
+
+        def numbered(found: re.Match[str]) -> str:
+            n = int(found[1])
+            return f"frame {grasp.footage.number(n) if n < grasp.footage.frames else n}"
+
+        def told(job: Job) -> str:
+            try:
+                return work(job)
+            except UsageError as error:
+                raise UsageError(re.sub(r"frame ([0-9]{1,9})", numbered, str(error))) from error
+
+        self.background.start(grasp.mark.mark, what, told)
 
     def _own(self, grasp: Grasp) -> list[KeyFrame]:
         return self.store.keyframes.standing(grasp.mark.mark, grasp.mark.annotator)
@@ -194,14 +210,20 @@ class Labelling:
 
         drafts, key, frames = self.store.drafts, grasp.mark.mark, said.last - said.first + 1
         wanted = {kind: word for kind, word in basis.items() if word and drafts.count(key, kind, word) < frames}
+        wrong: UsageError | None = None
         with closing(open_footage(_path(grasp))) as footage:
             if word := wanted.get("hand"):
                 K, _ = intrinsics(self.lens, said.size)
-                drafts.put(key, "hand", word, drafting.hand(said, K, footage.image))
+                try:
+                    drafts.put(key, "hand", word, drafting.hand(said, K, footage.image))
+                except UsageError as error:  # outlines can be filled in nevertheless
+                    wrong = error
             if word := wanted.get("masks"):
                 for n, content in drafting.masks(said, footage.image):
                     drafts.put(key, "masks", word, {n: content | {"number": footage.number(n)}})
                     job.report(n - said.first + 1, frames)
+        if wrong is not None:
+            raise wrong
         return ""
 
 
