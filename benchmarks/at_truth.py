@@ -14,10 +14,10 @@ import numpy as np
 from benchmarks import page
 from getagrip import se3
 from getagrip.clip import read_clip
+from getagrip.joint import terms_of
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import find_symmetries
 from getagrip.motion import Fixed, Soft
-from getagrip.objective import energy_of
 from getagrip.options import Options
 from getagrip.problem import Problem, prepare, read_sampled
 from getagrip.result import read_result
@@ -29,7 +29,7 @@ ITERATIONS = 40
 
 def from_truth(problem: Problem) -> float:
     """The energy at the end of a fit from the true poses."""
-    clip, options = problem.clip, problem.options
+    clip = problem.clip
     assert clip.truth is not None
     N, middle = len(clip), len(clip) // 2
     T = se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
@@ -38,7 +38,7 @@ def from_truth(problem: Problem) -> float:
     base = Fixed(R[middle][None], centre[middle][None], log_scale, N, clip.scale == "free")
     deviation = np.concatenate([centre - centre[middle], se3.log_so3(R @ R[middle].T)], axis=-1)[None]
     start = soft_hinge(Soft(base, deviation, COARSE_RIDGE), free_location=True, anchor=np.zeros(3))
-    terms = energy_of(problem, options.push, options.pull)(Schedule().stages[-1], np.arange(N))
+    terms = terms_of(problem)(Schedule().stages[-1], np.arange(N))
     return float(minimise(start, terms, clip.hand.T_cam_hand, ITERATIONS).energy[0])
 
 

@@ -15,7 +15,19 @@ from getagrip import se3
 from getagrip.energy import Local
 from getagrip.mesh import Mesh
 from getagrip.motion import Fixed, Free, Hinge, Soft
-from getagrip.search import Stage, distinct, explored, hinge_from, resampled, soft_hinge, spread, turns
+from getagrip.search import (
+    FAR,
+    NEAR,
+    Stage,
+    Turns,
+    distinct,
+    explored,
+    hinge_from,
+    resampled,
+    soft_hinge,
+    spread,
+    turned,
+)
 from getagrip.shape import Shape
 from getagrip.solve import Poses, minimise
 
@@ -114,13 +126,21 @@ def test_near_copies_of_a_better_hypothesis_are_dropped() -> None:
     assert len(distinct(motion.poses(), np.full(5, np.inf), SHAPE, keep=2)) == 0
 
 
-def test_turns_are_small_ones_and_half_ones() -> None:
-    """A half turn about a principal axis puts the box on itself; a small one is of 10 to 40 degrees."""
-    R = turns(SHAPE.axes, 30, np.random.default_rng(3))
-    small = np.degrees(se3.angle_between(R[:30], np.eye(3)))
-    assert ((small >= 10.0) & (small <= 40.0)).all()
-    assert len(np.unique(R[30:].round(6), axis=0)) == 3
-    for turn in R[30:]:
+@pytest.mark.parametrize("by", [FAR, NEAR])
+def test_turns_are_by_as_much_as_asked(by: Turns) -> None:
+    R = turned(SHAPE.axes, by, 30, np.random.default_rng(3))
+    angle = np.degrees(se3.angle_between(R, np.eye(3)))
+    for k, (least, most) in enumerate((by.random, by.principal)):
+        of = angle[30 * k : 30 * k + 30]
+        assert ((of >= least - 1e-4) & (of <= most + 1e-4)).all()
+    axis = se3.log_so3(R[30:]) / np.radians(angle[30:, None])
+    assert np.allclose(np.abs(axis @ SHAPE.axes.T).max(axis=1), 1.0, atol=1e-6)
+
+
+def test_a_half_turn_about_a_principal_axis_puts_the_box_on_itself() -> None:
+    R = turned(SHAPE.axes, FAR, 30, np.random.default_rng(3))[30:]
+    assert len(np.unique(R.round(6) + 0.0, axis=0)) == 3
+    for turn in R:
         gaps = np.linalg.norm((CORNERS @ turn.T)[:, None] - CORNERS[None], axis=-1)
         np.testing.assert_allclose(gaps.min(axis=1), 0.0, atol=1e-9)
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
 
 from getagrip import se3
+from getagrip.energy import Term
 from getagrip.errors import GetagripError
 from getagrip.motion import Fixed, Free, Hinge, Motion, Soft
-from getagrip.objective import energy_of
+from getagrip.objective import consistency_of, energy_of
 from getagrip.options import Options
 from getagrip.problem import Found, Problem
 from getagrip.result import Axis
-from getagrip.search import THOROUGH, Schedule, TermsAt, hinge_from, search, soft_hinge, stiffened
+from getagrip.search import MAX, THOROUGH, Schedule, Stage, TermsAt, hinge_from, search, soft_hinge, stiffened
 from getagrip.solve import Status
 from getagrip.starts import starting_poses
+
+STEADY = 0.5
+"""Weight of the soft hinge's own term (``objective.consistency_of``), in lambda_3."""
 
 
 def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = None) -> Found:
@@ -24,7 +30,7 @@ def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = N
     ``watch`` is told the name of each stage when it ends. Raises ``GetagripError`` when nothing can be rendered.
     """
     clip, options, centre = problem.clip, problem.options, problem.clip.mesh.centre
-    energy = energy_of(problem, options.push, options.pull)
+    energy = terms_of(problem)
     model, finer = _models(options)
     solution = search(
         starts=starting_poses(clip, problem.masks, options.inits, options.seed, problem.poses),
@@ -49,6 +55,24 @@ def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = N
         status=solution.status[0].value,
         axis=_axis(motion.core if isinstance(motion, Soft) else motion),
     )
+
+
+def terms_of(problem: Problem) -> TermsAt:
+    """The energy of the problem's method: Eq. 4, and for the soft hinge one term more where all frames are seen.
+
+    Contact that stays is what makes a grasp stable (Eq. 2). A hinge keeps it by itself; where frames may deviate from
+    the hinge, in depth above all, which outlines hardly show, the term says that it is kept.
+    """
+    options = problem.options
+    energy = energy_of(problem, options.push, options.pull)
+    if options.method != "soft-hinge" or not options.pull:
+        return energy
+    steady = consistency_of(problem, STEADY * options.pull)
+
+    def terms(stage: Stage, index: Int[ndarray, "n"]) -> Sequence[Term]:
+        return [*energy(stage, index), *(steady(stage, index) if stage.frames == MAX else [])]
+
+    return terms
 
 
 def _models(options: Options) -> tuple[Callable[[Soft[Fixed]], Motion], Callable[[Motion], Motion] | None]:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 
 from jaxtyping import Int
 from numpy import ndarray
 
-from getagrip.contact import HandContacts
+from getagrip.contact import HandContacts, spread_points
 from getagrip.energy import Term
+from getagrip.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.energy.mask import MaskTerm, Surface
 from getagrip.energy.pull import PullTerm
 from getagrip.energy.push import PushTerm
 from getagrip.mesh import decimate
 from getagrip.problem import Problem
-from getagrip.search import Stage
+from getagrip.search import Stage, TermsAt
 
 STEP = {64: 1.0, 128: 2.0, 256: 3.0}
 """Distance of contour points at each level [px of the level]."""
@@ -31,7 +32,11 @@ a hand may well go without touching with all five fingertips, but not into the o
 """
 
 
-def energy_of(problem: Problem, push: float, pull: float) -> Callable[[Stage, Int[ndarray, "n"]], list[Term]]:
+PER_REGION, POINTS = 2, 20
+"""Points of each contact region of the hand, and of the object, that stand for all where distances are to stay."""
+
+
+def energy_of(problem: Problem, push: float, pull: float) -> TermsAt:
     """The terms for a stage at some of the frames, with lambda_f, the focal length in pixels of the crop.
 
     ``push`` and ``pull`` are the paper's lambda_2 and lambda_3 without the focal length; weight 0 leaves a term out.
@@ -44,7 +49,7 @@ def energy_of(problem: Problem, push: float, pull: float) -> Callable[[Stage, In
     hands = {level: HandContacts.of(clip.hand, count) for level, count in CONTACTS.items()}
     physical = observation.area.mean() * observation.K[:, 0]
 
-    def terms(stage: Stage, index: Int[ndarray, "n"]) -> list[Term]:
+    def terms(stage: Stage, index: Int[ndarray, "n"]) -> Sequence[Term]:
         level = stage.level
         at, hand = observation.take(index), hands[level].take(index)
         coverage = 1.0 if level == 64 else 0.0
@@ -52,5 +57,24 @@ def energy_of(problem: Problem, push: float, pull: float) -> Callable[[Stage, In
         push_term = PushTerm(touch, hand, push * PUSH * physical[index])
         pull_term = PullTerm(touch, hand, pull * PULL * physical[index])
         return [mask, *([push_term] if push else []), *([pull_term] if pull else [])]
+
+    return terms
+
+
+def consistency_of(problem: Problem, weight: float) -> TermsAt:
+    """One more term at any stage: hand and object are to keep their distances.
+
+    ``weight`` is that of the mean absolute change of squared distances, before the focal length and the masks' mean
+    area: 1 in the authors' later code.
+    """
+    observation = problem.observation
+    vertices = problem.clip.mesh.vertices - problem.clip.mesh.centre
+    points = vertices[spread_points(vertices, POINTS)]
+    hand = HandContacts.of(problem.clip.hand, PER_REGION)
+    # Their masks' term is divided by the mask's area, ours is not.
+    each = weight * observation.area.mean() * observation.K[:, 0]
+
+    def terms(stage: Stage, index: Int[ndarray, "n"]) -> Sequence[Term]:
+        return [ContactConsistencyTerm(points, hand.position[index], each[index])]
 
     return terms

@@ -1,7 +1,8 @@
 """Multi-start, coarse-to-fine search: many rotations at low resolution and few frames, fewer and fewer at higher.
 
 Pruning waits until the motion model has been fitted: on the energy of a static fit the right start is often lost. Then
-the best are turned and fitted again, a few rounds of it: local minima lie side by side, and in pairs. The axis of a
+the best are turned and fitted again, a few rounds of it: local minima lie side by side, and in pairs; once more by less
+in the middle, for a mug whose handle is in the hand has minima all around it. The axis of a
 hinge comes from the data: after a static fit, a fit with a small free deviation per frame, whose rotation vectors'
 principal direction is the axis. (Angle zero about any axis is a dead start: the energy does not see the axis there.)
 """
@@ -42,6 +43,22 @@ MAX = 10**9
 
 
 @dataclass(frozen=True)
+class Turns:
+    """Turns of the object that lead from one local minimum to another, from and to how many degrees."""
+
+    random: tuple[float, float]
+    """About any axis."""
+    principal: tuple[float, float]
+    """About one of the three principal axes, either way."""
+
+
+FAR = Turns(random=(10.0, 40.0), principal=(180.0, 180.0))
+"""To other poses; half a turn about a principal axis shows nearly the same outline."""
+NEAR = Turns(random=(5.0, 20.0), principal=(8.0, 25.0))
+"""Out of a minimum beside the best."""
+
+
+@dataclass(frozen=True)
 class Stage:
     """One resolution: how many frames, which level, how long, and how many hypotheses go on to the next."""
 
@@ -54,6 +71,8 @@ class Stage:
     """How often the best of the stage are turned and fitted again."""
     parents: int = 8
     """How many of them."""
+    turns: Turns = FAR
+    """And by how much."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +83,7 @@ class Schedule:
     loose_iterations: int = 3
     stages: tuple[Stage, ...] = (
         Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3),
-        Stage("middle", level=64, frames=15, iterations=6, keep=6),
+        Stage("middle", level=64, frames=15, iterations=6, keep=6, rounds=1, parents=6, turns=NEAR),
         Stage("fine", level=128, frames=MAX, iterations=8, keep=4),
         Stage("finest", level=256, frames=MAX, iterations=8, keep=4),
     )
@@ -167,13 +186,12 @@ def distinct(held: InHand, energy: Float[ndarray, "B"], shape: Shape, keep: int)
     return np.array(chosen, dtype=int)
 
 
-def turns(axes: Float[ndarray, "3 3"], count: int, rng: np.random.Generator) -> Float[ndarray, "n 3 3"]:
-    """Turns of the object that lead from one local minimum to another: ``count`` random ones of 10 to 40 degrees, and
-    ``count`` half turns about its principal axes, which show nearly the same outline.
-    """
+def turned(axes: Float[ndarray, "3 3"], by: Turns, count: int, rng: np.random.Generator) -> Float[ndarray, "n 3 3"]:
+    """``count`` rotations about random axes, then ``count`` about the principal ones, the rows of ``axes``."""
     random = rng.normal(size=(count, 3))
-    random *= np.radians(rng.uniform(10.0, 40.0, (count, 1))) / np.linalg.norm(random, axis=1, keepdims=True)
-    return se3.exp_so3(np.concatenate([random, np.pi * axes[rng.integers(3, size=count)]]))
+    random *= np.radians(rng.uniform(*by.random, (count, 1))) / np.linalg.norm(random, axis=1, keepdims=True)
+    angle = np.radians(rng.uniform(*by.principal, (count, 1))) * rng.choice([-1.0, 1.0], (count, 1))
+    return se3.exp_so3(np.concatenate([random, angle * axes[rng.integers(3, size=count)]]))
 
 
 def explored(
@@ -189,7 +207,8 @@ def explored(
         parents = distinct(solution.motion.poses(), solution.energy, shape, stage.parents)
         if not len(parents):
             break
-        children = solution.motion.take(np.tile(parents, 2)).turned(turns(shape.axes, len(parents), rng))
+        children = solution.motion.take(np.tile(parents, 2))
+        children = children.turned(turned(shape.axes, stage.turns, len(parents), rng))
         solution = solution.joined(minimise(children, terms, T_cam_hand, stage.iterations))
     return solution
 

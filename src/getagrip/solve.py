@@ -173,12 +173,12 @@ def _step(
     H_ll = H_ll + np.diag(prior.diagonal)
     across = None
     if state.local.across is not None:
-        across = Jt[:, :, None] @ state.local.across @ J_cam[:, None]
-        H_ss = H_ss + across[..., :S, :S].sum(axis=(1, 2))
+        tied = _tied(state.local.across, J_cam[..., :S], J_cam[..., S:])
+        H_ss, H_sl, across = H_ss + tied[0], H_sl + tied[1], tied[2]
     H_ss = H_ss + _diagonal(lam[:, None] * (np.diagonal(H_ss, axis1=-2, axis2=-1) + _FLOOR))
     H_ll = H_ll + _diagonal(lam[:, None, None] * (np.diagonal(H_ll, axis1=-2, axis2=-1) + _FLOOR))
     if across is not None:
-        shared, local = _coupled(H_ss, H_sl + across[..., :S, S:].sum(axis=1), H_ll, across[..., S:, S:], g_s, g_l)
+        shared, local = _coupled(H_ss, H_sl, H_ll, across, g_s, g_l)
     elif L == 0:
         shared, local = -np.linalg.solve(H_ss, g_s[..., None])[..., 0], np.zeros((*b.shape[:2], 0))
     else:
@@ -196,11 +196,28 @@ def _step(
     return shared * shrink[:, None], local * shrink[:, None, None]
 
 
+def _tied(
+    across: Float[ndarray, "B N 7 N 7"], J_s: Float[ndarray, "B N 7 S"], J_l: Float[ndarray, "B N 7 L"]
+) -> tuple[Float[ndarray, "B S S"], Float[ndarray, "B N S L"], Float[ndarray, "B N L N L"]]:
+    """The Hessian between frames by the parameters: ``sum_ij Js_i^T A_ij Js_j``, ``sum_i Js_i^T A_ij Jl_j``,
+    ``Jl_i^T A_ij Jl_j``.
+    """
+    B, N, _, S = J_s.shape
+    L = J_l.shape[-1]
+    flat, tall = across.reshape(B, N * 7, N * 7), J_s.reshape(B, N * 7, S)
+    right = flat @ tall
+    ss = np.swapaxes(tall, -1, -2) @ right
+    sl = np.swapaxes(right.reshape(B, N, 7, S), -1, -2) @ J_l
+    right = np.swapaxes(flat.reshape(B, N * 7, N, 7), 1, 2) @ J_l  # (B, j, i 7, L)
+    right = np.swapaxes(right, 1, 2).reshape(B, N, 7, N * L)
+    return ss, sl, (np.swapaxes(J_l, -1, -2) @ right).reshape(B, N, L, N, L)
+
+
 def _coupled(
     H_ss: Float[ndarray, "B S S"],
     H_sl: Float[ndarray, "B N S L"],
     H_ll: Float[ndarray, "B N L L"],
-    across: Float[ndarray, "B N N L L"],
+    across: Float[ndarray, "B N L N L"],
     g_s: Float[ndarray, "B S"],
     g_l: Float[ndarray, "B N L"],
 ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
@@ -213,8 +230,8 @@ def _coupled(
     A[:, :S, S:] = np.swapaxes(H_sl, 1, 2).reshape(B, S, N * L)
     A[:, S:, :S] = np.swapaxes(A[:, :S, S:], 1, 2)
     blocks = across.copy()
-    blocks[:, n, n] += H_ll
-    A[:, S:, S:] = np.swapaxes(blocks, 2, 3).reshape(B, N * L, N * L)
+    blocks[:, n, :, n] += np.swapaxes(H_ll, 0, 1)
+    A[:, S:, S:] = blocks.reshape(B, N * L, N * L)
     step = -np.linalg.solve(A, np.concatenate([g_s, g_l.reshape(B, N * L)], axis=1)[..., None])[..., 0]
     return step[:, :S], step[:, S:].reshape(B, N, L)
 

@@ -130,7 +130,7 @@ class JointEnergy:
                 g += (Jt @ local.g[0, ..., None])[..., 0]
                 H[n, n] += Jt @ local.H[0] @ J
                 if local.across is not None:
-                    H += Jt[:, None] @ local.across[0] @ J[None]
+                    H += Jt[:, None] @ np.swapaxes(local.across[0], 1, 2) @ J[None]
         return values, g, H
 
 

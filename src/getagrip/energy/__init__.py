@@ -30,8 +30,8 @@ class Local:
     value: Float[ndarray, "B N"]
     g: Float[ndarray, "B N 7"]
     H: Float[ndarray, "B N 7 7"]
-    across: Float[ndarray, "B N N 7 7"] | None = None
-    """The Hessian between frames, of terms that tie frames to each other; nothing in ``[:, n, n]``, which is ``H``."""
+    across: Float[ndarray, "B N 7 N 7"] | None = None
+    """The Hessian between frames, of terms that tie frames to each other; ``[:, n, :, n]`` is zero, see ``H``."""
 
     def __add__(self, other: Local) -> Local:
         across = [a for a in (self.across, other.across) if a is not None]

@@ -35,7 +35,7 @@ class ContactConsistencyTerm:
     def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
         B, N = poses.centre.shape[:2]
         value, g, H = np.zeros((B, N)), np.zeros((B, N, 7)), np.zeros((B, N, 7, 7))
-        across = np.zeros((B, N, N, 7, 7))
+        across = np.zeros((B, N, 7, N, 7))
         _evaluate(
             poses.R, poses.centre, poses.scale, self.points, self.hand, self.weight, self.delta, bound,
             value, g, H, across,
@@ -45,7 +45,7 @@ class ContactConsistencyTerm:
 
 @njit(**OPTIONS)
 def _evaluate(R, centre, scale, points, hand, weight, delta, bound, value, g, H, across):
-    """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7), across (B, N, N, 7, 7)."""
+    """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7), across (B, N, 7, N, 7)."""
     B, N = value.shape
     D = len(points) * hand.shape[1]
     distance, a = np.empty((N, D)), np.empty((N, 7, D))
@@ -78,7 +78,7 @@ def _compare(distance, weight, delta, value):
 
 @njit(**OPTIONS)
 def _tie(distance, a, weight, delta, g, H, across):
-    """Fill in g (N, 7), H (N, 7, 7), across (N, N, 7, 7) from distances (N, D) and their derivatives (N, 7, D)."""
+    """Fill in g (N, 7), H (N, 7, 7), across (N, 7, N, 7) from distances (N, D) and their derivatives (N, 7, D)."""
     N, D = distance.shape
     slope, curve = np.zeros((N, D)), np.zeros((N, D))
     between, weighted = np.empty(D), np.empty((7, D))
@@ -96,7 +96,7 @@ def _tie(distance, a, weight, delta, g, H, across):
             _times(between, a[i], weighted)
             for p in range(7):
                 for q in range(7):
-                    across[i, j, p, q] = across[j, i, q, p] = -_dot(weighted[p], a[j, q])
+                    across[i, p, j, q] = across[j, q, i, p] = -_dot(weighted[p], a[j, q])
     for n in range(N):
         _times(curve[n], a[n], weighted)
         for p in range(7):

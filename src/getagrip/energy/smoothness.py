@@ -56,8 +56,9 @@ class SmoothnessTerm:
         neighbours[0] -= 1.0
         neighbours[-1] -= 1.0
         H = 2.0 * self.weight * neighbours[:, None, None] * (Jt @ J)
-        across = np.zeros((B, N, N, 7, 7))
+        across = np.zeros((B, N, 7, N, 7))
         n = np.arange(N - 1)
-        across[:, n, n + 1] = -2.0 * self.weight * (Jt[:, :-1] @ J[:, 1:])
-        across[:, n + 1, n] = np.swapaxes(across[:, n, n + 1], -1, -2)
+        block = -2.0 * self.weight * np.swapaxes(Jt[:, :-1] @ J[:, 1:], 0, 1)  # frames first, as the indexing below
+        across[:, n, :, n + 1] = block
+        across[:, n + 1, :, n] = np.swapaxes(block, -1, -2)
         return Local(value, g, H, across)
