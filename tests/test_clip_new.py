@@ -21,7 +21,7 @@ from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track
-from getagrip.mesh import write_mesh
+from getagrip.mesh import read_mesh, write_mesh
 
 SIZE = (64, 48)
 K = ("60", "60", "32", "24")
@@ -182,6 +182,7 @@ def test_a_hand_file_brings_its_frames_and_its_camera(made: Path, capsys: pytest
         (["--size-mm", "-1"], 2, "--size-mm"),
         (["--diameter-mm", "5"], 2, "both"),
         (["--mesh", "nowhere.obj"], 1, "nowhere.obj"),
+        (["--mesh", "plates"], 1, "this package's shapes: bottle, bowl"),
     ],
 )
 def test_what_does_not_fit_is_named(
@@ -206,6 +207,33 @@ def test_generated_meshes_may_have_slivers(made: Path) -> None:
     assert main(new(made, *mesh, "--focal", "60")) == 1
     fields = json.loads((made / "cup" / "clip.json").read_text())
     assert "2 faces without area" in fields["provenance"]["mesh"]
+
+
+def test_a_kind_of_object_is_a_shape_of_the_package(
+    made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its size is to be found, or stated; a file of that name comes first."""
+    monkeypatch.chdir(made)
+    base = ["--interval", "1", "3", "--side", "left", "--focal", "60", "--mesh", "plate", "--overwrite"]
+    assert main(new(made, *base)) == 1
+    fields = json.loads((made / "cup" / "clip.json").read_text())
+    assert (fields["category"], fields["scale"]) == ("plate", "free")
+    assert "this package's own plate: a guess" in fields["provenance"]["mesh"]
+    assert "warning: mesh: " in capsys.readouterr().err
+    assert main(new(made, *base, "--category", "saucer", "--size-mm", "150")) == 1
+    fields = json.loads((made / "cup" / "clip.json").read_text())
+    assert (fields["category"], fields["scale"]) == ("saucer", "known")
+    np.testing.assert_allclose(np.ptp(read_mesh(made / "cup" / "object.obj").vertices, axis=0).max(), 0.15)
+    assert main(new(made, *base, "--known-scale")) == 2
+    assert "--known-scale" in capsys.readouterr().err
+    (made / "plate").write_text("no mesh")
+    assert main(new(made, *base)) == 1
+    assert "the suffix ''" in capsys.readouterr().err
+
+
+def test_the_way_without_an_estimator_is_told(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(new(made, "--interval", "1", "3", "--side", "left", "--focal", "60", "--mesh", "mug")) == 1
+    assert capsys.readouterr().err.count(f"getagrip annotate {made / 'video.mp4'}") == 2
 
 
 def test_hands_need_a_place_to_go(made: Path, capsys: pytest.CaptureFixture[str]) -> None:

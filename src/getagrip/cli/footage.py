@@ -34,15 +34,16 @@ class ClipCommand(Command):
     """The stable grasp: its first and last frame, counted from 1."""
     side: Literal["left", "right"] | None = None
     """Which hand."""
-    mesh: OptionalFile = None
-    """The object's shape: .obj, .ply, .stl or .glb."""
+    mesh: Annotated[Path | None, arg(metavar="FILE|KIND", help_behavior_hint="")] = None
+    """The object's shape: .obj, .ply, .stl or .glb. Or, where there is no such file, the kind of a shape that this
+    package has: bottle, bowl, can, cup, glass, mug, pan, plate, saucepan, box, ..."""
     size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
     """Rescale the mesh to this largest side of its bounding box."""
     diameter_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
     """Rescale the mesh to this largest distance between two of its points."""
     known_scale: Flag = False
     """The mesh, in metres, has the object's size. Else, unless it is rescaled, its size is found with its pose."""
-    category: str = "object"
+    category: Annotated[str | None, arg(metavar="WORD", help_behavior_hint="(default: KIND, or object)")] = None
     """What it is, in a word."""
     masks: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
     """As for import masks, which can add them later."""
@@ -65,11 +66,13 @@ class ClipCommand(Command):
 
     def run(self) -> int:
         from getagrip.run.intrinsics import Lens
+        from getagrip.run.own_mesh import Wanted
         from getagrip.run.own_video import Ingredients, new_clip
 
+        sizes = (self.size_mm, self.diameter_mm, self.known_scale)
         given = Ingredients(
-            video=self.video, interval=self.interval, side=self.side, category=self.category, mesh=self.mesh,
-            side_mm=self.size_mm, diameter_mm=self.diameter_mm, known_scale=self.known_scale, masks=self.masks,
+            video=self.video, interval=self.interval, side=self.side, category=self.category,
+            mesh=None if self.mesh is None else Wanted(self.mesh, *sizes), masks=self.masks,
             mask_of_first=self.mask_first, object=self.object, ignore=self.ignore, hands=self.hands,
             lens=Lens(self.K, self.focal, self.guess_focal),
         )  # fmt: skip

@@ -23,7 +23,7 @@ from getagrip.clip.reading import read_hand
 from getagrip.clip.video import video_frames, video_info
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
-from getagrip.mesh import Mesh, checked_mesh, diameter, parse_mesh
+from getagrip.run import own_mesh
 from getagrip.run.intrinsics import Lens, intrinsics
 from getagrip.run.masks import told, write_masks
 
@@ -39,14 +39,9 @@ class Ingredients:
     interval: tuple[int, int] | None
     """First and last frame, counted from 1."""
     side: Side | None
-    category: str
-    mesh: Path | None
-    side_mm: float | None
-    """Rescale the mesh to this largest side of its bounding box."""
-    diameter_mm: float | None
-    """Rescale the mesh to this largest distance between two of its points."""
-    known_scale: bool
-    """The mesh has the object's size as it is."""
+    category: str | None
+    """What the object is; None for the kind of the mesh."""
+    mesh: own_mesh.Wanted | None
     masks: Path | None
     mask_of_first: int | None
     """The number in the name of the first frame's mask; the frame's own where it is not given."""
@@ -61,18 +56,20 @@ HOW = {
     "getagrip annotate VIDEO finds them",
     "side": "--side left|right: the hand that holds the object",
     "mesh": "--mesh FILE: the object's shape (.obj, .ply, .stl, .glb), a CAD, a scan, or what an image-to-3D tool "
-    "makes of a frame; with --size-mm or --diameter-mm if its size is known",
+    "makes of a frame; or --mesh KIND, as plate, for a shape of this package's own; with --size-mm or --diameter-mm if "
+    "its size is known",
     "camera": "--K FX FY CX CY from a calibration, or --focal PX; --guess-focal if there is none: depth and size are "
     "then guesses, too",
 }
 """How to get what a clip cannot be made without."""
 LATER = {
     "masks": "where the object is seen, and the hand: SAM 2 or any segmentation of {out}/frames, as PNG labels, COCO "
-    "or .npz; then getagrip import masks PATH --object LABEL --ignore LABEL --clip {out}",
+    "or .npz; then getagrip import masks PATH --object LABEL --ignore LABEL --clip {out}. Without a segmentation: "
+    "getagrip annotate {video} (docs/annotate.md)",
     "hands": "run an estimator on {out}/frames (docs/estimators.md); then getagrip import hands FILE... --from ... "
-    "--clip {out}",
+    "--clip {out}. Without an estimator: click joints in getagrip annotate {video} (docs/annotate.md)",
 }
-"""How to get what can be added later."""
+"""How to get what can be added later; the page of ``annotate`` makes both at once."""
 
 
 def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
@@ -101,7 +98,7 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
     numbers = _numbers(given.interval)
     names = tuple(f"{n:06d}" for n in numbers)
     K, camera = _camera(given.lens, hands, info.size)
-    mesh, scale, provenance = _mesh(given.mesh, given)
+    found = own_mesh.own_mesh(given.mesh)
     rows, track = np.arange(len(numbers)), _no_hand(len(numbers))
     of_hands = {"hands": "none yet"}
     if hands is not None:
@@ -110,19 +107,19 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
     clip = Clip(
         folder=out,
         name=out.name,
-        category=given.category,
+        category=given.category or given.mesh.kind or "object",
         side=given.side,
         fps=info.fps,
         frames=tuple(names[row] for row in rows),
         size=info.size,
         K=np.tile(K, (len(rows), 1, 1)),
-        mesh=mesh,
-        scale="known" if scale else "free",
+        mesh=found.mesh,
+        scale="known" if found.sized else "free",
         hand=track,
         provenance={
             "source": f"{given.video.name}, frames {numbers[0]} to {numbers[-1]}",
             "camera": camera,
-            **provenance,
+            **found.told,
             "masks": told(given.masks, given.object, given.ignore) if given.masks else "none yet",
             **of_hands,
         },
@@ -146,44 +143,6 @@ def _camera(lens: Lens, hands: _HandFile | None, size: tuple[int, int]) -> tuple
         return intrinsics(lens, size)
     check_intrinsics(hands.path, hands.K[None], size)
     return hands.K, f"the hand file's: {hands.told.get('camera', 'it does not say from where')}"
-
-
-def _mesh(path: Path, given: Ingredients) -> tuple[Mesh, bool, dict[str, str]]:
-    """The mesh at its size, whether that is the object's, and where it comes from."""
-    vertices, faces = parse_mesh(path)
-    told = {"mesh": path.name}
-    sizes = {"--size-mm": given.side_mm, "--diameter-mm": given.diameter_mm}
-    chosen = [(option, value) for option, value in sizes.items() if value is not None]
-    if len(chosen) > 1:
-        raise UsageError("--size-mm, --diameter-mm: got both, expected one")
-    if chosen:
-        option, value = chosen[0]
-        if not 0 < value < 1e5:
-            raise UsageError(f"{option}: got {value:g}, expected millimetres above 0")
-        finite = vertices.ndim == 2 and vertices.size > 0 and bool(np.isfinite(vertices).all())
-        now = 0.0
-        if finite:
-            now = float(np.ptp(vertices, axis=0).max() if option == "--size-mm" else diameter(vertices))
-        if now > 0:  # what is wrong with others is told below
-            vertices = vertices * (value / 1e3 / now)
-            told["scale"] = f"the mesh rescaled by {value / 1e3 / now:.6g}, to {option} {value:g}"
-    vertices, faces, dropped = _without_slivers(vertices, faces)
-    if dropped:
-        told["mesh"] += f", {dropped} faces without area left out"
-    return checked_mesh(path, vertices, faces), bool(chosen) or given.known_scale, told
-
-
-def _without_slivers(
-    vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]
-) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], int]:
-    """A mesh without its faces that have no area, of which generated meshes are full."""
-    whole = vertices.ndim == 2 and faces.ndim == 2 and faces.shape[1] == 3 and faces.size and vertices.shape[1] == 3
-    if not whole or faces.min() < 0 or faces.max() >= len(vertices) or not np.isfinite(vertices).all():
-        return vertices, faces, 0
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    kept = area >= 1e-12 * float(np.ptp(vertices, axis=0).max()) ** 2
-    return vertices, faces[kept], int(np.count_nonzero(~kept))
 
 
 @dataclass(frozen=True)
@@ -304,5 +263,5 @@ def _tell(clip: Clip, given: Ingredients, frames: int, out: Path) -> int:
             print(f"warning: {key}: {text}", file=sys.stderr)
     missing = [key for key, there in (("masks", given.masks), ("hands", given.hands)) if there is None]
     for key in missing:
-        print(f"missing: {key}: {LATER[key].format(out=out)}", file=sys.stderr)
+        print(f"missing: {key}: {LATER[key].format(out=out, video=given.video)}", file=sys.stderr)
     return 1 if missing else 0
