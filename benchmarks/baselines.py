@@ -2,8 +2,8 @@
 
     python -m benchmarks.baselines [clips]
 
-Prints a table: each method as it is, with two and four times the starts, and with two and four times the iterations of
-every stage. A method is not starved where more of either hardly lowers its energy.
+Puts a table into docs/results.md: each method as it is, with two and four times the starts, and with two and four times
+the iterations of every stage. A method is not starved where more of either hardly lowers its energy.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from statistics import mean, median
 from unittest.mock import patch
 
+from benchmarks import page
 from benchmarks.problem import Problem
 from getagrip import joint
 from getagrip.baselines import homan, homan_joint, single_frame
@@ -27,7 +28,7 @@ from getagrip.options import Method, Options
 from getagrip.reconstruct import reconstruct
 from getagrip.search import Schedule, Stage, spread
 
-METHODS: tuple[Method, ...] = ("dynamic", "contact-consistency", "homan", "single-frame")
+METHODS: tuple[Method, ...] = ("soft-hinge", "one-dof", "dynamic", "contact-consistency", "homan", "single-frame")
 FACTORS = ((1, 1), (2, 1), (4, 1), (1, 2), (1, 4))
 """Of starts and of iterations."""
 CONDITIONS = {"exact": ClipOptions(), "hamer": ClipOptions(**vars(NOISE["hamer"]))}
@@ -76,26 +77,26 @@ def score(problem: Problem, method: Method, starts: int, iterations: int) -> Sco
 
 
 def main(clips: int) -> None:
-    """Print the table, for so many clips: categories spread evenly, every second one with noise."""
+    """Write the table, for so many clips: categories spread evenly, every second one with noise."""
     problems = []
     for k, c in enumerate(spread(len(CATEGORIES), clips)):
         clip, masks = synthesise(sorted(CATEGORIES)[c], 0, tuple(CONDITIONS.values())[k % 2])
         problems.append(Problem(clip, masks, observe(masks, clip.K)))
-    print(f"{len(problems)} clips of as many categories, half of them {', half '.join(CONDITIONS)}.\n")
+    said = f"{len(problems)} clips of as many categories, half of them {', half '.join(CONDITIONS)}."
     heads = ["method", "starts", "iterations", "energy per frame", "median", "found %", "ADD %", "ADD median %", "s"]
-    print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
+    rows = []
     for method in METHODS:
         scores = {factors: [score(p, method, *factors) for p in problems] for factors in FACTORS}
         least = [min(s.energy for s in of_clip) for of_clip in zip(*scores.values(), strict=True)]
         for (starts, iterations), group in scores.items():
             energies = [s.energy for s in group]
             found = mean(s.energy < CLOSE * e for s, e in zip(group, least, strict=True))
-            print(
-                f"| {method} | x{starts} | x{iterations} | {mean(energies):.1f} | {median(energies):.1f} "
-                f"| {100 * found:.0f} | {100 * mean(s.add < 0.1 for s in group):.0f} "
-                f"| {100 * median(s.add for s in group):.1f} | {median(s.seconds for s in group):.2f} |",
-                flush=True,
-            )
+            row = [method, f"x{starts}", f"x{iterations}", f"{mean(energies):.1f}", f"{median(energies):.1f}"]
+            row += [f"{100 * found:.0f}", f"{100 * mean(s.add < 0.1 for s in group):.0f}"]
+            row += [f"{100 * median(s.add for s in group):.1f}", f"{median(s.seconds for s in group):.2f}"]
+            print(" | ".join(row), flush=True)
+            rows.append(row)
+    page.write("baselines", f"{page.circumstances()}\n\n{said}\n\n{page.table(heads, rows)}", "results.md")
 
 
 if __name__ == "__main__":
