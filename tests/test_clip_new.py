@@ -91,6 +91,8 @@ def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(content)
         with pytest.raises(InputError, match=name):
             video_info(tmp_path / name)
+    with pytest.raises(InputError, match="a folder, expected a video; ffmpeg"):
+        video_info(tmp_path)
 
 
 def test_everything_at_once(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -176,7 +178,8 @@ def test_a_hand_file_brings_its_frames_and_its_camera(made: Path, capsys: pytest
     [
         (["--interval", "3", "30"], 1, "no mask of 18 of 28 frames"),
         (["--interval", "8", "3"], 2, "--interval"),
-        (["--object", "7"], 1, "without a pixel"),
+        (["--object", "7"], 1, "without a pixel of the object; there are 0, 1, 2"),
+        (["--masks", "nowhere"], 1, "no such file or folder"),
         (["--K", "60", "60", "32000", "24"], 2, "--K"),
         (["--focal", "60"], 2, "--K, --focal"),
         (["--size-mm", "-1"], 2, "--size-mm"),
@@ -234,6 +237,13 @@ def test_a_kind_of_object_is_a_shape_of_the_package(
 def test_the_way_without_an_estimator_is_told(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(new(made, "--interval", "1", "3", "--side", "left", "--focal", "60", "--mesh", "mug")) == 1
     assert capsys.readouterr().err.count(f"getagrip annotate {made / 'video.mp4'}") == 2
+
+
+def test_a_wrong_label_is_told_before_there_are_hands(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    masks = ["--masks", str(made / "masks"), "--object", "7"]
+    assert main(new(made, "--interval", "1", "3", "--side", "left", "--focal", "60", "--mesh", "mug", *masks)) == 1
+    assert "there are 0, 1, 2" in capsys.readouterr().err
+    assert not (made / "cup").exists()
 
 
 def test_hands_need_a_place_to_go(made: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import struct
 import zlib
 from collections.abc import Callable
@@ -24,6 +25,7 @@ from getagrip.clip.label_images import read_labels
 from getagrip.clip.mask_sources import Wanted, open_masks
 from getagrip.clip.segments import polygons, region, run_lengths
 from getagrip.errors import InputError, UsageError
+from getagrip.run.masks import write_masks
 
 SIZE = (20, 14)
 FRAMES = ("000003", "000004")
@@ -129,6 +131,17 @@ def test_several_labels_have_to_be_chosen_from(tmp_path: Path, refused: Callable
     np.testing.assert_array_equal(seen, labels()[0] == 1)
     with pytest.raises(UsageError, match="--object"):
         open_masks(folder, Wanted(FRAMES, SIZE, ("cup",)))
+
+
+def test_labels_that_are_there_are_named_where_another_was_chosen(tmp_path: Path, refused: Callable[..., str]) -> None:
+    wanted = Wanted(FRAMES, SIZE, ("7",))
+    for source, told in [(label_folder(tmp_path / "labels"), "0, 1, 2, 3"), (coco(tmp_path / "c.json"), "cup, hand, ")]:
+        reader = open_masks(source, wanted)
+        refused(lambda read=reader: write_masks(read, FRAMES, tmp_path / "out"), f"there are {told}")
+        shutil.rmtree(tmp_path / "out")
+    (tmp_path / "jpg").mkdir()
+    cv2.imwrite(str(tmp_path / "jpg" / "000001.jpg"), np.zeros((4, 4), np.uint8))
+    refused(lambda: open_masks(tmp_path / "jpg", wanted), "000001.jpg is no PNG")
 
 
 def test_missing_frames_are_named(tmp_path: Path, refused: Callable[..., str]) -> None:

@@ -13,7 +13,7 @@ as #rrggbb, or a category's name.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +27,24 @@ from getagrip.clip.naming import frame_of
 from getagrip.clip.segments import region, union
 from getagrip.errors import InputError, UsageError
 
+LOSSY = {".jpg", ".jpeg", ".webp"}
 MaskPair = tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]
 """Where the object is seen, and what to ignore."""
-MaskReader = Callable[[int], MaskPair]
-"""The masks of a frame, by its index. Raises ``InputError``."""
+MOST_TOLD = 12
+"""Labels that an error lists."""
+
+
+@dataclass(frozen=True)
+class MaskReader:
+    """The masks of a frame, by its index. Calling it raises ``InputError``."""
+
+    source: Path
+    read: Callable[[int], MaskPair]
+    others: set[str] = field(default_factory=set)
+    """Labels that were met so far in frames without the object, for an error about a label that is nowhere."""
+
+    def __call__(self, n: int) -> MaskPair:
+        return self.read(n)
 
 
 @dataclass(frozen=True)
@@ -55,7 +69,8 @@ def open_masks(path: Path, wanted: Wanted) -> MaskReader:
         return _arrays(path, wanted)
     if path.suffix == ".json":
         return _coco(path, wanted)
-    raise InputError(path, "", "no folder, .json or .npz", "masks: a folder of PNG, COCO's JSON, or arrays")
+    given = "no folder, .json or .npz" if path.exists() else "no such file or folder"
+    raise InputError(path, "", given, "masks: a folder of PNG, COCO's JSON, or arrays")
 
 
 def _own_folder(folder: Path, wanted: Wanted) -> MaskReader:
@@ -70,13 +85,13 @@ def _own_folder(folder: Path, wanted: Wanted) -> MaskReader:
         ignored = np.zeros_like(mask) if hidden is None else read_labels(hidden[n], wanted.size) != 0
         return mask, ignored & ~mask
 
-    return read
+    return MaskReader(folder, read)
 
 
 def _label_folder(folder: Path, wanted: Wanted) -> MaskReader:
     """A folder of label images."""
     paths, choose = _pngs(folder, wanted.frames), _Chooser(wanted)
-    return lambda n: choose(paths[n], read_labels(paths[n], wanted.size))
+    return MaskReader(folder, lambda n: choose(paths[n], read_labels(paths[n], wanted.size)), choose.others)
 
 
 def _pngs(folder: Path, frames: Sequence[str]) -> list[Path]:
@@ -90,7 +105,9 @@ def _pngs(folder: Path, frames: Sequence[str]) -> list[Path]:
             found[n] = path
     missing = [frame for n, frame in enumerate(frames) if n not in found]
     if missing:
+        other = next((path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in LOSSY), None)
         given = f"no mask of {len(missing)} of {len(frames)} frames (first: {files.plain(missing[0])})"
+        given += f"; {files.plain(other)} is no PNG, and has no labels" if other and not found else ""
         raise InputError(folder, "", given, f"a PNG for each frame, named like it, as {files.plain(missing[0])}.png")
     return [found[n] for n in range(len(frames))]
 
@@ -102,20 +119,28 @@ class _Chooser:
         self.object = [label_value(text, "--object") for text in wanted.object]
         self.ignore = [label_value(text, "--ignore") for text in wanted.ignore]
         self.only: int | None = None
+        self.others: set[str] = set()
 
     def __call__(self, path: Path, labels: Int[ndarray, "H W"]) -> MaskPair:
         """Raises ``InputError`` where no label is named and there are several."""
         ignored = np.isin(labels, self.ignore)
         if self.object:
             seen = np.isin(labels, self.object)
+            if not seen.any() and len(self.others) < MOST_TOLD:
+                self.others.update(map(_told, np.unique(labels)[:MOST_TOLD].tolist()))
             return seen, ignored & ~seen
         seen = (labels != 0) & ~ignored
         there = np.unique(labels[seen])
         self.only = int(there[0]) if self.only is None and there.size else self.only
         if there.size > 1 or (there.size and there[0] != self.only):
-            some = ", ".join(str(value) for value in np.union1d(there, [self.only or there[0]])[:8])
+            some = ", ".join(map(_told, np.union1d(there, [self.only or there[0]])[:MOST_TOLD].tolist()))
             raise InputError(path, "labels", f"several, {some}", "one, or the object's named by --object")
         return seen, ignored
+
+
+def _told(label: int) -> str:
+    """A label as it can be given."""
+    return str(label) if label < 2**16 else f"#{label:06x}"
 
 
 def _arrays(path: Path, wanted: Wanted) -> MaskReader:
@@ -133,13 +158,13 @@ def _arrays(path: Path, wanted: Wanted) -> MaskReader:
     rows = _rows(path, given, len(given[key]), wanted.frames)
     choose = _Chooser(wanted)
     if key == "labels":
-        return lambda n: choose(path, given["labels"][rows[n]].astype(np.int64))
+        return MaskReader(path, lambda n: choose(path, given["labels"][rows[n]].astype(np.int64)), choose.others)
 
     def read(n: int) -> MaskPair:
         mask = given["object"][rows[n]] != 0
         return mask, (given["ignore"][rows[n]] != 0) & ~mask if "ignore" in given else np.zeros_like(mask)
 
-    return read
+    return MaskReader(path, read)
 
 
 def _rows(path: Path, given: dict[str, ndarray], count: int, frames: Sequence[str]) -> list[int]:
@@ -200,7 +225,8 @@ def _coco(path: Path, wanted: Wanted) -> MaskReader:
             pair.append(union(parts, wanted.size))
         return pair[0], pair[1] & ~pair[0]
 
-    return read
+    there = {str(item["category_id"]) for item in annotations}
+    return MaskReader(path, read, {names.get(label, label) for label in sorted(there)[:MOST_TOLD]})
 
 
 def _objects(path: Path, content: dict[str, Any], key: str, needed: bool = True) -> list[dict[str, Any]]:

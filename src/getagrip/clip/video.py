@@ -59,6 +59,8 @@ def open_video(path: Path) -> InputContainer:
     import av
     from av.error import FFmpegError
 
+    if path.is_dir():
+        raise InputError(path, "", "a folder", "a video; ffmpeg -i %06d.jpg video.mp4 makes one of images")
     if not path.is_file():
         raise InputError(path, "", "no such file", "a video")
     options = {"protocol_whitelist": "file", "format_whitelist": FORMATS}

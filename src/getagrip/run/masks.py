@@ -34,8 +34,6 @@ def into_clip(
     reader = open_masks(source, Wanted(names, outline.size, objects, ignore))
     with files.new_folder(target, overwrite) as new:
         seen = write_masks(reader, outline.frames, new)
-        if not seen:
-            raise InputError(source, "", "masks without a pixel of the object", "masks that show it")
     fields = dict(outline.fields)
     fields["provenance"] = dict(fields["provenance"]) | {"masks": told(source, objects, ignore)}
     part = outline.folder / f".clip.json.{os.getpid()}"
@@ -46,7 +44,10 @@ def into_clip(
 
 
 def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> int:
-    """Write the masks of all frames, one at a time in memory; returns in how many the object is seen."""
+    """Write the masks of all frames, one at a time in memory; returns in how many the object is seen.
+
+    Raises ``InputError`` where it is seen in none.
+    """
     import cv2
 
     seen = 0
@@ -56,6 +57,9 @@ def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> in
         for kind, mask in zip(("object", "ignore"), reader(n), strict=True):
             cv2.imwrite(str(folder / kind / f"{name}.png"), mask.astype(np.uint8) * 255)
             seen += int(kind == "object" and mask.any())
+    if not seen:
+        there = f"; there are {', '.join(sorted(reader.others))}" if reader.others else ""
+        raise InputError(reader.source, "", f"masks without a pixel of the object{there}", "masks that show it")
     return seen
 
 
