@@ -8,6 +8,7 @@ import pickle
 import struct
 import sys
 import types
+from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -245,8 +246,9 @@ def test_hawor(tmp_path: Path, mano_folder: Path, side: Side) -> None:
         read([path], "hawor", reading(side, mano_folder))
 
 
-def frankmocap_record(known: Known, n: int) -> dict[str, Any]:
-    """What FrankMocap writes: vertices about an origin of its own, in a crop whose pixels the image's are scaled to."""
+def frankmocap_record(known: Known, n: int, mean: ndarray | float = 0.0) -> dict[str, Any]:
+    """What FrankMocap's ``save_pred_to_pkl`` writes: fingers relative to a mean pose, vertices about an origin of its
+    own, in a crop whose pixels the image's are scaled to, an empty dictionary for the hand that was not seen."""
     origin = known.t[n] + [0.08, 0.01, 0.0]
     ratio, corner = 0.9, np.array([180.0, 110.0])
     s = K[0, 0] / origin[2] * ratio / 112.0
@@ -254,16 +256,17 @@ def frankmocap_record(known: Known, n: int) -> dict[str, Any]:
     shift = ((u - corner) * ratio / 112.0 - 1.0) / s
     hand = {
         "pred_camera": np.array([s, *shift]),
-        "bbox_scale_ratio": ratio,
-        "bbox_top_left": corner,
-        "pred_hand_pose": np.array([[*se3.log_so3(known.R[n]), *known.pose[n]]]),
+        "bbox_scale_ratio": np.float64(ratio),
+        "bbox_top_left": tuple(np.int64(corner)),
+        "pred_hand_pose": np.array([[*se3.log_so3(known.R[n]), *(known.pose[n] - mean)]]),
         "pred_hand_betas": np.ones((1, 10)),
         "pred_vertices_smpl": (known.vertices[n] - origin).astype(np.float64),
     }
     seen = corner + 112.0 / ratio * (1.0 + s * shift)  # convert_smpl_to_bbox, convert_bbox_to_oriIm at X = 0
     np.testing.assert_allclose(seen, u)
-    hands = {"left_hand": None, "right_hand": None} | {f"{known.side}_hand": hand}
-    return {"image_path": "x.jpg", "demo_type": "hand", "hand_bbox_list": [], "pred_output_list": [hands]}
+    hands = {"left_hand": {}, "right_hand": {}} | {f"{known.side}_hand": hand}
+    boxes = [{"left_hand": None, "right_hand": np.zeros(4)}, None]
+    return OrderedDict(image_path="x.jpg", demo_type="hand", hand_bbox_list=boxes, pred_output_list=[hands, None])
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -276,12 +279,23 @@ def test_frankmocap(tmp_path: Path, mano_folder: Path, side: Side) -> None:
     T = se3.rigid(known.R, model.joints[0] - known.R @ model.joints[0] + known.t)
     posed = model.with_pose(known.pose)
     flat.vertices, flat.joints = se3.transform(T, posed.vertices), se3.transform(T, posed.joints)
+    mean = mano.load(mano_folder / "MANO_RIGHT.pkl", "right").mean
+    mean = mirrored_pose(mean) if side == "left" else mean
     paths = []
     for n, name in enumerate(FRAMES):
         paths.append(tmp_path / f"{name}_prediction_result.pkl")
-        paths[-1].write_bytes(pickle.dumps(frankmocap_record(flat, n)))
+        paths[-1].write_bytes(pickle.dumps(frankmocap_record(flat, n, mean)))
     hands = read(paths, "frankmocap", reading(side, mano_folder))
     np.testing.assert_allclose(joints_of(hands), flat.joints, atol=1e-6)
+    with pytest.raises(UsageError, match="--mano"):
+        read(paths, "frankmocap", reading(side))
+    with pytest.raises(InputError, match=f"no {'left' if side == 'right' else 'right'} hand"):
+        read(paths, "frankmocap", reading("left" if side == "right" else "right", mano_folder))
+    other = frankmocap_record(flat, 0)
+    del other["pred_output_list"][0][f"{side}_hand"]["pred_vertices_smpl"]
+    paths[0].write_bytes(pickle.dumps(other))
+    with pytest.raises(InputError, match="--save_mesh"):
+        read(paths, "frankmocap", reading(side, mano_folder))
     other = frankmocap_record(flat, 0)
     other["pred_output_list"][0][f"{side}_hand"]["pred_hand_pose"] = np.full((1, 48), 1.0)
     paths[0].write_bytes(pickle.dumps(other))
@@ -450,7 +464,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, refused: Callable[..., str], key
     refused(lambda: read([path], "hamer", reading("right")), str(path), key)
 
 
-def test_no_code_is_run(tmp_path: Path, refused: Callable[..., str]) -> None:
+def test_no_code_is_run(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
     class Hostile:
         def __reduce__(self) -> tuple[Any, ...]:
             return Path.touch, (tmp_path / "was-run",)
@@ -458,13 +472,13 @@ def test_no_code_is_run(tmp_path: Path, refused: Callable[..., str]) -> None:
     path = tmp_path / "000007_prediction_result.pkl"
     for content in (Hostile(), {"pred_output_list": [Hostile()]}):
         path.write_bytes(pickle.dumps(content))
-        refused(lambda: read([path], "frankmocap", reading("right")), str(path), "nothing in it was run")
+        refused(lambda: read([path], "frankmocap", reading("right", mano_folder)), str(path), "nothing in it was run")
     np.save(tmp_path / "j.npy", np.array([Hostile()], dtype=object), allow_pickle=True)
     refused(lambda: read([tmp_path / "j.npy"], "joints", reading("right", order="openpose")), "j.npy")
     assert not (tmp_path / "was-run").exists()
 
 
-def test_nested_and_lying_files(tmp_path: Path, refused: Callable[..., str]) -> None:
+def test_nested_and_lying_files(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
     bomb = tmp_path / "7_9.json"
     bomb.write_text('{"init_trans":' + "[" * 100_000 + "]" * 100_000 + "}")
     refused(lambda: read([bomb], "hawor", reading("right", focal=600.0)), str(bomb))
@@ -472,7 +486,7 @@ def test_nested_and_lying_files(tmp_path: Path, refused: Callable[..., str]) -> 
     itself["pred_output_list"] = [itself]
     path = tmp_path / "000007.pkl"
     path.write_bytes(pickle.dumps(itself))
-    refused(lambda: read([path], "frankmocap", reading("right")), str(path))
+    refused(lambda: read([path], "frankmocap", reading("right", mano_folder)), str(path))
     header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999, 21, 3), }".ljust(117) + b"\n"
     lying = tmp_path / "j.npy"
     lying.write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + b"\0" * 64)
@@ -481,7 +495,7 @@ def test_nested_and_lying_files(tmp_path: Path, refused: Callable[..., str]) -> 
 
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_damaged_files_are_refused_or_read(tmp_path: Path, data: st.DataObject) -> None:
+def test_damaged_files_are_refused_or_read(tmp_path: Path, mano_folder: Path, data: st.DataObject) -> None:
     """Truncated files and swapped bytes: an error of this package's that names the file, or plausible numbers."""
     known = Known("right", None)
     source, name = data.draw(
@@ -505,7 +519,7 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path, data: st.DataObject) 
             content[a], content[b] = content[b], content[a]
     path.write_bytes(bytes(content))
     try:
-        hands = read([path], source, reading("right", focal=600.0))
+        hands = read([path], source, reading("right", mano_folder if source == "frankmocap" else None, focal=600.0))
     except InputError as error:
         assert path.name in str(error)  # noqa: PT017
     else:

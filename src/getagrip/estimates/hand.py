@@ -59,7 +59,7 @@ def track(estimates: Estimates, folder: Path | None) -> tuple[HandTrack, str]:
         what = f"MANO's {side} hand"
     T_cam_hand = root_transform(R, t, root)
     if all(hand.vertices is not None for hand in seen):
-        T_cam_hand = _onto_vertices(estimates, posed, T_cam_hand, isinstance(folder, Path))
+        T_cam_hand = _onto_vertices(estimates, posed, T_cam_hand)
     return hand_track(posed, T_cam_hand), what
 
 
@@ -95,19 +95,18 @@ def _mirrored_right(
 
 
 def _onto_vertices(
-    estimates: Estimates, posed: PosedHand, T_cam_hand: Float[ndarray, "T 4 4"], same_vertices: bool
+    estimates: Estimates, posed: PosedHand, T_cam_hand: Float[ndarray, "T 4 4"]
 ) -> Float[ndarray, "T 4 4"]:
-    """Hands moved such that the means of their vertices are where those of the estimator's are.
+    """MANO's hands moved such that the means of their vertices are where those of the estimator's are.
 
-    Raises ``InputError`` where MANO's vertices then still are far from the estimator's.
+    Raises ``InputError`` where the vertices then still are far from the estimator's.
     """
     given = np.array([hand.seen.vertices for hand in estimates.hands])
     ours = se3.transform(T_cam_hand, posed.vertices)
     shift = given.mean(axis=1) - ours.mean(axis=1)
-    if same_vertices:
-        off = np.sqrt(np.mean(np.sum((ours + shift[:, None] - given) ** 2, axis=-1), axis=1))
-        if off.max() > DISAGREES:
-            worst = estimates.hands[int(np.argmax(off))]
-            given_words = f"vertices {1e3 * off.max():.0f} mm from MANO's in the same pose"
-            raise InputError(worst.path, "pred_vertices_smpl", given_words, "the hand of pred_hand_pose")
+    off = np.sqrt(np.mean(np.sum((ours + shift[:, None] - given) ** 2, axis=-1), axis=1))
+    if off.max() > DISAGREES:
+        worst = estimates.hands[int(np.argmax(off))]
+        given_words = f"vertices {1e3 * off.max():.0f} mm from MANO's in the same pose"
+        raise InputError(worst.path, "pred_vertices_smpl", given_words, "the hand of pred_hand_pose")
     return se3.rigid(None, shift) @ T_cam_hand

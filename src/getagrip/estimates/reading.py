@@ -74,10 +74,11 @@ def read(paths: Sequence[Path], source: Source, reading: Reading) -> Hands:
     """
     if source == "joints":
         return _joints(paths, reading)
+    mean = frankmocap.mean_pose(reading.mano, reading.side) if source == "frankmocap" else np.zeros(45)
     hands: list[NamedHand] = []
     depths: Counter[str] = Counter()
     for path, record, frame in _rows(paths, source, reading):
-        seen, depth = _seen(path, record, source, reading, frame)
+        seen, depth = _seen(path, record, source, reading, frame, mean)
         hands.append(NamedHand(path, reading.frames[frame], seen))
         depths[depth] += 1
     if source == "mano":
@@ -95,7 +96,7 @@ def read(paths: Sequence[Path], source: Source, reading: Reading) -> Hands:
     name = NAMES.get(source, "MANO parameters")
     size = "MANO's shape parameters, as estimated" if reading.mano else "the estimator's joints, or the mean hand"
     if source == "frankmocap":
-        size = "the mean hand" if reading.mano else "the mean of the generic hand"
+        size = "the mean hand"
     provenance = {
         "hands": f"{name}: {what}",
         "hands_focal": "; ".join(depths) + _guess(source),
@@ -167,10 +168,12 @@ def _rows(paths: Sequence[Path], source: Source, reading: Reading) -> Iterator[t
             yield path, hand, frame
 
 
-def _seen(path: Path, record: records.Record, source: Source, reading: Reading, frame: int) -> tuple[Seen, str]:
+def _seen(
+    path: Path, record: records.Record, source: Source, reading: Reading, frame: int, mean: Float[ndarray, "45"]
+) -> tuple[Seen, str]:
     camera = reading.camera(frame)
     if source == "frankmocap":
-        return frankmocap.seen(path, record, camera)
+        return frankmocap.seen(path, record, camera, mean)
     if source == "hawor":
         if reading.focal is None:
             raise UsageError("--estimator-focal: got nothing, expected the focal length that HaWoR was run with [px]")

@@ -81,6 +81,7 @@ def _allowed() -> dict[tuple[str, str], Any]:
         ("numpy", "ndarray"): ndarray,
         ("numpy", "dtype"): np.dtype,
         ("_codecs", "encode"): _latin1,
+        ("collections", "OrderedDict"): dict,
         ("copy_reg", "_reconstructor"): _reconstructor,
         ("copyreg", "_reconstructor"): _reconstructor,
         ("__builtin__", "object"): object,
