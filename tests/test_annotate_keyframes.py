@@ -330,6 +330,12 @@ def iou(a: np.ndarray, b: np.ndarray) -> float:
     return float((a & b).sum() / (a | b).sum())
 
 
+def word(basis: dict[str, Any], draft: dict[str, Any]) -> str:
+    """What a draft's frame would be made of now."""
+    (found,) = (word for first, last, word in basis[draft["kind"]] if first <= draft["frame"] <= last)
+    return str(found)
+
+
 def test_frames_between_are_filled_in_and_again_after_a_correction(clicking: Clicking) -> None:
     clicking.label(FIRST)
     clicking.label(LAST)
@@ -337,7 +343,7 @@ def test_frames_between_are_filled_in_and_again_after_a_correction(clicking: Cli
     basis, drafts = clicking.state()["basis"], clicking.project.drafts(clicking.about, 0)["drafts"]
     found = {(one["kind"], one["frame"]): one for one in drafts}
     assert found.keys() == {(kind, n) for kind in ("masks", "hand") for n in range(FIRST, LAST + 1)}
-    assert all(one["basis"] == basis[one["kind"]] for one in drafts)
+    assert all(one["basis"] == word(basis, one) for one in drafts)
     for n in range(FIRST, LAST + 1):
         assert iou(filled(found["masks", n]["content"]["object"]), filled([circle(n)])) > 0.9
         assert found["masks", n]["content"]["number"] == n + 1
@@ -350,9 +356,14 @@ def test_frames_between_are_filled_in_and_again_after_a_correction(clicking: Cli
     assert clicking.work("propagate")["state"] == "done"
     again = clicking.project.drafts(clicking.about, newest)["drafts"]
     assert {one["kind"] for one in again} == {"masks"}  # the hand is as it was
-    assert all(one["basis"] == clicking.state()["basis"]["masks"] for one in again)
+    assert {one["frame"] for one in again} == {*range(FIRST + 1, LAST)}  # the two ends, too
+    assert all(one["basis"] == word(clicking.state()["basis"], one) for one in again)
     assert clicking.work("propagate")["state"] == "done"
     assert clicking.state()["drafts"] == again[-1]["seq"]  # nothing to be done
+    clicking.click(8, outlines=disc(8))
+    assert clicking.work("propagate")["state"] == "done"
+    between = clicking.project.drafts(clicking.about, again[-1]["seq"])["drafts"]
+    assert {one["frame"] for one in between} == {*range(7, LAST)}  # those before the neighbour are as they were
 
 
 def test_too_little_to_work_with_is_told(clicking: Clicking) -> None:

@@ -8,10 +8,12 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.annotate.labels import FRONT, OBJECT
-from getagrip.annotate.propagated_masks import propagate
+from getagrip.annotate.propagated_masks import propagate, stretches
 from getagrip.errors import UsageError
 
 SIZE = (240, 180)
@@ -143,6 +145,29 @@ def test_images_may_be_smaller_than_masks() -> None:
         return image, np.kron(labels, np.ones((3, 3), np.uint8))
 
     assert worst(carried((0, 5), large, last=5))[0] > 0.95
+
+
+@given(keys=st.sets(st.integers(3, 12), min_size=1), ends=st.tuples(st.integers(0, 3), st.integers(12, 15)))
+def test_every_frame_is_in_one_stretch_with_the_keys_about_it(keys: set[int], ends: tuple[int, int]) -> None:
+    found = list(stretches(keys, *ends))
+    assert [n for one in found for n in range(one.first, one.last + 1)] == list(range(ends[0], ends[1] + 1))
+    for one in found:
+        for n in range(one.first, one.last + 1):
+            about = [max(k for k in keys if k <= n)] if min(keys) <= n else []
+            about += [min(k for k in keys if k >= n)] if max(keys) >= n else []
+            assert {*one.keys} == {*about}
+
+
+def test_a_changed_key_changes_the_frames_up_to_its_neighbours_only() -> None:
+    """The others need not be made again."""
+    keys = {n: drawn(n)[1] for n in (1, 4, 6)}
+    before = {n: labels for n, labels, _ in propagate(lambda n: drawn(n)[0], keys, 0, LAST)}
+    keys[6] = np.where(drawn(6)[1] == OBJECT, 0, FRONT).astype(np.uint8)
+    after = {n: labels for n, labels, _ in propagate(lambda n: drawn(n)[0], keys, 0, LAST)}
+    assert {n for n in before if not np.array_equal(before[n], after[n])} == {*range(5, LAST + 1)}
+    again = {n: labels for n, labels, _ in propagate(lambda n: drawn(n)[0], keys, 0, LAST, range(5))}
+    assert again.keys() == {*range(5, LAST + 1)}
+    assert all(np.array_equal(after[n], labels) for n, labels in again.items())
 
 
 def test_what_cannot_be_propagated_is_refused() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from typing import Any
 
 import numpy as np
@@ -45,12 +45,13 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
     return out
 
 
-def masks(labels: Labels, image: Images) -> Iterator[tuple[int, dict[str, Any]]]:
+def masks(labels: Labels, image: Images, known: Container[int] = ()) -> Iterator[tuple[int, dict[str, Any]]]:
     """Each frame with the outlines of the object and of what is in front of it [px], and how sure they are (0 to 1).
 
-    Raises ``UsageError`` as ``propagate`` does.
+    Stretches between key frames of which all frames are ``known`` are left out. Raises ``UsageError`` as ``propagate``
+    does.
     """
-    for frame, drawn, confidence in propagate(image, labels.label_maps(), labels.first, labels.last):
+    for frame, drawn, confidence in propagate(image, labels.label_maps(), labels.first, labels.last, known):
         yield (
             frame,
             {

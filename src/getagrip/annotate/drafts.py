@@ -45,10 +45,9 @@ class Drafts:
         keys = ("seq", "kind", "frame", "basis")
         return [dict(zip(keys, row, strict=False)) | {"content": json.loads(row[-1])} for row in rows]
 
-    def count(self, grasp: str, kind: str, basis: str) -> int:
-        """How many drafts there are that were made of something."""
-        query = "SELECT count(*) FROM drafts WHERE grasp = ? AND kind = ? AND basis = ?"
-        return int(self.database.rows(query, (grasp, kind, basis))[0][0])
+    def bases(self, grasp: str, kind: str) -> dict[int, str]:
+        """By frame, what the drafts that there are were made of."""
+        return dict(self.database.rows("SELECT frame, basis FROM drafts WHERE grasp = ? AND kind = ?", (grasp, kind)))
 
     def newest(self, grasp: str) -> int:
         """A number that grows with every draft of a grasp."""

@@ -24,6 +24,7 @@ from getagrip.annotate.footage import Footage
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.labels import Labels
 from getagrip.annotate.marks import Mark
+from getagrip.annotate.propagated_masks import stretches
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, open_footage
 from getagrip.annotate.versions import RefusedError
@@ -31,6 +32,10 @@ from getagrip.errors import UsageError
 from getagrip.files import shown
 from getagrip.hands.model import Side
 from getagrip.run.intrinsics import Lens, intrinsics
+
+
+Basis = dict[str, list[tuple[int, int, str]]]
+"""Of the "masks" and the "hand": first and last frame, and what drafts of these are made of, in a word."""
 
 
 @dataclass(frozen=True)
@@ -181,8 +186,8 @@ class Labelling:
     def _own(self, grasp: Grasp) -> list[KeyFrame]:
         return self.store.keyframes.standing(grasp.mark.mark, grasp.mark.annotator)
 
-    def _basis(self, grasp: Grasp, own: Sequence[KeyFrame]) -> dict[str, str | None]:
-        """What drafts of each kind are made of now, in a word; None where there is nothing."""
+    def _basis(self, grasp: Grasp, own: Sequence[KeyFrame]) -> Basis:
+        """What drafts of each kind are made of now; nothing where there is nothing to make them of."""
         first, last = grasp.extent
         frames = [(one, one.labels()) for one in own if first <= one.frame <= last]
         masks = {
@@ -191,9 +196,10 @@ class Labelling:
             if said.object is not None
         }
         hand = {one.frame: one.joints for one, said in frames if said.joints is not None}
+        between = stretches(masks, first, last) if masks else ()
         return {
-            "masks": _word(first, last, masks) if masks else None,
-            "hand": _word(first, last, hand, grasp.side, asdict(self.lens)) if hand else None,
+            "masks": [(one.first, one.last, _word({n: masks[n] for n in one.keys})) for one in between],
+            "hand": [(first, last, _word(first, last, hand, grasp.side, asdict(self.lens)))] if hand else [],
         }
 
     def _check_joints(self, grasp: Grasp, said: Labels) -> None:
@@ -204,23 +210,25 @@ class Labelling:
                 number = grasp.footage.number(n)
                 raise RefusedError(f"frame {number} has {count} joints: click {FEWEST} at least, or delete them")
 
-    def _draft(self, grasp: Grasp, said: Labels, basis: Mapping[str, str | None], job: Job) -> str:
+    def _draft(self, grasp: Grasp, said: Labels, basis: Basis, job: Job) -> str:
         """Make drafts of both kinds where those that are there were made of something else."""
         from getagrip.annotate import drafting
 
         drafts, key, frames = self.store.drafts, grasp.mark.mark, said.last - said.first + 1
-        wanted = {kind: word for kind, word in basis.items() if word and drafts.count(key, kind, word) < frames}
+        words = {kind: {n: word for a, b, word in rows for n in range(a, b + 1)} for kind, rows in basis.items()}
+        made = {kind: drafts.bases(key, kind) for kind in basis}
+        known = {kind: {n for n, word in rows.items() if made[kind].get(n) == word} for kind, rows in words.items()}
         wrong: UsageError | None = None
         with closing(open_footage(_path(grasp))) as footage:
-            if word := wanted.get("hand"):
+            if len(known["hand"]) < len(words["hand"]):
                 K, _ = intrinsics(self.lens, said.size)
                 try:
-                    drafts.put(key, "hand", word, drafting.hand(said, K, footage.image))
+                    drafts.put(key, "hand", words["hand"][said.first], drafting.hand(said, K, footage.image))
                 except UsageError as error:  # outlines can be filled in nevertheless
                     wrong = error
-            if word := wanted.get("masks"):
-                for n, content in drafting.masks(said, footage.image):
-                    drafts.put(key, "masks", word, {n: content | {"number": footage.number(n)}})
+            if len(known["masks"]) < len(words["masks"]):
+                for n, content in drafting.masks(said, footage.image, known["masks"]):
+                    drafts.put(key, "masks", words["masks"][n], {n: content | {"number": footage.number(n)}})
                     job.report(n - said.first + 1, frames)
         if wrong is not None:
             raise wrong

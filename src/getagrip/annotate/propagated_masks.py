@@ -1,7 +1,7 @@
 """From outlines drawn on a few frames to masks of every frame: dense optical flow, GrabCut along the border.
 
 Each mask is carried as a signed distance from its border, frame by frame: from the key before forwards, from the key
-after backwards. Where a pixel of the new frame was in the old one is told by dense inverse search (DIS; Kroeger,
+after backwards; it depends on these two keys alone. Where a pixel of the new frame was in the old one is told by dense inverse search (DIS; Kroeger,
 Timofte, Dai, Van Gool, "Fast Optical Flow using Dense Inverse Search", ECCV 2016). After each step GrabCut (Rother,
 Kolmogorov, Blake, SIGGRAPH 2004) draws the border anew in a narrow band, so that errors do not grow. The two are
 blended, each the more the nearer its key is; what has come into the image since one key is known from the other only.
@@ -13,7 +13,7 @@ steps since the key multiplied.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -69,24 +69,53 @@ class Carried(NamedTuple):
     trust: float
 
 
-def propagate(image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int) -> Iterator[Propagated]:
+class Stretch(NamedTuple):
+    """Frames in a row whose masks come from the same keys."""
+
+    first: int
+    last: int
+    keys: tuple[int, ...]
+    """The frame itself where it is one; else the keys before and after, as far as there are."""
+
+
+def stretches(keys: Iterable[int], first: int, last: int) -> Iterator[Stretch]:
+    """The frames ``first`` to ``last``, both included and in order, by the keys that their masks come from."""
+    for before, after in pairwise([None, *sorted(keys), None]):
+        if before is not None:
+            yield Stretch(before, before, (before,))
+        start, end = first if before is None else before + 1, last if after is None else after - 1
+        if start <= end:
+            yield Stretch(start, end, tuple(key for key in (before, after) if key is not None))
+
+
+def propagate(
+    image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int, known: Container[int] = ()
+) -> Iterator[Propagated]:
     """The masks of the frames ``first`` to ``last``, both included, in order; those of keys are as they are given.
 
-    Images are asked for from one key to the next and back again. Raises ``UsageError`` where no key shows the object,
-    keys are outside the interval or of different sizes.
+    Stretches of which all frames are ``known`` are left out. Images are asked for from one key to the next and back
+    again. Raises ``UsageError`` where no key shows the object, keys are outside the interval or of different sizes.
     """
     _check(keys, first, last)
-    frames = sorted(keys)
+    for stretch in stretches(keys, first, last):
+        if not all(n in known for n in range(stretch.first, stretch.last + 1)):
+            yield from _filled(image, {n: keys[n] for n in stretch.keys}, stretch)
+
+
+def _filled(image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], stretch: Stretch) -> Iterator[Propagated]:
+    """The masks of a stretch from its own keys."""
+    first, last, (before, after) = stretch.first, stretch.last, (min(keys), max(keys))
+    if first in keys:
+        yield Propagated(first, keys[first], 1.0)
+        return
     size = _working_size(keys)
-    back = list(_carry(image, keys, frames[0], first, size))
-    yield from (_propagated(each, each.trust, keys, size) for each in back[::-1])
-    for start, end in pairwise(frames):
-        yield Propagated(start, keys[start], 1.0)
-        back = list(_carry(image, keys, end, start + 1, size))[::-1]
-        for one, other in zip(_carry(image, keys, start, end - 1, size), back, strict=True):
-            yield _propagated(*_blended(one, other, (one.frame - start) / (end - start)), keys, size)
-    yield Propagated(frames[-1], keys[frames[-1]], 1.0)
-    yield from (_propagated(each, each.trust, keys, size) for each in _carry(image, keys, frames[-1], last, size))
+    there = _carry(image, keys, before, last, size) if before < first else None
+    back = list(_carry(image, keys, after, first, size))[::-1] if after > last else None
+    if there is None or back is None:
+        yield from (_propagated(each, each.trust, keys, size) for each in there or back or ())
+        return
+    for one, other in zip(there, back, strict=True):
+        yield _propagated(*_blended(one, other, (one.frame - before) / (after - before)), keys, size)
 
 
 def _check(keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int) -> None:
@@ -100,11 +129,20 @@ def _check(keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int) -> 
 
 
 def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]]) -> tuple[int, int]:
-    """Width and height at which the object's longer side is ``SIDE``; only small masks are enlarged for that."""
-    sides = [np.ptp(np.nonzero(labels == OBJECT), axis=1).max() for labels in keys.values() if (labels == OBJECT).any()]
+    """Width and height at which the object's longer side is ``SIDE``; only small masks are enlarged for that.
+
+    Where no key shows the object, the longer side of what is in front of it.
+    """
+    side = max(_longer_side(labels == OBJECT) for labels in keys.values())
+    side = side or max(_longer_side(labels == FRONT) for labels in keys.values())
     height, width = next(iter(keys.values())).shape
-    zoom = min(SIDE / max(1.0, float(np.median(sides))), max(1.0, float(np.sqrt(ENOUGH / (width * height)))))
+    zoom = min(SIDE / max(1.0, side), max(1.0, float(np.sqrt(ENOUGH / (width * height)))))
     return max(16, round(zoom * width)), max(16, round(zoom * height))
+
+
+def _longer_side(mask: Bool[ndarray, "H W"]) -> float:
+    """Of the box around a mask [px]; 0 where it is empty."""
+    return float(np.ptp(np.nonzero(mask), axis=1).max()) if mask.any() else 0.0
 
 
 def _carry(

@@ -18,6 +18,13 @@ export const at = (frame) => state.labels.keyframes.get(frame) ?? blank(frame);
 export const here = () => at(player.wanted);
 export const draft = (kind, frame) => state.labels.drafts[kind].get(frame);
 
+/** What a draft of a frame would be made of now, in a word; undefined where there is nothing to make it of. */
+const basis = (kind, frame) => state.labels.basis[kind].find(([first, last]) => first <= frame && frame <= last)?.[2];
+/** Whether what was filled in on a frame was made of something else. */
+export const stale = (kind, frame) => draft(kind, frame)?.basis !== basis(kind, frame);
+/** Whether anything could be filled in on a frame that is not there, or was made of something else. */
+export const missing = (frame) => ["masks", "hand"].some((kind) => basis(kind, frame) && stale(kind, frame));
+
 /** Begin to label a grasp; resolves once its key frames are there. */
 export async function open(mark) {
   const about = { task: state.task.key, annotator: state.annotator, grasp: mark };

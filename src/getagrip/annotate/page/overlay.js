@@ -2,7 +2,7 @@
 
 import { $, player, state } from "./app.js";
 import { BONES, NAMES, colour, selected as joint } from "./joints.js";
-import { draft, here } from "./labels.js";
+import { draft, here, stale } from "./labels.js";
 import { selected as corner } from "./outlines.js";
 import { view } from "./view.js";
 
@@ -22,19 +22,19 @@ const path = (points, closed = true) => `M${points.map((point) => point.join(" "
 
 /** Masks and hand as the server has drafted them; a key frame's own outlines stand instead of its masks. */
 function drafts(frame, own) {
-  const made = [], masks = draft("masks", frame), hand = draft("hand", frame), { basis } = state.labels;
-  const stale = (one, kind) => (one.basis === basis[kind] ? "" : " stale");
+  const made = [], masks = draft("masks", frame), hand = draft("hand", frame);
+  const old = (kind) => (stale(kind, frame) ? " stale" : "");
   if (masks && !own.outlined) {
     for (const kind of ["object", "front"]) {
       const d = masks.content[kind].map((points) => path(points)).join("");
-      if (d) made.push(svg("path", { d, class: `draft ${kind}${stale(masks, "masks")}`, "fill-rule": "evenodd" }));
+      if (d) made.push(svg("path", { d, class: `draft ${kind}${old("masks")}`, "fill-rule": "evenodd" }));
     }
   }
   if (hand) {
     const { joints, outlines } = hand.content;
-    made.push(svg("path", { d: outlines.map((points) => path(points)).join(""), class: `draft hand${stale(hand, "hand")}` }));
+    made.push(svg("path", { d: outlines.map((points) => path(points)).join(""), class: `draft hand${old("hand")}` }));
     if (state.tool === "joints") {
-      made.push(svg("path", { d: BONES.map((bone) => path(bone.map((n) => joints[n]), false)).join(""), class: `draft bones${stale(hand, "hand")}` }));
+      made.push(svg("path", { d: BONES.map((bone) => path(bone.map((n) => joints[n]), false)).join(""), class: `draft bones${old("hand")}` }));
     }
   }
   return made;

@@ -2,7 +2,7 @@
 
 import { $, element, many, move, player, state } from "./app.js";
 import { NAMES } from "./joints.js";
-import { change, here, settle, work } from "./labels.js";
+import { change, here, missing, settle, stale, work } from "./labels.js";
 import { drawing, remove } from "./outlines.js";
 
 const UNSURE = 0.85; // outlines less sure than this are named
@@ -16,12 +16,10 @@ export function say(text) {
 }
 
 /** Frames of which nothing, or nothing that is up to date, is filled in. */
-function missing() {
-  const { extent: [first, last], basis, drafts } = state.labels;
+function unfilled() {
+  const [first, last] = state.labels.extent;
   let count = 0;
-  for (let n = first; n <= last; n += 1) {
-    if (["masks", "hand"].some((kind) => basis[kind] && drafts[kind].get(n)?.basis !== basis[kind])) count += 1;
-  }
+  for (let n = first; n <= last; n += 1) count += missing(n);
   return count;
 }
 
@@ -42,7 +40,7 @@ function nextStep(joint) {
     const what = withJoints.length < 2 ? (outlined.length < 2 ? "both" : "joints") : "an outline";
     return `Now ${what} on the last frame or near it, and in the middle where the grasp is long or turns. The frames between are filled in (g).`;
   }
-  if (missing()) return "Fill in the other frames (g).";
+  if (unfilled()) return "Fill in the other frames (g).";
   if (job?.what === "files" && job.state === "done") return "The files are there. Run the command below, with your object's mesh, to make the clip.";
   return "Step through the frames (→). Where something is off, t takes what was filled in, for you to correct; then fill in again. When all is right, write the files.";
 }
@@ -84,12 +82,12 @@ function drawWork() {
   $("cancel").hidden = $("progress-bar").hidden = !running;
   $("progress-bar").max = job?.total || 1;
   $("progress-bar").value = job?.done ?? 0;
-  const away = missing(), frames = last - first + 1;
+  const away = unfilled(), frames = last - first + 1;
   const told = { waiting: "waiting …", running: job?.total ? `${job.done} of ${job.total} frames` : "fitting the hand …", failed: `It did not work: ${job?.message}`, cancelled: "Stopped." };
-  const now = !basis.masks && !basis.hand ? "" : away ? `${away} of ${many(frames, "frame")} to be filled in${drafts.masks.size || drafts.hand.size ? " again" : ""}.` : `All ${many(frames, "frame")} filled in.`;
+  const now = !basis.masks.length && !basis.hand.length ? "" : away ? `${away} of ${many(frames, "frame")} to be filled in${drafts.masks.size || drafts.hand.size ? " again" : ""}.` : `All ${many(frames, "frame")} filled in.`;
   $("fill-state").textContent = told[job?.state] ?? now;
   $("fill-state").className = job?.state === "failed" ? "failed" : "";
-  const unsure = [...drafts.masks.values()].filter((one) => within(one.frame) && one.basis === basis.masks && one.content.confidence < UNSURE)
+  const unsure = [...drafts.masks.values()].filter((one) => within(one.frame) && !stale("masks", one.frame) && one.content.confidence < UNSURE)
     .sort((a, b) => a.content.confidence - b.content.confidence).slice(0, NAMED).sort((a, b) => a.frame - b.frame);
   drawFrames("unsure", unsure.map((one) => [one.frame, one.content.number, `${Math.round(100 * one.content.confidence)} % sure`]));
   const doubted = own.map((one) => [one, (drafts.hand.get(one.frame)?.content.doubtful ?? []).filter((n) => Array.isArray(one.joints[n]))]);

@@ -1,6 +1,7 @@
 // Where in the footage one is: the frames of a clip, or of the grasp that is being labelled, and what is known of them.
 
 import { $, clock, element, move, player, state } from "./app.js";
+import { stale } from "./labels.js";
 
 const DOUBTFUL = 0.7; // outlines less sure than this are to be looked at
 
@@ -48,13 +49,13 @@ export function drawTimeline(bars) {
 
 /** Filled in or not, sure or not; and the key frames. */
 function labelled(place, part) {
-  const { keyframes, drafts, basis } = state.labels;
+  const { keyframes, drafts } = state.labels;
   const masks = (n) => {
     const draft = drafts.masks.get(n);
     if (!draft) return "";
-    return draft.basis !== basis.masks ? "stale" : draft.content.confidence < DOUBTFUL ? "doubtful" : "fresh";
+    return stale("masks", n) ? "stale" : draft.content.confidence < DOUBTFUL ? "doubtful" : "fresh";
   };
-  const hand = (n) => (drafts.hand.has(n) ? (drafts.hand.get(n).basis === basis.hand ? "fresh" : "stale") : "");
+  const hand = (n) => (drafts.hand.has(n) ? (stale("hand", n) ? "stale" : "fresh") : "");
   const titles = { fresh: "filled in", stale: "filled in before the labels were changed", doubtful: "filled in, but not sure: look here" };
   const bands = [["masks", "Outlines", masks], ["hand", "Hand", hand]].flatMap(([kind, what, word]) =>
     stretches(word, ...state.labels.extent).map(([now, from, to]) => {
