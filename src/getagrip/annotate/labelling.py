@@ -33,7 +33,6 @@ from getagrip.files import shown
 from getagrip.hands.model import Side
 from getagrip.run.intrinsics import Lens, intrinsics
 
-
 Basis = dict[str, list[tuple[int, int, str]]]
 """Of the "masks" and the "hand": first and last frame, and what drafts of these are made of, in a word."""
 
