@@ -144,6 +144,27 @@ def test_labels_that_are_there_are_named_where_another_was_chosen(tmp_path: Path
     refused(lambda: open_masks(tmp_path / "jpg", wanted), "000001.jpg is no PNG")
 
 
+def test_folders_of_a_thing_each_are_chosen_by_name(tmp_path: Path) -> None:
+    """As SAM 2 writes them, one for each object."""
+    folder = tmp_path / "things"
+    for value, thing in enumerate(("table", "cup", "left-hand", "sleeve")):
+        (folder / thing).mkdir(parents=True)
+        for n, frame in enumerate(FRAMES):
+            write_png(folder / thing / f"{frame}.png", 255 * (labels()[n] == value), 8, 0)
+    seen, ignored = open_masks(folder, Wanted(FRAMES, SIZE, ("cup",), ("left-hand", "sleeve")))(1)
+    np.testing.assert_array_equal(seen, labels()[1] == 1)
+    np.testing.assert_array_equal(ignored, labels()[1] >= 2)
+    for chosen, word in ((("mug",), "'mug'"), (("../things/cup",), "'../things/cup'"), ((), "'object'")):
+        with pytest.raises(UsageError, match=f"--object: got {word}.*cup, left-hand"):
+            open_masks(folder, Wanted(FRAMES, SIZE, chosen))
+    (folder / "cup").rename(folder / "object")
+    np.testing.assert_array_equal(open_masks(folder, Wanted(FRAMES, SIZE))(0)[0], labels()[0] == 1)
+    for thing in ("table", "left-hand", "sleeve"):
+        shutil.rmtree(folder / thing)
+    (folder / "object").rename(folder / "1")
+    np.testing.assert_array_equal(open_masks(folder, Wanted(FRAMES, SIZE))(0)[0], labels()[0] == 1)
+
+
 def test_missing_frames_are_named(tmp_path: Path, refused: Callable[..., str]) -> None:
     folder = label_folder(tmp_path / "labels")
     wanted = Wanted((*FRAMES, "000009"), SIZE, ("1",))

@@ -1,13 +1,14 @@
 """Masks from other people's files, one frame at a time: PNG folders, COCO, arrays.
 
-- a folder with ``object/`` and perhaps ``ignore/`` in it: one PNG for each frame, non-zero where the mask is set;
+- a folder of folders, one for each thing (``object/`` and perhaps ``ignore/``, or any others, chosen by their names):
+  one PNG for each frame, non-zero where the mask is set;
 - a folder of PNG: the labels of an image each (``label_images``), or a mask each where there is one label only;
 - ``.json``: COCO's ``images``, ``annotations`` (polygons or run lengths) and ``categories``;
 - ``.npz``: ``object`` (T, H, W) and perhaps ``ignore``, or ``labels`` (T, H, W) of whole numbers; ``frames`` (T,) names
   or numbers of them, or all of the wanted ones in order.
 
 Which labels are the object, and which hide it (the hand, other things in front), is chosen by value: a number, a colour
-as #rrggbb, or a category's name.
+as #rrggbb, a folder's or a category's name.
 """
 
 from __future__ import annotations
@@ -64,7 +65,9 @@ class Wanted:
 def open_masks(path: Path, wanted: Wanted) -> MaskReader:
     """A reader of the masks of some frames. Raises ``InputError`` for missing frames, ``UsageError`` for labels."""
     if path.is_dir():
-        return _own_folder(path, wanted) if (path / "object").is_dir() else _label_folder(path, wanted)
+        things = sorted(sub.name for sub in path.iterdir() if sub.is_dir() and any(sub.glob("*.png")))
+        labels = "object" not in things and any(path.glob("*.png"))
+        return _thing_folders(path, wanted, things) if things and not labels else _label_folder(path, wanted)
     if path.suffix == ".npz":
         return _arrays(path, wanted)
     if path.suffix == ".json":
@@ -73,17 +76,30 @@ def open_masks(path: Path, wanted: Wanted) -> MaskReader:
     raise InputError(path, "", given, "masks: a folder of PNG, COCO's JSON, or arrays")
 
 
-def _own_folder(folder: Path, wanted: Wanted) -> MaskReader:
-    """Masks in ``object/`` and ``ignore/``."""
-    if wanted.object or wanted.ignore:
-        raise UsageError(f"--object, --ignore: got labels, expected none: {folder} holds masks of objects, not labels")
-    seen = _pngs(folder / "object", wanted.frames)
-    hidden = _pngs(folder / "ignore", wanted.frames) if (folder / "ignore").is_dir() else None
+def _thing_folders(folder: Path, wanted: Wanted, things: Sequence[str]) -> MaskReader:
+    """Masks of a thing each in folders of their names.
+
+    An only one need not be named, nor those called ``object`` and ``ignore``.
+    """
+    chosen = {"object": wanted.object, "ignore": wanted.ignore}
+    if not (wanted.object or wanted.ignore):
+        chosen = {"object": tuple(things[:1]), "ignore": ()}
+        if len(things) > 1:
+            chosen = {"object": ("object",), "ignore": tuple({"ignore"} & {*things})}
+    for kind, names in chosen.items():
+        wrong = next((name for name in names if name not in things), None)
+        if wrong is not None or (kind == "object" and not names):
+            given = "nothing" if wrong is None else repr(wrong)
+            there = ", ".join(files.plain(name) for name in things[:MOST_TOLD])
+            raise UsageError(f"--{kind}: got {given}, expected the name of a folder in {folder}: {there}")
+    paths = {kind: [_pngs(folder / name, wanted.frames) for name in names] for kind, names in chosen.items()}
 
     def read(n: int) -> MaskPair:
-        mask = read_labels(seen[n], wanted.size) != 0
-        ignored = np.zeros_like(mask) if hidden is None else read_labels(hidden[n], wanted.size) != 0
-        return mask, ignored & ~mask
+        seen, hidden = (
+            union([read_labels(each[n], wanted.size) != 0 for each in paths[kind]], wanted.size)
+            for kind in ("object", "ignore")
+        )
+        return seen, hidden & ~seen
 
     return MaskReader(folder, read)
 
