@@ -130,20 +130,19 @@ def _check(keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int) -> 
 
 
 def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]]) -> tuple[int, int]:
-    """Width and height at which the object's longer side is ``SIDE``; only small masks are enlarged for that.
+    """Width and height at which the object's longer side, a mean over the keys, is ``SIDE``.
 
-    Where no key shows the object, the longer side of what is in front of it.
+    Only small masks are enlarged for that. Where no key shows the object, what is in front of it counts.
     """
-    side = max(_longer_side(labels == OBJECT) for labels in keys.values())
-    side = side or max(_longer_side(labels == FRONT) for labels in keys.values())
+    boxes = {
+        kind: [np.ptp(np.nonzero(labels == kind), axis=1) for labels in keys.values() if kind in labels]
+        for kind in KINDS
+    }
+    sides = [float(box.max()) for box in boxes[OBJECT] or boxes[FRONT]]
     height, width = next(iter(keys.values())).shape
-    zoom = min(SIDE / max(1.0, side), max(1.0, float(np.sqrt(ENOUGH / (width * height)))))
+    side = max(1.0, float(np.mean(sides or [1.0])))
+    zoom = min(SIDE / side, max(1.0, float(np.sqrt(ENOUGH / (width * height)))))
     return max(16, round(zoom * width)), max(16, round(zoom * height))
-
-
-def _longer_side(mask: Bool[ndarray, "H W"]) -> float:
-    """Of the box around a mask [px]; 0 where it is empty."""
-    return float(np.ptp(np.nonzero(mask), axis=1).max()) if mask.any() else 0.0
 
 
 def _carry(
