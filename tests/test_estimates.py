@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import pickle
+import re
 import struct
 import sys
 import types
@@ -525,3 +526,22 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path, mano_folder: Path, da
     else:
         assert np.isfinite(hands.track.vertices).all()
         assert se3.is_rigid(hands.track.T_cam_hand).all()
+
+
+def test_small_pickles_that_are_large_in_memory(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
+    """A list that holds another twice, which holds ...; an array that has a size and no contents."""
+
+    class Vast:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return np.zeros(0).__reduce__()[0], (np.ndarray, (10**10,), b"d")
+
+    twice: list[Any] = [1.0, 1.0]
+    for _ in range(28):
+        twice = [twice, twice]
+    path = tmp_path / "000007.pkl"
+    for value, words in ((twice, "5.37e\\+08 values"), (Vast(), "without contents"), ([[[twice] * 2] * 2], "")):
+        hand = frankmocap_record(Known("right", mano_folder), 0)
+        hand["pred_output_list"][0]["right_hand"]["pred_camera"] = value
+        path.write_bytes(pickle.dumps(hand))
+        said = refused(lambda: read([path], "frankmocap", reading("right", mano_folder)), str(path))
+        assert re.search(words, said)

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from getagrip import arrays, files
 from getagrip.errors import InputError, UsageError
-from getagrip.hands.mano_pickle import read_pickle
+from getagrip.hands.mano_pickle import check_bounded, read_pickle
 
 Record = Mapping[str, Any]
 """Arrays, numbers, texts, lists and further records by name."""
@@ -23,8 +23,6 @@ LARGEST = 256 * 2**20
 """Bytes of the largest ``.npy`` or ``.pt`` file, unpacked."""
 ABSURD = 1e7
 """No pixel, metre or radian is as large."""
-DEEPEST = 32
-"""Records within records."""
 
 
 def read(path: Path) -> Record:
@@ -38,9 +36,9 @@ def read(path: Path) -> Record:
     if suffix == ".json":
         return files.read_json(path)
     if suffix in {".pkl", ".pickle"}:
-        return _checked(path, read_pickle(path, files.read_bytes(path, LARGEST), "a pickled dictionary of arrays"))
+        return read_pickle(path, files.read_bytes(path, LARGEST), "a pickled dictionary of arrays")
     if suffix in {".pt", ".pth"}:
-        return _checked(path, _read_torch(path))
+        return _read_torch(path)
     if suffix == ".npy":
         return {"joints": arrays.parse_npy(path, "", files.read_bytes(path, LARGEST))}
     raise InputError(path, "", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")
@@ -62,6 +60,7 @@ def _read_torch(path: Path) -> Record:
         if unpacked > LARGEST:
             raise InputError(path, "", f"tensors of {unpacked} bytes", f"at most {LARGEST}")
         loaded = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        check_bounded(path, loaded, "a dictionary of tensors")
     except InputError:
         raise
     except Exception as error:  # torch raises whatever its parsers meet
@@ -78,21 +77,6 @@ def _read_torch(path: Path) -> Record:
     record = plain(loaded)
     if not isinstance(record, dict):
         raise InputError(path, "", f"a {type(loaded).__name__}", "a dictionary of tensors")
-    return record
-
-
-def _checked(path: Path, record: Record) -> Record:
-    """The record, unless it contains itself or is nested absurdly deep."""
-
-    def depth(value: Any, at: int) -> None:
-        if at > DEEPEST:
-            raise InputError(path, "", f"records nested more than {DEEPEST} deep", "a dictionary of arrays")
-        if isinstance(value, Mapping | list | tuple):
-            for item in value.values() if isinstance(value, Mapping) else value:
-                if isinstance(item, Mapping | list | tuple):
-                    depth(item, at + 1)
-
-    depth(record, 0)
     return record
 
 

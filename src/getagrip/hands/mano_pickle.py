@@ -19,6 +19,8 @@ from getagrip.errors import InputError
 
 LARGEST = 64 * 2**20
 """Bytes of the largest file read; MANO's have 4 MB."""
+MOST_VALUES, DEEPEST = 2**24, 32
+"""Values in a file's lists and dictionaries, each as often as it is in one; lists within lists."""
 
 
 def read_pickle(path: Path, content: bytes, what: str = "a MANO pickle") -> dict[str, object]:
@@ -35,6 +37,7 @@ def read_pickle(path: Path, content: bytes, what: str = "a MANO pickle") -> dict
             value = value.item()
         if not isinstance(value, dict):
             raise InputError(path, "", f"a pickled {type(value).__name__}", f"{what} (a dictionary)")
+        check_bounded(path, value, what)
         return {str(key): _plain(item) for key, item in value.items()}
     except InputError:
         raise
@@ -42,6 +45,36 @@ def read_pickle(path: Path, content: bytes, what: str = "a MANO pickle") -> dict
         raise InputError(path, "", f"a pickle that names {error}", f"{what}; nothing in it was run") from error
     except Exception as error:  # damaged pickles raise whatever their opcodes meet
         raise InputError(path, "", f"a pickle that does not load ({error})", what) from error
+
+
+def check_bounded(path: Path, value: object, what: str) -> None:
+    """Refuse what is small in a file and without bounds in memory: a list that holds another twice, which holds ...
+
+    Raises ``InputError``, also for what contains itself.
+    """
+    try:
+        _bounded(value)
+    except ValueError as error:
+        raise InputError(path, "", str(error), f"{what}, of at most {MOST_VALUES} values") from error
+
+
+def _bounded(value: object) -> Any:
+    """The same value, or a ``ValueError``."""
+    counts: dict[int, int] = {}
+
+    def count(value: object, at: int) -> int:
+        if not isinstance(value, dict | list | tuple):
+            return 1
+        if at > DEEPEST:
+            raise ValueError(f"values nested more than {DEEPEST} deep")
+        if id(value) not in counts:
+            items = value.values() if isinstance(value, dict) else value
+            counts[id(value)] = sum(count(item, at + 1) for item in items)
+        return counts[id(value)]
+
+    if (total := count(value, 0)) > MOST_VALUES:
+        raise ValueError(f"lists of {total:.3g} values in all")
+    return value
 
 
 class _ForbiddenNameError(Exception):
@@ -74,7 +107,7 @@ class _ArraysOnly(pickle.Unpickler):
 
 def _allowed() -> dict[tuple[str, str], Any]:
     """What a pickle may name. Stand-ins are made anew for each file, so that no file can alter them for the next."""
-    from numpy._core.multiarray import _reconstruct, scalar
+    from numpy._core.multiarray import scalar
 
     stand_ins = {kind: type(kind, (_Inert,), {}) for kind in ("Ch", "Select", "csc_matrix", "csr_matrix")}
     named: dict[tuple[str, str], Any] = {
@@ -93,11 +126,18 @@ def _allowed() -> dict[tuple[str, str], Any]:
         ("chumpy.reordering", "Select"): stand_ins["Select"],
     }
     for core in ("numpy.core.multiarray", "numpy._core.multiarray"):
-        named[core, "_reconstruct"], named[core, "scalar"] = _reconstruct, scalar
+        named[core, "_reconstruct"], named[core, "scalar"] = _empty, scalar
     for kind in ("csc", "csr"):
         for module in (f"scipy.sparse.{kind}", f"scipy.sparse._{kind}", "scipy.sparse"):
             named[module, f"{kind}_matrix"] = stand_ins[f"{kind}_matrix"]
     return named
+
+
+def _empty(kind: type, shape: tuple[int, ...], _: object) -> object:
+    """Numpy's arrays begin as empty ones, and are given their contents after that."""
+    if kind is not ndarray or shape != (0,):
+        raise _ForbiddenNameError(f"an array of shape {shape} without contents")
+    return ndarray(shape)
 
 
 def _latin1(text: str, encoding: str) -> bytes:
@@ -120,16 +160,21 @@ def _plain(value: object) -> object:
         return value
     state, kind = value.state, type(value).__name__
     if kind == "Ch":
-        return np.asarray(_plain(state["x"]))
+        return _array(state["x"])
     if kind == "Select":  # chumpy's compute_r: some elements of the flattened array, in a new shape
-        return np.asarray(_plain(state["a"])).ravel()[np.asarray(state["idxs"])].reshape(state["preferred_shape"])
+        return _array(state["a"]).ravel()[_array(state["idxs"])].reshape(state["preferred_shape"])
     return _dense(kind, state)
+
+
+def _array(value: object) -> ndarray:
+    """What an object holds, as an array."""
+    return np.asarray(_bounded(_plain(value)))
 
 
 def _dense(kind: str, state: dict[str, Any]) -> ndarray:
     """A compressed sparse matrix in full; numpy refuses indices that lie outside."""
     rows, cols = (int(n) for n in state.get("_shape", state.get("shape", ())))
-    starts, inner, data = np.asarray(state["indptr"]), np.asarray(state["indices"]), np.asarray(state["data"])
+    starts, inner, data = (_array(state[key]) for key in ("indptr", "indices", "data"))
     if rows * cols > 2**24 or len(starts) != (cols if kind == "csc_matrix" else rows) + 1:
         raise ValueError(f"a {rows} x {cols} matrix with {len(starts)} starts")
     outer = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
