@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from fractions import Fraction
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from conftest import box, small_clip
 from numpy import ndarray
 
 from getagrip import arrays, se3
+from getagrip.annotate.video import Video
 from getagrip.cli import main
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.clip.video import video_frames, video_info
@@ -244,6 +246,43 @@ def test_a_wrong_label_is_told_before_there_are_hands(made: Path, capsys: pytest
     assert main(new(made, "--interval", "1", "3", "--side", "left", "--focal", "60", "--mesh", "mug", *masks)) == 1
     assert "there are 0, 1, 2" in capsys.readouterr().err
     assert not (made / "cup").exists()
+
+
+def test_joints_that_do_not_fit_the_clip_are_told_plainly(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    base = ["--interval", "3", "8", "--side", "right", "--focal", "60", "--mesh", "mug"]
+    assert main(new(made, *base)) == 1
+    joints = np.tile(generic.load("right").with_shape().with_pose().joints + AHEAD, (6, 1, 1))
+    for values, first, words in [
+        (joints, 300, "got hands in other frames (300, ...), expected hands in the clip's, 000003 to 000008"),
+        (joints - 2.0 * AHEAD, 3, "m behind the camera"),
+        (1000.0 * joints, 3, "joints: got hands with "),
+    ]:
+        arrays.write(made / "j.npz", {"joints": values, "frames": np.arange(first, first + 6)})
+        told = ["import", "hands", str(made / "j.npz"), "--from", "joints", "--order", "openpose"]
+        assert main([*told, "--clip", str(made / "cup")]) == 1
+        err = capsys.readouterr().err
+        assert words in err
+        assert err.splitlines()[-1].count(", expected ") == 1
+
+
+def write_turned(path: Path, turned: Path) -> None:
+    """The same video with a display matrix, as telephones write it: a quarter to the right."""
+    content = bytearray(path.read_bytes())
+    header = content.find(b"tkhd")
+    at = header + 4 + 4 + (32 if content[header + 4] else 20) + 16
+    content[at : at + 36] = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, 0, 0, 1 << 30)
+    turned.write_bytes(content)
+
+
+def test_upright_videos_of_telephones_are_upright(made: Path) -> None:
+    """They are stored lying; clip new and annotate turn them alike."""
+    write_turned(made / "video.mp4", made / "turned.mp4")
+    assert video_info(made / "turned.mp4").size == SIZE[::-1]
+    (image,) = video_frames(made / "turned.mp4", 3, 3)
+    np.testing.assert_array_equal(image, np.rot90(next(video_frames(made / "video.mp4", 3, 3)), -1))
+    shown = Video(made / "turned.mp4")
+    np.testing.assert_array_equal(shown.image(2), image)
+    shown.close()
 
 
 def test_hands_need_a_place_to_go(made: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -84,7 +84,11 @@ def check_in_view(path: Path, hand: HandTrack, K: Float[ndarray, "T 3 3"], size:
     low = np.where(before[..., None], uv, np.inf).min(axis=1)
     high = np.where(before[..., None], uv, -np.inf).max(axis=1)
     if not np.any(np.all((high > 0) & (low < size), axis=1)):
-        u, v = project(K[:1], posed[:1].mean(axis=1, keepdims=True))[0, 0]
-        given = f"a hand outside the image in every frame (in the first at u = {u:.0f}, v = {v:.0f} px)"
+        centre = posed[:1].mean(axis=1, keepdims=True)
+        u, v = project(K[:1], centre)[0, 0]
+        where = (
+            f"at u = {u:.0f}, v = {v:.0f} px" if centre[0, 0, 2] > 0 else f"{-centre[0, 0, 2]:.2g} m behind the camera"
+        )
+        given = f"a hand outside the image in every frame (in the first {where})"
         expected = f"a hand in the {size[0]} x {size[1]} image; do T_cam_hand and clip.json's camera belong together?"
         raise InputError(path, "T_cam_hand", given, expected)

@@ -68,7 +68,8 @@ def fitted(path: Path, side: Side, joints: Float[ndarray, "T 21 3"]) -> tuple[Ha
     try:
         fit = fit_joints(generic.load(side), joints, "openpose")
     except UsageError as error:
-        raise InputError(path, "joints", str(error), "the 21 joints of a hand [m]") from error
+        given, _, expected = str(error).removeprefix("joints: got ").partition(", expected ")
+        raise InputError(path, "joints", given, expected or "the 21 joints of a hand [m]") from error
     off = 1e3 * np.sqrt(np.mean(fit.residuals**2))
     return fit.hand, f"the generic hand fitted to the estimator's joints ({off:.1f} mm off, root mean square)"
 

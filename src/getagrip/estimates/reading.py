@@ -119,6 +119,10 @@ def _joints(paths: Sequence[Path], reading: Reading) -> Hands:
     values = plain.joints(path, record, reading.order)
     found = _named(path, record, len(values), reading)
     rows = [n for n, frame in enumerate(found) if frame is not None]
+    if not rows:
+        given = f"hands in other frames ({files.plain(str(np.asarray(record['frames'])[0]))}, ...)"
+        named = " to ".join(files.plain(frame) for frame in (reading.frames[0], reading.frames[-1]))
+        raise InputError(path, "frames", given, f"hands in the clip's, {named}")
     made, what = fitted(path, reading.side, values[rows])
     provenance = {
         "hands": f"joints from a file: {what}",
