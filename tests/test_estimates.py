@@ -239,12 +239,13 @@ def test_hawor(tmp_path: Path, mano_folder: Path, side: Side) -> None:
         "init_betas": known.betas[None],
         "init_trans": np.column_stack([z[:, None] * (u - centre) / focal, z])[None],
     }
-    path = tmp_path / "7_9.json"
-    path.write_text(json.dumps({key: value.tolist() for key, value in record.items()}))
-    hands = read([path], "hawor", reading(side, mano_folder, focal=focal))
-    np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
+    for name, more in (("6_8.json", {}), ("0_2.json", {"first": 7})):  # it counts from 0
+        path = tmp_path / name
+        path.write_text(json.dumps({key: value.tolist() for key, value in record.items()}))
+        hands = read([path], "hawor", reading(side, mano_folder, focal=focal, **more))
+        np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
     with pytest.raises(UsageError, match="--estimator-focal"):
-        read([path], "hawor", reading(side, mano_folder))
+        read([path], "hawor", reading(side, mano_folder, first=7))
 
 
 def frankmocap_record(known: Known, n: int, mean: ndarray | float = 0.0) -> dict[str, Any]:
@@ -480,7 +481,7 @@ def test_no_code_is_run(tmp_path: Path, mano_folder: Path, refused: Callable[...
 
 
 def test_nested_and_lying_files(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
-    bomb = tmp_path / "7_9.json"
+    bomb = tmp_path / "6_8.json"
     bomb.write_text('{"init_trans":' + "[" * 100_000 + "]" * 100_000 + "}")
     refused(lambda: read([bomb], "hawor", reading("right", focal=600.0)), str(bomb))
     itself: dict[str, Any] = {}
@@ -500,7 +501,7 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path, mano_folder: Path, da
     """Truncated files and swapped bytes: an error of this package's that names the file, or plausible numbers."""
     known = Known("right", None)
     source, name = data.draw(
-        st.sampled_from([("hamer", "000007.npz"), ("hawor", "7_9.json"), ("frankmocap", "000007.pkl")])
+        st.sampled_from([("hamer", "000007.npz"), ("hawor", "6_8.json"), ("frankmocap", "000007.pkl")])
     )
     path = tmp_path / name
     if source == "hamer":

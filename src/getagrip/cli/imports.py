@@ -112,6 +112,8 @@ class ImportHands(Command):
     """joints: their order (docs/hands.md)."""
     estimator_focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None
     """hawor: the focal length that it was run with."""
+    first: Annotated[int, arg(metavar="N", help_behavior_hint="(default: 1, the video's first)")] = 1
+    """hawor: the number of the first frame that it was run on, which it calls 0."""
     side: Literal["left", "right"] | None = None
     """With --out: which hand."""
     frames: Annotated[tuple[int, int] | None, arg(metavar="FIRST LAST", help_behavior_hint="")] = None
@@ -137,7 +139,7 @@ class ImportHands(Command):
         from getagrip.run.hands import Told, import_hands
         from getagrip.run.intrinsics import Lens
 
-        told = Told(self.mano, self.pose, self.mean, self.order, self.estimator_focal)
+        told = Told(self.mano, self.pose, self.mean, self.order, self.estimator_focal, self.first)
         lens = Lens(self.K, self.focal, self.guess_focal)
         new = (self.side, self.frames, self.size, lens)
         return import_hands(self.files, self.source, told, self.clip, self.out, new, self.overwrite)

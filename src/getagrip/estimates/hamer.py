@@ -40,6 +40,8 @@ def of_side(path: Path, record: Record, side: Side) -> Record | None:
 
     Raises ``InputError`` for records that do not tell the side, or hold two hands of it.
     """
+    if not record:  # the later code's, of an image without hands
+        return None
     if "left" in record or isinstance(record.get("right", 0), dict | None):
         return child(path, record, side) if record.get(side) is not None else None
     key = next((key for key in ("right", "is_right") if key in record), None)

@@ -50,6 +50,8 @@ class Reading:
     """joints: their order."""
     focal: float | None = None
     """hawor: the focal length that it was run with [px]."""
+    first: int = 1
+    """hawor: number of the first image that it was run on, which it calls 0."""
 
     def camera(self, frame: int) -> Camera:
         """The camera in a frame."""
@@ -190,7 +192,8 @@ def _named(
 ) -> list[int | None]:
     """Which of the clip's frames each row of a file is of; None for frames that the clip does not have.
 
-    ``frames`` in the file tells; else the file's own name (HaWoR's ``<first>_<last>``); else the rows are the clip's.
+    ``frames`` in the file tells; else the file's own name (HaWoR's ``<first>_<last>``, counted from 0); else the rows
+    are the clip's.
     """
     if "frames" in record:
         names = np.asarray(record["frames"])
@@ -201,7 +204,7 @@ def _named(
         first, last = int(found[1]), int(found[2])
         if last - first + 1 != count:
             raise InputError(path, "init_trans", f"{count} frames", f"{last - first + 1}, as the file's name says")
-        return [frame_of(str(n), reading.frames) for n in range(first, last + 1)]
+        return [frame_of(str(n + reading.first), reading.frames) for n in range(first, last + 1)]
     if count != len(reading.frames):
         expected = f"{len(reading.frames)} as the clip has, or an array frames with their names"
         raise InputError(path, "frames", f"{count} hands and no names of frames", expected)

@@ -36,6 +36,8 @@ class Told:
     order: JointOrder | None = None
     focal: float | None = None
     """The focal length that the estimator was run with [px]."""
+    first: int = 1
+    """Number of the first image that the estimator was run on, where it counts them from 0."""
 
 
 NewFrames = tuple[Side | None, tuple[int, int] | None, tuple[int, int] | None, Lens]
