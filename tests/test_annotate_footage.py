@@ -242,3 +242,11 @@ def test_a_candidate_beyond_its_footage_is_refused(tmp_path: Path, refused: Call
     path = write_video(tmp_path / "a.mp4")
     (task,) = read_tasks(written(tmp_path / "list.json", [ROWS["own"][0] | {"start": 500, "end": 600}]))
     refused(lambda: task.extent(open_footage(path)), "500")
+
+
+def test_what_is_no_footage_is_refused_before_a_page_is_served(tmp_path: Path, refused: Callable[..., str]) -> None:
+    for name, content in (("cut.mp4", b"\0\0\0\x20ftypisom"), ("README.md", b"# words")):
+        (tmp_path / name).write_bytes(content)
+        refused(lambda path=tmp_path / name: read_tasks(path), name)
+    (tmp_path / "empty").mkdir()
+    refused(lambda: read_tasks(tmp_path / "empty"), "empty: got 0 images")

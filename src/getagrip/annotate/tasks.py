@@ -68,7 +68,8 @@ def open_footage(path: Path) -> Footage:
 def read_tasks(source: Path, videos: Path | None = None) -> list[Task]:
     """One task for a video or a folder of images; for a list (.csv, .json) one for each candidate.
 
-    The footage of a list is looked for in ``videos``, by default where the list is. Raises ``InputError``.
+    The footage of a list is looked for in ``videos``, by default where the list is. Raises ``InputError``, also for a
+    source that is no footage.
     """
     if source.is_file() and source.suffix.lower() in (".csv", ".json"):
         tasks = [_task(source, videos or source.parent, *row) for row in _rows(source)]
@@ -81,6 +82,7 @@ def read_tasks(source: Path, videos: Path | None = None) -> list[Task]:
         return tasks
     if not source.exists():
         raise InputError(source, "", "no such file", "a video, a folder of images, or a list of candidates")
+    open_footage(source).close()
     name = source.resolve().name if source.is_dir() else source.stem
     return [Task(name, name, source)]
 
