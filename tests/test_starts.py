@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 from getagrip.datasets.synthetic import Options as ClipOptions
@@ -21,9 +20,7 @@ def test_the_longer_search_finds_no_worse_and_says_what_it_was() -> None:
 
 def test_the_longer_search_goes_through_the_same_stages_and_keeps_more() -> None:
     for usual, longer in zip(Schedule().stages, THOROUGH.stages, strict=True):
-        assert replace(usual, iterations=0, keep=0, rounds=0, parents=0) == replace(
-            longer, iterations=0, keep=0, rounds=0, parents=0
-        )
+        assert (usual.name, usual.level, usual.frames) == (longer.name, longer.level, longer.frames)
         assert longer.keep >= usual.keep
-        assert longer.rounds >= usual.rounds
+    assert sum(s.rounds * s.parents for s in THOROUGH.stages) > sum(s.rounds * s.parents for s in Schedule().stages)
     assert all(a.keep >= b.keep for a, b in pairwise(THOROUGH.stages))
