@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from annotated_page import CHROMIUM, Served, chromium, saved
+from annotated_page import CHROMIUM, Served, chromium, saved, until
 from labelled_scene import circle, joints, middle, write_scene
 
 from getagrip.annotate.command import DATABASE
@@ -72,7 +72,7 @@ def opened(context: Any, served: Served, who: str | None = "ann") -> Any:
 
 def shows(page: Any, frame: int) -> None:
     playwright.expect(page.locator("#frame")).to_have_text(str(frame + 1))
-    page.wait_for_function("document.getElementById('waiting').classList.contains('on') === false")
+    until(page, "!document.getElementById('waiting').classList.contains('on')")
 
 
 def goto(page: Any, frame: int) -> None:
@@ -237,7 +237,7 @@ def test_clicks_made_while_the_server_is_away_are_kept(context: Any, served: Ser
     again = context.new_page()
     again.goto(served.server.url)
     saved(again)
-    again.wait_for_function("localStorage.length < 2")
+    until(again, "localStorage.length < 2")
     assert near(kept(served)[FIRST].joints["0"], [100, 100])
 
 
