@@ -24,13 +24,13 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip import se3
-from getagrip.annotate.placed_hands import OUTLIER, Clicks, equations, place, turned, turning
+from getagrip.annotate.placed_hands import OUTLIER, Clicks, equations, place, turning
 from getagrip.camera import project
 from getagrip.clip import HandTrack
 from getagrip.clip.plausible import FARTHEST, NEAREST
 from getagrip.errors import UsageError
 from getagrip.hands import generic
-from getagrip.hands.fit import Chains, arrow_step, joints_and_jacobian
+from getagrip.hands.fit import Chains, arrow_step, joints_and_jacobian, stepped
 from getagrip.hands.model import KNUCKLES, HandModel, Side, hand_track
 from getagrip.hands.pose_prior import PosePrior
 
@@ -132,7 +132,7 @@ class Guess(NamedTuple):
     def moved(self, frames: Float[ndarray, "n 51"], shared: Float[ndarray, "s"], wrist: Float[ndarray, "3"]) -> Guess:
         """After a step: each hand shifts in its own axes and turns about the wrist, the rest adds up."""
         return Guess(
-            turned(self.T, frames[:, :6], wrist),
+            stepped(self.T, frames[:, :6], wrist),
             self.q + frames[:, 6:].reshape(self.q.shape),
             self.grasp + shared[:SHARED].reshape(self.grasp.shape),
             self.shape + shared[SHARED:],

@@ -15,7 +15,7 @@ from numpy import ndarray
 from getagrip import se3
 from getagrip.camera import backproject, project
 from getagrip.hands import generic
-from getagrip.hands.fit import JOINT_NOISE, Chains, joints_and_jacobian
+from getagrip.hands.fit import JOINT_NOISE, Chains, joints_and_jacobian, stepped
 
 CLICK_NOISE = 0.005
 """Standard deviation of a click beside that of the joints themselves, at the hand [m]."""
@@ -52,14 +52,6 @@ class Clicks(NamedTuple):
 def _spread(points: Float[ndarray, "n d"]) -> float:
     """Mean distance from the middle, at least a trifle."""
     return max(float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean()), 1e-6)
-
-
-def turned(
-    T: Float[ndarray, "n 4 4"], step: Float[ndarray, "n 6"], wrist: Float[ndarray, "3"]
-) -> Float[ndarray, "n 4 4"]:
-    """Hands shifted in their own axes and turned about the wrist."""
-    R = se3.exp_so3(step[:, 3:])
-    return T @ se3.rigid(R, step[:, :3] + wrist - R @ wrist)
 
 
 def equations(
@@ -102,7 +94,7 @@ def place(
     damping = np.full(n * m, 1e-2)
     for _ in range(STEPS):
         A = H + (damping[:, None] * np.einsum("nii->ni", H) + 1e-9)[:, None] * np.eye(6)
-        new = turned(T, -np.linalg.solve(A, g[..., None])[..., 0], chains.wrist)
+        new = stepped(T, -np.linalg.solve(A, g[..., None])[..., 0], chains.wrist)
         new_cost, new_H, new_g = equations(many, new, X, J)
         better = new_cost < cost
         T[better], cost[better], H[better], g[better] = new[better], new_cost[better], new_H[better], new_g[better]

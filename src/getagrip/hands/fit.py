@@ -96,9 +96,16 @@ class State(NamedTuple):
 
     def moved(self, frames: Float[ndarray, "T 51"], shape: Float[ndarray, "S"], wrist: Float[ndarray, "3"]) -> State:
         """After a step: the hand shifts in its own axes and turns about the mean hand's wrist, the rest adds up."""
-        R = se3.exp_so3(frames[:, 3:6])
-        local = se3.rigid(R, frames[:, :3] + wrist - R @ wrist)
-        return State(self.T @ local, self.q + frames[:, 6:].reshape(self.q.shape), self.shape + shape)
+        T = stepped(self.T, frames[:, :6], wrist)
+        return State(T, self.q + frames[:, 6:].reshape(self.q.shape), self.shape + shape)
+
+
+def stepped(
+    T: Float[ndarray, "T 4 4"], step: Float[ndarray, "T 6"], wrist: Float[ndarray, "3"]
+) -> Float[ndarray, "T 4 4"]:
+    """Hands shifted in their own axes and turned about the wrist."""
+    R = se3.exp_so3(step[:, 3:])
+    return T @ se3.rigid(R, step[:, :3] + wrist - R @ wrist)
 
 
 class Chains(NamedTuple):
