@@ -222,10 +222,11 @@ def contacts(rng: np.random.Generator, frames: int, spread: float = 0.03) -> Han
     return HandContacts(position, np.arange(0, 24, 4))
 
 
-def physical_terms(mesh: Mesh, hand: HandContacts, **options: float) -> tuple[PushTerm, PullTerm]:
+def physical_terms(mesh: Mesh, hand: HandContacts, delta: float = 0.002) -> tuple[PushTerm, PullTerm]:
     frames = len(hand.position)
     body, weight = solid(mesh, mesh.centre), 1000.0 * np.arange(1, frames + 1)
-    return PushTerm(body, hand, weight, **options), PullTerm(body, hand, weight, **options)
+    # Half a millimetre, for the mug's wall is thin.
+    return PushTerm(body, hand, weight, give=5e-4, delta=delta), PullTerm(body, hand, weight, delta=delta)
 
 
 def random_poses(rng: np.random.Generator, hypotheses: int, frames: int) -> Poses:
@@ -252,7 +253,8 @@ def test_push_and_pull_are_what_the_specification_says(which: str) -> None:
         for n in range(3):
             d = heights(mesh, hand, poses, b, n)
             # A distance grid knows the nearest face but for a few points, most of them halfway between two.
-            assert pushed[b, n] == pytest.approx(reference.push(d, push.weight[n]), abs=1e-4 * push.weight[n])
+            expected = reference.push(d, push.weight[n], push.give)
+            assert pushed[b, n] == pytest.approx(expected, abs=1e-4 * push.weight[n])
             expected = reference.pull(d, hand.region, pull.weight[n], pull.reach)
             assert pulled[b, n] == pytest.approx(expected, abs=1e-4 * pull.weight[n])
 
@@ -267,7 +269,7 @@ def test_gradients_of_push_and_pull(name: str, which: str) -> None:
     poses = random_poses(rng, 4, 3)
     for n in range(3):  # some vertices just below the surface of the first hypothesis
         face = rng.integers(len(mesh.faces), size=8)
-        depth = rng.uniform(1e-4, 2e-3, (8, 1))
+        depth = rng.uniform(6e-4, 2e-3, (8, 1))
         inside = mesh.vertices[mesh.faces[face]].mean(axis=1) - depth * mesh.planes[face, :3] - mesh.centre
         hand.position[n, ::3][:8] = poses.scale[0] * inside @ poses.R[0, n].T + poses.centre[0, n]
     local = term(poses, no_bound(poses))
@@ -295,6 +297,17 @@ def test_nothing_pushes_outside() -> None:
     local = physical_terms(mesh, hand)[0](poses, no_bound(poses))
     for array in (local.value, local.g, local.H):
         assert not array.any()
+
+
+def test_a_little_depth_does_not_push() -> None:
+    mesh, give = MESHES["box"], 0.004
+    face, out = mesh.vertices[mesh.faces[0]].mean(axis=0) - mesh.centre, mesh.planes[0, :3]
+    poses = Poses(np.eye(3)[None, None], np.array([[[0.0, 0.0, 0.5]]]), np.ones(1))
+    for depth in (0.0, 0.9 * give, 1.5 * give):
+        hand = HandContacts(np.tile(poses.centre[0, 0] + face - depth * out, (1, 26, 1)), np.arange(0, 24, 4))
+        local = PushTerm(solid(mesh, mesh.centre), hand, np.ones(1), give=give)(poses, no_bound(poses))
+        assert local.value[0, 0] == pytest.approx(max(0.0, depth - give), abs=1e-6)
+        assert local.g.any() == (depth > give)
 
 
 def test_fingers_on_the_surface_do_not_pull() -> None:

@@ -29,7 +29,7 @@ RIDGE = (2e5 / 16, 1.2e3 / 16)
 """Stiffness of the deviations while the axis is looked for [px^2 per m^2, px^2 per rad^2]."""
 COARSE_RIDGE = (2e5 / 4, 1.2e3 / 4)
 """Stiffness of the deviations of a soft hinge in the coarse stages, where it has no axis yet, likewise."""
-SOFT_RIDGE = (3e5, 2e3)
+SOFT_RIDGE = (1.5e6, 1e4)
 """Stiffness of the deviations of a soft hinge, likewise."""
 ANGLE_RIDGE = 400.0
 """Stiffness of a hinge's angles [px^2 per rad^2]: too weak to matter where an outline shows the angle, enough to keep a

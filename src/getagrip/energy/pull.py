@@ -75,5 +75,7 @@ def _evaluate(
                 value[b, n] += unit * scale[b] * least
                 if tip >= 0:
                     x, y, z = hand[n, tip, 0], hand[n, tip, 1], hand[n, tip, 2]
-                    add_height(d, n0, n1, n2, x, y, z, R[b, n], centre[b, n], scale[b], unit, delta, g[b, n], H[b, n])
+                    add_height(
+                        d, 0.0, n0, n1, n2, x, y, z, R[b, n], centre[b, n], scale[b], unit, delta, g[b, n], H[b, n]
+                    )  # fmt: skip
             mirror_upper(H[b, n])

@@ -264,9 +264,9 @@ def screen(
     return local, np.where(inside, distance[tuple(node.T)], np.inf)
 
 
-def push(heights: Float[ndarray, "Q"], weight: float) -> float:
-    """E_push: ``weight * mean over contact vertices of max(0, -d)``, d their signed distances to the object [m]."""
-    return float(weight * np.mean(np.maximum(0.0, -heights)))
+def push(heights: Float[ndarray, "Q"], weight: float, give: float) -> float:
+    """E_push: ``weight * mean over contact vertices of max(0, -d - give)``, d their signed distances [m]."""
+    return float(weight * np.mean(np.maximum(0.0, -heights - give)))
 
 
 def pull(heights: Float[ndarray, "Q"], region: Int[ndarray, "f"], weight: float, reach: float) -> float:
