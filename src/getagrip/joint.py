@@ -22,6 +22,10 @@ from getagrip.starts import starting_poses
 
 STEADY = 0.5
 """Weight of the soft hinge's own term (``objective.consistency_of``), in lambda_3."""
+RIGID = 4.0
+"""Push and pull count so much more for static and one-dof: outlines that the motion cannot follow say less of where the
+object is.
+"""
 
 
 def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = None) -> Found:
@@ -64,7 +68,8 @@ def terms_of(problem: Problem) -> TermsAt:
     the hinge, in depth above all, which outlines hardly show, the term says that it is kept.
     """
     options = problem.options
-    energy = energy_of(problem, options.push, options.pull)
+    firm = RIGID if options.method in ("static", "one-dof") else 1.0
+    energy = energy_of(problem, firm * options.push, firm * options.pull)
     if options.method != "soft-hinge" or not options.pull:
         return energy
     steady = consistency_of(problem, STEADY * options.pull)
