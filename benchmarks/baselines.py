@@ -28,7 +28,15 @@ from getagrip.options import Method, Options
 from getagrip.reconstruct import reconstruct
 from getagrip.search import Schedule, Stage, spread
 
-METHODS: tuple[Method, ...] = ("soft-hinge", "one-dof", "dynamic", "contact-consistency", "homan", "single-frame")
+METHODS: tuple[Method, ...] = (
+    "soft-hinge",
+    "one-dof",
+    "static",
+    "dynamic",
+    "contact-consistency",
+    "homan",
+    "single-frame",
+)
 FACTORS = ((1, 1), (2, 1), (4, 1), (1, 2), (1, 4))
 """Of starts and of iterations."""
 CONDITIONS = {"exact": ClipOptions(), "hamer": ClipOptions(**vars(NOISE["hamer"]))}

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip import se3
+from getagrip.datasets.categories import CATEGORIES
 from getagrip.energy import Local
 from getagrip.mesh import Mesh
 from getagrip.motion import Fixed, Free, Hinge, Soft
@@ -116,6 +117,15 @@ def test_motions_at_more_frames_keep_those_they_had() -> None:
     np.testing.assert_allclose(between[:, 1], (2.0 * true.angle[:, 0] + true.angle[:, 1]) / 3.0)
 
 
+def test_free_poses_turn_steadily_between_frames() -> None:
+    old, new = np.array([0, 4, 8]), np.arange(9)
+    R = se3.exp_so3(np.array([0.1, 0.2, -0.05])[None, None] * new[None, :, None])
+    centre = np.array([0.01, 0.0, 0.002]) * new[None, :, None]
+    more = resampled(Free(R[:, old], centre[:, old], np.zeros(1)), old, new)
+    np.testing.assert_allclose(more.R, R, atol=1e-12)
+    np.testing.assert_allclose(more.centre, centre, atol=1e-12)
+
+
 def test_near_copies_of_a_better_hypothesis_are_dropped() -> None:
     eye = np.tile(np.eye(3), (5, 1, 1))
     centre = np.array([[0.0, 0, 0], [1e-4, 0, 0], [0.05, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
@@ -151,6 +161,15 @@ def test_a_bottle_that_has_spun_is_the_same_and_one_that_was_tilted_is_not() -> 
     R = se3.exp_so3(np.array([[0.0, 0, 0], [0.0, 0.0, 1.1], [np.pi, 0.0, 0.0], [0.4, 0.0, 0.0]]))
     still = Fixed(R, np.zeros((4, 3)), np.zeros(4), 3)
     np.testing.assert_array_equal(distinct(still.poses(), np.arange(4.0), shape, keep=9), [0, 3])
+
+
+def test_a_large_pan_that_has_turned_its_handle_elsewhere_is_another() -> None:
+    pan = CATEGORIES["pan"].make()
+    shape = Shape.of(pan)
+    R = se3.exp_so3(np.radians([[0.0, 0.0, a] for a in (0.0, 30.0, 60.0, 90.0, 180.0)]))
+    vessel = np.array([pan.vertices[:, 0].min() + pan.vertices[:, 1].max(), 0.0, 0.0]) - pan.centre
+    still = Fixed(R, vessel - R @ vessel, np.zeros(5), 3)
+    assert len(distinct(still.poses(), np.arange(5.0), shape, keep=9)) == 5
 
 
 class Upright:

@@ -26,14 +26,23 @@ def solid(mesh: Mesh, centre: Float[ndarray, "3"]) -> FaceGrid:
 
 @njit(**OPTIONS)
 def distances(points, corners, normals, face, distance, origin, spacing):
-    """Unsigned distance of points (P, 3) in the frame of a ``FaceGrid`` to its mesh [m]; ``MARGIN`` beyond the grid."""
+    """Unsigned distance of points (P, 3) in the frame of a ``FaceGrid`` to its mesh [m].
+
+    Beyond the grid, where no face is known to be near, a lower bound: ``MARGIN`` and the distance to the grid.
+    """
     P = len(points)
-    local, rough, out = np.empty((P, 3)), np.empty(P), np.full(P, MARGIN)
+    local, rough, out = np.empty((P, 3)), np.empty(P), np.empty(P)
+    last = origin + spacing * (np.array(distance.shape) - 1)
     screen(points, np.eye(3), np.zeros(3), 1.0, distance, origin, spacing, local, rough)
     for p in range(P):
         if np.isfinite(rough[p]):
             x, y, z = local[p, 0], local[p, 1], local[p, 2]
             out[p] = abs(signed_distance(x, y, z, corners, normals, face, origin, spacing)[0])
+        else:
+            squared = 0.0
+            for k in range(3):
+                squared += max(origin[k] - local[p, k], local[p, k] - last[k], 0.0) ** 2
+            out[p] = MARGIN + np.sqrt(squared)
     return out
 
 

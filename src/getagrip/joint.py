@@ -22,10 +22,8 @@ from getagrip.starts import starting_poses
 
 STEADY = 0.5
 """Weight of the soft hinge's own term (``objective.consistency_of``), in lambda_3."""
-RIGID = 4.0
-"""Push and pull count so much more for static and one-dof: outlines that the motion cannot follow say less of where the
-object is.
-"""
+ALONE = 4.0
+"""Push and pull count so much more where no other term ties the object to the hand."""
 
 
 def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = None) -> Found:
@@ -68,8 +66,8 @@ def terms_of(problem: Problem) -> TermsAt:
     the hinge, in depth above all, which outlines hardly show, the term says that it is kept.
     """
     options = problem.options
-    firm = RIGID if options.method in ("static", "one-dof") else 1.0
-    energy = energy_of(problem, firm * options.push, firm * options.pull)
+    heavy = ALONE if options.method in ("static", "one-dof", "dynamic") else 1.0
+    energy = energy_of(problem, heavy * options.push, heavy * options.pull)
     if options.method != "soft-hinge" or not options.pull:
         return energy
     steady = consistency_of(problem, STEADY * options.pull)

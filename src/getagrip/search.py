@@ -92,7 +92,7 @@ class Schedule:
 THOROUGH = Schedule(
     stages=(
         Stage("coarse", level=64, frames=8, iterations=5, keep=32, rounds=8, parents=12),
-        Stage("middle", level=64, frames=15, iterations=8, keep=12),
+        Stage("middle", level=64, frames=15, iterations=8, keep=12, rounds=2, parents=8, turns=NEAR),
         Stage("fine", level=128, frames=MAX, iterations=12, keep=6, rounds=2, parents=3),
         Stage("finest", level=256, frames=MAX, iterations=16, keep=4),
     ),
@@ -153,7 +153,7 @@ def soft_hinge(motion: Motion, free_location: bool, anchor: Float[ndarray, "3"])
 
 
 def resampled(motion: M, old: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> M:
-    """The motion at other frames: per-frame parameters interpolated linearly, rotations to the nearest frame's."""
+    """The motion at other frames: per-frame parameters interpolated linearly, rotations along the shortest turn."""
     if isinstance(motion, Fixed):
         return replace(motion, frames=len(new))
     if isinstance(motion, Hinge):
@@ -162,8 +162,12 @@ def resampled(motion: M, old: Int[ndarray, "m"], new: Int[ndarray, "n"]) -> M:
         between = [[np.interp(new, old, column) for column in d.T] for d in motion.deviation]
         return replace(motion, core=resampled(motion.core, old, new), deviation=np.swapaxes(between, 1, 2))
     if isinstance(motion, Free):
-        nearest = np.abs(new[:, None] - old[None]).argmin(axis=1)
-        return replace(motion, R=motion.R[:, nearest], centre=motion.centre[:, nearest])
+        before = np.clip(np.searchsorted(old, new, side="right") - 1, 0, len(old) - 2)
+        share = ((new - old[before]) / (old[before + 1] - old[before]))[:, None]
+        R, centre = motion.R[:, before], motion.centre[:, before]
+        turn = se3.log_so3(motion.R[:, before + 1] @ np.swapaxes(R, -1, -2))
+        centre = centre + share * (motion.centre[:, before + 1] - centre)
+        return replace(motion, R=se3.exp_so3(share * turn) @ R, centre=centre)
     raise TypeError(type(motion))
 
 

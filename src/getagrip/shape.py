@@ -52,7 +52,7 @@ class Shape:
     ) -> Float[ndarray, "C"]:
         """Root mean square distance of the posed surface from C other poses of it, over N frames, in diameters.
 
-        A bottle that is turned about its axis has not moved. Beyond the reach of contact, distances read that reach.
+        A bottle that is turned about its axis has not moved. Where the two are far apart, this is a lower bound.
         """
         placed = scale * self.points @ np.swapaxes(R, -1, -2) + centre[:, None]
         back = (placed - others_centre[:, :, None]) @ others_R / others_scale[:, None, None, None]

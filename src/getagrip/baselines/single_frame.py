@@ -26,7 +26,7 @@ SCHEDULE = Schedule(
     stages=(
         Stage("coarse", level=64, frames=1, iterations=6, keep=10, rounds=6),
         Stage("fine", level=128, frames=1, iterations=10, keep=4),
-        Stage("finest", level=256, frames=1, iterations=10, keep=1),
+        Stage("finest", level=256, frames=1, iterations=16, keep=1),
     ),
 )
 """The joint search's for one frame: no motion to find, so no loose fit."""
