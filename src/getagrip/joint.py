@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Int
-from numpy import ndarray
 
 from getagrip import se3
-from getagrip.energy import Term
 from getagrip.errors import GetagripError
 from getagrip.motion import Fixed, Free, Hinge, Motion, Soft
 from getagrip.objective import consistency_of, energy_of
 from getagrip.options import Options
 from getagrip.problem import Found, Problem
 from getagrip.result import Axis
-from getagrip.search import MAX, THOROUGH, Schedule, Stage, TermsAt, hinge_from, search, soft_hinge, stiffened
+from getagrip.search import MAX, THOROUGH, Schedule, TermsAt, hinge_from, search, soft_hinge, stiffened
 from getagrip.solve import Status
 from getagrip.starts import starting_poses
 
@@ -32,12 +29,11 @@ def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = N
     ``watch`` is told the name of each stage when it ends. Raises ``GetagripError`` when nothing can be rendered.
     """
     clip, options, centre = problem.clip, problem.options, problem.clip.mesh.centre
-    energy = terms_of(problem)
     model, finer = _models(options)
     solution = search(
         starts=starting_poses(clip, problem.masks, options.inits, options.seed, problem.poses),
         model=model,
-        terms_at=energy if more is None else lambda stage, index: [*energy(stage, index), *more(stage, index)],
+        terms_at=terms_of(problem, more),
         T_cam_hand=clip.hand.T_cam_hand,
         shape=problem.shape,
         schedule=THOROUGH if options.thorough else Schedule(),
@@ -59,23 +55,23 @@ def fit(problem: Problem, watch: Callable[[str], None], more: TermsAt | None = N
     )
 
 
-def terms_of(problem: Problem) -> TermsAt:
-    """The energy of the problem's method: Eq. 4, and for the soft hinge one term more where all frames are seen.
+def terms_of(problem: Problem, more: TermsAt | None = None) -> TermsAt:
+    """The energy of the problem's method: Eq. 4, and ``more``; for the soft hinge a term where all frames are seen.
 
     Contact that stays is what makes a grasp stable (Eq. 2). A hinge keeps it by itself; where frames may deviate from
     the hinge, in depth above all, which outlines hardly show, the term says that it is kept.
     """
     options = problem.options
-    heavy = ALONE if options.method in ("static", "one-dof", "dynamic") else 1.0
+    if options.method == "soft-hinge" and options.pull:
+        more = _late(consistency_of(problem, STEADY * options.pull))
+    heavy = 1.0 if more else ALONE
     energy = energy_of(problem, heavy * options.push, heavy * options.pull)
-    if options.method != "soft-hinge" or not options.pull:
-        return energy
-    steady = consistency_of(problem, STEADY * options.pull)
+    return (lambda stage, index: [*energy(stage, index), *more(stage, index)]) if more else energy
 
-    def terms(stage: Stage, index: Int[ndarray, "n"]) -> Sequence[Term]:
-        return [*energy(stage, index), *(steady(stage, index) if stage.frames == MAX else [])]
 
-    return terms
+def _late(terms: TermsAt) -> TermsAt:
+    """Terms for the stages that see all frames."""
+    return lambda stage, index: terms(stage, index) if stage.frames == MAX else []
 
 
 def _models(options: Options) -> tuple[Callable[[Soft[Fixed]], Motion], Callable[[Motion], Motion] | None]:
