@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip import camera, se3
+from getagrip import camera, joint, se3
 from getagrip.baselines.homan import in_box
 from getagrip.baselines.homan_joint import Bodies, JointEnergy, descend
 from getagrip.clip import Clip, Masks
@@ -30,9 +30,12 @@ from getagrip.energy.smoothness import SmoothnessTerm, moments
 from getagrip.errors import GetagripError
 from getagrip.evaluate import evaluate
 from getagrip.motion import Free
+from getagrip.objective import energy_of
 from getagrip.options import Options
+from getagrip.problem import Problem
 from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction
+from getagrip.search import TermsAt
 from getagrip.solve import minimise
 
 B, N = 2, 4
@@ -414,6 +417,23 @@ def test_consistency_holds_the_object_stiller_than_dynamic() -> None:
         return float(np.linalg.norm(held - held.mean(axis=0), axis=-1).mean())
 
     assert spread(found("contact-consistency", "mug", 2)) < spread(found("dynamic", "mug", 2))
+
+
+@pytest.mark.parametrize("method", ["static", "one-dof", "dynamic", "soft-hinge", "contact-consistency"])
+def test_contact_weighs_more_where_no_other_term_ties_the_object_to_the_hand(
+    method: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = {}
+
+    def asks(problem: Problem, push: float, pull: float) -> TermsAt:
+        asked.update(push=push, pull=pull)
+        return energy_of(problem, push, pull)
+
+    monkeypatch.setattr(joint, "energy_of", asks)
+    options = Options(method=method, inits=4)
+    reconstruct(*small_clip(), options)
+    heavy = 1.0 if method in ("soft-hinge", "contact-consistency") else joint.ALONE
+    assert asked == {"push": heavy * options.push, "pull": heavy * options.pull}
 
 
 @pytest.mark.parametrize("method", BASELINES)
