@@ -540,7 +540,11 @@ def test_small_pickles_that_are_large_in_memory(tmp_path: Path, mano_folder: Pat
     for _ in range(28):
         twice = [twice, twice]
     path = tmp_path / "000007.pkl"
-    for value, words in ((twice, "5.37e\\+08 values"), (Vast(), "without contents"), ([[[twice] * 2] * 2], "")):
+    for value, words in (
+        (twice, "5.37e\\+08 values"),
+        (Vast(), "_reconstruct with other arguments"),
+        ([[[twice] * 2] * 2], ""),
+    ):
         hand = frankmocap_record(Known("right", mano_folder), 0)
         hand["pred_output_list"][0]["right_hand"]["pred_camera"] = value
         path.write_bytes(pickle.dumps(hand))

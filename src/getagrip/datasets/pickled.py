@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import arrays
+from getagrip import arrays, pickles
 from getagrip.errors import InputError
 from getagrip.files import read_bytes, shown
-from getagrip.hands.mano_pickle import LARGEST, read_pickle
 
 NPY = b"\x93NUMPY"
 
@@ -24,7 +23,7 @@ def read_dict(path: Path, what: str) -> dict[str, object]:
 
     ``what`` says in errors what is expected. Raises ``InputError``.
     """
-    content = read_bytes(path, LARGEST)
+    content = read_bytes(path, pickles.LARGEST)
     if content[: len(NPY)] == NPY:
         stream = io.BytesIO(content)
         headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -35,7 +34,7 @@ def read_dict(path: Path, what: str) -> dict[str, object]:
         if shape != () or not dtype.hasobject:
             raise InputError(path, "", f"an array of {dtype} of shape {shape}", what)
         content = content[stream.tell() :]
-    return read_pickle(path, content, what)
+    return pickles.read(path, content, what)
 
 
 def numbers(

@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import arrays, files
+from getagrip import arrays, files, pickles
 from getagrip.errors import InputError, UsageError
-from getagrip.hands.mano_pickle import check_bounded, read_pickle
 
 Record = Mapping[str, Any]
 """Arrays, numbers, texts, lists and further records by name."""
@@ -36,7 +35,7 @@ def read(path: Path) -> Record:
     if suffix == ".json":
         return files.read_json(path)
     if suffix in {".pkl", ".pickle"}:
-        return read_pickle(path, files.read_bytes(path, LARGEST), "a pickled dictionary of arrays")
+        return pickles.read(path, files.read_bytes(path, pickles.LARGEST), "a pickled dictionary of arrays")
     if suffix in {".pt", ".pth"}:
         return _read_torch(path)
     if suffix == ".npy":
@@ -60,7 +59,7 @@ def _read_torch(path: Path) -> Record:
         if unpacked > LARGEST:
             raise InputError(path, "", f"tensors of {unpacked} bytes", f"at most {LARGEST}")
         loaded = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
-        check_bounded(path, loaded, "a dictionary of tensors")
+        pickles.check_bounded(path, loaded, "a dictionary of tensors")
     except InputError:
         raise
     except Exception as error:  # torch raises whatever its parsers meet

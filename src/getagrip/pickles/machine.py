@@ -1,0 +1,176 @@
+"""A pickle is a program for a stack machine. This one has only the instructions that build data.
+
+Python's own unpickler calls what a file names. Here a name is no more than text on the stack, and the instructions that
+call something, or set its state, hand both over to stand-ins (``pickles.stand_ins``). Persistent ids, extension codes,
+the classes of protocol 0 and buffers kept elsewhere are refused.
+"""
+
+from __future__ import annotations
+
+import io
+import pickletools
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+MOST_INSTRUCTIONS = 2**22
+"""Each takes one byte or more of a file, and up to 224 bytes of memory: those of an empty set."""
+PLAIN = str | bytes | int | float | np.generic | None
+"""What may be a key: tuples that share their parts take ages to hash."""
+
+
+class Objects(Protocol):
+    """What the names in a pickle stand for. Each method raises for what is not allowed."""
+
+    def named(self, module: object, name: object) -> object:
+        """What stands for a name."""
+
+    def make(self, name: object, arguments: object) -> object:
+        """What stands for the result of calling a name."""
+
+    def build(self, target: object, state: object) -> None:
+        """Set the state of a result of ``make``."""
+
+
+def run(content: bytes, objects: Objects) -> object:
+    """The object in a pickle. A malformed one raises whatever its instructions meet: catch ``Exception``."""
+    machine = _Machine(objects)
+    for name, argument in _instructions(content):
+        if name not in _INSTRUCTIONS:
+            raise ValueError(f"the instruction {name}")
+        _INSTRUCTIONS[name](machine, argument)
+    return machine.stack.pop()
+
+
+def plain_keys(values: Sequence[Any]) -> Sequence[Any]:
+    """The same values, or a ``ValueError`` for those that may be no keys."""
+    for value in values:
+        if not isinstance(value, PLAIN):
+            raise ValueError(f"a key of type {type(value).__name__}")
+    return values
+
+
+def _instructions(content: bytes) -> Iterator[tuple[str, Any]]:
+    """Name and argument of each instruction before STOP. Arguments are no longer than the bytes that are there."""
+    stream = io.BytesIO(content)
+    for _ in range(MOST_INSTRUCTIONS):
+        code = stream.read(1)
+        if code not in _OPCODES:
+            raise ValueError(f"the instruction {code!r}")
+        opcode = _OPCODES[code]
+        if opcode.name == "STOP":
+            return
+        if opcode.name == "STRING":  # before Python 3.12 pickletools takes ASCII only; Python 2 wrote arrays this way
+            yield opcode.name, _python2_text(stream.readline())
+        else:
+            yield opcode.name, opcode.arg.reader(stream) if opcode.arg else None
+    raise ValueError(f"more than {MOST_INSTRUCTIONS} instructions")
+
+
+def _python2_text(line: bytes) -> str:
+    """A text of Python 2, in quotes and escaped, its bytes as Latin-1."""
+    quoted = line.rstrip(b"\r\n")
+    if len(quoted) < 2 or quoted[:1] not in {b"'", b'"'} or quoted[-1:] != quoted[:1]:
+        raise ValueError("a text without quotes")
+    return quoted[1:-1].decode("unicode_escape")
+
+
+class _Machine:
+    def __init__(self, objects: Objects) -> None:
+        self.objects = objects
+        self.stack: list[Any] = []
+        self.below: list[list[Any]] = []
+        """The stacks below the marks."""
+        self.memo: dict[int, Any] = {}
+
+    def push(self, value: object) -> None:
+        self.stack.append(value)
+
+    def pop(self, count: int) -> list[Any]:
+        """The last values, in the order they were pushed in."""
+        return [self.stack.pop() for _ in range(count)][::-1]
+
+    def mark(self) -> None:
+        self.below.append(self.stack)
+        self.stack = []
+
+    def pop_marked(self) -> list[Any]:
+        """All values above the last mark, which goes too."""
+        values, self.stack = self.stack, self.below.pop()
+        return values
+
+    def memorise(self, index: int) -> None:
+        self.memo[index] = self.stack[-1]
+
+    def last(self, kind: type) -> Any:
+        if type(self.stack[-1]) is not kind:
+            raise ValueError(f"a {type(self.stack[-1]).__name__} where a {kind.__name__} belongs")
+        return self.stack[-1]
+
+    def extend(self, values: list[Any]) -> None:
+        self.last(list).extend(values)
+
+    def update(self, pairs: list[Any]) -> None:
+        """Take keys and values by turns into the last dictionary."""
+        self.last(dict).update(zip(plain_keys(pairs[::2]), pairs[1::2], strict=True))
+
+    def add(self, values: list[Any]) -> None:
+        self.last(set).update(plain_keys(values))
+
+    def dictionary(self) -> None:
+        pairs = self.pop_marked()
+        self.push({})
+        self.update(pairs)
+
+    def make(self) -> None:
+        name, arguments = self.pop(2)
+        self.push(self.objects.make(name, arguments))
+
+    def build(self) -> None:
+        (state,) = self.pop(1)
+        self.objects.build(self.stack[-1], state)
+
+
+_OPCODES = {opcode.code.encode("latin1"): opcode for opcode in pickletools.opcodes}
+_VALUES = (
+    "INT BININT BININT1 BININT2 LONG LONG1 FLOAT BINFLOAT STRING BINSTRING SHORT_BINSTRING UNICODE BINUNICODE "
+    "SHORT_BINUNICODE BINUNICODE8 BINBYTES SHORT_BINBYTES BINBYTES8 BYTEARRAY8"
+)
+"""Those that push their argument. LONG4 is not among them: its integers are too long to print."""
+_INSTRUCTIONS: dict[str, Callable[[_Machine, Any], object]] = {
+    "PROTO": lambda m, version: None,
+    "FRAME": lambda m, length: None,
+    **dict.fromkeys(_VALUES.split(), _Machine.push),
+    "NONE": lambda m, _: m.push(None),
+    "NEWTRUE": lambda m, _: m.push(True),
+    "NEWFALSE": lambda m, _: m.push(False),
+    "MARK": lambda m, _: m.mark(),
+    "POP": lambda m, _: m.pop(1),
+    "POP_MARK": lambda m, _: m.pop_marked(),
+    "DUP": lambda m, _: m.push(m.stack[-1]),
+    "EMPTY_TUPLE": lambda m, _: m.push(()),
+    "TUPLE": lambda m, _: m.push(tuple(m.pop_marked())),
+    "TUPLE1": lambda m, _: m.push(tuple(m.pop(1))),
+    "TUPLE2": lambda m, _: m.push(tuple(m.pop(2))),
+    "TUPLE3": lambda m, _: m.push(tuple(m.pop(3))),
+    "EMPTY_LIST": lambda m, _: m.push([]),
+    "LIST": lambda m, _: m.push(m.pop_marked()),
+    "APPEND": lambda m, _: m.extend(m.pop(1)),
+    "APPENDS": lambda m, _: m.extend(m.pop_marked()),
+    "EMPTY_DICT": lambda m, _: m.push({}),
+    "DICT": lambda m, _: m.dictionary(),
+    "SETITEM": lambda m, _: m.update(m.pop(2)),
+    "SETITEMS": lambda m, _: m.update(m.pop_marked()),
+    "EMPTY_SET": lambda m, _: m.push(set()),
+    "ADDITEMS": lambda m, _: m.add(m.pop_marked()),
+    **dict.fromkeys(("PUT", "BINPUT", "LONG_BINPUT"), _Machine.memorise),
+    "MEMOIZE": lambda m, _: m.memorise(len(m.memo)),
+    **dict.fromkeys(("GET", "BINGET", "LONG_BINGET"), lambda m, index: m.push(m.memo[index])),
+    "GLOBAL": lambda m, names: m.push(m.objects.named(*names.split(" ", 1))),
+    "STACK_GLOBAL": lambda m, _: m.push(m.objects.named(*m.pop(2))),
+    "REDUCE": lambda m, _: m.make(),
+    "NEWOBJ": lambda m, _: m.make(),
+    "BUILD": lambda m, _: m.build(),
+}
+"""By name; the method of a machine that each is, and its argument. What is not in here is refused."""
