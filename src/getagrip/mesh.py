@@ -22,6 +22,8 @@ LARGEST, SMALLEST = 2.0, 0.005
 """Plausible sizes of hands and objects [m]."""
 LARGEST_FILE = 128 * 2**20
 """Limit in bytes: parsing takes several times as much memory."""
+PAIRS = 50_000
+"""So many distances are computed at once."""
 
 
 @dataclass(frozen=True)
@@ -125,15 +127,33 @@ def edge_table(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
 
 
 def diameter(points: Float[ndarray, "V 3"]) -> float:
-    """Largest distance between two points [m]."""
-    from scipy.spatial import ConvexHull, QhullError
-    from scipy.spatial.distance import pdist
+    """Largest distance between two points [m], in memory that grows only linearly with their number.
 
-    try:
-        points = points[ConvexHull(points).vertices]
-    except QhullError:  # flat or tiny sets have no hull; the direct way is fine for them
-        points = points[np.unique(np.linspace(0, len(points) - 1, 2000).astype(int))]
-    return float(pdist(points).max()) if len(points) > 1 else 0.0
+    Let the direction of q - p be within an angle a of the unit vector u. Then (q - p) . u >= |q - p| cos(a), so p and q
+    are near the extreme points along u. Triangles that cover half of all directions are divided until few such points
+    are left; those without a pair that could exceed the best distance so far are dropped.
+    """
+    from scipy.spatial.distance import cdist
+
+    points = np.unique(points, axis=0)
+    rounding = 1e-12 * np.abs(points).max()
+    best = 0.0
+    triangles = [(np.diag([x, y, 1.0]), points, points) for x in (1.0, -1.0) for y in (1.0, -1.0)]
+    while triangles:
+        corners, low, high = triangles.pop()
+        u = corners.sum(axis=0) / np.linalg.norm(corners.sum(axis=0))
+        cosine = np.min(corners @ u / np.linalg.norm(corners, axis=1))
+        down, up = low @ u, high @ u
+        best = max(best, cdist(low[[down.argmin()]], high[[up.argmax()]]).item())
+        least = best * cosine - rounding
+        low, high = low[down <= up.max() - least], high[up >= down.min() + least]
+        if len(low) * len(high) <= PAIRS or best * (1.0 - cosine) <= rounding:
+            for some in np.array_split(low, 1 + len(low) * len(high) // PAIRS):
+                best = max(best, cdist(some, high).max(initial=0.0))
+        else:
+            quarters = [*(0.5 * (corners + corner) for corner in corners), 0.5 * (corners.sum(axis=0) - corners)]
+            triangles += [(quarter, low, high) for quarter in quarters]
+    return float(best)
 
 
 def read_mesh(path: Path) -> Mesh:
