@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from conftest import small_clip
 from numpy import ndarray
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from getagrip import se3
 from getagrip.clip import Clip, Masks
@@ -304,3 +305,18 @@ def test_hidden_pixels_may_be_counted_for_an_ablation() -> None:
     without = found("kettle", 1, SMALL, Options(occlusion=False))
     assert without.options["occlusion"] is False
     assert without.energy["mask"] > with_ignore.energy["mask"]
+
+
+# What it asks of the machine
+
+
+def test_blas_runs_on_one_thread_and_has_its_own_again_after_that() -> None:
+    def threads() -> set[int]:
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    during = set[int]()
+    clip, masks = made("box", 1)
+    with threadpool_limits(2, user_api="blas"):
+        reconstruct(clip, masks, Options(inits=1), lambda *_: during.update(threads()))
+        assert threads() == {2}
+    assert during == {1}

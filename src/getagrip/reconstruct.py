@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from threadpoolctl import threadpool_limits
+
 from getagrip import joint
 from getagrip.clip import Clip, Masks
 from getagrip.options import Options
@@ -22,14 +24,18 @@ def reconstruct(
     ``masks`` are those of the clip's frames; without them, those of the frames that are used are read from its folder.
     ``progress`` is called with the name of the stage that has ended and the fraction done. Raises ``InputError`` when
     the object is seen in fewer than two frames and ``GetagripError`` when nothing can be rendered.
+
+    BLAS runs on one thread meanwhile, in the whole process: the matrices are small, and threads of it that wait for a
+    core that somebody else has make a clip take ten times as long.
     """
     options = options or Options()
     if masks is None:
         clip, masks = read_sampled(clip, options.frames)
-    clock = Clock(progress)
-    problem = prepare(clip, masks, options)
-    clock("prepare")
-    return answer(problem, _fit(problem, clock), clock)
+    with threadpool_limits(1, user_api="blas"):
+        clock = Clock(progress)
+        problem = prepare(clip, masks, options)
+        clock("prepare")
+        return answer(problem, _fit(problem, clock), clock)
 
 
 def _fit(problem: Problem, watch: Callable[[str], None]) -> Found:
