@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
 # Modules of plain functions and data, without compiled kernels; `hands` refuses wrong shapes itself.
-PLAIN = ("se3", "camera", "mesh", "arrays", "files", "clip", "result", "metrics")
+PLAIN = ("se3", "camera", "mesh", "arrays", "files", "images", "clip", "result", "metrics")
 install_import_hook([f"getagrip.{name}" for name in PLAIN], "beartype.beartype")
 
 # The same examples on every machine, however busy it is.
@@ -25,6 +26,7 @@ from getagrip.clip import FINGERS, Clip, HandTrack, Masks, Truth, write_clip  # 
 from getagrip.mesh import Mesh  # noqa: E402
 
 Run = Callable[..., tuple[int, str, str]]
+FullDisk = Callable[[int], AbstractContextManager[None]]
 
 BOX_FACES = np.array(
     [
@@ -73,6 +75,11 @@ def small_clip(frames: int = 3, seed: int = 0) -> tuple[Clip, Masks]:
     return clip, Masks(seen, ignore)
 
 
+def contents(folder: Path) -> dict[str, bytes]:
+    """All files below a folder, hidden ones too: their bytes by their paths."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
 @pytest.fixture
 def clip_folder(tmp_path: Path) -> Path:
     """The small clip in a folder that a test may break."""
@@ -95,6 +102,23 @@ def refused(tmp_path: Path) -> Callable[..., str]:
         return message
 
     return check
+
+
+@pytest.fixture
+def full_disk() -> FullDisk:
+    """Within it no file grows beyond so many bytes: a write stores a part, and then fails, as on a full disk."""
+    resource = pytest.importorskip("resource")
+
+    @contextmanager
+    def limited(size: int) -> Iterator[None]:
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    return limited
 
 
 @pytest.fixture

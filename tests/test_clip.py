@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from conftest import small_clip
+from conftest import FullDisk, contents, small_clip
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -32,7 +32,10 @@ from getagrip.clip import (
     seen_frames,
     write_clip,
 )
+from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError, UsageError
+from getagrip.images import write_image, write_mask
+from getagrip.mesh import write_mesh
 
 Break = Callable[[Path], None]
 Refused = Callable[..., str]
@@ -137,6 +140,39 @@ def test_nothing_half_written_is_left(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="zip"):
         write_clip(clip, masks, tmp_path / "clip", images=[np.zeros((24, 32, 3), np.uint8)])  # one for three frames
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("size", [100, 1_000, 4_000, 15_000])
+@pytest.mark.parametrize("what", ["masks", "images"])
+def test_clips_that_the_disk_has_no_room_for_are_not_written(
+    tmp_path: Path, full_disk: FullDisk, what: str, size: int
+) -> None:
+    """Whichever file is the first that does not fit."""
+    noise = np.random.default_rng(0).integers(0, 2, (3, 240, 320, 3), np.uint8)
+    masks = Masks(noise[..., 0] > 0, noise[..., 1] > 0) if what == "masks" else None
+    clip, images = replace(small_clip()[0], size=(320, 240)), [*255 * noise] if what == "images" else None
+    sizes = {name: len(content) for name, content in contents(write_clip(clip, masks, tmp_path / "a", images)).items()}
+    with full_disk(size), pytest.raises(OSError, match="too large") as caught:
+        write_clip(clip, masks, tmp_path / "b", images)
+    assert sizes[str(Path(caught.value.filename).relative_to(tmp_path / "b"))] > size
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a system without /dev/full")
+@pytest.mark.parametrize("name", ["mask.png", "image.jpg", "clip.json", "hand.npz", "object.obj"])
+def test_a_full_disk_is_an_error_that_names_the_file(tmp_path: Path, name: str) -> None:
+    (clip, masks), path = small_clip(), tmp_path / name
+    path.symlink_to("/dev/full")
+    write: dict[str, Callable[[], object]] = {
+        ".png": lambda: write_mask(path, masks.object[0]),
+        ".jpg": lambda: write_image(path, np.zeros((24, 32, 3), np.uint8)),
+        ".json": lambda: files.write_json(path, {}),
+        ".npz": lambda: write_hand(clip.hand, path),
+        ".obj": lambda: write_mesh(path, clip.mesh),
+    }
+    with pytest.raises(OSError, match="No space left") as caught:
+        write[path.suffix]()
+    assert caught.value.filename == str(path)
 
 
 # Frames in which the object is not seen.

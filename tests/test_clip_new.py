@@ -11,10 +11,10 @@ import av
 import cv2
 import numpy as np
 import pytest
-from conftest import box, small_clip
+from conftest import FullDisk, Run, box, contents, small_clip
 from numpy import ndarray
 
-from getagrip import arrays, se3
+from getagrip import arrays, files, se3
 from getagrip.annotate.video import Video
 from getagrip.cli import main
 from getagrip.clip import read_clip, read_masks, write_clip
@@ -116,6 +116,15 @@ def test_everything_at_once(made: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "guess" not in capsys.readouterr().err
 
 
+def test_images_that_the_disk_has_no_room_for_leave_no_clip(made: Path, run: Run, full_disk: FullDisk) -> None:
+    before = contents(made)
+    with full_disk(800):
+        status, _, err = run(*new(made, *everything(made)))
+    assert status == 1
+    assert err == f"getagrip: [Errno 27] File too large: '{made / 'cup' / 'frames' / '000003.jpg'}'\n"
+    assert contents(made) == before
+
+
 def test_what_is_missing_is_told(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(new(made)) == 2
     told = capsys.readouterr().err
@@ -153,6 +162,27 @@ def test_in_steps(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "000005" in clip.provenance["frames_without_hand"]
     assert main([*hands, "--clip", str(folder)]) == 2
     assert main([*hands, "--clip", str(folder), "--overwrite"]) == 0
+
+
+def test_hands_and_what_clip_json_says_of_them_come_together_or_not_at_all(
+    made: Path, run: Run, full_disk: FullDisk
+) -> None:
+    """Here the disk has room for the hands only."""
+    run(*new(made, *everything(made)))
+    path = made / "cup" / "clip.json"
+    fields = json.loads(path.read_text())
+    files.write_json(path, fields | {"provenance": {"note": 500_000 * "x"}})
+    hand = generic.load("right").with_shape().with_pose()
+    arrays.write(made / "joints.npz", {"joints": np.tile(hand.joints + AHEAD, (4, 1, 1)), "frames": np.arange(3, 7)})
+    before = contents(made)
+    command = ["import", "hands", made / "joints.npz", "--from", "joints", "--order", "openpose", "--clip", path.parent]
+    with full_disk(400_000):
+        status, _, err = run(*command)
+    assert status == 1
+    assert f"'{path}'" in err
+    assert contents(made) == before
+    assert run(*command)[0] == 0
+    assert read_clip(path.parent).frames == ("000003", "000004", "000005", "000006")
 
 
 def test_a_hand_file_brings_its_frames_and_its_camera(made: Path, capsys: pytest.CaptureFixture[str]) -> None:

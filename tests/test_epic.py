@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from conftest import Run
+from conftest import FullDisk, Run
 from hypothesis import given
 from hypothesis import strategies as st
 from visor_files import box, dense, hand, sparse, thing, write, write_mapping
@@ -251,6 +251,24 @@ def test_a_clip_without_hands_has_all_else_and_gets_them_later(run: Run, epic_fo
     clip = read_clip(folder)
     assert clip.frames == tuple(content["frames"])
     assert clip.K[0, 0, 0] == 500.0
+
+
+def test_clips_that_the_disk_has_no_room_for_are_told_and_made_the_next_time(
+    run: Run, epic_folder: Path, full_disk: FullDisk
+) -> None:
+    rng = np.random.default_rng(0)
+    for image in (epic_folder / "images").rglob("*.jpg"):
+        cv2.imwrite(str(image), rng.integers(0, 256, (256, 456, 3), np.uint8))
+    with full_disk(100_000):
+        status, out, err = import_epic(run, epic_folder)
+    assert status == 1
+    assert "0 clips, 0 already there, 1 failed" in out
+    assert str(epic_folder / "out" / NAME / "frames" / "0000001000.jpg") in err
+    assert list((epic_folder / "out").iterdir()) == []
+    status, out, _ = import_epic(run, epic_folder)
+    assert status == 0
+    assert "1 clips, 0 already there" in out
+    assert all(cv2.imread(str(image)) is not None for image in (epic_folder / "out" / NAME / "frames").iterdir())
 
 
 def test_masks_are_the_polygons_and_hands_and_things_in_front_are_ignored(run: Run, epic_folder: Path) -> None:

@@ -7,13 +7,14 @@ import shutil
 import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from conftest import small_clip
+from conftest import FullDisk, Run, contents, small_clip
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
@@ -290,3 +291,24 @@ def test_command_adds_masks_to_a_clip(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "sam2" in read_clip(folder).provenance["masks"]
     assert main([*command, "--first", "50"]) == 2
     assert "--overwrite" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_masks_that_the_disk_has_no_room_for_leave_the_clip_as_it_was(
+    tmp_path: Path, run: Run, full_disk: FullDisk, overwrite: bool
+) -> None:
+    folder = write_clip(replace(small_clip()[0], size=(320, 240)), None, tmp_path / "clips" / "small")
+    noise = np.random.default_rng(0).random((3, 240, 320)) < 0.5
+    arrays.write(tmp_path / "noise.npz", {"object": noise, "frames": np.arange(3)})
+    command = ["import", "masks", tmp_path / "noise.npz", "--clip", folder, *["--overwrite"] * overwrite]
+    if overwrite:
+        assert run(*command)[0] == 0
+    before = contents(tmp_path)
+    with full_disk(4000):
+        status, _, err = run(*command)
+    assert status == 1
+    assert str(folder / "masks" / "object" / "0000.png") in err
+    assert err.count("\n") == 1
+    assert contents(tmp_path) == before
+    assert run(*command)[0] == 0
+    np.testing.assert_array_equal(read_masks(read_clip(folder)).object, noise)

@@ -74,6 +74,16 @@ def test_results_without_axis_truth_masks_or_many_frames(with_masks: bool, tmp_p
     assert drawn(report).std() > 5.0
 
 
+def test_an_empty_image_is_named(tmp_path: Path) -> None:
+    clip, masks, axis = given()
+    image = tmp_path / "clip" / "frames" / f"{clip.frames[0]}.jpg"
+    image.parent.mkdir(parents=True)
+    image.touch()
+    with pytest.raises(InputError, match=image.name):
+        write_report(replace(clip, folder=tmp_path / "clip"), masks, result_of(clip, axis), tmp_path / "report.png")
+    assert not (tmp_path / "report.png").exists()
+
+
 def test_a_result_of_another_clip_is_refused(tmp_path: Path) -> None:
     clip, masks, axis = given()
     result = replace(result_of(clip, axis), frames=tuple(f"x{n}" for n in range(6)))

@@ -110,9 +110,11 @@ def _shaped(
 
 def write(path: Path, content: dict[str, Shaped[ndarray, "..."]]) -> None:
     """Write a compressed ``.npz`` file; the same arrays give the same bytes."""
-    with zipfile.ZipFile(path, "w") as archive:
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w") as archive:
         for key, array in content.items():
             member = zipfile.ZipInfo(f"{key}.npy")  # dated 1980, not today
             member.compress_type = zipfile.ZIP_DEFLATED
             with archive.open(member, "w", force_zip64=True) as stream:
                 np.lib.format.write_array(stream, array, allow_pickle=False)
+    files.write_bytes(path, whole.getvalue())

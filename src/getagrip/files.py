@@ -197,9 +197,17 @@ def sha256(paths: Mapping[str, Path]) -> str:
     return total.hexdigest()
 
 
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file. Raises ``OSError`` that names it, also where the disk is full: Python's own then names none."""
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
 def write_json(path: Path, content: Mapping[str, Any] | list[Any]) -> None:
     """Write a JSON object or list; arrays become lists, numbers that are not finite become null."""
-    path.write_text(to_json(content) + "\n", "utf-8")
+    write_bytes(path, (to_json(content) + "\n").encode())
 
 
 def to_json(content: Mapping[str, Any] | list[Any]) -> str:
@@ -246,7 +254,8 @@ def check_file(option: str, file: Path) -> None:
 def new_folder(target: Path, replace: bool = False) -> Iterator[Path]:
     """An empty folder beside ``target`` that takes its name once the block has ended well, and is removed if not.
 
-    Raises ``UsageError`` where ``target`` exists already and is not to be replaced.
+    Raises ``UsageError`` where ``target`` exists already and is not to be replaced. An ``OSError`` of the block about a
+    file in the folder names it by the path that it was to have.
     """
     if target.exists() and not replace:
         raise UsageError(f"{target}: exists already; it is not overwritten")
@@ -255,9 +264,36 @@ def new_folder(target: Path, replace: bool = False) -> Iterator[Path]:
     try:
         work = beside / "new"
         work.mkdir()
-        yield work
+        with _named(work, target):
+            yield work
         if target.exists():
             os.rename(target, beside / "old")
         os.rename(work, target)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
+
+
+@contextmanager
+def new_file(target: Path) -> Iterator[Path]:
+    """A path beside ``target`` of a file that takes its place once the block has ended well, and is removed if not.
+
+    An ``OSError`` of the block about the file names it ``target``.
+    """
+    part = target.with_name(f".{target.name}.{os.getpid()}")
+    try:
+        with _named(part, target):
+            yield part
+        part.replace(target)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def _named(part: Path, target: Path) -> Iterator[None]:
+    """Give the files that an ``OSError`` is about the names that they were to have."""
+    try:
+        yield
+    except OSError as error:
+        if isinstance(error.filename, str) and (file := Path(error.filename)).is_relative_to(part):
+            error.filename = str(target / file.relative_to(part))
+        raise

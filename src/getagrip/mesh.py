@@ -288,7 +288,9 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
     """Write a mesh as .obj, .ply, .stl or .glb."""
     import trimesh
 
-    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(path)
+    stream = io.BytesIO()
+    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(stream, file_type=path.suffix[1:].lower())
+    files.write_bytes(path, stream.getvalue())
 
 
 def decimate(mesh: Mesh, faces: int) -> Mesh:

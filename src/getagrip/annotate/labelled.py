@@ -16,6 +16,7 @@ from getagrip.annotate.labels import FRONT, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
 from getagrip.clip.writing import write_hand
+from getagrip.images import write_image
 from getagrip.kernels.depth import covered
 from getagrip.run.intrinsics import Lens, intrinsics
 
@@ -43,8 +44,6 @@ def make(
     guess, or nothing is known of it, the files say that depth and size are guesses, too. Raises ``UsageError`` for
     labels that do not suffice, and where ``out`` exists and is not to be replaced.
     """
-    import cv2
-
     K, camera = intrinsics(lens if lens.given else Lens(guess_focal=True), labels.size)
     clicked = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
     hands = steadied(clicked, labels.first, K, labels.size, image)
@@ -53,7 +52,7 @@ def make(
         (new / "masks").mkdir()
         for n, drawn, sure in propagate(image, labels.label_maps(), labels.first, labels.last):
             mask = with_hand(drawn, hands, n - labels.first, K)
-            cv2.imwrite(str(new / "masks" / f"{n + 1:06d}.png"), mask)
+            write_image(new / "masks" / f"{n + 1:06d}.png", mask)
             confidence[n] = sure
         write_hand(hands.hand, new / "hand.npz", _extra(labels, hands, K, camera))
     return Made(hands, confidence, command(labels, out))

@@ -90,15 +90,10 @@ def read(path: str | Path) -> Labels:
 
 def write(labels: Labels, path: str | Path) -> None:
     """Write labels to a file, a line for each frame, whole or not at all."""
-    path = Path(path)
-    part = path.with_name(f".{path.name}.part")
     fields = to_json(labels)
     frames = ",\n".join(f"  {json.dumps(n)}: {json.dumps(frame)}" for n, frame in fields.pop("frames").items())
-    try:
-        part.write_text(f'{json.dumps(fields)[:-1]}, "frames": {{\n{frames}\n}}}}\n', "utf-8")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    with files.new_file(Path(path)) as part:
+        files.write_bytes(part, f'{json.dumps(fields)[:-1]}, "frames": {{\n{frames}\n}}}}\n'.encode())
 
 
 def to_json(labels: Labels) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy import ndarray
 from getagrip import arrays, files
 from getagrip.clip.data import Clip, HandTrack, Masks, Truth
 from getagrip.clip.reading import VERSION
+from getagrip.images import write_image, write_mask
 from getagrip.mesh import write_mesh
 
 
@@ -19,7 +20,7 @@ def write_clip(
     clip: Clip,
     masks: Masks | None,
     folder: str | Path,
-    images: Sequence[UInt8[ndarray, "H W 3"]] | None = None,
+    images: Iterable[UInt8[ndarray, "H W 3"]] | None = None,
     replace: bool = False,
 ) -> Path:
     """Write a clip (mesh as ``object.obj``) into a new folder, complete or not at all, and return the folder.
@@ -29,19 +30,26 @@ def write_clip(
     """
     folder = Path(folder)
     with files.new_folder(folder, replace) as new:
-        files.write_json(new / "clip.json", _fields(clip))
-        write_mesh(new / "object.obj", clip.mesh)
-        if clip.hand.vertices.size:
-            write_hand(clip.hand, new / "hand.npz")
-        if clip.truth is not None:
-            arrays.write(new / "truth.npz", _truth_arrays(clip, clip.truth))
-        if masks is not None:
-            _write_masks(new / "masks" / "object", clip.frames, masks.object)
-            if masks.ignore.any():
-                _write_masks(new / "masks" / "ignore", clip.frames, masks.ignore)
-        if images is not None:
-            _write_images(new / "frames", clip.frames, images)
+        fill_folder(new, clip, masks, images)
     return folder
+
+
+def fill_folder(
+    folder: Path, clip: Clip, masks: Masks | None, images: Iterable[UInt8[ndarray, "H W 3"]] | None
+) -> None:
+    """Write the files of a clip into an empty folder, as ``write_clip`` does."""
+    files.write_json(folder / "clip.json", _fields(clip))
+    write_mesh(folder / "object.obj", clip.mesh)
+    if clip.hand.vertices.size:
+        write_hand(clip.hand, folder / "hand.npz")
+    if clip.truth is not None:
+        arrays.write(folder / "truth.npz", _truth_arrays(clip, clip.truth))
+    if masks is not None:
+        _write_masks(folder / "masks" / "object", clip.frames, masks.object)
+        if masks.ignore.any():
+            _write_masks(folder / "masks" / "ignore", clip.frames, masks.ignore)
+    if images is not None:
+        _write_images(folder / "frames", clip.frames, images)
 
 
 def write_hand(hand: HandTrack, path: Path, extra: Mapping[str, Shaped[ndarray, "..."]] | None = None) -> None:
@@ -86,17 +94,13 @@ def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Float[ndarray, "..."]]:
 
 def _write_masks(folder: Path, frames: tuple[str, ...], masks: Bool[ndarray, "T H W"]) -> None:
     """One PNG for each frame, 255 where the mask is set."""
-    import cv2
-
     folder.mkdir(parents=True)
     for name, mask in zip(frames, masks, strict=True):
-        cv2.imwrite(str(folder / f"{name}.png"), mask.astype(np.uint8) * 255)
+        write_mask(folder / f"{name}.png", mask)
 
 
-def _write_images(folder: Path, frames: tuple[str, ...], images: Sequence[UInt8[ndarray, "H W 3"]]) -> None:
+def _write_images(folder: Path, frames: tuple[str, ...], images: Iterable[UInt8[ndarray, "H W 3"]]) -> None:
     """One JPEG for each frame."""
-    import cv2
-
     folder.mkdir()
     for name, image in zip(frames, images, strict=True):
-        cv2.imwrite(str(folder / f"{name}.jpg"), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])
+        write_image(folder / f"{name}.jpg", image)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from getagrip import files
-from getagrip.clip.data import HandTrack
 from getagrip.clip.plausible import check_in_view
 from getagrip.clip.reading import Outline, read_outline
 from getagrip.clip.writing import write_hand
@@ -98,8 +96,9 @@ def into_clip(paths: Sequence[Path], source: Source, given: Reading, folder: Pat
     if len(hands.found) < len(outline.frames) and (outline.folder / "truth.npz").exists():
         missing = len(outline.frames) - len(hands.found)
         raise UsageError(f"{folder}: got no hand in {missing} frames, expected one in each, since it has a truth.npz")
-    _replace(target, hands.track, {})
-    _tell_clip(outline, hands)
+    with files.new_file(target) as hand, files.new_file(outline.folder / "clip.json") as fields:
+        write_hand(hands.track, hand)
+        files.write_json(fields, _fields(outline, hands))
     _say(hands, outline.frames)
     print(target)
     return 0
@@ -124,24 +123,16 @@ def into_file(paths: Sequence[Path], source: Source, given: Reading, frames: Fra
     check_in_view(paths[0], hands.track, many[list(hands.found)], frames.size)
     told = hands.provenance | {"camera": camera}
     extra = {"frames": numbers[list(hands.found)], "K": K, "side": np.array(frames.side)}
-    _replace(out, hands.track, extra | {f"provenance_{key}": np.array(text) for key, text in told.items()})
+    extra |= {f"provenance_{key}": np.array(text) for key, text in told.items()}
+    with files.new_file(out) as part:
+        write_hand(hands.track, part, extra)
     _say(replace(hands, provenance=told), names)
     print(out)
     return 0
 
 
-def _replace(path: Path, track: HandTrack, extra: dict[str, np.ndarray]) -> None:
-    """Write a hand file whole or not at all."""
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        write_hand(track, part, extra)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def _tell_clip(outline: Outline, hands: Hands) -> None:
-    """Put into ``clip.json`` where the hands come from, and which frames have one."""
+def _fields(outline: Outline, hands: Hands) -> dict[str, object]:
+    """What ``clip.json`` says with the hands: where they come from, and which frames have one."""
     fields = dict(outline.fields)
     left_out = [name for n, name in enumerate(outline.frames) if n not in hands.found]
     fields["provenance"] = dict(fields["provenance"]) | hands.provenance
@@ -150,10 +141,7 @@ def _tell_clip(outline: Outline, hands: Hands) -> None:
         fields["provenance"]["frames_without_hand"] = f"left out: {', '.join(left_out)}"
         if np.ndim(fields["camera"]["K"]) == 3:
             fields["camera"] = {"K": outline.K[list(hands.found)]}
-    path = outline.folder / "clip.json"
-    part = path.with_name(f".clip.json.{os.getpid()}")
-    files.write_json(part, fields)
-    part.replace(path)
+    return fields
 
 
 def _say(hands: Hands, frames: Sequence[str]) -> None:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
-
-import numpy as np
 
 from getagrip import files
 from getagrip.clip.mask_sources import MaskReader, Wanted, open_masks
 from getagrip.clip.reading import read_outline
 from getagrip.errors import InputError, UsageError
+from getagrip.images import write_mask
 
 
 def into_clip(
@@ -32,13 +30,11 @@ def into_clip(
             raise UsageError(f"--first: got {first}, expected none: the clip's frames have no numbers")
         names = tuple(f"{number - numbers[0] + first:06d}" for number in numbers)
     reader = open_masks(source, Wanted(names, outline.size, objects, ignore))
+    provenance = dict(outline.fields["provenance"]) | {"masks": told(source, objects, ignore)}
     with files.new_folder(target, overwrite) as new:
         seen = write_masks(reader, outline.frames, new)
-    fields = dict(outline.fields)
-    fields["provenance"] = dict(fields["provenance"]) | {"masks": told(source, objects, ignore)}
-    part = outline.folder / f".clip.json.{os.getpid()}"
-    files.write_json(part, fields)
-    part.replace(outline.folder / "clip.json")
+        with files.new_file(outline.folder / "clip.json") as part:
+            files.write_json(part, outline.fields | {"provenance": provenance})
     print(f"{target}: the object is seen in {seen} of {len(names)} frames")
     return 0
 
@@ -48,14 +44,12 @@ def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> in
 
     Raises ``InputError`` where it is seen in none.
     """
-    import cv2
-
     seen = 0
     for kind in ("object", "ignore"):
         (folder / kind).mkdir(parents=True)
     for n, name in enumerate(frames):
         for kind, mask in zip(("object", "ignore"), reader(n), strict=True):
-            cv2.imwrite(str(folder / kind / f"{name}.png"), mask.astype(np.uint8) * 255)
+            write_mask(folder / kind / f"{name}.png", mask)
             seen += int(kind == "object" and mask.any())
     if not seen:
         there = f"; there are {', '.join(sorted(reader.others))}" if reader.others else ""

@@ -16,11 +16,12 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from getagrip import arrays, files
-from getagrip.clip import Clip, HandTrack, read_clip, read_seen, write_clip
+from getagrip.clip import Clip, HandTrack, read_clip, read_seen
 from getagrip.clip.mask_sources import MaskReader, Wanted, open_masks
 from getagrip.clip.plausible import check_in_view, check_intrinsics
 from getagrip.clip.reading import read_hand
 from getagrip.clip.video import video_frames, video_info
+from getagrip.clip.writing import fill_folder
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
 from getagrip.run import own_mesh
@@ -216,21 +217,12 @@ def _write(
     overwrite: bool,
 ) -> None:
     """Write the clip, its images and masks one by one, and read it again: a clip that is written is valid."""
-    import cv2
-
     with files.new_folder(out, overwrite) as new:
-        made = write_clip(clip, None, new / "clip")
-        (made / "frames").mkdir()
-        for name, image in zip(clip.frames, _wanted(clip, video, numbers, rows), strict=True):
-            bgr = np.ascontiguousarray(image[..., ::-1])
-            cv2.imwrite(str(made / "frames" / f"{name}.jpg"), bgr, [cv2.IMWRITE_JPEG_QUALITY, 92])
+        fill_folder(new, clip, None, _wanted(clip, video, numbers, rows))
         if masks:
-            write_masks(masks, clip.frames, made / "masks")
+            write_masks(masks, clip.frames, new / "masks")
         if clip.hand.vertices.size:
-            _check(made, masks is not None, out)
-        for item in list(made.iterdir()):
-            item.rename(new / item.name)
-        made.rmdir()
+            _check(new, masks is not None, out)
 
 
 def _check(made: Path, masks: bool, out: Path) -> None:
