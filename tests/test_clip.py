@@ -135,6 +135,21 @@ def test_existing_folders_are_left_alone(clip_folder: Path) -> None:
     read_all(clip_folder)
 
 
+def test_only_clips_are_replaced_by_clips(tmp_path: Path) -> None:
+    clip, masks = small_clip()
+    write_clip(*small_clip(frames=2), tmp_path / "clip")
+    write_clip(clip, masks, tmp_path / "clip", replace=True)
+    assert len(read_all(tmp_path / "clip")[0]) == len(clip)
+    (tmp_path / "clips").mkdir()
+    (tmp_path / "clip").rename(tmp_path / "clips" / "clip")
+    (tmp_path / "letter.txt").write_text("dear")
+    before = contents(tmp_path)
+    for target in (tmp_path / "clips", tmp_path / "letter.txt"):
+        with pytest.raises(UsageError, match=f"{target}: exists already without 'clip.json' in it"):
+            write_clip(clip, masks, target, replace=True)
+    assert contents(tmp_path) == before
+
+
 def test_nothing_half_written_is_left(tmp_path: Path) -> None:
     clip, masks = small_clip()
     with pytest.raises(ValueError, match="zip"):

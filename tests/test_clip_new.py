@@ -164,6 +164,19 @@ def test_in_steps(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*hands, "--clip", str(folder), "--overwrite"]) == 0
 
 
+def test_only_a_clip_is_overwritten(made: Path, run: Run) -> None:
+    command = new(made, *everything(made))
+    assert run(*command)[0] == 1  # without hands
+    assert run(*command)[0] == 2
+    assert run(*command, "--overwrite")[0] == 1
+    (made / "cup" / "clip.json").rename(made / "cup" / "mine.json")
+    before = contents(made)
+    status, _, err = run(*command, "--overwrite")
+    assert status == 2
+    assert err == f"getagrip: {made / 'cup'}: exists already without 'clip.json' in it; it is not overwritten\n"
+    assert contents(made) == before
+
+
 def test_hands_and_what_clip_json_says_of_them_come_together_or_not_at_all(
     made: Path, run: Run, full_disk: FullDisk
 ) -> None:

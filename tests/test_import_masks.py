@@ -293,6 +293,19 @@ def test_command_adds_masks_to_a_clip(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "--overwrite" in capsys.readouterr().err
 
 
+def test_only_masks_are_overwritten(tmp_path: Path, run: Run) -> None:
+    clip, masks = small_clip()
+    folder = write_clip(clip, None, tmp_path / "small")
+    arrays.write(tmp_path / "seen.npz", {"object": masks.object, "frames": np.arange(3)})
+    (folder / "masks").mkdir()
+    (folder / "masks" / "by hand.psd").write_text("three weeks' work")
+    before = contents(tmp_path)
+    status, _, err = run("import", "masks", tmp_path / "seen.npz", "--clip", folder, "--overwrite")
+    assert status == 2
+    assert f"{folder / 'masks'}: exists already without 'object' in it; it is not overwritten" in err
+    assert contents(tmp_path) == before
+
+
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_masks_that_the_disk_has_no_room_for_leave_the_clip_as_it_was(
     tmp_path: Path, run: Run, full_disk: FullDisk, overwrite: bool

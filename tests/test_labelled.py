@@ -9,7 +9,7 @@ import av
 import cv2
 import numpy as np
 import pytest
-from conftest import Run, box
+from conftest import Run, box, contents
 from numpy import ndarray
 
 from getagrip import se3
@@ -144,6 +144,14 @@ def test_what_is_in_front_or_may_be_is_ignored(tmp_path: Path) -> None:
     with np.load(tmp_path / "made" / "hand.npz") as file:
         assert "guess" not in str(file["provenance_camera"])
         assert "guess" in str(file["provenance_hands_scale"])
+
+
+def test_only_what_was_made_of_labels_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "letter.txt").write_text("dear")
+    with pytest.raises(UsageError, match=r"made: exists already without 'hand\.npz' in it"):
+        make(labels_of(0), image, Lens(focal=FOCAL), tmp_path / "made", overwrite=True)
+    assert contents(tmp_path) == {"made/letter.txt": b"dear"}
 
 
 def test_too_little_is_refused_and_leaves_nothing(tmp_path: Path) -> None:

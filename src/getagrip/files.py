@@ -251,14 +251,16 @@ def check_file(option: str, file: Path) -> None:
 
 
 @contextmanager
-def new_folder(target: Path, replace: bool = False) -> Iterator[Path]:
+def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
     """An empty folder beside ``target`` that takes its name once the block has ended well, and is removed if not.
 
-    Raises ``UsageError`` where ``target`` exists already and is not to be replaced. An ``OSError`` of the block about a
-    file in the folder names it by the path that it was to have.
+    An older folder is replaced only where it holds all that ``replace`` names: what is in every folder of its kind, and
+    not in one that was named by mistake. Raises ``UsageError`` for another. An ``OSError`` of the block about a file in
+    the folder names it by the path that it was to have.
     """
-    if target.exists() and not replace:
-        raise UsageError(f"{target}: exists already; it is not overwritten")
+    missing = [f" without {name!r} in it" for name in replace if not (target / name).exists()]
+    if target.exists() and (missing or not replace):
+        raise UsageError(f"{target}: exists already{''.join(missing[:1])}; it is not overwritten")
     target.parent.mkdir(parents=True, exist_ok=True)
     beside = Path(tempfile.mkdtemp(prefix=f".{target.name[:20]}.", dir=target.parent))
     try:

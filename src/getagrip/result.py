@@ -18,6 +18,8 @@ from getagrip.errors import InputError
 VERSION = 1
 HINGED = ("one-dof", "soft-hinge")
 """Methods whose results have an axis."""
+FILES = ("result.json", "result.npz")
+"""Of a result's folder."""
 ARRAYS = (
     "T_hand_obj", "scale", "frames", "iou", "axis_point", "axis_direction", "angle",
     "candidate_T_hand_obj", "candidate_scale", "candidate_energy",
@@ -161,8 +163,7 @@ def write_result(
     ``folder`` is replaced. Raises ``UsageError`` where the folder exists otherwise.
     """
     folder = Path(folder)
-    older = overwrite and is_result(folder)
-    with files.new_folder(folder, replace=older) as new:
+    with files.new_folder(folder, FILES if overwrite else ()) as new:
         arrays.write(new / "result.npz", _arrays(result))
         files.write_json(new / "result.json", _fields(result, input_sha256, metrics, clip_folder))
     return folder
@@ -170,7 +171,7 @@ def write_result(
 
 def is_result(folder: Path) -> bool:
     """Whether a folder is a result's, and thus ours to replace."""
-    return (folder / "result.json").is_file() and (folder / "result.npz").is_file()
+    return all((folder / name).is_file() for name in FILES)
 
 
 def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:

@@ -42,13 +42,13 @@ def make(
 
     ``image`` gives the footage's frames, from 0. Files number frames from 1, as ``clip new`` does. Where the lens is a
     guess, or nothing is known of it, the files say that depth and size are guesses, too. Raises ``UsageError`` for
-    labels that do not suffice, and where ``out`` exists and is not to be replaced.
+    labels that do not suffice, and where ``out`` exists and is not to be replaced, or is not what this made before.
     """
     K, camera = intrinsics(lens if lens.given else Lens(guess_focal=True), labels.size)
     clicked = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
     hands = steadied(clicked, labels.first, K, labels.size, image)
     confidence = {}
-    with files.new_folder(out, overwrite) as new:
+    with files.new_folder(out, ("hand.npz", "masks") if overwrite else ()) as new:
         (new / "masks").mkdir()
         for n, drawn, sure in propagate(image, labels.label_maps(), labels.first, labels.last):
             mask = with_hand(drawn, hands, n - labels.first, K)

@@ -26,10 +26,11 @@ def write_clip(
     """Write a clip (mesh as ``object.obj``) into a new folder, complete or not at all, and return the folder.
 
     ``images`` are RGB, one for each frame, and are written as JPEG. A hand without vertices is left out: somebody will
-    add ``hand.npz``. Raises ``UsageError`` where the folder exists and is not to be replaced.
+    add ``hand.npz``. With ``replace`` an older clip in ``folder`` is replaced. Raises ``UsageError`` where the folder
+    exists otherwise.
     """
     folder = Path(folder)
-    with files.new_folder(folder, replace) as new:
+    with files.new_folder(folder, ("clip.json",) if replace else ()) as new:
         fill_folder(new, clip, masks, images)
     return folder
 

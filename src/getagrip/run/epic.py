@@ -154,7 +154,7 @@ def import_video(job: Job) -> Imported:
                 clip, masks = made
                 images = images_of([int(name) for name in clip.frames])
                 folder = job.out / grasp.name
-                write_clip(clip, masks, folder, images, replace=(folder / "clip.json").is_file())
+                write_clip(clip, masks, folder, images, replace=True)
                 outcomes.append(Outcome(grasp.name, "done", str(folder)))
                 handless += hands is None
                 guessed += camera.is_guess and (hands is None or hands.K is None)

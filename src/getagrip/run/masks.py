@@ -31,7 +31,7 @@ def into_clip(
         names = tuple(f"{number - numbers[0] + first:06d}" for number in numbers)
     reader = open_masks(source, Wanted(names, outline.size, objects, ignore))
     provenance = dict(outline.fields["provenance"]) | {"masks": told(source, objects, ignore)}
-    with files.new_folder(target, overwrite) as new:
+    with files.new_folder(target, ("object",) if overwrite else ()) as new:
         seen = write_masks(reader, outline.frames, new)
         with files.new_file(outline.folder / "clip.json") as part:
             files.write_json(part, outline.fields | {"provenance": provenance})

@@ -76,7 +76,8 @@ LATER = {
 def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
     """Write a clip. Returns 0 when it is complete, 1 when masks or hands are yet to come, 2 when it cannot be made.
 
-    Raises ``InputError`` for what is there and does not fit, ``UsageError`` where the folder exists.
+    Raises ``InputError`` for what is there and does not fit, ``UsageError`` where the folder exists, unless it is that
+    of a clip to be overwritten.
     """
     if out.exists() and not overwrite:
         raise UsageError(f"{out}: exists already; --overwrite replaces it")
@@ -217,7 +218,7 @@ def _write(
     overwrite: bool,
 ) -> None:
     """Write the clip, its images and masks one by one, and read it again: a clip that is written is valid."""
-    with files.new_folder(out, overwrite) as new:
+    with files.new_folder(out, ("clip.json",) if overwrite else ()) as new:
         fill_folder(new, clip, None, _wanted(clip, video, numbers, rows))
         if masks:
             write_masks(masks, clip.frames, new / "masks")
