@@ -13,14 +13,14 @@ from statistics import mean, median
 
 import numpy as np
 
-from getagrip import se3
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.categories import CATEGORIES
-from getagrip.datasets.synthetic import Options as ClipOptions
-from getagrip.datasets.synthetic import synthesise
+from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.datasets.synthetic.scene import Options as ClipOptions
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.fitting.reconstruct import reconstruct
+from getagrip.geometry import se3
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import find_symmetries
-from getagrip.reconstruct import reconstruct
 
 CONDITIONS = {
     "exact hands and masks": ClipOptions(),

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import se3
-from getagrip.energy import Term, no_bound
-from getagrip.motion import Hinge
-from getagrip.solve import in_camera
+from getagrip.fitting.energy import Term, no_bound
+from getagrip.fitting.motion import Hinge
+from getagrip.fitting.solve import in_camera
+from getagrip.geometry import se3
 
 ITERATIONS = 200
 UNIT = 0.01

@@ -14,12 +14,12 @@ from benchmarks import adam
 from benchmarks.page import table
 from benchmarks.problem import CLIPS, Problem, make, reconstruction
 from benchmarks.timing import Timing, timed
-from getagrip import se3
-from getagrip.energy import Term
-from getagrip.motion import Hinge
-from getagrip.options import Options
-from getagrip.solve import in_camera
-from getagrip.starts import starting_poses
+from getagrip.fitting.energy import Term
+from getagrip.fitting.initial_poses import starting_poses
+from getagrip.fitting.motion import Hinge
+from getagrip.fitting.options import Options
+from getagrip.fitting.solve import in_camera
+from getagrip.geometry import se3
 
 STARTS = 50
 NEAR = np.radians(30.0)

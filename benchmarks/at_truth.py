@@ -14,18 +14,18 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import page
-from getagrip import se3
 from getagrip.clip import read_clip
-from getagrip.joint import terms_of
-from getagrip.mesh import Mesh
+from getagrip.fitting.methods.all_frames import terms_of
+from getagrip.fitting.motion import Fixed, Soft
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import Problem, prepare, read_sampled
+from getagrip.fitting.search import COARSE_RIDGE, Schedule, soft_hinge
+from getagrip.fitting.solve import minimise
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.pose import SUCCESS, ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import find_symmetries
-from getagrip.motion import Fixed, Soft
-from getagrip.options import Options
-from getagrip.problem import Problem, prepare, read_sampled
 from getagrip.result import read_result
-from getagrip.search import COARSE_RIDGE, Schedule, soft_hinge
-from getagrip.solve import minimise
 
 ITERATIONS = 40
 ALIKE = 0.02

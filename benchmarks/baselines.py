@@ -17,16 +17,17 @@ from unittest.mock import patch
 
 from benchmarks import page
 from benchmarks.problem import Problem
-from getagrip import joint
-from getagrip.baselines import homan, homan_joint, single_frame
-from getagrip.datasets.categories import CATEGORIES
-from getagrip.datasets.noise import NOISE
-from getagrip.datasets.synthetic import Options as ClipOptions
-from getagrip.datasets.synthetic import synthesise
-from getagrip.observation import observe
-from getagrip.options import Method, Options
-from getagrip.reconstruct import reconstruct
-from getagrip.search import Schedule, Stage, spread
+from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.datasets.synthetic.noise import NOISE
+from getagrip.datasets.synthetic.scene import Options as ClipOptions
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.fitting.methods import all_frames as joint
+from getagrip.fitting.methods import homan, single_frame
+from getagrip.fitting.methods import homan_refine as homan_joint
+from getagrip.fitting.observation import observe
+from getagrip.fitting.options import Method, Options
+from getagrip.fitting.reconstruct import reconstruct
+from getagrip.fitting.search import Schedule, Stage, spread
 
 METHODS: tuple[Method, ...] = (
     "soft-hinge",

@@ -13,10 +13,10 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from benchmarks.problem import Problem
-from getagrip import se3
-from getagrip.energy import Local, Poses
+from getagrip.fitting.energy import Local, Poses
+from getagrip.fitting.observation import CROP
+from getagrip.geometry import se3
 from getagrip.kernels.silhouette import unpack
-from getagrip.observation import CROP
 
 SOFT = 1.0
 """Width of the antialiased silhouette edges [px]: what makes DEODR's pixels differentiable."""

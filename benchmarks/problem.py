@@ -11,17 +11,17 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic import synthesise
-from getagrip.energy import Poses, no_bound
-from getagrip.energy.mask import MaskTerm, Surface
-from getagrip.mesh import Mesh
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.fitting.energy import Poses, no_bound
+from getagrip.fitting.energy.mask import MaskTerm, Surface
+from getagrip.fitting.observation import Observation, observe
+from getagrip.fitting.options import Options
+from getagrip.fitting.reconstruct import reconstruct
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import find_symmetries
-from getagrip.observation import Observation, observe
-from getagrip.options import Options
-from getagrip.reconstruct import reconstruct
 from getagrip.result import Reconstruction
 
 CLIPS = (("mug", 0), ("pan", 0), ("kettle", 0), ("scissors", 0))

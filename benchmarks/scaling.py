@@ -10,10 +10,10 @@ import numpy as np
 from benchmarks.page import DOCS, table
 from benchmarks.problem import reconstruction
 from benchmarks.timing import timed, typical
-from getagrip.datasets.synthetic import Options as ClipOptions
-from getagrip.datasets.synthetic import synthesise
-from getagrip.mesh import Mesh, decimate
-from getagrip.options import Options
+from getagrip.datasets.synthetic.scene import Options as ClipOptions
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.fitting.options import Options
+from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.result import Reconstruction
 
 CATEGORY = "kettle"

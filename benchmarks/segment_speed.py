@@ -11,12 +11,12 @@ from numpy import ndarray
 
 from benchmarks.page import table
 from benchmarks.timing import timed
-from getagrip import se3
 from getagrip.clip import FINGERS, Clip, HandTrack, Truth
-from getagrip.datasets import shapes
-from getagrip.grasps import RULES, PairwiseIou, contact_sets, stable_grasps
+from getagrip.datasets.synthetic import shapes
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh, decimate
+from getagrip.grasps.stable import RULES, PairwiseIou, contact_sets, stable_grasps
 from getagrip.hands import generic
-from getagrip.mesh import Mesh, decimate
 
 FRAMES = 2000
 """Of the sequence whose contacts are timed."""

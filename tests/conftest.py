@@ -23,7 +23,7 @@ settings.load_profile("here")
 
 from getagrip.cli import main  # noqa: E402
 from getagrip.clip import FINGERS, Clip, HandTrack, Masks, Truth, write_clip  # noqa: E402
-from getagrip.mesh import Mesh  # noqa: E402
+from getagrip.geometry.mesh import Mesh  # noqa: E402
 
 Run = Callable[..., tuple[int, str, str]]
 FullDisk = Callable[[int], AbstractContextManager[None]]

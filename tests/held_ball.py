@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from getagrip import se3
+from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.mano import Mano, load
 from getagrip.hands.model import PARENTS, PosedHand, Side, mirrored, mirrored_pose

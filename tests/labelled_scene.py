@@ -9,8 +9,8 @@ import av
 import cv2
 import numpy as np
 
-from getagrip import se3
-from getagrip.camera import project
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.hands import generic
 
 WIDTH, HEIGHT = 320, 240

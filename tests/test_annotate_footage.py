@@ -17,7 +17,7 @@ from annotated import BITS, FRAMES, number_in, write_images, write_video
 from getagrip.annotate.footage import Cache, ImageFolder, encoded, seconds
 from getagrip.annotate.tasks import open_footage, read_tasks
 from getagrip.annotate.video import Video
-from getagrip.datasets.epic_images import Video as EpicVideo
+from getagrip.datasets.epic.images import Video as EpicVideo
 from getagrip.errors import InputError
 
 UNEVEN = [40 + n + n * n // 30 for n in range(FRAMES)]

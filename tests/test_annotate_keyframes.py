@@ -21,7 +21,6 @@ from labelled_scene import FRAMES, HEIGHT, WIDTH, circle, joints, write_scene
 
 from getagrip.annotate import labels, marks
 from getagrip.annotate.background import Background, Job
-from getagrip.annotate.command import DATABASE, write_labels
 from getagrip.annotate.labels import MOST_CORNERS
 from getagrip.annotate.project import Project
 from getagrip.annotate.server import LARGEST_BODY, Server
@@ -31,6 +30,7 @@ from getagrip.annotate.tracing import traced
 from getagrip.annotate.versions import RefusedError
 from getagrip.clip import read_clip, read_masks
 from getagrip.clip.segments import polygons
+from getagrip.commands.annotate import DATABASE, write_labels
 from getagrip.errors import GetagripError
 
 VIDEO = "scene"

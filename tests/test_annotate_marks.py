@@ -18,15 +18,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.annotate.agreement import agreements, matched, temporal_iou
-from getagrip.annotate.command import DATABASE, write_files
 from getagrip.annotate.marks import REASONS, Mark
 from getagrip.annotate.project import Project
 from getagrip.annotate.server import LARGEST_BODY, Server
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import RefusedError
-from getagrip.datasets.epic_files import read_grasps
-from getagrip.stats import read_list
+from getagrip.commands.annotate import DATABASE, write_files
+from getagrip.datasets.epic.files import read_grasps
+from getagrip.experiments.durations import read_list
 
 VIDEO = "P01_101"
 

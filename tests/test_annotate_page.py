@@ -10,8 +10,8 @@ import pytest
 from annotated import BITS, FRAMES, write_video
 from annotated_page import CHROMIUM, Served, chromium, saved
 
-from getagrip.annotate.command import DATABASE
 from getagrip.annotate.tasks import Task
+from getagrip.commands.annotate import DATABASE
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")

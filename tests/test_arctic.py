@@ -23,14 +23,14 @@ from held_ball import (
     write_mano,
 )  # fmt: skip
 
-from getagrip import se3
+from getagrip.batch.imports import Given, import_clips
 from getagrip.clip import read_clip, read_masks
 from getagrip.datasets import arctic, tracks
 from getagrip.errors import InputError, UsageError
-from getagrip.grasps import Definition, segment
-from getagrip.kernels.depth import depth_and_face
-from getagrip.mesh import Mesh
-from getagrip.run.imports import Given, import_clips
+from getagrip.geometry import se3
+from getagrip.geometry.depth import depth_and_face
+from getagrip.geometry.mesh import Mesh
+from getagrip.grasps.stable import Definition, segment
 
 OPENED = 28
 """From this frame on, the joint is at another angle."""

@@ -13,30 +13,31 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip import camera, joint, se3
-from getagrip.baselines.homan import in_box
-from getagrip.baselines.homan_joint import Bodies, JointEnergy, descend
 from getagrip.clip import Clip, Masks
-from getagrip.contact import HandContacts, solid
-from getagrip.datasets.synthetic import Options as ClipOptions
-from getagrip.datasets.synthetic import synthesise
-from getagrip.energy import Local, Poses, Term, no_bound
-from getagrip.energy.contact_consistency import ContactConsistencyTerm
-from getagrip.energy.interaction import InteractionTerm
-from getagrip.energy.pull import PullTerm
-from getagrip.energy.push import PushTerm
-from getagrip.energy.reprojection import ReprojectionTerm
-from getagrip.energy.smoothness import SmoothnessTerm, moments
+from getagrip.datasets.synthetic.scene import Options as ClipOptions
+from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.errors import GetagripError
-from getagrip.evaluate import evaluate
-from getagrip.motion import Free
-from getagrip.objective import energy_of
-from getagrip.options import Options
-from getagrip.problem import Problem
-from getagrip.reconstruct import reconstruct
+from getagrip.evaluation import evaluate
+from getagrip.fitting.contact import HandContacts, solid
+from getagrip.fitting.energy import Local, Poses, Term, no_bound
+from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
+from getagrip.fitting.energy.interaction import InteractionTerm
+from getagrip.fitting.energy.pull import PullTerm
+from getagrip.fitting.energy.push import PushTerm
+from getagrip.fitting.energy.reprojection import ReprojectionTerm
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
+from getagrip.fitting.methods import all_frames as joint
+from getagrip.fitting.methods.homan import in_box
+from getagrip.fitting.methods.homan_refine import Bodies, JointEnergy, descend
+from getagrip.fitting.motion import Free
+from getagrip.fitting.objective import energy_of
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import Problem
+from getagrip.fitting.reconstruct import reconstruct
+from getagrip.fitting.search import TermsAt
+from getagrip.fitting.solve import minimise
+from getagrip.geometry import camera, se3
 from getagrip.result import Reconstruction
-from getagrip.search import TermsAt
-from getagrip.solve import minimise
 
 B, N = 2, 4
 K4 = np.tile([560.0, 570.0, 128.0, 120.0], (N, 1))

@@ -16,19 +16,19 @@ from conftest import Run
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.bench import trials
-from getagrip.bench.comparison import compare, groups
-from getagrip.bench.settings import ABLATIONS, AS_GIVEN, ScaleFree, ScaleKnown, ablation_arms, method_arms
-from getagrip.bench.sources import Source, samples
-from getagrip.bench.statistics import estimate, resamples
-from getagrip.bench.tables import LATEX, latex, markdown
-from getagrip.bench.trials import Score, Scores
 from getagrip.cli import main
 from getagrip.clip import read_clip, write_clip
-from getagrip.datasets.synthetic import Options as ClipOptions
-from getagrip.datasets.synthetic import synthesise
+from getagrip.datasets.synthetic.scene import Options as ClipOptions
+from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.errors import GetagripError, UsageError
-from getagrip.options import Method, Options
+from getagrip.experiments import trials
+from getagrip.experiments.comparison import compare, groups
+from getagrip.experiments.settings import ABLATIONS, AS_GIVEN, ScaleFree, ScaleKnown, ablation_arms, method_arms
+from getagrip.experiments.sources import Source, samples
+from getagrip.experiments.statistics import estimate, resamples
+from getagrip.experiments.tables import LATEX, latex, markdown
+from getagrip.experiments.trials import Score, Scores
+from getagrip.fitting.options import Method, Options
 from getagrip.result import read_result
 
 
@@ -264,7 +264,7 @@ def test_what_fails_is_named_and_the_rest_done(made: Path, tmp_path: Path, run: 
         write_clip(clip, trials.read_masks(clip), folder / name)
     for mask in (folder / "can" / "masks" / "object").iterdir():
         mask.write_bytes(b"")
-    from getagrip import reconstruct as module
+    from getagrip.fitting import reconstruct as module
 
     exact = module.reconstruct
 

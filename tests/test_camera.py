@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from getagrip.camera import Crops, backproject, bounding_boxes, crops_around, project
+from getagrip.geometry.camera import Crops, backproject, bounding_boxes, crops_around, project
 
 K = np.array([[600.0, 0.0, 321.0], [0.0, 610.0, 239.0], [0.0, 0.0, 1.0]])
 pixels = arrays(float, (4, 2), elements=st.floats(-100.0, 800.0))

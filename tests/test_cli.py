@@ -14,7 +14,7 @@ import pytest
 from conftest import Run
 
 from getagrip.clip import read_clip, read_masks, write_clip
-from getagrip.datasets.synthetic import Options, synthesise
+from getagrip.datasets.synthetic.scene import Options, synthesise
 from getagrip.result import read_result
 
 QUICK = ("--inits", "8", "--frames", "4")
@@ -182,7 +182,7 @@ def test_an_interrupt_leaves_no_traceback(made: Path, tmp_path: Path, monkeypatc
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("getagrip.run.batch.reconstruct_one", interrupted)
+    monkeypatch.setattr("getagrip.batch.clips.reconstruct_one", interrupted)
     status, _, err = run("reconstruct", made, "--out", tmp_path / "out")
     assert status == 130
     assert "interrupted" in err

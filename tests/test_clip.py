@@ -20,7 +20,6 @@ from conftest import FullDisk, contents, small_clip
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip import files
 from getagrip.clip import (
     Clip,
     Masks,
@@ -34,8 +33,9 @@ from getagrip.clip import (
 )
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError, UsageError
-from getagrip.images import write_image, write_mask
-from getagrip.mesh import write_mesh
+from getagrip.geometry.mesh import write_mesh
+from getagrip.io import files
+from getagrip.io.images import write_image, write_mask
 
 Break = Callable[[Path], None]
 Refused = Callable[..., str]

@@ -14,16 +14,17 @@ import pytest
 from conftest import FullDisk, Run, box, contents, small_clip
 from numpy import ndarray
 
-from getagrip import arrays, files, se3
 from getagrip.annotate.video import Video
 from getagrip.cli import main
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.clip.video import video_frames, video_info
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import read_mesh, write_mesh
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track
-from getagrip.mesh import read_mesh, write_mesh
+from getagrip.io import arrays, files
 
 SIZE = (64, 48)
 K = ("60", "60", "32", "24")

@@ -6,9 +6,9 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip import se3
-from getagrip.kernels.depth import NEAR, barycentric, depth_and_face
-from getagrip.render import render_rgb, true_masks
+from getagrip.geometry import se3
+from getagrip.geometry.depth import NEAR, barycentric, depth_and_face
+from getagrip.geometry.render import render_rgb, true_masks
 
 SIZE = (48, 36)
 K = np.array([[40.0, 0.0, 25.0], [0.0, 42.0, 17.0], [0.0, 0.0, 1.0]])

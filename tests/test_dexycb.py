@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from getagrip import se3
+from getagrip.batch.imports import import_dexycb
 from getagrip.clip import read_clip, read_masks
-from getagrip.datasets import dexycb, dexycb_files
+from getagrip.datasets.dexycb import clips as dexycb
+from getagrip.datasets.dexycb import files as dexycb_files
 from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.geometry.depth import depth_and_face
 from getagrip.hands import generic
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.model import mirrored
-from getagrip.kernels.depth import depth_and_face
-from getagrip.run.imports import import_dexycb
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="no real data beside the checkout")

@@ -11,18 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.clip import Masks
-from getagrip.contact import HandContacts, solid, spread_points
-from getagrip.datasets import shapes
-from getagrip.energy import Local, Poses, Term, no_bound
-from getagrip.energy.mask import MaskTerm, Surface
-from getagrip.energy.pull import PullTerm
-from getagrip.energy.push import PushTerm
+from getagrip.datasets.synthetic import shapes
+from getagrip.fitting.contact import HandContacts, solid, spread_points
+from getagrip.fitting.energy import Local, Poses, Term, no_bound
+from getagrip.fitting.energy.mask import MaskTerm, Surface
+from getagrip.fitting.energy.pull import PullTerm
+from getagrip.fitting.energy.push import PushTerm
+from getagrip.fitting.observation import CROP, LEVELS, Observation, observe
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.kernels import reference
 from getagrip.kernels.silhouette import mismatch, pack, silhouettes, unpack
-from getagrip.mesh import Mesh
-from getagrip.observation import CROP, LEVELS, Observation, observe
 
 SIZE = 300
 CAMERA = np.array([[560.0, 0.0, 148.0], [0.0, 570.0, 152.0], [0.0, 0.0, 1.0]])

@@ -19,14 +19,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from visor_files import box, dense, hand, sparse, thing, write, write_mapping
 
-from getagrip import arrays, se3
 from getagrip.clip import read_clip, read_masks
-from getagrip.datasets import epic, epic_candidates, epic_files, visor
-from getagrip.datasets.categories import CATEGORIES
-from getagrip.datasets.epic_images import Frames, Video
+from getagrip.datasets.epic import candidates as epic_candidates
+from getagrip.datasets.epic import clips as epic
+from getagrip.datasets.epic import files as epic_files
+from getagrip.datasets.epic import visor
+from getagrip.datasets.epic.images import Frames, Video
+from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.errors import InputError
+from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track
+from getagrip.io import arrays
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "epic"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="no real data beside the checkout")
@@ -312,7 +316,7 @@ def test_hand_files_may_say_which_frames_and_camera_they_have(run: Run, epic_fol
 
 
 def test_meshes_and_cameras_are_brought_along(run: Run, epic_folder: Path, refused: Callable[..., str]) -> None:
-    from getagrip.mesh import write_mesh
+    from getagrip.geometry.mesh import write_mesh
 
     (epic_folder / "cad").mkdir()
     write_mesh(epic_folder / "cad" / "bottle.obj", CATEGORIES["can"].make())

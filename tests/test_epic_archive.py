@@ -17,8 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_epic import NAME, V, epic_folder, import_epic
 
-from getagrip.datasets.epic_archive import Archive
-from getagrip.datasets.epic_images import Frames
+from getagrip.datasets.epic.archive import Archive
+from getagrip.datasets.epic.images import Frames
 from getagrip.errors import InputError
 
 __all__ = ["epic_folder"]

@@ -21,17 +21,18 @@ from hypothesis import strategies as st
 from numpy import ndarray
 from test_hands_mano import fake_mano, python2
 
-from getagrip import arrays, se3
-from getagrip.camera import project
 from getagrip.clip import FINGERS
 from getagrip.clip.naming import frame_of
 from getagrip.errors import InputError, UsageError
-from getagrip.estimates import Hands, Reading, read
-from getagrip.estimates.estimates import Camera, mirror_rotation
-from getagrip.estimates.weak_perspective import WeakPerspective, vitdet_side
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.hands import generic, mano
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.model import MIRROR, Side, mirrored, mirrored_pose
+from getagrip.hands.trackers import Hands, Reading, read
+from getagrip.hands.trackers.estimates import Camera, mirror_rotation
+from getagrip.hands.trackers.weak_perspective import WeakPerspective, vitdet_side
+from getagrip.io import arrays
 
 SIZE = (640, 480)
 K = np.array([[612.0, 0.0, 311.0], [0.0, 612.0, 247.0], [0.0, 0.0, 1.0]])

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from getagrip import evaluate as ev
-from getagrip import files, se3
+from getagrip import evaluation as ev
 from getagrip.clip import FINGERS, Clip, HandTrack, Masks, Truth, input_sha256, write_clip
-from getagrip.datasets import shapes
+from getagrip.datasets.synthetic import shapes
 from getagrip.errors import InputError
-from getagrip.mesh import write_mesh
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import write_mesh
+from getagrip.io import files
 from getagrip.metrics.contact import SIDES
 from getagrip.metrics.mask import object_mask
 from getagrip.result import Candidates, Reconstruction, write_result

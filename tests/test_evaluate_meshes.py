@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_evaluate import perfect, same, scene, written
 
-from getagrip import se3
 from getagrip.clip import Clip, Masks, input_sha256, write_clip
-from getagrip.evaluate import evaluate, evaluate_meshes
-from getagrip.evaluate.meshes import MeshFrame, read_meshes
-from getagrip.mesh import Mesh, write_mesh
+from getagrip.evaluation import evaluate, evaluate_meshes
+from getagrip.evaluation.meshes import MeshFrame, read_meshes
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh, write_mesh
 from getagrip.metrics.contact import pairwise_iou, stable_contact_area
 from getagrip.metrics.meshes import mesh_distances
 from getagrip.result import write_result

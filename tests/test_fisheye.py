@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip import se3
-from getagrip.fisheye import Fisheye624, pinhole
+from getagrip.geometry import se3
+from getagrip.geometry.fisheye import Fisheye624, pinhole
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "hot3d"
 SIZE = (640, 480)
@@ -112,8 +112,8 @@ def test_a_quarter_turn_turns_the_picture_clockwise():
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs HOT3D's samples in the folder 'shared' beside the checkout")
 def test_objects_of_hot3d_fall_into_the_published_boxes():
-    from getagrip.datasets.hot3d import Objects
-    from getagrip.datasets.hot3d_files import find, read_recording
+    from getagrip.datasets.hot3d.clips import Objects
+    from getagrip.datasets.hot3d.files import find, read_recording
 
     objects = Objects.below(DATA)
     for (name, files), stream in zip(find(DATA).items(), ("1201-1", "214-1"), strict=True):

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from getagrip import grasps
 from getagrip.errors import UsageError
-from getagrip.grasps import RULES, PairwiseIou, contact_iou, stable_grasps
+from getagrip.grasps import stable as grasps
+from getagrip.grasps.stable import RULES, PairwiseIou, contact_iou, stable_grasps
 from getagrip.metrics.contact import pairwise_iou
 
 Interval = tuple[int, int]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip import se3
 from getagrip.errors import UsageError
+from getagrip.geometry import se3
 from getagrip.hands import generic, umetrack
 from getagrip.hands.fit import ORDERS, Chains, State, fit_joints, joints_and_jacobian, right_jacobian
 from getagrip.hands.model import Side, mirrored

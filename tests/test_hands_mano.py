@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from getagrip import se3
 from getagrip.clip import FINGERS
 from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
 from getagrip.hands import generic, mano
 from getagrip.hands.fit import fit_joints
 from getagrip.hands.model import KNUCKLES, PALM_REGIONS, PARENTS, HandModel, Side

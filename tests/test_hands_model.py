@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip import se3
 from getagrip.clip import FINGERS
 from getagrip.errors import UsageError
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.hands import generic
 from getagrip.hands.generic_skeleton import BONES, GIRTHS, MEN_TO_ALL, WRIST, half_depth, rest_fingers
 from getagrip.hands.generic_surface import distance, gradient
@@ -26,7 +27,6 @@ from getagrip.hands.model import (
     mirrored_pose,
     root_transform,
 )
-from getagrip.mesh import Mesh
 
 SIDES: tuple[Side, Side] = ("right", "left")
 

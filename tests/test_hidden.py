@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 from conftest import small_clip
 
-from getagrip import se3
 from getagrip.clip import Masks
-from getagrip.hidden import hidden_by_hand
-from getagrip.kernels.depth import depth_and_face
-from getagrip.options import Options
-from getagrip.problem import prepare
+from getagrip.clip.occlusion import hidden_by_hand
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import prepare
+from getagrip.geometry import se3
+from getagrip.geometry.depth import depth_and_face
 
 
 def test_what_is_hidden_is_the_hand_but_for_the_object() -> None:

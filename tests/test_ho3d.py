@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from held_ball import AT, BETAS, FRAMES, TAKEN, Hostile, ball, bent, global_motion, motion, write_mano
 
-from getagrip import se3
+from getagrip.batch.imports import Given, import_clips
 from getagrip.clip import read_clip, read_masks
 from getagrip.datasets import ho3d, tracks
 from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.mano import load
-from getagrip.run.imports import Given, import_clips
 
 HELD = "025_mug"
 LOST = 29

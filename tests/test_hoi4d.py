@@ -12,11 +12,11 @@ import pytest
 from held_ball import BETAS, FRAMES, TAKEN, Hostile, ball, bent, global_motion, motion, posed, same_points, write_mano
 from scipy.spatial.transform import Rotation
 
-from getagrip import se3
+from getagrip.batch.imports import Given, import_clips
 from getagrip.clip import read_clip, read_masks
 from getagrip.datasets import hoi4d, tracks
 from getagrip.errors import InputError, UsageError
-from getagrip.run.imports import Given, import_clips
+from getagrip.geometry import se3
 
 INDEX = "ZY20210800001/H1/C5/N11/S125/s03/T1"
 NAME = f"H1--{INDEX.replace('/', '-')}--Bottle--right"

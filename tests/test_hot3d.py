@@ -9,12 +9,15 @@ import pytest
 import trimesh
 from test_umetrack import profile
 
-from getagrip import se3
 from getagrip.clip import FINGERS
-from getagrip.datasets import hot3d, hot3d_files, hot3d_timelines, tracks
+from getagrip.datasets import tracks
+from getagrip.datasets.hot3d import clips as hot3d
+from getagrip.datasets.hot3d import files as hot3d_files
+from getagrip.datasets.hot3d import timelines as hot3d_timelines
 from getagrip.errors import InputError
-from getagrip.grasps import Definition, segment
-from getagrip.kernels.depth import depth_and_face
+from getagrip.geometry import se3
+from getagrip.geometry.depth import depth_and_face
+from getagrip.grasps.stable import Definition, segment
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "hot3d"
 NAME = "P0000_0123abcd"

@@ -19,14 +19,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip import arrays
 from getagrip.cli import main
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.clip.label_images import read_labels
 from getagrip.clip.mask_sources import Wanted, open_masks
 from getagrip.clip.segments import polygons, region, run_lengths
+from getagrip.commands.import_masks import write_masks
 from getagrip.errors import InputError, UsageError
-from getagrip.run.masks import write_masks
+from getagrip.io import arrays
 
 SIZE = (20, 14)
 FRAMES = ("000003", "000004")

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy import ndarray
 
-from getagrip import se3
-from getagrip.datasets import shapes
-from getagrip.energy.mask import Surface
+from getagrip.datasets.synthetic import shapes
+from getagrip.fitting.energy.mask import Surface
+from getagrip.fitting.observation import _boundary, _reduce, _signed_distance
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.kernels import contour, reference
 from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
 from getagrip.kernels.silhouette import NEAR, PLANES, fill, mismatch, outline, pack, project, silhouettes, unpack
-from getagrip.mesh import Mesh
-from getagrip.observation import _boundary, _reduce, _signed_distance
 
 SEEDS = st.integers(0, 2**32 - 1)
 """Random numbers come from numpy, not from hypothesis, which loves the round ones: pixel centres exactly on an edge."""

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from conftest import Run
 
-from getagrip import se3
 from getagrip.annotate import labels
 from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labelled import make
 from getagrip.annotate.labels import OBJECT
 from getagrip.annotate.video import Video
-from getagrip.camera import project
-from getagrip.datasets.shapes import plate
-from getagrip.mesh import write_mesh
-from getagrip.run.intrinsics import Lens, intrinsics
+from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.datasets.synthetic.shapes import plate
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
+from getagrip.geometry.mesh import write_mesh
 
 LABELS = Path(__file__).with_name("kitchen_plate_labels.json")
 VIDEO = Path(__file__).resolve().parents[2] / "shared" / "data" / "egocentric" / "kitchen_plate.mp4"

@@ -12,18 +12,18 @@ import pytest
 from conftest import Run, box, contents
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labelled import make
 from getagrip.annotate.labels import FRONT, OBJECT, FrameLabels, Labels
 from getagrip.annotate.steadied_hands import steadied
-from getagrip.camera import project
 from getagrip.clip import read_clip, read_masks
+from getagrip.clip.intrinsics import Lens
 from getagrip.errors import UsageError
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
+from getagrip.geometry.depth import covered
+from getagrip.geometry.mesh import write_mesh
 from getagrip.hands import generic
-from getagrip.kernels.depth import covered
-from getagrip.mesh import write_mesh
-from getagrip.run.intrinsics import Lens
 
 SIZE = (320, 240)
 FOCAL = 320.0

@@ -18,8 +18,18 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.distance import pdist
 
-from getagrip.mesh import SUFFIXES, Mesh, decimate, diameter, edge_table, merged, read_mesh, vertex_normals, write_mesh
-from getagrip.obj import parse_obj
+from getagrip.geometry.mesh import (
+    SUFFIXES,
+    Mesh,
+    decimate,
+    diameter,
+    edge_table,
+    merged,
+    read_mesh,
+    vertex_normals,
+    write_mesh,
+)
+from getagrip.geometry.obj import parse_obj
 
 triangles = st.permutations(range(6)).map(lambda order: order[:3])
 soups = st.lists(triangles, min_size=1, max_size=12).map(np.array)

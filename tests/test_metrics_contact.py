@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from getagrip import se3
-from getagrip.mesh import Mesh
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import (
     REACH,
     SIDES,

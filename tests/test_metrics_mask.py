@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from getagrip import se3
 from getagrip.clip import Masks
-from getagrip.datasets import shapes
+from getagrip.datasets.synthetic import shapes
+from getagrip.geometry import se3
 from getagrip.metrics.mask import iou, mask_iou, object_mask
 
 MUG = shapes.mug()

@@ -8,9 +8,9 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip import se3
-from getagrip.datasets import shapes
-from getagrip.mesh import Mesh
+from getagrip.datasets.synthetic import shapes
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import signed_distance
 from getagrip.metrics.pose import SUCCESS, ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import find_symmetries, surface_points

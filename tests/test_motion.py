@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip import se3
-from getagrip.motion import Fixed, Free, Hinge, InHand, Motion, Soft, left_jacobian, tangents
+from getagrip.fitting.motion import Fixed, Free, Hinge, InHand, Motion, Soft, left_jacobian, tangents
+from getagrip.geometry import se3
 
 B, N = 3, 4
 

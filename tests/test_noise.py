@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip import se3
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.fingers import bent, finger_weights
-from getagrip.datasets.noise import NOISE, Noise, noisy_hand, perturbed, ragged
-from getagrip.datasets.synthetic import Options, synthesise
+from getagrip.datasets.synthetic.fingers import bent, finger_weights
+from getagrip.datasets.synthetic.noise import NOISE, Noise, noisy_hand, perturbed, ragged
+from getagrip.datasets.synthetic.scene import Options, synthesise
 from getagrip.errors import InputError
+from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.model import KNUCKLES
 

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip import se3
-from getagrip.camera import project
 from getagrip.clip import Masks
-from getagrip.energy.mask import Surface
+from getagrip.fitting.energy.mask import Surface
+from getagrip.fitting.observation import CROP, FIELD, LEVELS, TARGETS, Observation, observe
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.kernels.silhouette import silhouettes, unpack
-from getagrip.observation import CROP, FIELD, LEVELS, TARGETS, Observation, observe
 
 K = np.array([[200.0, 0.0, 80.0], [0.0, 210.0, 60.0], [0.0, 0.0, 1.0]])
 WIDTH, HEIGHT = 160, 120

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from getagrip import pickles
 from getagrip.datasets.pickled import read_dict
 from getagrip.errors import InputError
-from getagrip.pickles import machine, stand_ins
+from getagrip.io import pickles
+from getagrip.io.pickles import machine, stand_ins
 
 PATH = Path("a.pkl")
 PROTOCOLS = range(6)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from getagrip.run.pool import in_processes
+from getagrip.batch.pool import in_processes
 
 
 def work(job: int) -> str:

@@ -14,16 +14,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip import clusters, priors, se3
 from getagrip.cli import main
 from getagrip.clip import Clip, read_clip, write_clip
-from getagrip.clusters import clustered, hold, karcher_mean, learn
 from getagrip.errors import InputError, UsageError
-from getagrip.mesh import Mesh
-from getagrip.options import Init, Options, PriorsFile
-from getagrip.priors import Priors, poses_for, read_folder, read_learnt
-from getagrip.problem import prepare
-from getagrip.starts import starting_poses
+from getagrip.fitting import learn_priors as clusters
+from getagrip.fitting import pose_priors as priors
+from getagrip.fitting.initial_poses import starting_poses
+from getagrip.fitting.learn_priors import clustered, hold, karcher_mean, learn
+from getagrip.fitting.options import Init, Options, PriorsFile
+from getagrip.fitting.pose_priors import Priors, poses_for, read_folder, read_learnt
+from getagrip.fitting.problem import prepare
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "epic" / "pose_priors"
 SEEDS = st.integers(0, 2**32 - 1)

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from getagrip.clip import Clip, Masks, read_clip, read_masks, write_clip
 from getagrip.clip import masks as clip_masks
 from getagrip.errors import InputError
-from getagrip.options import Options
-from getagrip.problem import Problem, prepare, read_sampled
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import Problem, prepare, read_sampled
 
 FRAMES = 9
 

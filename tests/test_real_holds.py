@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from getagrip.cli import main
-from getagrip.evaluate import evaluate_result
+from getagrip.evaluation import evaluate_result
 
 ROOT = Path(__file__).resolve().parents[2] / "shared" / "data" / "hot3d"
 HOLDS = ("P0003_c701bd11-coffee_pot-left", "P0003_c701bd11-mug_white-right", "P0002_273c2819-mouse-right")

@@ -13,16 +13,16 @@ from conftest import small_clip
 from numpy import ndarray
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from getagrip import se3
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic import Options as ClipOptions
-from getagrip.datasets.synthetic import synthesise
+from getagrip.datasets.synthetic.scene import Options as ClipOptions
+from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.errors import GetagripError, InputError, UsageError
-from getagrip.evaluate import evaluate
-from getagrip.mesh import Mesh
-from getagrip.options import Options
-from getagrip.problem import AMBIGUOUS, mask_iou
-from getagrip.reconstruct import reconstruct
+from getagrip.evaluation import evaluate
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import AMBIGUOUS, mask_iou
+from getagrip.fitting.reconstruct import reconstruct
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.result import Reconstruction
 
 SMALL = ClipOptions(frames=8, size=(320, 240), focal=300.0)

@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from getagrip import demo, se3
 from getagrip.clip import Clip, Masks, read_clip
-from getagrip.datasets.synthetic import Options, make_scene, synthesise
+from getagrip.commands import demo
+from getagrip.datasets.synthetic.scene import Options, make_scene, synthesise
 from getagrip.errors import InputError
+from getagrip.geometry import se3
 from getagrip.result import Axis, Candidates, Reconstruction, read_result
 from getagrip.view.report import write_report
 

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip import se3
 from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
 from getagrip.result import Axis, Candidates, Reconstruction, is_result, read_result, write_result
 
 Refused = Callable[..., str]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from getagrip import se3
+from getagrip.geometry import se3
 
 vectors = arrays(float, 3, elements=st.floats(-3.0, 3.0))
 points = arrays(float, (5, 3), elements=st.floats(-3.0, 3.0))

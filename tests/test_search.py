@@ -11,12 +11,10 @@ from conftest import box
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip import se3
-from getagrip.datasets.categories import CATEGORIES
-from getagrip.energy import Local
-from getagrip.mesh import Mesh
-from getagrip.motion import Fixed, Free, Hinge, Soft
-from getagrip.search import (
+from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.fitting.energy import Local
+from getagrip.fitting.motion import Fixed, Free, Hinge, Soft
+from getagrip.fitting.search import (
     FAR,
     NEAR,
     Stage,
@@ -29,8 +27,10 @@ from getagrip.search import (
     spread,
     turned,
 )
-from getagrip.shape import Shape
-from getagrip.solve import Poses, minimise
+from getagrip.fitting.solve import Poses, minimise
+from getagrip.fitting.surface import Shape
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 
 CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]) * [0.1, 0.06, 0.04] - [0.05, 0.03, 0.02]
 SHAPE = Shape.of(box(0.1, 0.06, 0.04))

@@ -16,11 +16,11 @@ import pytest
 import trimesh
 from conftest import Run, box, small_clip
 
-from getagrip import se3
 from getagrip.clip import Clip, HandTrack, Truth, read_clip, write_clip
 from getagrip.errors import InputError, UsageError
-from getagrip.grasps import OPENED, Definition, contact_iou, contact_sets, fragments, segment
-from getagrip.mesh import Mesh
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.grasps.stable import OPENED, Definition, contact_iou, contact_sets, fragments, segment
 from getagrip.metrics.contact import contact_distances
 from getagrip.view.matrix import write_matrix
 
@@ -276,7 +276,7 @@ def test_the_pot_of_hot3d_is_held_from_first_to_last_frame(tmp_path: Path) -> No
     root = Path(__file__).resolve().parents[2] / "shared" / "data" / "hot3d"
     if not root.is_dir():
         pytest.skip("HOT3D's test sample is not beside this checkout")
-    from getagrip.datasets import hot3d
+    from getagrip.datasets.hot3d import clips as hot3d
 
     clips = {clip.category: clip for clip, _ in hot3d.read(root)}
     # The one proper lifted grasp: contact is reliable at 5 mm.

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip import se3
-from getagrip.energy import Local, Poses
-from getagrip.motion import Fixed, Free, Hinge, Motion, Soft
-from getagrip.solve import _FLOOR, Status, evaluate, in_camera, minimise
+from getagrip.fitting.energy import Local, Poses
+from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
+from getagrip.fitting.solve import _FLOOR, Status, evaluate, in_camera, minimise
+from getagrip.geometry import se3
 
 N = 5
 STIFF = 1e6

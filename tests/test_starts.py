@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from getagrip.datasets.synthetic import Options as ClipOptions
-from getagrip.datasets.synthetic import synthesise
-from getagrip.options import Options
-from getagrip.reconstruct import reconstruct
-from getagrip.search import THOROUGH, Schedule
+from getagrip.datasets.synthetic.scene import Options as ClipOptions
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.fitting.options import Options
+from getagrip.fitting.reconstruct import reconstruct
+from getagrip.fitting.search import THOROUGH, Schedule
 
 
 def test_the_longer_search_finds_no_worse_and_says_what_it_was() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.stats import Grasp, durations, read_epic, read_list
+from getagrip.experiments.durations import Grasp, durations, read_epic, read_list
 
 Run = Callable[..., tuple[int, str, str]]
 EPIC = Path(__file__).resolve().parents[2] / "shared" / "data" / "epic" / "epicgrasps_2431.csv"

@@ -16,14 +16,14 @@ from conftest import small_clip
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip import se3
-from getagrip.approximation import Hinge, _refined, mean_rotation, pose_hinge, rotation_hinge
 from getagrip.clip import FINGERS, Clip, HandTrack, Truth, write_clip
-from getagrip.datasets import dexycb
+from getagrip.datasets.dexycb import clips as dexycb
 from getagrip.errors import InputError
-from getagrip.grasps import Definition, PairwiseIou
-from getagrip.mesh import Mesh
-from getagrip.study import MEASURES, TIMES, Spread, fingers, kept_contact, mean_curves, study
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.grasps.approximation import Hinge, _refined, mean_rotation, pose_hinge, rotation_hinge
+from getagrip.grasps.stable import Definition, PairwiseIou
+from getagrip.grasps.study import MEASURES, TIMES, Spread, fingers, kept_contact, mean_curves, study
 
 Run = Callable[..., tuple[int, str, str]]
 Poses = tuple[np.ndarray, np.ndarray]

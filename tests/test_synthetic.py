@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip import se3
 from getagrip.clip import Clip, read_clip, read_masks, write_clip
-from getagrip.datasets.categories import CATEGORIES
-from getagrip.datasets.grasp import SignedDistance
-from getagrip.datasets.noise import ragged
-from getagrip.datasets.splits import PRESETS, Preset, split
-from getagrip.datasets.synthetic import Options, aligned, clip_name, make_scene, pictures, synthesise
+from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.datasets.synthetic.grasp import SignedDistance
+from getagrip.datasets.synthetic.noise import ragged
+from getagrip.datasets.synthetic.scene import Options, aligned, clip_name, make_scene, pictures, synthesise
+from getagrip.datasets.synthetic.splits import PRESETS, Preset, split
 from getagrip.errors import UsageError
-from getagrip.mesh import Mesh
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 
 FEW = Options(frames=4, size=(320, 240), focal=300.0)
 

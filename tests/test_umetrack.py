@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from getagrip import se3
 from getagrip.clip import FINGERS
 from getagrip.errors import InputError
+from getagrip.geometry import se3
 from getagrip.hands import umetrack
 from getagrip.hands.generic_skeleton import WRIST
 from getagrip.hands.model import MIRROR, PALM_REGIONS, root_transform

@@ -16,8 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from visor_files import box, dense, hand, sparse, thing, write, write_mapping
 
-from getagrip.datasets import json_stream, visor
+from getagrip.datasets.epic import visor
 from getagrip.errors import InputError
+from getagrip.io import json_stream
 
 V = "P01_101"
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip import se3
-from getagrip.datasets.synthetic import Options, make_scene
-from getagrip.grasps import Definition, segment
+from getagrip.datasets.synthetic.scene import Options, make_scene
+from getagrip.geometry import se3
+from getagrip.grasps.stable import Definition, segment
 from getagrip.view.matrix import write_matrix
 
 OUT = Path(__file__).resolve().parents[1] / "images" / "contact_iou.png"

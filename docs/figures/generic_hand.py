@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from getagrip import se3
+from getagrip.geometry import se3
+from getagrip.geometry.render import render_rgb
 from getagrip.hands import generic
 from getagrip.hands.model import JOINTS, PosedHand
-from getagrip.render import render_rgb
 
 SKIN, PAD = (0.86, 0.68, 0.58), (0.80, 0.36, 0.30)
 SIZE = (420, 420)

@@ -14,18 +14,18 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.annotate import labels
 from getagrip.annotate.clicked_hands import ClickedHands, hands_from_clicks
 from getagrip.annotate.labels import OBJECT, Labels
 from getagrip.annotate.propagated_masks import Images, propagate
 from getagrip.annotate.steadied_hands import steadied
 from getagrip.annotate.video import Video
-from getagrip.camera import crops_around, project
 from getagrip.clip import Clip, read_clip, read_masks
-from getagrip.render import render_rgb
+from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.geometry import se3
+from getagrip.geometry.camera import crops_around, project
+from getagrip.geometry.render import render_rgb
 from getagrip.result import Reconstruction, read_result
-from getagrip.run.intrinsics import Lens, intrinsics
 
 OUT = Path(__file__).parent.parent / "images" / "kitchen-plate.png"
 SHOWN = 6

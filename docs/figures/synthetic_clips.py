@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from getagrip.datasets.categories import CATEGORIES
-from getagrip.datasets.synthetic import Options, make_scene, pictures
+from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.datasets.synthetic.scene import Options, make_scene, pictures
 
 OUT = Path(__file__).resolve().parents[1] / "images" / "synthetic-clips.png"
 OPTIONS = Options(frames=10, size=(360, 300), focal=420.0)

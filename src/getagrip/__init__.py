@@ -3,7 +3,7 @@
 A clip in, a reconstruction out::
 
     from getagrip import Options, read_clip, read_masks, write_result
-    from getagrip.reconstruct import reconstruct
+    from getagrip.fitting.reconstruct import reconstruct
 
     clip = read_clip("clips/pour-01")
     result = reconstruct(clip, read_masks(clip), Options())
@@ -20,8 +20,8 @@ from getagrip.errors import GetagripError, InputError, UsageError
 
 if TYPE_CHECKING:
     from getagrip.clip import Clip, HandTrack, Masks, Truth, read_clip, read_masks, write_clip
-    from getagrip.mesh import Mesh, read_mesh, write_mesh
-    from getagrip.options import Options
+    from getagrip.fitting.options import Options
+    from getagrip.geometry.mesh import Mesh, read_mesh, write_mesh
     from getagrip.result import Axis, Candidates, Reconstruction, read_result, write_result
 
 __version__ = metadata.version("getagrip")
@@ -49,8 +49,8 @@ __all__ = [
 
 _HOMES = {
     "getagrip.clip": ("Clip", "HandTrack", "Masks", "Truth", "read_clip", "read_masks", "write_clip"),
-    "getagrip.mesh": ("Mesh", "read_mesh", "write_mesh"),
-    "getagrip.reconstruct": ("Options",),
+    "getagrip.geometry.mesh": ("Mesh", "read_mesh", "write_mesh"),
+    "getagrip.fitting.reconstruct": ("Options",),
     "getagrip.result": ("Axis", "Candidates", "Reconstruction", "read_result", "write_result"),
 }
 

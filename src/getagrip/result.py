@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Float, Shaped
 from numpy import ndarray
 
-from getagrip import arrays, files, se3
 from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.io import arrays, files
 
 VERSION = 1
 HINGED = ("one-dof", "soft-hinge")

@@ -23,12 +23,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.annotate.placed_hands import OUTLIER, Clicks, equations, place, turning
-from getagrip.camera import project
 from getagrip.clip import HandTrack
 from getagrip.clip.plausible import FARTHEST, NEAREST
 from getagrip.errors import UsageError
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 from getagrip.hands import generic
 from getagrip.hands.fit import Chains, arrow_step, joints_and_jacobian, stepped
 from getagrip.hands.model import KNUCKLES, HandModel, Side, hand_track

@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labels import FRONT, OBJECT, Labels
 from getagrip.annotate.propagated_masks import Images, propagate
 from getagrip.annotate.steadied_hands import steadied
 from getagrip.annotate.tracing import traced
-from getagrip.camera import project
-from getagrip.kernels.depth import covered
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
+from getagrip.geometry.depth import covered
 
 HAND_SIDE = 640
 """The hand's outline is drawn from an image whose longer side is so long [px]."""

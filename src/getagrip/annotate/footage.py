@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.files import read_bytes
+from getagrip.io.files import read_bytes
 
 IMAGES = (".jpg", ".jpeg", ".png")
 WIDEST = 1280

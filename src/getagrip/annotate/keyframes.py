@@ -23,7 +23,7 @@ from numpy import ndarray
 
 from getagrip.annotate.labels import MOST_CORNERS, MOST_POLYGONS, FrameLabels, Polygons
 from getagrip.annotate.versions import TOKEN, Database, RefusedError, Versions
-from getagrip.files import shown
+from getagrip.io.files import shown
 
 SETTABLE = frozenset({"joints", "outlines", "hidden", "deleted"})
 """What the page may change."""

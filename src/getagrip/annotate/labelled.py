@@ -10,15 +10,16 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip import files, se3
 from getagrip.annotate.clicked_hands import SCALE, ClickedHands, hands_from_clicks
 from getagrip.annotate.labels import FRONT, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
+from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.clip.writing import write_hand
-from getagrip.images import write_image
-from getagrip.kernels.depth import covered
-from getagrip.run.intrinsics import Lens, intrinsics
+from getagrip.geometry import se3
+from getagrip.geometry.depth import covered
+from getagrip.io import files
+from getagrip.io.images import write_image
 
 BESIDE = 0.004
 """The fitted hand is so far off its true outline: pixels beside it say nothing either [m]."""

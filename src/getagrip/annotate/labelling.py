@@ -28,10 +28,10 @@ from getagrip.annotate.propagated_masks import stretches
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, open_footage
 from getagrip.annotate.versions import RefusedError
+from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.errors import UsageError
-from getagrip.files import shown
 from getagrip.hands.model import Side
-from getagrip.run.intrinsics import Lens, intrinsics
+from getagrip.io.files import shown
 
 Basis = dict[str, list[tuple[int, int, str]]]
 """Of the "masks" and the "hand": first and last frame, and what drafts of these are made of, in a word."""

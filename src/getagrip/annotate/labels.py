@@ -26,11 +26,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip import files
 from getagrip.clip.reading import LARGEST_IMAGE, LARGEST_SIDE
 from getagrip.clip.segments import polygons
 from getagrip.errors import InputError
 from getagrip.hands.model import Side
+from getagrip.io import files
 
 OBJECT, FRONT = 1, 2
 """Values of a label map; 0 is everything else."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from getagrip.annotate.footage import Footage, seconds
 from getagrip.annotate.versions import Database, RefusedError, Versions
-from getagrip.files import shown
+from getagrip.io.files import shown
 
 REASONS = ("no stable grasp", "out of view", "other CAD")
 """Why a task is discarded: nothing is held stably, hand and object are not seen, the thing is unlike its mesh."""

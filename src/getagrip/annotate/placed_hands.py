@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip import se3
-from getagrip.camera import backproject, project
+from getagrip.geometry import se3
+from getagrip.geometry.camera import backproject, project
 from getagrip.hands import generic
 from getagrip.hands.fit import JOINT_NOISE, Chains, joints_and_jacobian, stepped
 

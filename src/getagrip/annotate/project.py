@@ -10,7 +10,6 @@ from threading import Lock
 from typing import Any
 from uuid import uuid4
 
-from getagrip import files
 from getagrip.annotate import agreement, export, labels, marks, versions
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.labelling import Grasp, Labelling
@@ -19,8 +18,9 @@ from getagrip.annotate.marks import Mark
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, open_footage
 from getagrip.annotate.versions import Change, RefusedError, token
-from getagrip.datasets.epic_files import CATEGORIES
-from getagrip.run.intrinsics import Lens
+from getagrip.clip.intrinsics import Lens
+from getagrip.datasets.epic.files import CATEGORIES
+from getagrip.io import files
 
 MOST_OPEN = 4
 """Footage that is kept open at once."""

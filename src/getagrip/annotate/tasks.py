@@ -11,9 +11,9 @@ from typing import Any, cast
 
 from getagrip.annotate.footage import Footage, ImageFolder
 from getagrip.annotate.video import SUFFIXES, Video
-from getagrip.datasets.epic_files import LAST_FRAME, SIDES, subject_of
+from getagrip.datasets.epic.files import LAST_FRAME, SIDES, subject_of
 from getagrip.errors import InputError
-from getagrip.files import csv_rows, is_plain_name, plain, read_bytes, shown
+from getagrip.io.files import csv_rows, is_plain_name, plain, read_bytes, shown
 
 LARGEST_LIST = 64 * 2**20
 """Limit in bytes of a list."""

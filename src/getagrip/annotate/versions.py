@@ -17,7 +17,7 @@ from threading import Lock
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from getagrip.errors import GetagripError
-from getagrip.files import is_plain_name, shown
+from getagrip.io.files import is_plain_name, shown
 
 TOKEN = re.compile(r"[A-Za-z0-9-]{8,64}")
 """What the page calls its marks, changes and tabs."""

@@ -32,7 +32,7 @@ class Command:
 
     def check(self) -> None:
         """Raise ``UsageError`` where what it writes has no place, before any work is done."""
-        from getagrip import files
+        from getagrip.io import files
 
         if (out := getattr(self, "out", None)) is not None:
             files.check_folder("--out", out)

@@ -65,9 +65,9 @@ class ClipCommand(Command):
     """Replace a clip that is there already."""
 
     def run(self) -> int:
-        from getagrip.run.intrinsics import Lens
-        from getagrip.run.own_mesh import Wanted
-        from getagrip.run.own_video import Ingredients, new_clip
+        from getagrip.clip.intrinsics import Lens
+        from getagrip.commands.new_clip import Ingredients, new_clip
+        from getagrip.commands.own_mesh import Wanted
 
         sizes = (self.size_mm, self.diameter_mm, self.known_scale)
         given = Ingredients(
@@ -97,14 +97,14 @@ class Epic(Command):
     """Write all that is known of the candidates here."""
 
     def check(self) -> None:
-        from getagrip import files
+        from getagrip.io import files
 
         files.check_file("--out", self.out)
         if self.json is not None:
             files.check_file("--json", self.json)
 
     def run(self) -> int:
-        from getagrip.run.epic import find_candidates
+        from getagrip.commands.import_epic import find_candidates
 
         return find_candidates(self.visor, self.actions, self.categories, self.out, self.json, self.debug)
 
@@ -135,8 +135,8 @@ class Annotate(Command):
     """import-labels: whose labels they are from now on."""
 
     def run(self) -> int:
-        from getagrip.annotate.command import Wanted, annotate
-        from getagrip.run.intrinsics import Lens
+        from getagrip.clip.intrinsics import Lens
+        from getagrip.commands.annotate import Wanted, annotate
 
         wanted = Wanted(self.import_labels, self.annotator, self.export)
         return annotate(self.source, self.videos, self.out, self.port, Lens(self.K, self.focal), wanted)

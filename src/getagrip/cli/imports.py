@@ -48,7 +48,7 @@ class Import(Command):
     """hot3d: the list's number of a recording's first frame; else the recording must be as long as the list has it."""
 
     def run(self) -> int:
-        from getagrip.run.imports import Given, import_clips
+        from getagrip.batch.imports import Given, import_clips
 
         given = Given(self.meshes, self.mano, self.view, self.whole, self.timelines, self.first_frame)
         return import_clips(self.source, self.root, self.out, given, self.debug)
@@ -82,7 +82,7 @@ class ImportEpic(Command):
     """Where the clips go, a folder each. Those that are there already are kept, unless they lack hands found now."""
 
     def run(self) -> int:
-        from getagrip.run.epic import Sources, import_epic
+        from getagrip.commands.import_epic import Sources, import_epic
 
         sources = Sources(
             self.visor, self.frames, self.videos, self.hands, self.cad, self.cameras, self.focal
@@ -130,14 +130,14 @@ class ImportHands(Command):
     """Replace hands that are there already."""
 
     def check(self) -> None:
-        from getagrip import files
+        from getagrip.io import files
 
         if self.out is not None:
             files.check_file("--out", self.out)
 
     def run(self) -> int:
-        from getagrip.run.hands import Told, import_hands
-        from getagrip.run.intrinsics import Lens
+        from getagrip.clip.intrinsics import Lens
+        from getagrip.commands.import_hands import Told, import_hands
 
         told = Told(self.mano, self.pose, self.mean, self.order, self.estimator_focal, self.first)
         lens = Lens(self.K, self.focal, self.guess_focal)
@@ -163,7 +163,7 @@ class ImportMasks(Command):
     """Replace masks that are there already."""
 
     def run(self) -> int:
-        from getagrip.run.masks import into_clip
+        from getagrip.commands.import_masks import into_clip
 
         return into_clip(self.path, self.object, self.ignore, self.first, self.clip, self.overwrite)
 

@@ -18,7 +18,7 @@ from getagrip.cli.command import (
 )
 
 if TYPE_CHECKING:
-    from getagrip.grasps import Definition
+    from getagrip.grasps.stable import Definition
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class Grasps(Command):
 
     def definition(self) -> Definition:
         """What counts as stable."""
-        from getagrip.grasps import Definition
+        from getagrip.grasps.stable import Definition
 
         return Definition(self.tau, self.contact_mm / 1e3, self.points, self.rule, self.shortest)
 
@@ -57,7 +57,7 @@ class Segment(Grasps):
     """Write segments.csv and a picture of each clip here."""
 
     def run(self) -> int:
-        from getagrip.run.segments import segment_clips
+        from getagrip.commands.segment import segment_clips
 
         return segment_clips(self.clips, self.definition(), self.out, self.json, self.workers, self.debug)
 
@@ -70,7 +70,7 @@ class Study(Grasps):
     """Where study.png, grasps.csv, curves.csv and summary.csv go."""
 
     def run(self) -> int:
-        from getagrip.run.study import study_clips
+        from getagrip.commands.study import study_clips
 
         return study_clips(self.clips, self.definition(), self.out, self.json, self.workers, self.debug)
 
@@ -93,6 +93,6 @@ class Stats(Command):
     """Write every number here, unrounded."""
 
     def run(self) -> int:
-        from getagrip.run.stats import print_stats
+        from getagrip.commands.stats import print_stats
 
         return print_stats(self.source, self.csv, self.errata, self.fps, self.out, self.json)

@@ -21,7 +21,7 @@ from getagrip.cli.command import (
     Workers,
 )
 from getagrip.errors import UsageError
-from getagrip.options import Init, Method, Options, PriorsFile
+from getagrip.fitting.options import Init, Method, Options, PriorsFile
 
 Inits = Annotated[int, arg(metavar="N")]
 
@@ -34,7 +34,7 @@ class Demo(Command):
     """Where the clip, the result and report.png go."""
 
     def run(self) -> int:
-        from getagrip import demo
+        from getagrip.commands import demo
 
         demo.run(self.out)
         return 0
@@ -70,7 +70,7 @@ class Reconstruct(Command):
     """Make results again that are there already."""
 
     def run(self) -> int:
-        from getagrip.run.batch import reconstruct_clips
+        from getagrip.batch.clips import reconstruct_clips
 
         options = Options(
             method=self.method, inits=self.inits, seed=self.seed, frames=self.frames, thorough=self.thorough,
@@ -96,8 +96,8 @@ class Evaluate(Command):
     """Write every number here, unrounded."""
 
     def run(self) -> int:
-        from getagrip.run.mesh_scores import Meshes
-        from getagrip.run.scores import evaluate_results
+        from getagrip.commands.evaluate import evaluate_results
+        from getagrip.commands.evaluate_meshes import Meshes
 
         meshes = None
         if self.meshes is not None:
@@ -154,8 +154,8 @@ class Bench(Command):
     """Make results again that are there already."""
 
     def run(self) -> int:
-        from getagrip.bench.command import Plan, bench
-        from getagrip.bench.sources import Source
+        from getagrip.commands.bench import Plan, bench
+        from getagrip.experiments.sources import Source
 
         source = Source(self.dataset, self.out / "clips", self.split, self.clips, self.preset, self.root, self.meshes)
         options = Options(
@@ -186,12 +186,12 @@ class InitCommand(Command):
     """Seed of all that is random."""
 
     def check(self) -> None:
-        from getagrip import files
+        from getagrip.io import files
 
         files.check_file("--out", self.out)
 
     def run(self) -> int:
-        from getagrip.run.init import learn
+        from getagrip.commands.learn_poses import learn
 
         return learn(self.clips, self.out, self.k, self.way, self.leave_out, self.seed, self.debug)
 
@@ -204,7 +204,7 @@ class Report(Command):
     """A result folder."""
 
     def run(self) -> int:
-        from getagrip.run.scores import report_result
+        from getagrip.commands.evaluate import report_result
 
         return report_result(self.result)
 
@@ -214,7 +214,7 @@ class Doctor(Command):
     """Check the installation, and compile what the first run would have to."""
 
     def run(self) -> int:
-        from getagrip import doctor
+        from getagrip.commands import doctor
 
         return doctor.run()
 
@@ -227,6 +227,6 @@ def _priors(path: Path | None, init: Init) -> PriorsFile | None:
         if init != "uniform":
             raise UsageError(f"--priors: got nothing, expected a file or folder for --init {init}")
         return None
-    from getagrip import priors
+    from getagrip.fitting import pose_priors as priors
 
     return priors.given(path, init)

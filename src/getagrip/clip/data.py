@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.mesh import Mesh
+from getagrip.geometry.mesh import Mesh
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from getagrip import files
 from getagrip.errors import InputError, UsageError
+from getagrip.io import files
 
 GREY, PALETTE, GREY_AND_ALPHA = 0, 3, 4
 """Kinds of PNG."""

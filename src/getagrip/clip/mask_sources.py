@@ -22,11 +22,11 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
-from getagrip import arrays, files
 from getagrip.clip.label_images import label_value, read_labels
 from getagrip.clip.naming import frame_of
 from getagrip.clip.segments import region, union
 from getagrip.errors import InputError, UsageError
+from getagrip.io import arrays, files
 
 LOSSY = {".jpg", ".jpeg", ".webp"}
 MaskPair = tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]

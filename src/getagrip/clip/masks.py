@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool
 from numpy import ndarray
 
-from getagrip import files
 from getagrip.clip.data import Clip, Masks
 from getagrip.errors import InputError
+from getagrip.io import files
 
 
 def read_masks(clip: Clip) -> Masks:

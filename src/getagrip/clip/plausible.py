@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import se3
-from getagrip.camera import project
 from getagrip.clip.data import HandTrack
 from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
 
 NEAREST, FARTHEST = 0.05, 20.0
 """Plausible distances from the camera [m]."""

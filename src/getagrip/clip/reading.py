@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip import arrays, files
 from getagrip.clip.data import FINGERS, Clip, HandTrack, Truth
 from getagrip.clip.plausible import check_in_hand, check_in_view, check_intrinsics, check_poses
 from getagrip.errors import InputError
-from getagrip.mesh import Mesh, check_size, read_mesh
+from getagrip.geometry.mesh import Mesh, check_size, read_mesh
+from getagrip.io import arrays, files
 
 VERSION = 1
 REQUIRED = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")

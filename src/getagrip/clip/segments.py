@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool
 from numpy import ndarray
 
-from getagrip import files
 from getagrip.errors import InputError
+from getagrip.io import files
 
 MOST_CORNERS = 100_000
 """Of the polygons of one region."""

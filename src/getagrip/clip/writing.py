@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 from numpy import ndarray
 
-from getagrip import arrays, files
 from getagrip.clip.data import Clip, HandTrack, Masks, Truth
 from getagrip.clip.reading import VERSION
-from getagrip.images import write_image, write_mask
-from getagrip.mesh import write_mesh
+from getagrip.geometry.mesh import write_mesh
+from getagrip.io import arrays, files
+from getagrip.io.images import write_image, write_mask
 
 
 def write_clip(

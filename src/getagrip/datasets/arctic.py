@@ -25,17 +25,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip import arrays, se3
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.pickled import numbers, read_dict
 from getagrip.datasets.tracks import Note, Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
-from getagrip.files import LARGEST_JSON, is_plain_name, read_bytes, read_json, shown
-from getagrip.grasps import Definition
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import LARGEST_FILE, Mesh, checked_mesh, with_area
+from getagrip.geometry.obj import parse_obj
+from getagrip.grasps.stable import Definition
 from getagrip.hands.model import Side
-from getagrip.mesh import LARGEST_FILE, Mesh, checked_mesh, with_area
-from getagrip.obj import parse_obj
+from getagrip.io import arrays
+from getagrip.io.files import LARGEST_JSON, is_plain_name, read_bytes, read_json, shown
 
 DEFINITION = Definition(contact=0.0)
 """The paper's stable grasps of ARCTIC."""

@@ -21,17 +21,17 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks
-from getagrip.datasets.dexycb import mesh_folder, ycb_mesh
+from getagrip.datasets.dexycb.clips import mesh_folder, ycb_mesh
 from getagrip.datasets.pickled import numbers, read_dict
 from getagrip.datasets.tracks import Note, Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
-from getagrip.files import is_plain_name, shown
-from getagrip.grasps import Definition
+from getagrip.geometry import se3
+from getagrip.grasps.stable import Definition
 from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
+from getagrip.io.files import is_plain_name, shown
 
 DEFINITION = Definition(contact=0.010)
 SIZE = (640, 480)

@@ -23,17 +23,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip import arrays, se3
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.pickled import numbers, read_dict
 from getagrip.datasets.tracks import MaskPair, Note, Source, Track, check_length, in_pixels
 from getagrip.errors import InputError
-from getagrip.files import read_bytes, read_colour_png, read_json, shown
-from getagrip.grasps import Definition
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import LARGEST_FILE, Mesh, checked_mesh, with_area
+from getagrip.geometry.obj import parse_obj
+from getagrip.grasps.stable import Definition
 from getagrip.hands.model import Side
-from getagrip.mesh import LARGEST_FILE, Mesh, checked_mesh, with_area
-from getagrip.obj import parse_obj
+from getagrip.io import arrays
+from getagrip.io.files import read_bytes, read_colour_png, read_json, shown
 
 DEFINITION = Definition(contact=0.010)
 """The paper's stable grasps of HOI4D."""

@@ -8,9 +8,9 @@ from pathlib import Path
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.clip import HandTrack
 from getagrip.errors import UsageError
+from getagrip.geometry import se3
 from getagrip.hands import mano
 from getagrip.hands.model import MIRROR, Side, hand_track, root_transform
 

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import arrays, pickles
 from getagrip.errors import InputError
-from getagrip.files import read_bytes, shown
+from getagrip.io import arrays, pickles
+from getagrip.io.files import read_bytes, shown
 
 NPY = b"\x93NUMPY"
 

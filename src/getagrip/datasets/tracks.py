@@ -17,16 +17,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.clip import Clip, HandTrack, Masks, Truth
 from getagrip.clip.plausible import FARTHEST, NEAREST, check_in_view
 from getagrip.errors import InputError
-from getagrip.files import is_plain_name
-from getagrip.grasps import Definition, PairwiseIou, stable_grasps
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh, checked_mesh
+from getagrip.geometry.render import Surface, true_masks
+from getagrip.grasps.stable import Definition, PairwiseIou, stable_grasps
 from getagrip.hands.model import Side
-from getagrip.mesh import Mesh, checked_mesh
+from getagrip.io.files import is_plain_name
 from getagrip.metrics.contact import close_holes, moving_distance, stable_contact_area
-from getagrip.render import Surface, true_masks
 
 VISIBLE = 25
 """Pixels of the smallest mask that counts as seen."""

@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.clip import HandTrack
 from getagrip.errors import UsageError
+from getagrip.geometry import se3
 from getagrip.hands.model import KNUCKLES, HandModel, hand_track
 from getagrip.hands.pose_prior import PosePrior
 

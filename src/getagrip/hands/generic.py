@@ -14,10 +14,10 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import FINGERS
+from getagrip.geometry.mesh import edge_table, vertex_normals
 from getagrip.hands.generic_skeleton import Finger, metacarpal_base, rest_fingers, rest_joints
 from getagrip.hands.generic_surface import FILE
 from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, Side, mirrored_model
-from getagrip.mesh import edge_table, vertex_normals
 
 SHAPES = (
     "size",

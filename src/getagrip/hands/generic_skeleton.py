@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.clip import FINGERS
+from getagrip.geometry import se3
 from getagrip.hands.model import JOINTS, KNUCKLES
 
 WRIST = np.array([0.0957, 0.0064, 0.0062])

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip.geometry.mesh import Mesh
 from getagrip.hands.generic_skeleton import WRIST, metacarpal_base, rest_fingers
-from getagrip.mesh import Mesh
 
 FILE = Path(__file__).with_name("generic_hand.npz")
 GRID = 0.0016

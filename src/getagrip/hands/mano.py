@@ -20,10 +20,10 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
+from getagrip.geometry.mesh import vertex_normals
 from getagrip.hands.mano_pickle import read_pickle
 from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, Side
 from getagrip.hands.regions import contact_regions, position_on_palm
-from getagrip.mesh import vertex_normals
 
 ARRAYS = {
     "v_template": (778, 3),

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float, Shaped
 from numpy import ndarray
 
-from getagrip import pickles
 from getagrip.errors import InputError
-from getagrip.pickles import Instance
+from getagrip.io import pickles
+from getagrip.io.pickles import Instance
 
 WHAT = "a MANO pickle"
 CLASSES = {

@@ -24,10 +24,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.clip import FINGERS, HandTrack
 from getagrip.errors import UsageError
-from getagrip.mesh import vertex_normals
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import vertex_normals
 
 Side = Literal["left", "right"]
 

@@ -23,13 +23,13 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip import se3
 from getagrip.errors import InputError
-from getagrip.files import read_json
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh, check_size, edge_table
 from getagrip.hands.generic_skeleton import WRIST
 from getagrip.hands.model import MIRROR, PosedHand, Side, mirrored
 from getagrip.hands.regions import contact_regions, position_on_palm
-from getagrip.mesh import Mesh, check_size, edge_table
+from getagrip.io.files import read_json
 
 SHAPES = {
     "mesh_vertices": (None, 3),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from getagrip import se3
+from getagrip.geometry import se3
 from getagrip.hands.generic_skeleton import WRIST
 from getagrip.hands.model import KNUCKLES, HandModel, Side, mirrored, mirrored_model
 from getagrip.hands.umetrack import T_world_hand, UmeTrackHand

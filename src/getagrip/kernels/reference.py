@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from getagrip.geometry.se3 import hat
 from getagrip.kernels.contour import DISTANCE, NX, NY, WEIGHT, U, V, Z
 from getagrip.kernels.silhouette import NEAR
-from getagrip.se3 import hat
 
 
 def project(

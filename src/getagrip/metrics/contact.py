@@ -22,8 +22,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip import se3
-from getagrip.mesh import Mesh, edge_table
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh, edge_table
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.metrics.symmetry import surface_points
 

@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip import se3
-from getagrip.camera import crops_around
 from getagrip.clip import Masks
-from getagrip.mesh import Mesh
+from getagrip.geometry import se3
+from getagrip.geometry.camera import crops_around
+from getagrip.geometry.mesh import Mesh
 
 CROP = 256
 """Side of the crops [px]: the paper's render_size."""
@@ -47,7 +47,7 @@ def _posed(mesh: Mesh, scale: float, T_cam_obj: Float[ndarray, "4 4"]) -> Mesh:
 
 def _drawn(mesh: Mesh | None, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """Pixels whose centre a mesh in the camera frame covers; none where there is no mesh."""
-    from getagrip.kernels.depth import covered
+    from getagrip.geometry.depth import covered
 
     return np.zeros(size[::-1], dtype=bool) if mesh is None else covered(mesh.vertices, mesh.faces, K, size)
 

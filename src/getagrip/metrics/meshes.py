@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.mesh import Mesh
+from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import AREA_POINTS, REACH, SIDES, ContactDistances, Side, close_holes, signed_distance
 from getagrip.metrics.symmetry import at_places, surface_places
 

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip import se3
-from getagrip.mesh import Mesh
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.symmetry import Symmetries
 
 SUCCESS = 0.1

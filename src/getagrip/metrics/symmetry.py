@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip import se3
-from getagrip.mesh import Mesh, decimate
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh, decimate
 
 MEAN, WORST = 0.015, 0.06
 """Largest mean and largest single distance between the turned and the resting surface [diameters]."""

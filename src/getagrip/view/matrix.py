@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from getagrip.grasps import PairwiseIou
+    from getagrip.grasps.stable import PairwiseIou
 
 FINEST = 1000
 """Frames drawn; of longer sequences every other, every third ..."""

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
-from getagrip import se3
-from getagrip.camera import Crops, project
 from getagrip.clip import Clip, Masks
 from getagrip.errors import InputError
-from getagrip.kernels.depth import depth_and_face
-from getagrip.render import render_rgb
+from getagrip.geometry import se3
+from getagrip.geometry.camera import Crops, project
+from getagrip.geometry.depth import depth_and_face
+from getagrip.geometry.render import render_rgb
 from getagrip.result import Reconstruction
 from getagrip.view.style import AXIS, FAINT, FOUND, HIDDEN, INK, LINE, PAPER, TRUE, letters
 

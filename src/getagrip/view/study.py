@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from getagrip.study import MEASURES, TIMES, Spread
+from getagrip.grasps.study import MEASURES, TIMES, Spread
 from getagrip.view.style import AXIS, FAINT, FOUND, INK, LINE, letters
 
 if TYPE_CHECKING:

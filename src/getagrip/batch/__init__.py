@@ -1,0 +1,1 @@
+"""Many clips, over processes: one clip's trouble ends no other."""

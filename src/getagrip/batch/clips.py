@@ -1,0 +1,109 @@
+"""``getagrip reconstruct``: many clips, with a bar that moves and a line for each clip."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from getagrip.batch.job import Job, Outcome, plan, reconstruct_one, settled
+from getagrip.batch.pool import cores, in_processes
+from getagrip.errors import UsageError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+    from getagrip.fitting.options import Options
+
+FEW = 3
+"""Up to so many clips are done in this process: others take longer to start."""
+
+
+def reconstruct_clips(
+    paths: Sequence[Path], out: Path, options: Options, workers: int | None, overwrite: bool, debug: bool
+) -> int:
+    """Reconstruct clips into ``out/<clip name>/`` and tell what became of each; 1 if any failed, else 0.
+
+    Raises ``UsageError`` where there is nothing to do, or where two clips have the same name.
+    """
+    if not paths:
+        raise UsageError("CLIP: name at least one clip")
+    if workers is not None and workers < 1:
+        raise UsageError(f"--workers: got {workers}, expected 1 or more")
+    jobs, failed = plan(paths, out, options, overwrite)
+    for outcome in failed:
+        tell(outcome, debug)
+    counts = {"done": 0, "kept": 0, "failed": len(failed)}
+    with progress_bar() as bar:
+        for outcome in _outcomes(jobs, workers, bar):
+            tell(outcome, debug)
+            counts[outcome.state] += 1
+    if len(jobs) + len(failed) > 1:
+        print(f"{counts['done']} done, {counts['kept']} already done, {counts['failed']} failed")
+    return 1 if counts["failed"] else 0
+
+
+def _outcomes(jobs: Sequence[Job], workers: int | None, bar: Progress) -> Iterator[Outcome]:
+    """What becomes of each job, while the bar shows it: first of those that need no work."""
+    clips = bar.add_task("clips", total=len(jobs), visible=len(jobs) > 1)
+    remaining = []
+    for job in jobs:
+        before = settled(job)
+        if before is None:
+            remaining.append(job)
+        else:
+            yield before
+            bar.advance(clips)
+    if workers is None:
+        workers = min(len(remaining), cores()) if len(remaining) > FEW else 1
+    for outcome in _in_turn(remaining, bar) if workers == 1 else _side_by_side(remaining, workers):
+        yield outcome
+        bar.advance(clips)
+
+
+def _in_turn(jobs: Sequence[Job], bar: Progress) -> Iterator[Outcome]:
+    """The outcomes of jobs done in this process, with a bar for the one at work."""
+    stage = bar.add_task("", total=1.0, visible=bool(jobs))
+    for job in jobs:
+        yield reconstruct_one(job, partial(_show, bar, stage, job.name))
+
+
+def _side_by_side(jobs: Sequence[Job], workers: int) -> Iterator[Outcome]:
+    """The outcomes of jobs done in processes, as they finish."""
+    for job, outcome in in_processes(reconstruct_one, jobs, workers):
+        yield outcome or Outcome(job.name, "failed", "its process died twice; out of memory?")
+
+
+def _show(bar: Progress, task: TaskID, name: str, stage: str, part: float) -> None:
+    """Move the bar of the clip at work."""
+    bar.update(task, description=f"{name}: {stage}", completed=part)
+
+
+def tell(outcome: Outcome, debug: bool) -> None:
+    """One line about a clip: failures on stderr, the rest on stdout."""
+    failed = outcome.state == "failed"
+    parts = ["failed"] * failed + [outcome.name] * bool(outcome.name) + [outcome.message]
+    print(": ".join(parts), file=sys.stderr if failed else sys.stdout)
+    if failed and debug:
+        print(outcome.trace, file=sys.stderr)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Progress]:
+    """A bar on stderr, where that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+    with Progress(
+        *columns,
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
+        redirect_stdout=sys.stdout.isatty(),  # else what is printed would leave a pipe for the terminal
+    ) as bar:
+        yield bar

@@ -1,0 +1,135 @@
+"""``getagrip annotate``: serve the page until it is interrupted, or write what has been marked."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from getagrip.annotate import export, labels
+from getagrip.annotate.agreement import Agreement, agreements
+from getagrip.annotate.background import Job
+from getagrip.annotate.labelling import Grasp
+from getagrip.annotate.labels import Labels
+from getagrip.annotate.project import Project
+from getagrip.annotate.server import Server
+from getagrip.annotate.store import Store
+from getagrip.annotate.tasks import read_tasks
+from getagrip.annotate.versions import RefusedError
+from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.io import files
+
+DATABASE = "marks.sqlite"
+"""The marks, in the folder of the annotations."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the command is to do with its annotations, other than to serve the page."""
+
+    labels: Path | None = None
+    """Take this file of labels."""
+    annotator: str = "imported"
+    """As whose."""
+    export: bool = False
+    """Write files."""
+
+
+def annotate(source: Path, videos: Path | None, out: Path, port: int, lens: Lens, wanted: Wanted) -> int:
+    """Serve the page for a source; or take labels, or write what is marked and labelled as files into ``out``.
+
+    Returns 1 where files could not be made of some grasp, else 0. Raises ``InputError`` for a source or database that
+    is malformed, ``UsageError`` for a port that is taken.
+    """
+    tasks = read_tasks(source, videos)
+    absent = [task for task in tasks if task.path is None]
+    if absent:
+        missing = f"no footage of {len(absent)} of them, as {files.plain(absent[0].video)}"
+        print(f"{len(tasks)} candidates, {missing}", file=sys.stderr)
+    if wanted.export and wanted.labels is None and not (out / DATABASE).is_file():
+        raise UsageError(f"--export: nothing has been marked in {out}")
+    said = None if wanted.labels is None else labels.read(wanted.labels)
+    out.mkdir(parents=True, exist_ok=True)
+    project = Project(tasks, Store(out / DATABASE), lens)
+    try:
+        if lens.given and (there := next((task for task in tasks if task.path is not None), None)):
+            intrinsics(lens, project.footage(there).size)  # refused now rather than once joints are clicked
+        if said is not None:
+            grasp = take_labels(project, said, wanted)
+            frames = f"{len(said.frames)} key frames of {grasp.task.key}, {grasp.mark.start_number}"
+            print(f"{wanted.annotator}: {frames} to {grasp.mark.end_number}")
+        if wanted.export:
+            return max(write_files(project, out), write_labels(project))
+        if said is None:
+            serve(project, port)
+        return 0
+    finally:
+        project.close()
+
+
+def take_labels(project: Project, said: Labels, wanted: Wanted) -> Grasp:
+    """Take labels that were read from a file. Raises ``InputError`` where they are not of the footage."""
+    try:
+        return project.import_labels(said, wanted.annotator)
+    except RefusedError as error:
+        assert wanted.labels is not None
+        raise InputError(wanted.labels, "", f"labels that do not fit ({error})", "labels of the footage") from error
+
+
+def serve(project: Project, port: int) -> None:
+    """Serve the page until it is interrupted. Raises ``UsageError`` for a port that is taken."""
+    with Server(project, port) as server:
+        print(f"open {server.url} in a browser; marks are kept in {project.store.path}; Ctrl-C ends", flush=True)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            print()
+
+
+def write_labels(project: Project) -> int:
+    """Write each labelled grasp's labels and, where they suffice, hand and masks; 1 where one could not be made."""
+    status = 0
+    for grasp in project.labelled():
+        try:
+            print(project.labelling.write(grasp, project.labelling.labels(grasp), Job("files")))
+        except GetagripError as error:
+            print(f"{grasp.name}: labels only: {error}", file=sys.stderr)
+            status = 1
+    return status
+
+
+def write_files(project: Project, out: Path) -> int:
+    """Write ``grasps-<annotator>.csv`` and ``.json`` for each person, ``discards.csv`` and ``agreement.json``; 0."""
+    known = project.known()
+    others = len(project.store.marks.standing()) - len(known)
+    if others:
+        print(f"{others} marks belong to other footage: left out", file=sys.stderr)
+    for name in sorted({mark.annotator for mark in known}):
+        own = [mark for mark in known if mark.annotator == name]
+        rows = export.intervals(own, project.tasks)
+        table = out / f"grasps-{name}.csv"
+        table.write_text(export.epic_csv(own, project.tasks), "utf-8", newline="")
+        files.write_json(table.with_suffix(".json"), rows)
+        print(f"{name}: {len(rows)} grasps, {table} and .json")
+        if unfinished := sum(not mark.reason for mark in own) - len(export.grasps(own)):
+            print(f"{name}: {unfinished} grasps left out: they lack an end or the kind of object", file=sys.stderr)
+    with (out / "discards.csv").open("w", encoding="utf-8", newline="") as stream:
+        lines = csv.DictWriter(stream, ("task", "clip", "annotator", "reason"))
+        lines.writeheader()
+        lines.writerows(export.discards(known, project.tasks))
+    found = agreements(known)
+    files.write_json(out / "agreement.json", [asdict(one) for one in found])
+    for one in found:
+        print(in_words(one))
+    return 0
+
+
+def in_words(one: Agreement) -> str:
+    """The agreement of two people in a line."""
+    reached = "no grasps to compare"
+    if one.iou is not None:
+        reached = f"mean temporal IOU {100 * one.iou:.1f} % of {one.grasps} grasps"
+    discards = f"both discarded {one.both_discarded}, one of them {one.one_discarded}"
+    return f"{one.first} and {one.second}, {one.tasks} tasks: {reached}; {discards}"

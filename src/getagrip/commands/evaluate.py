@@ -1,0 +1,126 @@
+"""``getagrip evaluate`` and ``getagrip report``: results against their clips."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from getagrip.batch.clips import FEW, progress_bar, tell
+from getagrip.batch.job import Outcome, failure
+from getagrip.batch.pool import cores, in_processes
+from getagrip.commands.evaluate_meshes import Meshes, MeshJob, evaluate_clip_meshes, mesh_jobs
+from getagrip.errors import InputError, UsageError
+from getagrip.evaluation import evaluate, evaluate_result, read_evaluated, summary, tables
+from getagrip.io import files
+
+Evaluated = tuple[dict[str, Any] | None, list[Outcome]]
+"""All metrics, and what could not be read."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A result to evaluate."""
+
+    folder: Path
+    clips: Path | None
+
+
+def evaluate_results(
+    paths: Sequence[Path], clips: Path | None, meshes: Meshes | None, json: Path | None, debug: bool
+) -> int:
+    """Print the metrics of results, and write them to a file; 1 if anything could not be evaluated, else 0.
+
+    A path is a result, or a folder of results. ``meshes`` of another system are judged in the frames of our results of
+    the same clip; where there are none, in all of the clip's. Raises ``UsageError`` where there is nothing to do, and
+    ``InputError`` where there are no such meshes.
+    """
+    if not paths and meshes is None:
+        raise UsageError("RESULT: name at least one result, or --meshes")
+    jobs: list[Job] = []
+    told: list[Outcome] = []
+    for path in paths:
+        try:
+            jobs += [Job(folder, clips) for folder in results_in(path)]
+        except (InputError, OSError) as error:
+            told.append(failure("", error))
+    evaluations: list[dict[str, Any]] = []
+    with progress_bar() as bar:
+        task = bar.add_task("results", total=len(jobs), visible=bool(jobs))
+        for made, failed in _in_order(evaluate_one, jobs, lambda: bar.advance(task)):
+            evaluations += [] if made is None else [made]
+            told += failed
+        if meshes is not None:
+            others = mesh_jobs(meshes, {made["clip"]: tuple(made["frames"]) for made in evaluations})
+            task = bar.add_task("meshes", total=len(others))
+            for made, failed in _in_order(evaluate_clip_meshes, others, lambda: bar.advance(task)):
+                evaluations += [] if made is None else [made]
+                told += failed
+    for outcome in told:
+        tell(outcome, debug)
+    if evaluations:
+        from rich.console import Console
+
+        # A pipe has no width: give tables the one they need there.
+        console = Console() if sys.stdout.isatty() else Console(width=200)
+        for table in tables(evaluations):
+            console.print(table)
+    for made in evaluations:
+        if missing := int(made["metrics"].get("frames_without_mesh", 0)):
+            of = f"{made['method']}, {made['clip']}"
+            print(f"{of}: no mesh of {missing} of {len(made['frames'])} frames: IOU 0, no contact", file=sys.stderr)
+    if json is not None:
+        files.write_json(json, summary(evaluations))
+    return 1 if told else 0
+
+
+J = TypeVar("J", Job, MeshJob)
+
+
+def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callable[[], None]) -> list[Evaluated]:
+    """What comes of each job, many jobs over processes."""
+    done: dict[int, Evaluated] = {}
+    places = {id(job): place for place, job in enumerate(jobs)}
+    for job, made in _done(work, jobs):
+        dead = None, [Outcome(str(job.folder), "failed", "its process died twice; out of memory?")]
+        done[places[id(job)]] = made or dead
+        advance()
+    return [done[place] for place in sorted(done)]
+
+
+def _done(work: Callable[[J], Evaluated], jobs: Sequence[J]) -> Iterator[tuple[J, Evaluated | None]]:
+    if len(jobs) <= FEW or cores() == 1:
+        return ((job, work(job)) for job in jobs)
+    return in_processes(work, jobs, min(len(jobs), cores()))
+
+
+def evaluate_one(job: Job) -> Evaluated:
+    """The metrics of a result, or why there are none. Raises nothing."""
+    try:
+        return evaluate_result(job.folder, job.clips), []
+    except Exception as error:  # one result's trouble must not end the others
+        return None, [failure("" if isinstance(error, InputError) else str(job.folder), error)]
+
+
+def results_in(path: Path) -> list[Path]:
+    """The result folders that a path stands for. Raises ``InputError`` where it holds none."""
+    if (path / "result.json").exists():
+        return [path]
+    if not path.is_dir():
+        raise InputError(path, "", "no such folder", "a result, or a folder of results")
+    results = sorted(found.parent for found in path.glob("*/result.json"))
+    if not results:
+        raise InputError(path, "", "no result.json in it or in its folders", "a result, or a folder of results")
+    return results
+
+
+def report_result(folder: Path) -> int:
+    """Draw ``report.png`` into a result folder."""
+    from getagrip.view.report import write_report
+
+    result, clip, masks = read_evaluated(folder)
+    metrics = evaluate(result, clip, masks)["metrics"]
+    print(write_report(clip, masks, result, folder / "report.png", metrics))
+    return 0

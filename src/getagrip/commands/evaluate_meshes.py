@@ -1,0 +1,73 @@
+"""``getagrip evaluate --meshes``: the meshes that another system made of some clips."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from getagrip.batch.job import Outcome, failure
+from getagrip.clip import read_clip, read_masks
+from getagrip.errors import InputError
+from getagrip.evaluation import evaluate_meshes
+from getagrip.evaluation.meshes import MeshFrame, read_meshes
+from getagrip.geometry.mesh import SUFFIXES
+
+
+@dataclass(frozen=True)
+class Meshes:
+    """Meshes that another system made, one for each frame of some clips."""
+
+    root: Path
+    """A folder for each clip, ``<clip>/<frame>.obj``, or that of one clip. Its name is the method's."""
+    frame: MeshFrame
+    clips: Path
+    """The folder that holds the clips by name, or the one clip."""
+
+
+@dataclass(frozen=True)
+class MeshJob:
+    """The meshes of one clip to evaluate."""
+
+    folder: Path
+    clip: Path
+    frame: MeshFrame
+    method: str
+    judged: Mapping[str, tuple[str, ...]]
+    """By the names of clips: the frames that count, where not all do."""
+
+
+def mesh_jobs(meshes: Meshes, judged: Mapping[str, tuple[str, ...]]) -> list[MeshJob]:
+    """A job for each clip that there are meshes of. Raises ``InputError`` where there are none."""
+    if not meshes.root.is_dir():
+        raise InputError(meshes.root, "", "no such folder", "a folder of meshes, <clip>/<frame>.obj")
+    inside = sorted(meshes.root.iterdir())
+    one = any(path.suffix.lower() in SUFFIXES for path in inside)
+    folders = [meshes.root] if one else [path for path in inside if path.is_dir()]
+    if not folders:
+        raise InputError(meshes.root, "", "no meshes in it or in its folders", "<clip>/<frame>.obj")
+    the_clip = (meshes.clips / "clip.json").is_file()
+    if the_clip and len(folders) > 1:
+        raise InputError(meshes.clips, "", "one clip", f"the folder of the clips of {len(folders)} folders of meshes")
+    method = meshes.root.resolve().name
+    return [
+        MeshJob(folder, meshes.clips if the_clip else meshes.clips / folder.name, meshes.frame, method, judged)
+        for folder in folders
+    ]
+
+
+def evaluate_clip_meshes(job: MeshJob) -> tuple[dict[str, Any] | None, list[Outcome]]:
+    """All metrics of the meshes of a clip, and what could not be read. Raises nothing."""
+    try:
+        clip = read_clip(job.clip)
+        if clip.name in job.judged:
+            clip = clip.take(np.array([clip.frames.index(frame) for frame in job.judged[clip.name]]))
+        meshes, errors = read_meshes(job.folder, clip, job.frame)
+        masks = read_masks(clip) if (clip.folder / "masks" / "object").exists() else None
+        told = [failure("", error) for error in errors]
+        return evaluate_meshes(meshes, clip, masks, job.method), told
+    except Exception as error:  # one clip's trouble must not end the others
+        return None, [failure("" if isinstance(error, InputError) else str(job.folder), error)]

@@ -1,0 +1,63 @@
+"""``getagrip import masks``: other people's masks into a clip that lacks them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from getagrip.clip.mask_sources import MaskReader, Wanted, open_masks
+from getagrip.clip.reading import read_outline
+from getagrip.errors import InputError, UsageError
+from getagrip.io import files
+from getagrip.io.images import write_mask
+
+
+def into_clip(
+    source: Path, objects: tuple[str, ...], ignore: tuple[str, ...], first: int | None, folder: Path, overwrite: bool
+) -> int:
+    """Add ``masks/`` to a clip's folder.
+
+    ``first`` is the number in the name of the first frame's mask, where masks are counted differently. Raises
+    ``InputError``, and ``UsageError`` where there are masks already.
+    """
+    outline = read_outline(folder)
+    target = outline.folder / "masks"
+    if target.exists() and not overwrite:
+        raise UsageError(f"{target}: exists already; --overwrite replaces it")
+    names = outline.frames
+    if first is not None:
+        numbers = [int(name) if name.isascii() and name.isdigit() else -1 for name in names]
+        if min(numbers) < 0:
+            raise UsageError(f"--first: got {first}, expected none: the clip's frames have no numbers")
+        names = tuple(f"{number - numbers[0] + first:06d}" for number in numbers)
+    reader = open_masks(source, Wanted(names, outline.size, objects, ignore))
+    provenance = dict(outline.fields["provenance"]) | {"masks": told(source, objects, ignore)}
+    with files.new_folder(target, ("object",) if overwrite else ()) as new:
+        seen = write_masks(reader, outline.frames, new)
+        with files.new_file(outline.folder / "clip.json") as part:
+            files.write_json(part, outline.fields | {"provenance": provenance})
+    print(f"{target}: the object is seen in {seen} of {len(names)} frames")
+    return 0
+
+
+def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> int:
+    """Write the masks of all frames, one at a time in memory; returns in how many the object is seen.
+
+    Raises ``InputError`` where it is seen in none.
+    """
+    seen = 0
+    for kind in ("object", "ignore"):
+        (folder / kind).mkdir(parents=True)
+    for n, name in enumerate(frames):
+        for kind, mask in zip(("object", "ignore"), reader(n), strict=True):
+            write_mask(folder / kind / f"{name}.png", mask)
+            seen += int(kind == "object" and mask.any())
+    if not seen:
+        there = f"; there are {', '.join(sorted(reader.others))}" if reader.others else ""
+        raise InputError(reader.source, "", f"masks without a pixel of the object{there}", "masks that show it")
+    return seen
+
+
+def told(source: Path, objects: tuple[str, ...], ignore: tuple[str, ...]) -> str:
+    """Where masks come from, for a clip's provenance."""
+    labels = f", object {', '.join(objects)}" if objects else ""
+    return f"from {source.name}{labels}" + (f", ignored {', '.join(ignore)}" if ignore else ", nothing ignored")

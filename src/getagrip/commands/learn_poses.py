@@ -1,0 +1,58 @@
+"""``getagrip init learn``: starting poses from the true poses of clips."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from getagrip.batch.clips import tell
+from getagrip.batch.job import by_name, failure
+from getagrip.clip import read_clip
+from getagrip.errors import UsageError
+from getagrip.fitting import learn_priors as clusters
+from getagrip.fitting import pose_priors as priors
+
+
+def learn(
+    paths: Sequence[Path], out: Path, k: int, way: clusters.Way, leave_out: Sequence[str], seed: int, debug: bool
+) -> int:
+    """Learn starting poses from clips, those of some subjects left out; 1 if a clip could not be used, else 0.
+
+    Raises ``UsageError`` where no clip is left, or where a subject that is to be left out is nobody's name.
+    """
+    if not paths:
+        raise UsageError("CLIP: name at least one clip")
+    if k < 1:
+        raise UsageError(f"--k: got {k}, expected 1 or more")
+    clips, failed = by_name(paths)
+    holds = []
+    for name, folder in clips.items():
+        try:
+            holds.append(clusters.hold(read_clip(folder)))
+        except Exception as error:  # one clip's trouble must not end the others
+            failed.append(failure(name, error))
+    for outcome in failed:
+        tell(outcome, debug)
+    subjects = {hold.subject for hold in holds}
+    unknown = sorted({*leave_out} - subjects)
+    if unknown:
+        known = ", ".join(sorted(subjects - {""})) or "none: the clips name no subject in their provenance"
+        raise UsageError(f"--leave-out: got {', '.join(unknown)}, expected subjects of the clips ({known})")
+    kept = [hold for hold in holds if hold.subject not in leave_out]
+    if not kept:
+        raise UsageError("CLIP: no clip with true poses is left to learn from")
+    learnt = clusters.learn(kept, k, way, seed)
+    priors.write(learnt, out)
+    poses, grasps = (
+        Counter(zip(learnt.category, learnt.side, strict=True)), Counter((hold.category, hold.side) for hold in kept)
+    )  # fmt: skip
+    for category, side in sorted(poses):
+        print(f"{category}, {side}: {poses[category, side]} poses from {grasps[category, side]} grasps")
+    whose = f"{len(learnt.subjects)} subjects" if learnt.subjects else "nobody knows whom"
+    print(f"{out}: {len(learnt.side)} poses from {len(kept)} clips of {whose}, {len(holds) - len(kept)} left out")
+    nameless = sum(not hold.subject for hold in kept)
+    if nameless:
+        print(f"{nameless} clips name no subject: their poses are refused for these clips only", file=sys.stderr)
+    return 1 if failed else 0

@@ -1,0 +1,260 @@
+"""``getagrip clip new``: a clip from the user's own video, masks, hands and mesh, as far as they are there.
+
+A clip can be made in steps: without hands or masks it is written with its images, for which an estimator or a
+segmentation can then be run; what is missing is told, and how to get it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from numpy import ndarray
+
+from getagrip.clip import Clip, HandTrack, read_clip, read_seen
+from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.clip.mask_sources import MaskReader, Wanted, open_masks
+from getagrip.clip.plausible import check_in_view, check_intrinsics
+from getagrip.clip.reading import read_hand
+from getagrip.clip.video import video_frames, video_info
+from getagrip.clip.writing import fill_folder
+from getagrip.commands import own_mesh
+from getagrip.commands.import_masks import told, write_masks
+from getagrip.errors import InputError, UsageError
+from getagrip.hands.model import Side
+from getagrip.io import arrays, files
+
+MOST_FRAMES = 20_000
+"""Of a clip; a stable grasp of minutes."""
+
+
+@dataclass(frozen=True)
+class Ingredients:
+    """What a clip is made of; what is None is missing."""
+
+    video: Path
+    interval: tuple[int, int] | None
+    """First and last frame, counted from 1."""
+    side: Side | None
+    category: str | None
+    """What the object is; None for the kind of the mesh."""
+    mesh: own_mesh.Wanted | None
+    masks: Path | None
+    mask_of_first: int | None
+    """The number in the name of the first frame's mask; the frame's own where it is not given."""
+    object: tuple[str, ...]
+    ignore: tuple[str, ...]
+    hands: Path | None
+    lens: Lens
+
+
+HOW = {
+    "interval": "--interval START END: the frames between which the grasp is stable, counted from 1; "
+    "getagrip annotate VIDEO finds them",
+    "side": "--side left|right: the hand that holds the object",
+    "mesh": "--mesh FILE: the object's shape (.obj, .ply, .stl, .glb), a CAD, a scan, or what an image-to-3D tool "
+    "makes of a frame; or --mesh KIND, as plate, for a shape of this package's own; with --size-mm or --diameter-mm if "
+    "its size is known",
+    "camera": "--K FX FY CX CY from a calibration, or --focal PX; --guess-focal if there is none: depth and size are "
+    "then guesses, too",
+}
+"""How to get what a clip cannot be made without."""
+LATER = {
+    "masks": "where the object is seen, and the hand: SAM 2 or any segmentation of {out}/frames, as PNG labels, COCO "
+    "or .npz; then getagrip import masks PATH --object LABEL --ignore LABEL --clip {out}. Without a segmentation: "
+    "getagrip annotate {video} (docs/annotate.md)",
+    "hands": "run an estimator on {out}/frames (docs/estimators.md); then getagrip import hands FILE... --from ... "
+    "--clip {out}. Without an estimator: click joints in getagrip annotate {video} (docs/annotate.md)",
+}
+"""How to get what can be added later; the page of ``annotate`` makes both at once."""
+
+
+def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
+    """Write a clip. Returns 0 when it is complete, 1 when masks or hands are yet to come, 2 when it cannot be made.
+
+    Raises ``InputError`` for what is there and does not fit, ``UsageError`` where the folder exists, unless it is that
+    of a clip to be overwritten.
+    """
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out}: exists already; --overwrite replaces it")
+    if not files.is_plain_name(out.name):
+        raise UsageError(f"--out: got {out}, expected a folder whose name can be the clip's")
+    info = video_info(given.video)
+    print(f"video: {info.size[0]} x {info.size[1]}, {info.fps:.6g} frames per second")
+    hands = None if given.hands is None else _HandFile.of(given.hands)
+    has = {
+        "interval": given.interval is not None,
+        "side": given.side is not None,
+        "mesh": given.mesh is not None,
+        "camera": given.lens.given or (hands is not None and hands.K is not None),
+    }
+    missing = [key for key, there in has.items() if not there]
+    for key in missing:
+        print(f"missing: {key}: {HOW[key]}", file=sys.stderr)
+    if missing or given.interval is None or given.side is None or given.mesh is None:
+        return 2
+    numbers = _numbers(given.interval)
+    names = tuple(f"{n:06d}" for n in numbers)
+    K, camera = _camera(given.lens, hands, info.size)
+    found = own_mesh.own_mesh(given.mesh)
+    rows, track = np.arange(len(numbers)), _no_hand(len(numbers))
+    of_hands = {"hands": "none yet"}
+    if hands is not None:
+        rows, track, of_hands = hands.at(numbers, given.side)
+        check_in_view(hands.path, track, np.tile(K, (len(rows), 1, 1)), info.size)
+    clip = Clip(
+        folder=out,
+        name=out.name,
+        category=given.category or given.mesh.kind or "object",
+        side=given.side,
+        fps=info.fps,
+        frames=tuple(names[row] for row in rows),
+        size=info.size,
+        K=np.tile(K, (len(rows), 1, 1)),
+        mesh=found.mesh,
+        scale="known" if found.sized else "free",
+        hand=track,
+        provenance={
+            "source": f"{given.video.name}, frames {numbers[0]} to {numbers[-1]}",
+            "camera": camera,
+            **found.told,
+            "masks": told(given.masks, given.object, given.ignore) if given.masks else "none yet",
+            **of_hands,
+        },
+    )
+    reader = None if given.masks is None else _masks(given, numbers[rows], info.size)
+    _write(clip, given.video, numbers, set(rows.tolist()), reader, out, overwrite)
+    return _tell(clip, given, len(numbers), out)
+
+
+def _numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
+    first, last = interval
+    if not 1 <= first < last or last - first >= MOST_FRAMES:
+        expected = f"two frames' numbers from 1, the later one last, at most {MOST_FRAMES} apart"
+        raise UsageError(f"--interval: got {first} {last}, expected {expected}")
+    return np.arange(first, last + 1)
+
+
+def _camera(lens: Lens, hands: _HandFile | None, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], str]:
+    """The command's camera or, without one, the hand file's."""
+    if lens.given or hands is None or hands.K is None:
+        return intrinsics(lens, size)
+    check_intrinsics(hands.path, hands.K[None], size)
+    return hands.K, f"the hand file's: {hands.told.get('camera', 'it does not say from where')}"
+
+
+@dataclass(frozen=True)
+class _HandFile:
+    """A ``hand.npz`` that perhaps says of which frames, of which side and before which camera its hands are."""
+
+    path: Path
+    numbers: tuple[int, ...] | None
+    K: Float[ndarray, "3 3"] | None
+    side: str | None
+    told: dict[str, str]
+    """Where its hands come from."""
+
+    @staticmethod
+    def of(path: Path) -> _HandFile:
+        """Raises ``InputError``."""
+        given = arrays.read(path, lambda key: key in {"frames", "K", "side"} or key.startswith("provenance_"))
+        numbers = None
+        if "frames" in given:
+            array = given["frames"]
+            if array.dtype.kind not in "iu" or array.ndim != 1 or len({*array.tolist()}) < len(array):
+                raise InputError(path, "frames", f"{array.dtype} of shape {array.shape}", "each frame's number once")
+            numbers = tuple(array.tolist())
+        texts = {key: str(value) for key, value in given.items() if value.dtype.kind == "U" and value.shape == ()}
+        told = {key.removeprefix("provenance_"): text for key, text in texts.items() if key != "side"}
+        K = arrays.floats(path, given, "K", (3, 3)) if "K" in given else None
+        return _HandFile(path, numbers, K, texts.get("side"), told)
+
+    def at(self, wanted: Int[ndarray, "T"], side: Side) -> tuple[Int[ndarray, "n"], HandTrack, dict[str, str]]:
+        """The rows of the wanted frames that have a hand, and the hand in them. Raises ``InputError``."""
+        if self.side not in (None, side):
+            raise InputError(self.path, "side", f"a {self.side} hand", f"a {side} hand, as --side says")
+        told = {"hands": f"from {self.path.name}", **self.told}
+        told.pop("camera", None)
+        if self.numbers is None:
+            return np.arange(len(wanted)), read_hand(self.path, len(wanted)), told
+        track = read_hand(self.path, len(self.numbers))
+        place = {number: row for row, number in enumerate(self.numbers)}
+        rows = np.array([row for row, number in enumerate(wanted.tolist()) if number in place], dtype=int)
+        if len(rows) < 2:
+            given = f"hands in {len(rows)} frames of the interval"
+            raise InputError(self.path, "frames", given, f"hands in frames {wanted[0]} to {wanted[-1]}")
+        index = [place[int(wanted[row])] for row in rows]
+        joints = None if track.joints is None else track.joints[index]
+        picked = replace(track, vertices=track.vertices[index], T_cam_hand=track.T_cam_hand[index], joints=joints)
+        return rows, picked, told
+
+
+def _no_hand(frames: int) -> HandTrack:
+    """A hand without vertices, which is not written."""
+    none = np.zeros((frames, 0, 3))
+    return HandTrack(none, np.zeros((0, 3), dtype=int), np.tile(np.eye(4), (frames, 1, 1)), {})
+
+
+def _masks(given: Ingredients, numbers: Int[ndarray, "T"], size: tuple[int, int]) -> MaskReader:
+    """A reader of the masks of the clip's frames."""
+    assert given.masks is not None
+    assert given.interval is not None
+    shift = 0 if given.mask_of_first is None else given.mask_of_first - given.interval[0]
+    names = tuple(f"{n + shift:06d}" for n in numbers)
+    return open_masks(given.masks, Wanted(names, size, given.object, given.ignore))
+
+
+def _write(
+    clip: Clip,
+    video: Path,
+    numbers: Int[ndarray, "T"],
+    rows: set[int],
+    masks: MaskReader | None,
+    out: Path,
+    overwrite: bool,
+) -> None:
+    """Write the clip, its images and masks one by one, and read it again: a clip that is written is valid."""
+    with files.new_folder(out, ("clip.json",) if overwrite else ()) as new:
+        fill_folder(new, clip, None, _wanted(clip, video, numbers, rows))
+        if masks:
+            write_masks(masks, clip.frames, new / "masks")
+        if clip.hand.vertices.size:
+            _check(new, masks is not None, out)
+
+
+def _check(made: Path, masks: bool, out: Path) -> None:
+    """Read the clip as everybody will. Raises ``InputError``, in the name of the folder that it is to have."""
+    try:
+        clip = read_clip(made)
+        if masks:
+            read_seen(clip)
+    except InputError as error:
+        inside = error.path.relative_to(made) if error.path.is_relative_to(made) else error.path
+        raise InputError(out / inside, error.key, error.given, error.expected) from error
+
+
+def _wanted(clip: Clip, video: Path, numbers: Int[ndarray, "T"], rows: set[int]) -> Iterator[UInt8[ndarray, "H W 3"]]:
+    """The images of the clip's frames. Raises ``InputError`` for a video whose size changes."""
+    for row, image in enumerate(video_frames(video, int(numbers[0]), int(numbers[-1]))):
+        if image.shape[1::-1] != clip.size:
+            raise InputError(video, "size", f"frame {numbers[row]} of another size", "one size")
+        if row in rows:
+            yield image
+
+
+def _tell(clip: Clip, given: Ingredients, frames: int, out: Path) -> int:
+    """Say what was made, what is a guess and what is missing."""
+    print(f"{out}: {len(clip)} frames")
+    if len(clip) < frames:
+        print(f"warning: no hand in {frames - len(clip)} of {frames} frames, which are left out", file=sys.stderr)
+    for key, text in clip.provenance.items():
+        if "guess" in text:
+            print(f"warning: {key}: {text}", file=sys.stderr)
+    missing = [key for key, there in (("masks", given.masks), ("hands", given.hands)) if there is None]
+    for key in missing:
+        print(f"missing: {key}: {LATER[key].format(out=out, video=given.video)}", file=sys.stderr)
+    return 1 if missing else 0

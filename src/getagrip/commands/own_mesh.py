@@ -1,0 +1,93 @@
+"""The mesh of a user's own clip: from a file or, by its kind's name, one of this package's shapes; at a stated size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry.mesh import SUFFIXES, Mesh, checked_mesh, diameter, parse_mesh, with_area
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a command is told of a mesh."""
+
+    path: Path
+    """A file or, where there is none of that name, a kind of object."""
+    side_mm: float | None
+    """Rescale it to this largest side of its bounding box."""
+    diameter_mm: float | None
+    """Rescale it to this largest distance between two of its points."""
+    known_scale: bool
+    """It has the object's size as it is."""
+
+    @property
+    def kind(self) -> str | None:
+        """The kind of object whose own shape is wanted; None for a file."""
+        name = str(self.path)
+        return name if name in CATEGORIES and not self.path.is_file() else None
+
+
+@dataclass(frozen=True)
+class Found:
+    """A mesh in metres."""
+
+    mesh: Mesh
+    sized: bool
+    """Whether it has the object's size; else that is to be found with its pose."""
+    told: dict[str, str]
+    """Where it and its size come from."""
+
+
+def own_mesh(wanted: Wanted) -> Found:
+    """The mesh at its size.
+
+    Raises ``InputError`` for a file that is missing or no mesh, ``UsageError`` for sizes that make no sense.
+    """
+    if wanted.kind is not None and wanted.known_scale:
+        expected = "--size-mm or --diameter-mm: nobody knows how large the one in your video is"
+        raise UsageError(f"--known-scale: got it with this package's own {wanted.kind}, expected {expected}")
+    vertices, faces, told = _shape(wanted)
+    kept = with_area(vertices, faces)  # generated meshes are full of slivers
+    if len(kept) < len(faces):
+        told["mesh"] += f", {len(faces) - len(kept)} faces without area left out"
+    vertices, scale = _rescaled(vertices, wanted)
+    if scale:
+        told["scale"] = scale
+    return Found(checked_mesh(wanted.path, vertices, kept), bool(scale) or wanted.known_scale, told)
+
+
+def _shape(wanted: Wanted) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], dict[str, str]]:
+    """Vertices, faces, and where they come from."""
+    if wanted.kind is not None:
+        made = CATEGORIES[wanted.kind].make()
+        return made.vertices, made.faces, {"mesh": f"this package's own {wanted.kind}: a guess of the object's shape"}
+    if not wanted.path.is_file():
+        kinds = ", ".join(sorted(CATEGORIES))
+        expected = f"a triangle mesh ({', '.join(SUFFIXES)}), or the name of one of this package's shapes: {kinds}"
+        raise InputError(wanted.path, "mesh", "no such file", expected)
+    return *parse_mesh(wanted.path), {"mesh": wanted.path.name}
+
+
+def _rescaled(vertices: Float[ndarray, "..."], wanted: Wanted) -> tuple[Float[ndarray, "..."], str]:
+    """Vertices at the size that is stated, and how they got it in words; "" where none is stated."""
+    sizes = {"--size-mm": wanted.side_mm, "--diameter-mm": wanted.diameter_mm}
+    stated = [(option, value) for option, value in sizes.items() if value is not None]
+    if not stated:
+        return vertices, ""
+    if len(stated) > 1:
+        raise UsageError("--size-mm, --diameter-mm: got both, expected one")
+    option, value = stated[0]
+    if not 0 < value < 1e5:
+        raise UsageError(f"{option}: got {value:g}, expected millimetres above 0")
+    now = 0.0
+    if vertices.ndim == 2 and vertices.size > 0 and np.isfinite(vertices).all():
+        now = float(np.ptp(vertices, axis=0).max() if option == "--size-mm" else diameter(vertices))
+    factor = value / 1e3 / now if now > 0 else 1.0  # what is wrong with the others, checked_mesh tells
+    return vertices * factor, f"the mesh rescaled by {factor:.6g}, to {option} {value:g}"

@@ -1,0 +1,201 @@
+"""``getagrip segment``: the stable grasps of 3D-labelled clips, as a table, as files, and as pictures."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from getagrip.batch.clips import FEW, progress_bar, tell
+from getagrip.batch.job import Outcome, Progress, by_name, failure
+from getagrip.batch.pool import cores, in_processes
+from getagrip.clip import read_clip
+from getagrip.errors import UsageError
+from getagrip.grasps.stable import Definition, segment
+from getagrip.io import files
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+    from rich.progress import TaskID
+    from rich.table import Table
+
+R = TypeVar("R")
+
+COLUMNS = ("sequence", "side", "object", "start", "end", "duration")
+"""Of ``segments.csv``: start and end are frames, counted from 0, both included; duration in seconds."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A clip to find grasps in."""
+
+    clip: Path
+    definition: Definition
+    picture: Path | None = None
+
+
+@dataclass(frozen=True)
+class Found:
+    """The grasps of a clip."""
+
+    clip: str
+    side: str
+    object: str
+    frames: int
+    fps: float
+    grasps: tuple[tuple[int, int], ...]
+    """First and last frame of each, both included."""
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """What is written of each grasp, under the names of the JSON."""
+        for start, end in self.grasps:
+            yield {
+                "clip": self.clip,
+                "side": self.side,
+                "object": self.object,
+                "start": start,
+                "end": end,
+                "duration": (end + 1 - start) / self.fps,
+            }
+
+
+def segment_clips(
+    paths: Sequence[Path],
+    definition: Definition,
+    out: Path | None,
+    json: Path | None,
+    workers: int | None,
+    debug: bool,
+) -> int:
+    """Print the stable grasps of clips, and write them to files; 1 if any clip could not be read, else 0.
+
+    A path is a clip, or a folder of clips. ``out`` gets ``segments.csv`` and a picture for each clip. Raises
+    ``UsageError`` where there is nothing to do, and where two clips have the same name.
+    """
+    if not paths:
+        raise UsageError("CLIP: name at least one clip")
+    if workers is not None and workers < 1:
+        raise UsageError(f"--workers: got {workers}, expected 1 or more")
+    clips, failed = by_name(paths)
+    for outcome in failed:
+        tell(outcome, debug)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    jobs = {
+        folder: Job(folder, definition, None if out is None else out / f"{name}.png") for name, folder in clips.items()
+    }
+    found: dict[Path, Found] = {}
+    failures = len(failed)
+    with progress_bar() as bar:
+        for job, result in outcomes(segment_one, list(jobs.values()), workers, bar):
+            if isinstance(result, Found):
+                found[job.clip] = result
+            else:
+                tell(result, debug)
+                failures += 1
+    in_order = [found[folder] for folder in jobs if folder in found]
+    if in_order:
+        _print(in_order, out)
+    rows = [row for one in in_order for row in one.rows()]
+    if out is not None:
+        _write_csv(out / "segments.csv", rows)
+    if json is not None:
+        files.write_json(json, rows)
+    return 1 if failures else 0
+
+
+def segment_one(job: Job, progress: Progress = lambda *_: None) -> Found | Outcome:
+    """The grasps of one clip, drawn where a picture is wanted; or how it failed. Raises nothing."""
+    try:
+        clip = read_clip(job.clip)
+        iou, grasps = segment(clip, job.definition, partial(progress, "contact"))
+        if job.picture is not None:
+            from getagrip.view.matrix import write_matrix
+
+            subtitle = f"{clip.side} hand, {clip.category}  ·  {in_words(job.definition)}"
+            write_matrix(job.picture, iou, grasps, clip.fps, job.definition.tau, clip.name, subtitle)
+        return Found(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps))
+    except Exception as error:  # one clip's trouble must not end the others
+        return failure(job.clip.name, error)
+
+
+def outcomes(
+    work: Callable[..., R | Outcome], jobs: Sequence[Job], workers: int | None, bar: Bar
+) -> Iterator[tuple[Job, R | Outcome]]:
+    """What becomes of each job, as they finish, while the bar shows it.
+
+    ``work`` takes a job and, where it is done in this process, whom to tell of its progress.
+    """
+    if workers is None:
+        workers = min(len(jobs), cores()) if len(jobs) > FEW else 1
+    clips = bar.add_task("clips", total=len(jobs), visible=len(jobs) > 1)
+    if workers > 1:
+        for job, outcome in in_processes(work, jobs, workers):
+            died = Outcome(job.clip.name, "failed", "its process died twice; out of memory?")
+            yield job, died if outcome is None else outcome
+            bar.advance(clips)
+        return
+    stage = bar.add_task("", total=1.0, visible=bool(jobs))
+    for job in jobs:
+        yield job, work(job, partial(_show, bar, stage, job.clip.name))
+        bar.advance(clips)
+
+
+def _show(bar: Bar, task: TaskID, name: str, stage: str, part: float) -> None:
+    """Move the bar of the clip at work."""
+    bar.update(task, description=f"{name}: {stage}", completed=part)
+
+
+def in_words(definition: Definition) -> str:
+    """What is called a stable grasp."""
+    return (
+        f"{definition.points} within {1e3 * definition.contact:g} mm, IOU above {definition.tau:g}, "
+        f"{definition.rule}, {definition.shortest} frames or more"
+    )
+
+
+def _print(found: Sequence[Found], out: Path | None) -> None:
+    """A table of all grasps, and their sum in a line."""
+    from rich.console import Console
+
+    # A pipe has no width: give tables the one they need there.
+    console = Console() if sys.stdout.isatty() else Console(width=200)
+    console.print(_table(found))
+    grasps = [end + 1 - start for one in found for start, end in one.grasps]
+    held = sum(1 for one in found if one.grasps)
+    share = 100.0 * sum(grasps) / sum(one.frames for one in found)
+    print(f"{len(grasps)} stable grasps in {held} of {len(found)} clips, {share:.1f} % of their frames")
+    if out is not None:
+        print(out / "segments.csv")
+
+
+def _table(found: Sequence[Found]) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("clip", overflow="fold")
+    table.add_column("hand")
+    table.add_column("object", overflow="fold")
+    for heading in ("start", "end", "seconds"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for one in found:
+        name = (Text(one.clip), one.side, Text(one.object))  # no markup: names may hold brackets
+        for start, end in one.grasps:
+            table.add_row(*name, str(start), str(end), f"{(end + 1 - start) / one.fps:.2f}")
+        if not one.grasps:
+            table.add_row(*name, "-", "-", "-")
+    return table
+
+
+def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Write the grasps as a table with ``COLUMNS``."""
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        table = csv.writer(stream)
+        table.writerow(COLUMNS)
+        table.writerows(row.values() for row in rows)

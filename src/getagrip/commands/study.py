@@ -1,0 +1,188 @@
+"""``getagrip study``: what changes within stable grasps and outside them, as tables, as files, and as a picture."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from getagrip.batch.clips import progress_bar, tell
+from getagrip.batch.job import Outcome, Progress, by_name, failure
+from getagrip.clip import read_clip
+from getagrip.commands.segment import Job, in_words, outcomes
+from getagrip.errors import UsageError
+from getagrip.grasps.stable import Definition
+from getagrip.grasps.study import MEASURES, TIMES, Spread, Studied, mean_curves, study
+from getagrip.io import files
+
+ALL = "All"
+SUMMARY = ("static_rotation", "one_dof_rotation", "free_rotation", "free_place", "at_hand_rotation", "at_hand_place")
+"""Measures of the table by category, inside the grasps."""
+
+
+def study_clips(
+    paths: Sequence[Path], definition: Definition, out: Path, json: Path | None, workers: int | None, debug: bool
+) -> int:
+    """Study the stable grasps of clips, and write what comes out into a folder; 1 if any clip failed, else 0.
+
+    A path is a clip, or a folder of clips. ``out`` gets ``study.png``, ``grasps.csv``, ``curves.csv`` and
+    ``summary.csv``. Raises ``UsageError`` where there is nothing to do, and where two clips have the same name.
+    """
+    if not paths:
+        raise UsageError("CLIP: name at least one clip")
+    if workers is not None and workers < 1:
+        raise UsageError(f"--workers: got {workers}, expected 1 or more")
+    clips, failed = by_name(paths)
+    for outcome in failed:
+        tell(outcome, debug)
+    jobs = [Job(folder, definition) for folder in clips.values()]
+    done: dict[Path, list[Studied]] = {}
+    failures = len(failed)
+    with progress_bar() as bar:
+        for job, result in outcomes(study_one, jobs, workers, bar):
+            if isinstance(result, Outcome):
+                tell(result, debug)
+                failures += 1
+            else:
+                done[job.clip] = result
+    studied = [grasp for job in jobs for grasp in done.get(job.clip, [])]
+    print(f"{len(studied)} stable grasps in {sum(map(bool, done.values()))} of {len(done)} clips")
+    if studied:
+        _print(studied)
+        _write(studied, definition, len(done), out)
+    if json is not None:
+        files.write_json(json, _content(studied, definition))
+    return 1 if failures else 0
+
+
+def study_one(job: Job, progress: Progress = lambda *_: None) -> list[Studied] | Outcome:
+    """The grasps of one clip, measured; or how it failed. Raises nothing."""
+    try:
+        return study(read_clip(job.clip), job.definition, partial(progress, "contact"))
+    except Exception as error:  # one clip's trouble must not end the others
+        return failure(job.clip.name, error)
+
+
+def by_category(studied: Sequence[Studied]) -> Iterator[tuple[str, list[Studied]]]:
+    """The grasps of each category in the order of the alphabet, then all of them where there are several categories."""
+    categories = sorted({one.object for one in studied})
+    for category in categories:
+        yield category, [one for one in studied if one.object == category]
+    if len(categories) > 1:
+        yield ALL, list(studied)
+
+
+def _spreads(studied: Sequence[Studied], where: str) -> dict[str, Spread]:
+    """Each measure over grasps, ``inside`` them or ``outside``."""
+    return {name: Spread.of([getattr(one, where)[name] for one in studied]) for name in MEASURES}
+
+
+def _print(studied: Sequence[Studied]) -> None:
+    """Two tables: the approximations by category, and every measure inside and outside."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    # A pipe has no width: give tables the one they need there.
+    console = Console() if sys.stdout.isatty() else Console(width=200)
+    table = Table(
+        box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title="off the true pose, within grasps", title_style=""
+    )
+    table.add_column("object", overflow="fold")
+    headings = ("grasps", "static", "1-DoF", "full pose, axis anywhere", "axis at the hand")
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for category, grasps in by_category(studied):
+        if category == ALL:
+            table.add_section()
+        means = {name: spread.mean * MEASURES[name].factor for name, spread in _spreads(grasps, "inside").items()}
+        cells = [f"{means['static_rotation']:.1f}°", f"{means['one_dof_rotation']:.1f}°"]
+        cells += [f"{means[f'{fit}_rotation']:.1f}°, {means[f'{fit}_place']:.1f} mm" for fit in ("free", "at_hand")]
+        table.add_row(Text(category), str(len(grasps)), *cells)  # no markup: names may hold brackets
+    console.print(table)
+
+    table = Table(
+        box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title="mean ± standard deviation over grasps",
+        title_style="",
+    )  # fmt: skip
+    for heading in ("measure", "within", "outside", "unit"):
+        table.add_column(heading, justify="left" if heading in ("measure", "unit") else "right")
+    inside, outside = _spreads(studied, "inside"), _spreads(studied, "outside")
+    for name, measure in MEASURES.items():
+        table.add_row(measure.words, _told(inside[name], name), _told(outside[name], name), measure.unit)
+    console.print(table)
+    print(f"{outside['static_rotation'].grasps} of the grasps have frames outside")
+
+
+def _told(spread: Spread, name: str) -> str:
+    """Mean and spread as people read them."""
+    factor, digits = MEASURES[name].factor, 1 if MEASURES[name].unit else 2
+    return "-" if not spread.grasps else f"{spread.mean * factor:.{digits}f} ± {spread.std * factor:.{digits}f}"
+
+
+def _write(studied: Sequence[Studied], definition: Definition, clips: int, out: Path) -> None:
+    """The files of a study."""
+    from getagrip.view.study import write_study
+
+    out.mkdir(parents=True, exist_ok=True)
+    _write_csv(out / "grasps.csv", (_grasp(one) for one in studied))
+    _write_csv(out / "curves.csv", _curves(studied))
+    _write_csv(out / "summary.csv", _summary(studied))
+    words = f"{len(studied)} stable grasp{'s' * (len(studied) != 1)} in {clips} clip{'s' * (clips != 1)}"
+    print(write_study(out / "study.png", mean_curves(studied), words, in_words(definition)))
+
+
+def _grasp(one: Studied) -> dict[str, Any]:
+    """A grasp on one line, in SI units."""
+    axis = {f"axis_{name}_{x}": v for name in ("point", "direction") for x, v in zip("xyz", getattr(one.hinge, name))}  # noqa: B905
+    return {
+        "sequence": one.clip,
+        "side": one.side,
+        "object": one.object,
+        "start": one.start,
+        "end": one.end,
+        "duration": one.duration,
+        "turned": one.turned,
+        **{f"inside_{name}": value for name, value in one.inside.items()},
+        **{f"outside_{name}": value for name, value in one.outside.items()},
+        **axis,
+    }
+
+
+def _curves(studied: Sequence[Studied]) -> Iterator[dict[str, Any]]:
+    """The mean curves, a line for each normalised time and measure, in SI units."""
+    for name, spreads in mean_curves(studied).items():
+        for time, spread in zip(TIMES, spreads, strict=True):
+            yield {"measure": name, "time": round(float(time), 6), **asdict(spread)}
+
+
+def _summary(studied: Sequence[Studied]) -> Iterator[dict[str, Any]]:
+    """Every measure inside and outside, by category, in SI units."""
+    for category, grasps in by_category(studied):
+        for where in ("inside", "outside"):
+            for name, spread in _spreads(grasps, where).items():
+                yield {"object": category, "where": where, "measure": name, **asdict(spread)}
+
+
+def _content(studied: Sequence[Studied], definition: Definition) -> dict[str, Any]:
+    """Everything, for ``--json``."""
+    return {
+        "definition": asdict(definition),
+        "units": "SI: m, rad, s; measures without unit are shares",
+        "summary": list(_summary(studied)),
+        "grasps": [_grasp(one) for one in studied],
+        "curves": list(_curves(studied)) if studied else [],
+    }
+
+
+def _write_csv(path: Path, rows: Iterable[dict[str, Any]]) -> None:
+    lines = list(rows)
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        table = csv.DictWriter(stream, lines[0])
+        table.writeheader()
+        table.writerows(lines)

@@ -1,0 +1,312 @@
+"""DexYCB's files as arrays: one ``Recording`` for each sequence, all in the frame of one of its cameras.
+
+Read are DexYCB's own layout, as its toolkit (https://github.com/NVlabs/dex-ycb-toolkit) describes it,
+
+    calibration/intrinsics/<serial>_640x480.yml     fx, fy, ppx, ppy of the colour camera
+    <subject>/<sequence>/meta.yml                   cameras, objects, which of them is held, which hand
+    <subject>/<sequence>/<serial>/labels_<frame>.npz    pose_y (O, 3, 4), joint_3d (1, 21, 3), seg (480, 640)
+
+and packed files, one ``.npz`` with many sequences: ``sequence`` and ``object`` (S,), ``offset`` (S + 1,), and per frame
+``obj_quat_xyzw``, ``obj_trans`` [m], ``joints`` [m] and ``hand_valid``; sequence i has the rows offset[i] to
+offset[i + 1]. Both are in the camera frame.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Shaped
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.hands.fit import ORDERS
+from getagrip.hands.model import Side
+from getagrip.io import arrays
+from getagrip.io.files import is_plain_name, plain, read_bytes, shown
+
+SIZE = (640, 480)
+"""Width and height of DexYCB's images [px]."""
+YCB = {
+    1: "002_master_chef_can",
+    2: "003_cracker_box",
+    3: "004_sugar_box",
+    4: "005_tomato_soup_can",
+    5: "006_mustard_bottle",
+    6: "007_tuna_fish_can",
+    7: "008_pudding_box",
+    8: "009_gelatin_box",
+    9: "010_potted_meat_can",
+    10: "011_banana",
+    11: "019_pitcher_base",
+    12: "021_bleach_cleanser",
+    13: "024_bowl",
+    14: "025_mug",
+    15: "035_power_drill",
+    16: "036_wood_block",
+    17: "037_scissors",
+    18: "040_large_marker",
+    19: "051_large_clamp",
+    20: "052_extra_large_clamp",
+    21: "061_foam_brick",
+}
+"""DexYCB's objects by their numbers in ``ycb_ids`` and ``seg``."""
+PACKED_K = np.array([[616.641, 0.0, 308.548], [0.0, 616.258, 248.523], [0.0, 0.0, 1.0]])
+"""One of DexYCB's cameras [px]; packed files do not say which camera's frame they are in."""
+PACKED_ARRAYS = ("sequence", "object", "offset", "obj_quat_xyzw", "obj_trans", "joints", "hand_valid")
+LARGEST_YAML = 2**20
+"""Limit in bytes of a description; DexYCB's have a few hundred."""
+MOST_FRAMES = 20_000
+"""Of a sequence; DexYCB's have 72."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """One object over a sequence."""
+
+    T_cam_obj: Float[ndarray, "N 4 4"]
+    known: Bool[ndarray, "N"]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One sequence: a hand takes one of the objects on a table."""
+
+    file: Path
+    """What it was read from."""
+    subject: str
+    sequence: str
+    camera: str
+    side: Side
+    held: str
+    """Name of the object that is held."""
+    objects: dict[str, Poses]
+    """By name, the held one among them."""
+    joints: Float[ndarray, "N 21 3"]
+    """Joints in the camera frame [m], in this package's order."""
+    hand_known: Bool[ndarray, "N"]
+    K: Float[ndarray, "3 3"]
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """A sequence that is yet to be read; it can be sent to another process."""
+
+    name: str
+    read: Callable[[], Recording]
+    """Raises ``InputError``."""
+
+
+def find(root: Path) -> list[Sequence]:
+    """The sequences of a packed file, of a folder of packed files, or of DexYCB's own layout.
+
+    Raises ``InputError`` where there is none, and for packed files that are malformed.
+    """
+    files = [root] if root.is_file() else sorted(root.glob("*.npz"))
+    if files:
+        return [sequence for file in files for sequence in _packed(file)]
+    if not root.is_dir():
+        raise InputError(root, "", "no such file or folder", "DexYCB's folder, or a packed file of its sequences")
+    folders = [meta.parent for meta in sorted(root.glob("*/*/meta.yml"))]
+    if not folders:
+        raise InputError(root, "", "no <subject>/<sequence>/meta.yml and no .npz in it", "DexYCB's own layout")
+    return [Sequence(f"{f.parent.name}/{f.name}", partial(_read_folder, root, f)) for f in folders]
+
+
+def _packed(path: Path) -> list[Sequence]:
+    """The sequences of a packed file. Which hand it is shows in how the fingers bend."""
+    given = arrays.read(path, PACKED_ARRAYS.__contains__)
+    names, held = _texts(path, given, "sequence"), _texts(path, given, "object")
+    q = arrays.floats(path, given, "obj_quat_xyzw", (-1, 4))
+    N, S = len(q), len(names)
+    t = arrays.floats(path, given, "obj_trans", (N, 3))
+    joints = arrays.floats(path, given, "joints", (N, 21, 3))[:, ORDERS["ho3d"]]
+    known = _array(path, given, "hand_valid", (N,), "b")
+    offset = _array(path, given, "offset", (S + 1,), "iu").astype(np.int64)
+    if len(held) != S:
+        raise InputError(path, "object", f"{len(held)} names", f"{S}, one for each sequence")
+    if offset[0] != 0 or offset[-1] != N or np.any(np.diff(offset) <= 0):
+        raise InputError(path, "offset", shown(offset.tolist()), f"rising numbers from 0 to {N}")
+    if np.diff(offset).max() > MOST_FRAMES:
+        raise InputError(path, "offset", f"a sequence of {np.diff(offset).max()} frames", f"at most {MOST_FRAMES}")
+    lengths = np.linalg.norm(q, axis=1)
+    if np.abs(lengths - 1.0).max() > 1e-2:
+        given_length = f"a quaternion of length {lengths[np.argmax(np.abs(lengths - 1.0))]:.3g}"
+        raise InputError(path, "obj_quat_xyzw", given_length, "unit quaternions")
+    sequences = []
+    for i, (name, obj) in enumerate(zip(names, held, strict=True)):
+        rows = slice(offset[i], offset[i + 1])
+        subject, _, sequence = name.partition("/")
+        if not (_is_name(subject) and _is_name(sequence)):
+            raise InputError(path, f"sequence[{i}]", shown(name), "<subject>/<sequence>")
+        if not _is_name(obj):
+            raise InputError(path, f"object[{i}]", shown(obj), "the name of an object")
+        T_cam_obj = se3.rigid(se3.from_quaternion(np.roll(q[rows], 1, axis=1)), t[rows])
+        poses = Poses(T_cam_obj, np.ones(len(T_cam_obj), dtype=bool))
+        read = partial(_packed_recording, path, subject, sequence, obj, poses, joints[rows], known[rows])
+        sequences.append(Sequence(name, read))
+    return sequences
+
+
+def _packed_recording(
+    path: Path,
+    subject: str,
+    sequence: str,
+    held: str,
+    poses: Poses,
+    joints: Float[ndarray, "N 21 3"],
+    known: Bool[ndarray, "N"],
+) -> Recording:
+    side = bent_side(joints[known])
+    return Recording(path, subject, sequence, "", side, held, {held: poses}, joints, known, PACKED_K)
+
+
+def bent_side(joints: Float[ndarray, "N 21 3"]) -> Side:
+    """Which hand it is: fingers bend towards the palm, which a right hand has on the other side than a left one."""
+    wrist, index, pinky = joints[:, 0], joints[:, 5], joints[:, 17]
+    towards = np.cross(index - wrist, pinky - wrist)  # the palm of a right hand, the back of a left one
+    bent = (joints[:, [8, 12, 16, 20]] - joints[:, [5, 9, 13, 17]]).sum(axis=1)
+    return "right" if np.sum(towards * bent) > 0.0 else "left"
+
+
+def _read_folder(root: Path, folder: Path) -> Recording:
+    """Read a sequence of DexYCB's own layout, in the camera that sees most of the held object at the end."""
+    path = folder / "meta.yml"
+    if not (_is_name(folder.parent.name) and _is_name(folder.name)):
+        raise InputError(path, "", "a folder name that cannot be part of a clip's", "<subject>/<sequence>")
+    meta = _yaml(path)
+    frames = _whole(path, meta, "num_frames", 1, MOST_FRAMES)
+    ids = _list(path, meta, "ycb_ids")
+    if not all(isinstance(i, int) and i in YCB for i in ids) or len(set(ids)) < len(ids):
+        raise InputError(path, "ycb_ids", shown(ids), "different numbers of DexYCB's objects, 1 to 21")
+    held = ids[_whole(path, meta, "ycb_grasp_ind", 0, len(ids) - 1)]
+    sides: dict[object, Side] = {"left": "left", "right": "right"}
+    side = _list(path, meta, "mano_sides")[0]
+    if side not in sides:
+        raise InputError(path, "mano_sides", shown(side), "left or right")
+    serial = _best_camera(folder, [str(s) for s in _list(path, meta, "serials")], held, frames)
+    labels = [_label(folder / serial / _label_name(n), len(ids)) for n in range(frames)]
+    pose_y, joints = (np.stack(a) for a in zip(*labels, strict=True))
+    T_cam_obj = np.zeros((frames, len(ids), 4, 4))
+    T_cam_obj[:, :, :3], T_cam_obj[:, :, 3, 3] = pose_y, 1.0
+    known = np.any(pose_y != 0.0, axis=(2, 3))  # what is not known is zero
+    bad = np.argwhere(known & ~se3.is_rigid(T_cam_obj))
+    if bad.size:
+        raise InputError(
+            folder / serial / _label_name(bad[0, 0]), "pose_y", "a matrix that is no rigid motion", "[R | t]"
+        )
+    return Recording(
+        file=folder,
+        subject=folder.parent.name,
+        sequence=folder.name,
+        camera=serial,
+        side=sides[side],
+        held=YCB[held],
+        objects={YCB[id_]: Poses(T_cam_obj[:, k], known[:, k]) for k, id_ in enumerate(ids)},
+        joints=joints,
+        hand_known=~np.all(joints == -1.0, axis=(1, 2)),  # a hand that is not known is -1
+        K=_intrinsics(root / "calibration" / "intrinsics" / f"{serial}_{SIZE[0]}x{SIZE[1]}.yml"),
+    )
+
+
+def _best_camera(folder: Path, serials: list[str], held: int, frames: int) -> str:
+    """The camera with the most pixels of the held object in the last frame, of those that are there."""
+    there = {serial: folder / serial for serial in serials if serial.isalnum() and (folder / serial).is_dir()}
+    if not there:
+        raise InputError(folder, "serials", f"no folder of any of {', '.join(map(plain, serials))}", "one at least")
+    if len(there) == 1:
+        return next(iter(there))
+    pixels = {}
+    for serial, camera in there.items():
+        path = camera / _label_name(frames - 1)
+        seg = _array(path, arrays.read(path, {"seg"}.__contains__), "seg", SIZE[::-1], "iu")
+        pixels[serial] = np.count_nonzero(seg == held)
+    return max(pixels, key=pixels.__getitem__)
+
+
+def _label_name(frame: int) -> str:
+    return f"labels_{frame:06d}.npz"
+
+
+def _label(path: Path, objects: int) -> tuple[Float[ndarray, "O 3 4"], Float[ndarray, "21 3"]]:
+    """Poses of the objects and joints of the hand; ``joint_3d`` is in this package's order already."""
+    given = arrays.read(path, {"pose_y", "joint_3d"}.__contains__)
+    return arrays.floats(path, given, "pose_y", (objects, 3, 4)), arrays.floats(path, given, "joint_3d", (1, 21, 3))[0]
+
+
+def _intrinsics(path: Path) -> Float[ndarray, "3 3"]:
+    colour = _yaml(path).get("color")
+    wanted = [colour.get(key) if isinstance(colour, dict) else None for key in ("fx", "fy", "ppx", "ppy")]
+    fx, fy, ppx, ppy = (float(v) if isinstance(v, float | int) else np.nan for v in wanted)
+    if not (np.isfinite([fx, fy, ppx, ppy]).all() and fx > 0.0 and fy > 0.0):
+        raise InputError(path, "color", shown(colour), "fx, fy, ppx, ppy in pixels, fx and fy above 0")
+    # DexYCB counts from the centre of the first pixel, this package from its corner.
+    return np.array([[fx, 0.0, ppx + 0.5], [0.0, fy, ppy + 0.5], [0.0, 0.0, 1.0]])
+
+
+def _yaml(path: Path) -> dict[str, Any]:
+    """A YAML mapping; of Python's own types only tuples are let in, which DexYCB's calibration holds."""
+    import yaml
+
+    class Loader(yaml.SafeLoader):  # type: ignore[misc]
+        """YAML's own types and tuples, without aliases, by which a small file can unfold to a huge one."""
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.AliasEvent):
+                raise yaml.YAMLError("an alias")
+            return super().compose_node(parent, index)
+
+    Loader.add_constructor("tag:yaml.org,2002:python/tuple", Loader.construct_sequence)
+    try:
+        content = yaml.load(read_bytes(path, LARGEST_YAML), Loader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise InputError(path, "", f"text that is no plain YAML ({error})", "a YAML mapping") from error
+    if not isinstance(content, dict):
+        raise InputError(path, "", f"a YAML {type(content).__name__}", "a YAML mapping")
+    return content
+
+
+def _list(path: Path, given: dict[str, Any], key: str) -> list[Any]:
+    value = given.get(key)
+    if not isinstance(value, list) or not value:
+        raise InputError(path, key, shown(value), "a list that is not empty")
+    return value
+
+
+def _whole(path: Path, given: dict[str, Any], key: str, least: int, most: int) -> int:
+    value = given.get(key)
+    if not isinstance(value, int) or not least <= value <= most:
+        raise InputError(path, key, shown(value), f"a whole number from {least} to {most}")
+    return value
+
+
+def _texts(path: Path, given: dict[str, ndarray], key: str) -> list[str]:
+    array = _array(path, given, key, (-1,), "U")
+    try:
+        return [str(text) for text in array.tolist()]
+    except ValueError as error:
+        raise InputError(path, key, f"text that does not decode ({error})", "names") from error
+
+
+def _array(
+    path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str
+) -> Shaped[ndarray, "..."]:
+    """An array that is there, of one of the kinds and of the shape, -1 standing for any length above 0."""
+    array = given.get(key)
+    if array is None:
+        raise InputError(path, key, "no such array", f"an array of shape {shape}")
+    alike = (a == b or (b == -1 and a > 0) for a, b in zip(array.shape, shape, strict=False))
+    if array.dtype.kind not in kinds or array.ndim != len(shape) or not all(alike):
+        raise InputError(path, key, f"{array.dtype} of shape {array.shape}", f"kind {kinds} of shape {shape}")
+    return array
+
+
+def _is_name(text: str) -> bool:
+    """Whether a text can be part of a clip's name."""
+    return is_plain_name(text) and re.fullmatch(r"[\w.-]+", text) is not None and "--" not in text

@@ -1,0 +1,1 @@
+"""EPIC-KITCHENS, EPIC-Grasps and VISOR."""

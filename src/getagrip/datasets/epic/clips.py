@@ -1,0 +1,235 @@
+"""EPIC-Grasps (Zhu and Damen, "Get a Grip"): stable grasps in EPIC-KITCHENS' videos, as clips with VISOR's masks.
+
+No pose is true here, and no object's own mesh is known: the mesh is its category's, its scale free. Hands come from
+files that an estimator has made; a clip without them lacks its ``hand.npz`` until somebody adds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from getagrip.clip import Clip, HandTrack, Masks
+from getagrip.clip.plausible import check_intrinsics
+from getagrip.clip.reading import read_hand
+from getagrip.datasets.epic import visor
+from getagrip.datasets.epic.files import Grasp, numbering_rate, subject_of
+from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.errors import InputError
+from getagrip.geometry.mesh import SUFFIXES, Mesh, read_mesh
+from getagrip.io import arrays, json_stream
+from getagrip.io.files import shown
+
+SIZE = visor.DENSE_SIZE
+"""Width and height of the clips' images [px]: those of VISOR's dense annotations."""
+FRAMES = 30
+"""The most frames that a clip has, spread evenly over those that are valid (as the paper's)."""
+FEWEST = 2
+"""Valid frames below which a grasp is left out: one silhouette says nothing about a motion."""
+VISIBLE = 25
+"""Pixels of the smallest mask that counts as seen."""
+GUESSED_FOCAL = 200.0 / 640.0
+"""Focal length over the image's width: what HOMan takes for EPIC-KITCHENS. A guess."""
+BACKGROUND = frozenset({8, 12, 24, 42, 46, 63, 70, 90, 113, 124, 157, 159, 182, 242, 247, 263, 295})
+"""Noun classes of what stands behind things and seldom before them: drawer, fridge, hob, worktop, oven, sink,
+dishwasher, microwave, freezer, washing machine, kitchen, floor, chair, wall, shelf, window, door."""
+
+Seen = dict[int, visor.Frame]
+"""Annotations by EPIC's frame numbers."""
+
+
+@dataclass(frozen=True)
+class HandFile:
+    """A ``hand.npz`` that perhaps says which frames and which camera it belongs to; the hands are yet to be read."""
+
+    path: Path
+    frames: tuple[int, ...] | None
+    """EPIC's frame numbers, where the file has them (``frames``); else its hands are those of the clip's frames."""
+    K: Float[ndarray, "3 3"] | None
+    """The camera that the estimator took, in pixels of 854 x 480, where the file has it (``K``)."""
+
+    def track(self, chosen: Sequence[int]) -> HandTrack:
+        """The hand in some of the frames. Raises ``InputError``."""
+        if self.frames is None:
+            return read_hand(self.path, len(chosen))
+        track = read_hand(self.path, len(self.frames))
+        rows = [self.frames.index(number) for number in chosen]
+        joints = None if track.joints is None else track.joints[rows]
+        return replace(track, vertices=track.vertices[rows], T_cam_hand=track.T_cam_hand[rows], joints=joints)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Where images of a video were taken with."""
+
+    K: Float[ndarray, "3 3"]
+    """In pixels of 854 x 480."""
+    source: str
+    """Where it comes from, in words."""
+    is_guess: bool = False
+
+
+def annotated(files: Sequence[Path], mapping: visor.Mapping, grasps: Sequence[Grasp]) -> dict[str, Seen]:
+    """VISOR's frames within each grasp, by the grasp's name, that show its object. Raises ``InputError``.
+
+    Where a frame is annotated more than once, people's annotations come before interpolated ones, then the fullest.
+    """
+    out: dict[str, Seen] = {grasp.name: {} for grasp in grasps}
+    for path in files:
+        for frame in visor.read_frames(path):
+            number = mapping.number(frame)
+            for grasp in grasps:
+                if grasp.start <= number <= grasp.end and any(_is_held(a, grasp) for a in frame.annotations):
+                    other = out[grasp.name].get(number)
+                    if other is None or _rank(frame) > _rank(other):
+                        out[grasp.name][number] = frame
+    return out
+
+
+def _is_held(annotation: visor.Annotation, grasp: Grasp) -> bool:
+    return annotation.name == grasp.entity and not annotation.hands and bool(annotation.polygons)
+
+
+def _rank(frame: visor.Frame) -> tuple[bool, int]:
+    return not frame.dense, len(frame.annotations)
+
+
+def masks_of(frame: visor.Frame, grasp: Grasp) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
+    """The object's pixels, and those that say nothing about it: of both hands, gloves and other objects.
+
+    Where the object's polygons lie over others' they are believed. What stands behind things is not ignored.
+    """
+
+    def drawn(chosen: Iterable[visor.Annotation]) -> Bool[ndarray, "H W"]:
+        return visor.mask(chosen, frame.size, SIZE)
+
+    held = [a for a in frame.annotations if _is_held(a, grasp)]
+    hiding = [a for a in frame.annotations if a not in held and (a.hands or a.class_id not in BACKGROUND)]
+    seen = drawn(held)
+    return seen, drawn(hiding) & ~seen
+
+
+def clip(
+    grasp: Grasp, seen: Seen, mesh: Mesh, mesh_source: str, camera: Camera, hands: HandFile | None, has_mapping: bool
+) -> tuple[Clip, Masks] | str:
+    """The clip of a grasp and its masks, at up to ``FRAMES`` of its valid frames; or why there is none, in words.
+
+    Valid are frames with a mask of the object and, where the hand file says which frames it has, with a hand. Without
+    hands the clip's hand has no vertices. Raises ``InputError`` for hands that do not fit.
+    """
+    masks = {number: masks_of(frame, grasp) for number, frame in sorted(seen.items())}
+    valid = [number for number, (mask, _) in masks.items() if np.count_nonzero(mask) >= VISIBLE]
+    if hands is not None and hands.frames is not None:
+        valid = sorted({*valid} & {*hands.frames})
+    if len(valid) < FEWEST:
+        what = "a mask" if hands is None or hands.frames is None else "a mask and a hand"
+        return f"{len(valid)} of its {grasp.frames} frames have {what} of {shown(grasp.entity)}"
+    chosen = [valid[i] for i in np.round(np.linspace(0, len(valid) - 1, min(FRAMES, len(valid)))).astype(int)]
+    if hands is not None and hands.K is not None:
+        camera = Camera(hands.K, "the hand file's")
+    made = Clip(
+        folder=Path(grasp.name),
+        name=grasp.name,
+        category=grasp.category,
+        side=grasp.side,
+        fps=numbering_rate(grasp.video),
+        frames=tuple(f"{number:010d}" for number in chosen),
+        size=SIZE,
+        K=np.tile(camera.K, (len(chosen), 1, 1)),
+        mesh=mesh,
+        scale="free",
+        hand=_no_hand(len(chosen)) if hands is None else hands.track(chosen),
+        provenance=_provenance(grasp, [seen[n] for n in chosen], mesh_source, camera, hands, has_mapping),
+    )
+    return made, Masks(*(np.array([masks[number][k] for number in chosen]) for k in (0, 1)))
+
+
+def _no_hand(frames: int) -> HandTrack:
+    return HandTrack(np.zeros((frames, 0, 3)), np.zeros((0, 3), int), np.tile(np.eye(4), (frames, 1, 1)), {})
+
+
+def _provenance(
+    grasp: Grasp, frames: Sequence[visor.Frame], mesh: str, camera: Camera, hands: HandFile | None, has_mapping: bool
+) -> dict[str, Any]:
+    dense = sum(frame.dense for frame in frames)
+    told = {
+        "source": f"EPIC-Grasps {grasp.example}: {grasp.video}, frames {grasp.start} to {grasp.end}",
+        "subject": subject_of(grasp.video),
+        "entity": grasp.entity,
+        "licence": "made from EPIC-KITCHENS, VISOR and EPIC-Grasps, CC BY-NC 4.0",
+        "masks": f"VISOR: {len(frames) - dense} frames annotated by people, {dense} interpolated; ignored are both "
+        "hands and other objects, not what stands behind",
+        "frame_numbers": "EPIC's, VISOR's moved by its frame_mapping.json"
+        if has_mapping
+        else "VISOR's, taken for EPIC's for want of frame_mapping.json: a few frames off",
+        "camera": camera.source,
+        "mesh": mesh,
+        "scale": "free: no object's size is known",
+        "hands": "missing: add hand.npz (docs/estimators.md)" if hands is None else "the hand file's",
+    }
+    return told | ({"mended": grasp.note} if grasp.note else {})
+
+
+def hand_file(path: Path) -> HandFile:
+    """A hand file: a ``hand.npz`` that may have ``frames`` (N,) and ``K`` (3, 3) as well. Raises ``InputError``."""
+    given = arrays.read(path, {"frames", "K"}.__contains__)
+    frames, K = None, None
+    if "frames" in given:
+        numbers = given["frames"]
+        if numbers.dtype.kind not in "iu" or numbers.ndim != 1 or not len(numbers):
+            raise InputError(path, "frames", f"{numbers.dtype} of shape {numbers.shape}", "EPIC's frame numbers (N,)")
+        frames = tuple(int(number) for number in numbers)
+        if len({*frames}) < len(frames):
+            raise InputError(path, "frames", "a frame twice", "each frame once")
+    if "K" in given:
+        K = arrays.floats(path, given, "K", (3, 3))
+        check_intrinsics(path, K[None], SIZE)
+    return HandFile(path, frames, K)
+
+
+def pinhole(focal: float | None = None) -> Camera:
+    """A pinhole, its principal point in the middle; the focal length [px of 854 x 480] is guessed for want of one."""
+    f = GUESSED_FOCAL * SIZE[0] if focal is None else focal
+    K = np.array([[f, 0.0, SIZE[0] / 2], [0.0, f, SIZE[1] / 2], [0.0, 0.0, 1.0]])
+    guess = f"a guess: the focal length {f:g} px, which HOMan takes for EPIC-KITCHENS"
+    return Camera(K, guess, True) if focal is None else Camera(K, "focal length as given")
+
+
+def read_camera(path: Path) -> Camera:
+    """The camera of a video from EPIC-Fields (``<video>.json``), without its distortion. Raises ``InputError``.
+
+    The principal point is put into the middle, as the authors of EPIC-Grasps do.
+    """
+    camera = json_stream.member(path, "camera")
+    size = [camera.get("width"), camera.get("height")]
+    params = camera.get("params")
+    if not all(isinstance(side, int) and 0 < side < 10_000 for side in size):
+        raise InputError(path, "camera", f"the size {shown(size)}", "width and height in pixels")
+    if camera.get("model") not in ("OPENCV", "PINHOLE", "FULL_OPENCV") or not isinstance(params, list):
+        raise InputError(path, "camera.model", shown(camera.get("model")), "OPENCV, with fx, fy, cx, cy, ... in params")
+    focal = params[:2]
+    if not all(isinstance(f, int | float) and 0 < f < 1e6 for f in focal) or len(focal) < 2:
+        raise InputError(path, "camera.params", shown(params), "fx, fy, cx, cy, ... in pixels, fx and fy above 0")
+    K = np.diag([focal[0] * SIZE[0] / size[0], focal[1] * SIZE[1] / size[1], 1.0])
+    K[:2, 2] = np.array(SIZE) / 2
+    check_intrinsics(path, K[None], SIZE)
+    return Camera(K, "EPIC-Fields, its distortion left out")
+
+
+def category_mesh(category: str, folder: Path | None) -> tuple[Mesh, str]:
+    """The mesh of a category, and where it comes from: ``<category>.obj`` (.ply, .stl, .glb) of a folder, or our own.
+
+    Metres, z up. Raises ``InputError`` where the folder has none.
+    """
+    if folder is None:
+        return CATEGORIES[category].make(), "this package's procedural mesh of the category"
+    for suffix in SUFFIXES:
+        if (path := folder / f"{category}{suffix}").is_file():
+            return read_mesh(path), f"{path.name} of the folder given"
+    raise InputError(folder, "", f"no {category}.obj in it", f"{category}.obj, the mesh of the category")

@@ -1,0 +1,225 @@
+"""EPIC-KITCHENS' tables: stable grasps (EPIC-Grasps), action labels (EPIC-100), and how fast frames are numbered.
+
+Frames are numbered as EPIC-KITCHENS' own images are, from 1. Its videos run at several rates; the images of those with
+two-digit numbers (``P01_01``: EPIC-KITCHENS-55) were taken from them 60 times a second, of those with three
+(``P01_101``: the extension of EPIC-100) 50 times.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from getagrip.errors import InputError
+from getagrip.hands.model import Side
+from getagrip.io.files import plain, read_bytes, shown
+
+CATEGORIES = ("bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan")
+"""The kinds of objects of EPIC-Grasps."""
+LARGEST_TABLE = 64 * 2**20
+"""Limit in bytes of a table."""
+LAST_FRAME = 10_000_000
+"""No frame has a higher number: two days at 50 frames per second."""
+VIDEO = re.compile(r"(P\d{2})_(\d{2,3})")
+"""Names of videos: a person (and kitchen), then the recording."""
+SIDES: dict[str, Side] = {"left hand": "left", "right hand": "right"}
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """One stable grasp of EPIC-Grasps. Frames are EPIC's own numbers, first and last included."""
+
+    example: int
+    """Its number, 0 to 2430; five of them are missing."""
+    video: str
+    side: Side
+    category: str
+    entity: str
+    """What VISOR calls the object, as "olive oil bottle"."""
+    start: int
+    end: int
+    start_bound: int
+    end_bound: int
+    """The rough extent that was given to the annotators."""
+    contact: int | None
+    """A frame in which VISOR says that the hand touches the object."""
+    note: str = ""
+    """What was mended, in words."""
+
+    @property
+    def name(self) -> str:
+        """What its clip is called."""
+        return f"{self.video}_{self.side}_{self.category}_{self.start}_{self.end}"
+
+    @property
+    def frames(self) -> int:
+        """How many frames of the video it spans."""
+        return self.end - self.start + 1
+
+
+@dataclass(frozen=True)
+class Action:
+    """One labelled action of EPIC-100."""
+
+    video: str
+    start: int
+    stop: int
+    narration: str
+    noun: str
+
+
+def numbering_rate(video: str) -> float:
+    """Frames that EPIC numbers in a second of a video: 50 or 60, whatever the rate of the file."""
+    return 50.0 if len(video.partition("_")[2]) == 3 else 60.0
+
+
+def subject_of(video: str) -> str:
+    """The person who recorded a video."""
+    return video.partition("_")[0]
+
+
+def errata_beside(path: Path) -> Path | None:
+    """The errata that are published beside EPIC-Grasps' table, where they are there."""
+    errata = path.with_name(f"{path.stem}_errata.csv")
+    return errata if errata.is_file() else None
+
+
+def read_grasps(path: Path, errata: Path | None = None) -> list[Grasp]:
+    """The stable grasps of EPIC-Grasps' CSV, mended by its errata where they are given.
+
+    Where ``st`` and ``ed`` of a row disagree with its ``duration`` (one does), those in its ``fmt`` are taken if they
+    agree with it. Raises ``InputError``, which names the line and the column.
+    """
+    rows = _table(path, ("vid", "st", "ed", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name",
+                         "duration", "example", "fmt"))  # fmt: skip
+    grasps = {row.text("fmt"): _grasp(row, row.text("handside"), "handside") for row in rows}
+    if len(grasps) < len(rows):
+        raise InputError(path, "fmt", "the same grasp twice", "each once")
+    if errata is not None:
+        for row in _table(errata, ("ACTION", "old_fmt", "correct_handside")):
+            old = grasps.pop(row.text("old_fmt"), None)
+            if old is None:
+                raise InputError(errata, row.key("old_fmt"), shown(row.text("old_fmt")), f"an fmt of {path.name}")
+            if row.text("ACTION") == "REMAKE":
+                side = _side(row, row.text("correct_handside"), "correct_handside")
+                grasps[row.text("old_fmt")] = replace(old, side=side, note=f"errata: the {side} hand, not {old.side}")
+            elif row.text("ACTION") != "DELETE":
+                raise InputError(errata, row.key("ACTION"), shown(row.text("ACTION")), "REMAKE or DELETE")
+    return sorted(grasps.values(), key=lambda grasp: grasp.example)
+
+
+def _grasp(row: _Row, side: str, column: str) -> Grasp:
+    """The grasp in a row of the table."""
+    start, end, duration = row.frame("st"), row.frame("ed"), row.whole("duration", 1, LAST_FRAME)
+    note = ""
+    if end - start + 1 != duration:
+        named = re.search(r"_(\d{1,8})_(\d{1,8})$", row.text("fmt"))
+        first, last = (int(named[1]), int(named[2])) if named else (start, end)
+        if last - first + 1 != duration:
+            raise row.wrong("duration", f"{end - start + 1}, from st {start} to ed {end}")
+        note = f"st and ed say {start} to {end}, duration and fmt {first} to {last}: the latter"
+        start, end = first, last
+    if end < start:
+        raise row.wrong("ed", f"at least st, {start}")
+    category = row.text("cat")
+    if category not in CATEGORIES:
+        raise row.wrong("cat", f"one of {', '.join(CATEGORIES)}")
+    contact = row.whole("contact", -1, LAST_FRAME)
+    return Grasp(
+        example=row.whole("example", 0, LAST_FRAME),
+        video=row.video("vid"),
+        side=_side(row, side, column),
+        category=category,
+        entity=row.text("hos_name"),
+        start=start,
+        end=end,
+        start_bound=row.frame("st_bound"),
+        end_bound=row.frame("ed_bound"),
+        contact=None if contact < 0 else contact,
+        note=note,
+    )
+
+
+def _side(row: _Row, given: str, column: str) -> Side:
+    if given not in SIDES:
+        raise row.wrong(column, " or ".join(SIDES))
+    return SIDES[given]
+
+
+def read_actions(paths: Sequence[Path]) -> dict[str, list[Action]]:
+    """The actions of EPIC-100's CSVs (``EPIC_100_train.csv``, ``EPIC_100_validation.csv``) by video, in order of start.
+
+    Raises ``InputError``, which names the line and the column.
+    """
+    actions: dict[str, list[Action]] = {}
+    for path in paths:
+        for row in _table(path, ("video_id", "start_frame", "stop_frame", "narration", "noun")):
+            start, stop = row.whole("start_frame", 0, LAST_FRAME), row.frame("stop_frame")
+            if stop < start:
+                raise row.wrong("stop_frame", f"at least start_frame, {start}")
+            action = Action(row.video("video_id"), start, stop, row.text("narration"), row.text("noun"))
+            actions.setdefault(action.video, []).append(action)
+    return {video: sorted(found, key=lambda action: action.start) for video, found in actions.items()}
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A line of a table."""
+
+    path: Path
+    line: int
+    cells: dict[str, str]
+
+    def key(self, column: str) -> str:
+        return f"line {self.line}, {column}"
+
+    def wrong(self, column: str, expected: str) -> InputError:
+        return InputError(self.path, self.key(column), shown(self.cells[column]), expected)
+
+    def text(self, column: str) -> str:
+        text = self.cells[column].strip()
+        if not text or not text.isprintable() or len(text) > 2000:
+            raise self.wrong(column, "a text")
+        return text
+
+    def whole(self, column: str, least: int, most: int) -> int:
+        text = self.cells[column].strip()
+        if not re.fullmatch(r"-?[0-9]{1,9}", text) or not least <= int(text) <= most:
+            raise self.wrong(column, f"a whole number from {least} to {most}")
+        return int(text)
+
+    def frame(self, column: str) -> int:
+        return self.whole(column, 1, LAST_FRAME)
+
+    def video(self, column: str) -> str:
+        if not VIDEO.fullmatch(self.cells[column]):
+            raise self.wrong(column, "a video of EPIC-KITCHENS, as P01_01")
+        return self.cells[column]
+
+
+def _table(path: Path, columns: Sequence[str]) -> list[_Row]:
+    """The rows of a CSV that has certain columns, the others left out."""
+    try:
+        text = read_bytes(path, LARGEST_TABLE).decode("utf-8-sig")
+        lines = csv.reader(io.StringIO(text, newline=""), strict=True)
+        heads = next(lines, [])
+        missing = [column for column in columns if heads.count(column) != 1]
+        if missing:
+            raise InputError(path, plain(missing[0]), f"{heads.count(missing[0])} columns of this name", "one")
+        where = {column: heads.index(column) for column in columns}
+        rows = []
+        for cells in lines:
+            if not cells:
+                continue
+            if len(cells) != len(heads):
+                raise InputError(path, f"line {lines.line_num}", f"{len(cells)} cells", f"{len(heads)}, as in line 1")
+            rows.append(_Row(path, lines.line_num, {column: cells[n] for column, n in where.items()}))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, "", f"text that is no CSV ({error})", "a CSV file in UTF-8") from error
+    if not rows:
+        raise InputError(path, "", "no rows", "one at least")
+    return rows

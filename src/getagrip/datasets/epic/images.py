@@ -1,0 +1,162 @@
+"""The images of EPIC-KITCHENS by number, from folders or archives of frames or from its videos, at the masks' size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from getagrip.datasets.epic.archive import Archive
+from getagrip.datasets.epic.files import numbering_rate, subject_of
+from getagrip.datasets.epic.visor import DENSE_SIZE
+from getagrip.errors import InputError
+from getagrip.io.files import read_bytes
+
+if TYPE_CHECKING:
+    from av import VideoFrame
+
+LARGEST_IMAGE = 16 * 2**20
+"""Limit in bytes of an image's file."""
+LARGEST_SIDE = 4096
+"""Limit of the sides of an image [px]; EPIC's are 456 x 256, its videos 1920 x 1080."""
+SUFFIXES = (".MP4", ".mp4", ".mov", ".mkv")
+
+Images = Callable[[Sequence[int]], list[UInt8[ndarray, "H W 3"]]]
+"""The RGB images of frames by EPIC's numbers. Raises ``InputError``."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames in folders, EPIC's own (``P01/rgb_frames/P01_01/frame_0000000001.jpg``) or ``P01_01`` without these; or in
+    the archives that it ships, which lie in the same places (``P01_01.tar``)."""
+
+    root: Path
+    video: str
+
+    def __call__(self, numbers: Sequence[int]) -> list[UInt8[ndarray, "H W 3"]]:
+        """The images of some frames."""
+        if not self.folder.is_dir() and self.archive is not None:
+            path, archive = self.archive.path, self.archive
+            return [_image(path, f"frame_{n:010d}.jpg", archive.read(n, LARGEST_IMAGE)) for n in numbers]
+        paths = [self.folder / f"frame_{n:010d}.jpg" for n in numbers]
+        return [_image(path, "", read_bytes(path, LARGEST_IMAGE)) for path in paths]
+
+    @property
+    def places(self) -> list[Path]:
+        """Where the video's folder may be."""
+        subject = subject_of(self.video)
+        return [
+            self.root / subject / "rgb_frames" / self.video,
+            self.root / subject / self.video,
+            self.root / self.video,
+        ]
+
+    @property
+    def folder(self) -> Path:
+        """Where it is, or would be."""
+        return next((place for place in self.places if place.is_dir()), self.places[-1])
+
+    @cached_property
+    def archive(self) -> Archive | None:
+        """The video's archive, where there is one."""
+        paths = [place.with_name(f"{place.name}.tar") for place in self.places]
+        return next((Archive(path) for path in paths if path.is_file()), None)
+
+
+@dataclass(frozen=True)
+class Video:
+    """A folder of videos: EPIC's own (``P01/videos/P01_01.MP4``), or ``P01_01.MP4`` without these."""
+
+    root: Path
+    video: str
+
+    def __call__(self, numbers: Sequence[int]) -> list[UInt8[ndarray, "H W 3"]]:
+        """The images of some frames; frame n is the one shown at (n - 1) / rate seconds."""
+        subject = subject_of(self.video)
+        folders = (self.root / subject / "videos", self.root / subject, self.root)
+        paths = [path for folder in folders for s in SUFFIXES if (path := folder / f"{self.video}{s}").is_file()]
+        if not paths:
+            raise InputError(self.root, "", f"no {self.video}.MP4 in it", "the video")
+        rate = Fraction(numbering_rate(self.video))
+        times = {n: (n - 1) / rate for n in sorted(set(numbers))}
+        found = dict(_at_times(paths[0], times))
+        missing = [n for n in times if n not in found]
+        if missing:
+            raise InputError(paths[0], "", f"no frame {missing[0]} (at {float(times[missing[0]]):.2f} s)", "the frame")
+        return [found[n] for n in numbers]
+
+
+def _at_times(path: Path, times: dict[int, Fraction]) -> Iterator[tuple[int, UInt8[ndarray, "H W 3"]]]:
+    """The images that are shown at some rising times [s]: one seek to the first, then decoded onwards."""
+    from av.error import FFmpegError
+
+    from getagrip.clip.video import open_video
+
+    waiting = list(times.items())
+    try:
+        with open_video(path) as container:
+            stream = container.streams.video[0]
+            base = stream.time_base or Fraction(1, 90_000)
+            begin = Fraction(stream.start_time or 0) * base
+            half = 1 / (2 * Fraction(stream.average_rate or 60))
+            container.seek(int((begin + waiting[0][1]) / base), stream=stream)  # to the key frame before
+            for frame in container.decode(stream):
+                if frame.pts is None:
+                    continue
+                shown_at = frame.pts * base - begin
+                image = None
+                while waiting and shown_at + half >= waiting[0][1]:
+                    if image is None:
+                        image = _resized(frame)
+                    yield waiting.pop(0)[0], image
+                if not waiting:
+                    return
+    except (FFmpegError, IndexError, OSError, ValueError) as error:
+        raise InputError(path, "", f"a video that does not decode ({error})", "a video") from error
+
+
+def _resized(frame: VideoFrame) -> UInt8[ndarray, "H W 3"]:
+    return _fitted(np.asarray(frame.to_ndarray(format="rgb24"), np.uint8))
+
+
+def _image(path: Path, key: str, given: bytes) -> UInt8[ndarray, "H W 3"]:
+    """An image at the size of the masks; path and key are named in errors."""
+    import cv2
+
+    height, width = _jpeg_size(path, key, given)
+    if max(height, width) > LARGEST_SIDE:
+        expected = f"at most {LARGEST_SIDE} px a side"
+        raise InputError(path, f"{key} size".strip(), f"{width} x {height} pixels", expected)
+    image = cv2.imdecode(np.frombuffer(given, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise InputError(path, key, "an image that does not decode", "a JPEG image")
+    return _fitted(np.asarray(image, np.uint8)[..., ::-1])
+
+
+def _jpeg_size(path: Path, key: str, content: bytes) -> tuple[int, int]:
+    """Height and width in the header of a JPEG, read before memory is taken for its pixels."""
+    at = 2
+    while content[:2] == b"\xff\xd8" and at + 9 <= len(content) and content[at] == 0xFF:
+        kind, length = content[at + 1], int.from_bytes(content[at + 2 : at + 4], "big")
+        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
+            return int.from_bytes(content[at + 5 : at + 7], "big"), int.from_bytes(content[at + 7 : at + 9], "big")
+        at += 2 + length
+    raise InputError(path, key, "an image without a JPEG's header", "a JPEG image")
+
+
+def _fitted(image: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "H W 3"]:
+    """An image at the size of the masks."""
+    import cv2
+
+    if image.shape[1::-1] == DENSE_SIZE:
+        return image
+    shrinks = image.shape[1] > DENSE_SIZE[0]
+    how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(np.ascontiguousarray(image), DENSE_SIZE, interpolation=how), np.uint8)

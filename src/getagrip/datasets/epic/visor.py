@@ -1,0 +1,229 @@
+"""VISOR (Darkhalil et al., NeurIPS 2022): who holds what in EPIC-KITCHENS, as polygons.
+
+One JSON file for each video: sparse annotations by people (``P01_01.json``, polygons in 1920 x 1080 pixels) and dense
+ones interpolated between them (``P01_01_interpolations.json``, 854 x 480), both
+
+    {"video_annotations": [{"image": {"name", "video", ...}, "annotations": [{"id", "name", "class_id", "segments",
+    "in_contact_object", "on_which_hand", ...}]}]}
+
+VISOR took its images out of the videos anew, so its frame numbers are a few off EPIC's. ``frame_mapping.json`` gives
+EPIC's for the sparse ones, {video: {VISOR's image: EPIC's image}}; between two of them the difference stays.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.hands.model import Side
+from getagrip.io import json_stream
+from getagrip.io.files import plain, shown
+
+SPARSE_SIZE, DENSE_SIZE = (1920, 1080), (854, 480)
+"""Width and height of the images whose pixels the polygons are in."""
+HANDS: dict[int, Side] = {300: "left", 301: "right"}
+GLOVES: dict[int, Side] = {303: "left", 304: "right"}
+"""Classes of hands, and of gloves that are worn; one that is not has another class."""
+SIDES: dict[str, Side] = {"left hand": "left", "right hand": "right"}
+NOT_TOUCHING = ("hand-not-in-contact", "glove-not-in-contact")
+UNTOLD = ("none-of-the-above", "inconclusive", "None")
+"""Instead of the id of what a hand touches: nothing; something without a mask, or the annotators disagree."""
+MOST_POINTS = 100_000
+"""Of the polygons of one annotation."""
+LONGEST_NAME = 200
+MAPPING = "frame_mapping.json"
+
+
+@dataclass(frozen=True)
+class Annotation:
+    """One thing in an image."""
+
+    id: str
+    name: str
+    """In open words, as "olive oil bottle"."""
+    class_id: int | None
+    """EPIC-100's noun class, or VISOR's for hands and gloves."""
+    polygons: tuple[Float[ndarray, "P 2"], ...]
+    """Corners (x, y) in pixels of the frame's ``size``."""
+    hands: tuple[Side, ...]
+    """Which hands it is (or is worn on): one, both for a pair of gloves in one mask, or none for objects."""
+    touches: str | None
+    """Of hands: the id of what it touches, "" for nothing, None where that is not told."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The annotations of one image."""
+
+    number: int
+    """VISOR's own."""
+    dense: bool
+    """Interpolated, in 854 x 480 pixels."""
+    annotations: tuple[Annotation, ...]
+    ends: tuple[int, int] | None = None
+    """Of dense ones: the frames between which it was interpolated, VISOR's numbers."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the image whose pixels the polygons are in."""
+        return DENSE_SIZE if self.dense else SPARSE_SIZE
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """EPIC's frame numbers for VISOR's, of one video."""
+
+    epic: dict[int, int]
+    """Of sparse frames; empty where there is no mapping, and then the numbers are taken to be the same."""
+
+    def number(self, frame: Frame) -> int:
+        """EPIC's number of a frame: its own or, for a dense frame, moved as the nearer of its two ends is."""
+        known = [n for n in (frame.number, *(frame.ends or ())) if n in self.epic]
+        if not known:
+            return frame.number
+        near = min(known, key=lambda n: abs(n - frame.number))
+        return frame.number + self.epic[near] - near
+
+
+def find_mapping(folder: Path) -> Path | None:
+    """The ``frame_mapping.json`` in a folder or below, where there is one."""
+    return next(iter(sorted(folder.rglob(MAPPING))), None)
+
+
+def read_mapping(path: Path | None, video: str) -> Mapping:
+    """The frame numbers of a video; the same numbers without a file. Raises ``InputError``, also without the video."""
+    if path is None:
+        return Mapping({})
+    given = json_stream.member(path, video)
+    return Mapping({_number(path, video, a): _number(path, f"{video}.{plain(a)}", b) for a, b in given.items()})
+
+
+def find(folder: Path) -> dict[str, list[Path]]:
+    """VISOR's files by video: ``<video>.json`` and ``<video>_interpolations.json``, or a ``.zip`` of the latter,
+    anywhere below a folder. Raises ``InputError`` where there is none."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted(folder.rglob("P*")):
+        named = re.fullmatch(r"(P\d{2}_\d{2,3})(_interpolations)?(\.json|\.zip)", path.name)
+        if named is None or (named[3] == ".zip" and not named[2]):  # P01_01.zip: images
+            continue
+        if path.with_suffix(".json") not in found.get(named[1], ()):
+            found.setdefault(named[1], []).append(path)
+    if not found:
+        raise InputError(folder, "", "no <video>.json or <video>_interpolations.json in it", "VISOR's annotations")
+    return found
+
+
+def is_dense(path: Path) -> bool:
+    """Whether a file of VISOR's holds interpolated annotations."""
+    return path.stem.endswith("_interpolations")
+
+
+def read_frames(path: Path) -> Iterator[Frame]:
+    """The frames of one of VISOR's files, one at a time in memory. Raises ``InputError``."""
+    dense = is_dense(path)
+    for n, item in enumerate(json_stream.items(path, "video_annotations")):
+        key = f"video_annotations[{n}]"
+        image, annotations = item.get("image"), item.get("annotations")
+        if not isinstance(image, dict):
+            raise InputError(path, f"{key}.image", shown(image), "an object")
+        if not isinstance(annotations, list):
+            raise InputError(path, f"{key}.annotations", shown(annotations), "a list")
+        ends = [image.get(f"interpolation_{end}_frame") for end in ("start", "end")] if dense else [None]
+        yield Frame(
+            _number(path, f"{key}.image.name", image.get("name")),
+            dense,
+            tuple(_annotation(path, f"{key}.annotations[{k}]", a, dense) for k, a in enumerate(annotations)),
+            None if None in ends else (_number(path, f"{key}.image", ends[0]), _number(path, f"{key}.image", ends[1])),
+        )
+
+
+def _number(path: Path, key: str, name: Any) -> int:
+    """The number in the name of an image, as ``P01_01_frame_0000000140.jpg``."""
+    named = re.fullmatch(r"(?:[\w.-]*/)*(?:P\d{2}_\d{2,3}_)?frame_(\d{1,10})\.(?:jpg|png)", str(name))
+    if not isinstance(name, str) or named is None:
+        raise InputError(path, key, shown(name), "the name of an image, as P01_01_frame_0000000140.jpg")
+    return int(named[1])
+
+
+def _annotation(path: Path, key: str, given: Any, dense: bool) -> Annotation:
+    if not isinstance(given, dict):
+        raise InputError(path, key, shown(given), "an object")
+    name, class_id = given.get("name"), given.get("class_id")
+    if not isinstance(name, str) or not name.strip() or len(name) > LONGEST_NAME:
+        raise InputError(path, f"{key}.name", shown(name), "a name")
+    if not (class_id is None or type(class_id) is int):
+        raise InputError(path, f"{key}.class_id", shown(class_id), "a whole number")
+    hands = _hands(name, class_id, given.get("on_which_hand"))
+    return Annotation(
+        str(given.get("id", "")),
+        name.strip(),
+        class_id,
+        _polygons(path, f"{key}.segments", given.get("segments"), DENSE_SIZE if dense else SPARSE_SIZE),
+        hands,
+        _touched(given.get("in_contact_object")) if hands else None,
+    )
+
+
+def _hands(name: str, class_id: int | None, on: Any) -> tuple[Side, ...]:
+    """Which hands an annotation is, or is worn on."""
+    if class_id in HANDS:
+        return (HANDS[class_id],)
+    if name in SIDES:  # dense files may lack classes
+        return (SIDES[name],)
+    worn = on if isinstance(on, list) else [on]  # a side, a list of them, "inconclusive", or no such key
+    told = tuple(SIDES[side] for side in worn if isinstance(side, str) and side in SIDES)
+    return told or ((GLOVES[class_id],) if class_id in GLOVES else ())
+
+
+def _touched(given: Any) -> str | None:
+    if not isinstance(given, str) or given in UNTOLD:
+        return None
+    return "" if given in NOT_TOUCHING else given
+
+
+def _polygons(path: Path, key: str, given: Any, size: tuple[int, int]) -> tuple[Float[ndarray, "P 2"], ...]:
+    """Corners of polygons, those without a corner left out; they may leave the image by its own size."""
+    if not isinstance(given, list) or not all(isinstance(polygon, list) for polygon in given):
+        raise InputError(path, key, shown(given), "a list of polygons, [[[x, y], ...], ...]")
+    if sum(map(len, given)) > MOST_POINTS:
+        raise InputError(path, key, f"{sum(map(len, given))} corners", f"at most {MOST_POINTS}")
+    polygons = []
+    for k, polygon in enumerate(given):
+        if not polygon:
+            continue
+        try:
+            points = np.array(polygon)
+        except ValueError:  # corners of different lengths
+            points = np.array(None)
+        if points.dtype.kind not in "fi" or points.ndim != 2 or points.shape[1] != 2:
+            raise InputError(path, f"{key}[{k}]", shown(polygon), "corners [x, y]")
+        if not np.all((points >= -np.array(size)) & (points <= 2 * np.array(size))):  # false for infinite ones too
+            expected = f"corners in or about the {size[0]} x {size[1]} image"
+            raise InputError(path, f"{key}[{k}]", f"corners from {points.min():g} to {points.max():g}", expected)
+        polygons.append(points.astype(np.float32))
+    return tuple(polygons)
+
+
+def mask(annotations: Iterable[Annotation], given: tuple[int, int], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+    """The pixels of annotations whose polygons are in an image of ``given`` (width, height), in one of ``size``.
+
+    Drawn as VISOR's own code does: corners cut down to whole pixels, borders included, the polygons of one annotation
+    even-odd, and images of another size made by taking the nearest pixel.
+    """
+    import cv2
+
+    out = np.zeros(given[::-1], np.uint8)
+    for annotation in annotations:
+        if annotation.polygons:
+            cv2.fillPoly(out, [polygon.astype(np.int32) for polygon in annotation.polygons], 1)
+    if given != size:
+        out = np.asarray(cv2.resize(out, size, interpolation=cv2.INTER_NEAREST), np.uint8)
+    return out.astype(bool)

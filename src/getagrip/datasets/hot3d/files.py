@@ -1,0 +1,267 @@
+"""HOT3D's raw files as arrays: one ``Recording`` with every pose at the times of one camera.
+
+A recording is a folder ``P<person>_<id>``; its files may also be spread over several folders of that name below ROOT.
+Read are ``dynamic_objects.csv``, ``headset_trajectory.csv``, ``umetrack_hand_pose_trajectory.jsonl``,
+``umetrack_hand_user_profile.json``, and the calibration: ``online_calibration.jsonl`` (Aria) or ``camera_models.json``
+(Quest 3). Poses ``T_world_x`` are quaternions (w, x, y, z) and metres.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.geometry.fisheye import Fisheye624, Pinhole, pinhole
+from getagrip.hands import umetrack
+from getagrip.hands.model import PosedHand, Side
+from getagrip.io.files import LARGEST_JSON, read_bytes
+
+OBJECTS = ("dynamic_objects.csv", "dynamic_objects_v2.csv")
+SLACK = 5_000_000
+"""Largest difference between the times of a frame and of a pose that is taken for it [ns]; cameras and poses of one
+instant are stamped 0.1 ms apart, frames 33 ms."""
+LARGEST_TABLE = 128 * 2**20
+"""Limit in bytes of a file of poses; two minutes take some ten million."""
+MOST_FRAMES = 20_000
+"""Of a recording: five times as many as the longest has."""
+LARGEST_IMAGE = 8192
+"""Longest side of an image [px]."""
+SIDES: dict[str, Side] = {"0": "left", "1": "right"}
+ARIA_CAMERAS = {"camera-rgb": (1408, 1408), "camera-slam-left": (640, 480)}
+"""Cameras in the order of preference and the sizes of their images [px], which the calibration does not give."""
+
+
+@dataclass(frozen=True)
+class Hand:
+    """One hand over a recording."""
+
+    posed: PosedHand
+    """In every frame, in the hand frame."""
+    T_world_hand: Float[ndarray, "N 4 4"]
+    known: Bool[ndarray, "N"]
+    """Frames that have it."""
+
+
+@dataclass(frozen=True)
+class Poses:
+    """One object over a recording."""
+
+    T_world_obj: Float[ndarray, "N 4 4"]
+    known: Bool[ndarray, "N"]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """The camera of a recording, and the pinhole that takes its place."""
+
+    device: str
+    label: str
+    fisheye: Fisheye624
+    pinhole: Pinhole
+    T_world_cam: Float[ndarray, "N 4 4"]
+    """Pinhole camera to world."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    name: str
+    times: Int[ndarray, "N"]
+    """Times of the frames [ns]."""
+    camera: Camera
+    hands: dict[Side, Hand]
+    objects: dict[str, Poses]
+    """By HOT3D's object uid."""
+
+
+def find(root: Path) -> dict[str, dict[str, Path]]:
+    """The files of each recording below a folder, by their names. Raises ``InputError`` where there is no recording."""
+    if not root.is_dir():
+        raise InputError(root, "", "no such folder", "a folder with HOT3D recordings")
+    folders: dict[str, dict[str, Path]] = {}
+    for path in sorted(root.rglob("*")):
+        if path.is_file():
+            folders.setdefault(path.parent.name, {})[path.name] = path
+    found = {name: files for name, files in sorted(folders.items()) if any(objects in files for objects in OBJECTS)}
+    if not found:
+        raise InputError(root, "", f"no {OBJECTS[0]} below it", "HOT3D recordings")
+    return found
+
+
+def read_recording(name: str, files: dict[str, Path]) -> Recording:
+    """Read the files of one recording. Raises ``InputError`` where one is missing or malformed."""
+
+    def need(*alternatives: str) -> Path:
+        for alternative in alternatives:
+            if alternative in files:
+                return files[alternative]
+        folder = next(iter(files.values())).parent
+        raise InputError(folder, " or ".join(alternatives), "no such file", f"it among the files of recording {name}")
+
+    headset = next(iter(_poses_csv(need("headset_trajectory.csv")).values()))
+    stamps = np.array(sorted(headset))
+    # The cameras of one instant are stamped a little apart: their poses come in pairs, of which one is taken.
+    times = stamps[np.concatenate([[True], np.diff(stamps) > SLACK])]
+    if not 2 <= len(times) <= MOST_FRAMES:
+        raise InputError(need("headset_trajectory.csv"), "", f"{len(times)} frames", f"2 to {MOST_FRAMES}")
+    T_world_device, _ = _at(times, headset)
+    objects = {uid: Poses(*_at(times, poses)) for uid, poses in _poses_csv(need(*OBJECTS)).items()}
+    calibration = need("online_calibration.jsonl", "camera_models.json")
+    camera = (
+        _aria(calibration, times, T_world_device)
+        if calibration.suffix == ".jsonl"
+        else _quest(calibration, T_world_device)
+    )
+    model = umetrack.load(need("umetrack_hand_user_profile.json"))
+    hands = _hands(need("umetrack_hand_pose_trajectory.jsonl"), model, times)
+    return Recording(name, times, camera, hands, objects)
+
+
+def _hands(path: Path, model: umetrack.UmeTrackHand, times: Int[ndarray, "N"]) -> dict[Side, Hand]:
+    wrists: dict[Side, dict[int, Float[ndarray, "4 4"]]] = {"left": {}, "right": {}}
+    angles: dict[Side, dict[int, Float[ndarray, "22"]]] = {"left": {}, "right": {}}
+    for number, line in _json_lines(path):
+        with _named(path, f"line {number}", "a time and the poses of the hands"):
+            time = _whole(line["timestamp_ns"])
+            for key, pose in line["hand_poses"].items():
+                wrist = pose["wrist_xform"]
+                wrists[SIDES[key]][time] = _rigid([*wrist["q_wxyz"], *wrist["t_xyz"]])
+                angles[SIDES[key]][time] = _numbers(pose["joint_angles"], 22)
+    hands = {}
+    for side in SIDES.values():
+        if wrists[side]:
+            T_world_wrist, known = _at(times, wrists[side])
+            posed = model.with_pose(side, _at(times, angles[side])[0])
+            hands[side] = Hand(posed, umetrack.T_world_hand(side, T_world_wrist), known)
+    return hands
+
+
+def _aria(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "N 4 4"]) -> Camera:
+    """The RGB camera, or else the left SLAM camera, calibrated online.
+
+    The calibration is stamped by another clock than the poses. It drifts by little, so the clocks are set equal at the
+    first frame. Its lens is taken from the first frame, its place on the headset from every frame.
+    """
+    lenses: list[Fisheye624] = []
+    mounts: dict[int, Float[ndarray, "4 4"]] = {}
+    label = ""
+    for number, line in _json_lines(path):
+        with _named(path, f"line {number}", f"the calibration of one of {', '.join(ARIA_CAMERAS)}"):
+            cameras = {camera["Label"]: camera for camera in line["CameraCalibrations"] if camera["Calibrated"]}
+            label = label or next(name for name in ARIA_CAMERAS if name in cameras)
+            if label in cameras:
+                mount = cameras[label]["T_Device_Camera"]
+                w, xyz = mount["UnitQuaternion"]
+                mounts[1000 * _whole(line["tracking_timestamp_us"])] = _rigid([w, *xyz, *mount["Translation"]])
+                lenses.append(Fisheye624.from_parameters(cameras[label]["Projection"]["Params"], ARIA_CAMERAS[label]))
+    if not mounts:
+        raise InputError(path, "", "no line", "a calibration for every frame")
+    start = min(mounts)
+    T_device_fisheye, _ = _at(times - times[0] + start, mounts)
+    view = _upright(lenses[0])
+    return Camera("Aria", label, lenses[0], view, T_world_device @ T_device_fisheye @ view.T_fisheye_pinhole)
+
+
+def _quest(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> Camera:
+    """The first large camera of a Quest 3, which is stream 1201-1."""
+    try:
+        cameras = json.loads(read_bytes(path, LARGEST_JSON))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(path, "", f"an unreadable file ({error})", "a JSON list of cameras") from error
+    with _named(path, "cameras", "a list of Fisheye624 cameras"):
+        camera = next(camera for camera in cameras if camera["imageHeight"] >= 640)
+        size = _whole(camera["imageWidth"], LARGEST_IMAGE), _whole(camera["imageHeight"], LARGEST_IMAGE)
+        fisheye = Fisheye624.from_parameters(camera["projectionParams"], size)
+        mount = camera["T_Device_Camera"]
+        T_device_fisheye = _rigid([*mount["quaternion_wxyz"], *mount["translation_xyz"]])
+        view = _upright(fisheye)
+        label = str(camera["label"])
+    return Camera("Quest 3", label, fisheye, view, T_world_device @ T_device_fisheye @ view.T_fisheye_pinhole)
+
+
+def _upright(fisheye: Fisheye624) -> Pinhole:
+    """A pinhole of the lens's focal length and image size. Both headsets mount their cameras on the side."""
+    width, height = fisheye.size
+    return pinhole(fisheye, fisheye.f, (height, width), quarter_turns=1)
+
+
+def _at(times: Int[ndarray, "N"], values: dict[int, Any]) -> tuple[Any, Bool[ndarray, "N"]]:
+    """The values nearest to the times, and whether they are near enough (``SLACK``) to stand for them."""
+    stamps = np.array(sorted(values))
+    after = np.minimum(np.searchsorted(stamps, times), len(stamps) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(stamps[before] - times) <= np.abs(stamps[after] - times), before, after)
+    return np.stack([values[int(t)] for t in stamps[nearest]]), np.abs(stamps[nearest] - times) <= SLACK
+
+
+def _poses_csv(path: Path) -> dict[str, dict[int, Float[ndarray, "4 4"]]]:
+    """T_world_x by object and time [ns]."""
+    columns = ["t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]", "q_wo_w", "q_wo_x", "q_wo_y", "q_wo_z"]
+    poses: dict[str, dict[int, Float[ndarray, "4 4"]]] = {}
+    text = read_bytes(path, LARGEST_TABLE)
+    try:
+        with io.StringIO(text.decode("utf-8-sig"), newline="") as file:
+            for number, row in enumerate(csv.DictReader(file), start=2):
+                with _named(path, f"line {number}", f"columns object_uid, timestamp[ns], {', '.join(columns)}"):
+                    numbers = [float(row[c]) for c in columns]
+                    T = _rigid([*numbers[3:], *numbers[:3]])
+                    poses.setdefault(row["object_uid"], {})[_whole(row["timestamp[ns]"])] = T
+    except (OSError, ValueError, csv.Error) as error:
+        raise InputError(path, "", f"an unreadable file ({error})", "a table of poses") from error
+    if not poses:
+        raise InputError(path, "", "no row", "poses")
+    return poses
+
+
+def _json_lines(path: Path) -> Iterator[tuple[int, Any]]:
+    content = read_bytes(path, LARGEST_TABLE)
+    try:
+        for number, line in enumerate(io.BytesIO(content), start=1):
+            if line.strip():
+                yield number, json.loads(line)
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(path, "", f"an unreadable file ({error})", "one JSON object a line") from error
+
+
+def _rigid(numbers: Sequence[float]) -> Float[ndarray, "4 4"]:
+    """From a quaternion (w, x, y, z) and a translation."""
+    q_t = _numbers(numbers, 7)
+    if abs(np.linalg.norm(q_t[:4]) - 1.0) > 1e-2:
+        raise ValueError("a quaternion that is not of unit length")
+    return se3.rigid(se3.from_quaternion(q_t[:4]), q_t[4:])
+
+
+def _whole(value: Any, largest: int = 2**53) -> int:
+    number = int(value)
+    if not 0 < number <= largest:
+        raise ValueError(f"{number}, which is not between 1 and {largest}")
+    return number
+
+
+def _numbers(values: Sequence[float], count: int) -> Float[ndarray, "count"]:
+    array = np.asarray(values, dtype=float)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise ValueError(f"not {count} finite numbers")
+    return array
+
+
+@contextmanager
+def _named(path: Path, key: str, expected: str) -> Iterator[None]:
+    """Turns what goes wrong in reading untyped data into an ``InputError`` that names the place."""
+    try:
+        yield
+    except KeyError as error:
+        raise InputError(path, key, f"no {error}", expected) from error
+    except (TypeError, ValueError, OverflowError, AttributeError, StopIteration) as error:
+        raise InputError(path, key, str(error) or "something else", expected) from error

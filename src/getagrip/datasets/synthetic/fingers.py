@@ -1,0 +1,86 @@
+"""Bending the fingers of any hand mesh whose 21 joints are known, skinned here or not.
+
+Each vertex goes with the nearest bone; over the mesh's edges the membership is smoothed, so that fingers that touch one
+another stay apart. A bend turns what lies beyond a joint about the line through it.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip import HandTrack
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import edge_table
+
+_WRIST, _INDEX, _PINKY = 0, 5, 17
+_CHAINS = np.arange(1, 21).reshape(5, 4)
+"""Joints of each finger, from the palm to the tip."""
+_SMOOTHINGS = 4
+
+
+def finger_weights(hand: HandTrack) -> Float[ndarray, "V 5 3"]:
+    """How far each vertex goes with each finger's three bones, from the palm to the tip; the rest is the palm's.
+
+    The hand must have joints.
+    """
+    assert hand.joints is not None
+    ends = [(a, b) for chain in _CHAINS for a, b in pairwise(chain)]
+    ends += [(_WRIST, knuckle) for knuckle in _CHAINS[:, 0]]
+    some = np.unique(np.linspace(0, len(hand.vertices) - 1, 5).astype(int))
+    a, b = (hand.joints[some][:, [pair[k] for pair in ends]] for k in (0, 1))
+    nearest = np.argmin(_to_segments(hand.vertices[some], a, b).sum(axis=0), axis=1)
+    weights = np.eye(len(ends))[nearest]
+    first, second = edge_table(hand.faces)[:, :2].T
+    count = np.bincount(np.concatenate([first, second]), minlength=len(weights)).astype(float)
+    for _ in range(_SMOOTHINGS):
+        around = np.zeros_like(weights)
+        np.add.at(around, first, weights[second])
+        np.add.at(around, second, weights[first])
+        weights = 0.5 * weights + 0.5 * around / np.maximum(count, 1.0)[:, None]
+    return weights[:, :15].reshape(-1, 5, 3)
+
+
+def bent(
+    vertices: Float[ndarray, "T V 3"],
+    joints: Float[ndarray, "T 21 3"],
+    weights: Float[ndarray, "V 5 3"],
+    angles: Float[ndarray, "T 5 3"],
+) -> tuple[Float[ndarray, "T V 3"], Float[ndarray, "T 21 3"]]:
+    """Vertices and joints with each finger's joints bent further by ``angles`` [rad], thumb first.
+
+    Fingers bend about an axis across the palm, the thumb towards the knuckle of the index finger or away from it.
+    """
+    axes = _hinges(joints)
+    moved, skeleton = vertices.copy(), joints.copy()
+    for f, chain in enumerate(_CHAINS):
+        T = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
+        for k in range(3):
+            T = T @ se3.rotation_about_line(joints[:, chain[k]], axes[:, f], angles[:, f, k])
+            moved += weights[:, f, k, None] * (se3.transform(T, vertices) - vertices)
+            skeleton[:, chain[k + 1]] = se3.transform(T, joints[:, chain[k + 1], None])[:, 0]
+    return moved, skeleton
+
+
+def _hinges(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
+    """Unit axes about which fingers bend: across the palm; of the thumb, across its plane with the index knuckle."""
+    index, pinky = (joints[:, k] - joints[:, _WRIST] for k in (_INDEX, _PINKY))
+    palm = np.cross(index, pinky)
+    thumb, ahead = joints[:, _CHAINS[0, 3]] - joints[:, _CHAINS[0, 0]], joints[:, _INDEX] - joints[:, _CHAINS[0, 0]]
+    along = joints[:, _CHAINS[1:, 1]] - joints[:, _CHAINS[1:, 0]]
+    fingers = np.cross(along, palm[:, None])
+    axes = np.concatenate([np.cross(thumb, ahead)[:, None], fingers], axis=1)
+    return np.asarray(axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-12))
+
+
+def _to_segments(
+    X: Float[ndarray, "T V 3"], a: Float[ndarray, "T B 3"], b: Float[ndarray, "T B 3"]
+) -> Float[ndarray, "T V B"]:
+    """Distances of points to segments [m]."""
+    d = b - a
+    x = X[:, :, None] - a[:, None]
+    t = np.clip(np.sum(x * d[:, None], axis=-1) / np.maximum(np.sum(d * d, axis=-1), 1e-12)[:, None], 0.0, 1.0)
+    return np.asarray(np.linalg.norm(x - t[..., None] * d[:, None], axis=-1))

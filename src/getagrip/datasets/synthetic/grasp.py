@@ -1,0 +1,288 @@
+"""Grasps by contact: an object is brought to an open hand, then each finger closes joint by joint until it touches.
+
+The object comes to one of two places of the hand: the ``palm`` (power grasp) or the ``pinch`` between the pads of thumb
+and fingers (precision grasp). A finger bends all its joints together until one of its segments touches; the joints up
+to that segment stop, the others go on (the automatic grasp of Miller and Allen, "GraspIt!", 2004). The thumb comes
+last and stops at the fingers as well; where it would miss the object, or stand in it, it is steered aside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip.clip import FINGERS
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.hands.generic_skeleton import rest_fingers
+from getagrip.hands.model import KNUCKLES, PosedHand, ShapedHand
+
+TOUCH = 0.0005
+"""A segment touches when it is this deep in the object [m]: soft flesh."""
+NEAR = 0.002
+"""A finger no farther than this holds on to the object [m]."""
+SOFT = 0.0015
+"""How deep flesh gives way [m]."""
+ASIDE = (-10.0, 10.0, -20.0, 20.0, -30.0, 30.0)
+"""How far the thumb's metacarpal may turn aside [deg]."""
+
+
+@dataclass(frozen=True)
+class Grip:
+    """Where and how an object is taken, in its own frame; directions need not be of unit length."""
+
+    hold: Literal["palm", "pinch"]
+    at: tuple[float, float, float]
+    """The point that comes to the palm, or between the pads [m]."""
+    into: tuple[float, float, float]
+    """The direction away from the hand."""
+    aside: tuple[float, float, float]
+    """Palm: the direction that comes to lie on the thumb's side. Pinch: from the thumb to the fingers."""
+
+
+def varied(grip: Grip, turn_deg: float, shift_mm: float, rng: np.random.Generator) -> Grip:
+    """The grip, turned about a random axis and shifted, by these root mean squares."""
+    R = se3.exp_so3(np.radians(turn_deg) / np.sqrt(3.0) * rng.normal(size=3))
+    at = np.array(grip.at) + 1e-3 * shift_mm / np.sqrt(3.0) * rng.normal(size=3)
+    return Grip(grip.hold, _triple(at), _triple(R @ grip.into), _triple(R @ grip.aside))
+
+
+def _triple(v: Float[ndarray, 3]) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])
+
+
+@dataclass(frozen=True)
+class _Hold:
+    """A place of the right hand that objects come to, and how its fingers move there; angles in degrees."""
+
+    at: tuple[float, float, float]
+    into: tuple[float, float, float]
+    aside: tuple[float, float, float]
+    opened: tuple[tuple[float, float, float], ...]
+    closed: tuple[tuple[float, float, float], ...]
+    thumb_aim: tuple[float, float, float] | None
+    """Direction of the opposed thumb's metacarpal; nothing: as at rest."""
+    thumb_pad: tuple[float, float, float]
+    """Where the opposed thumb's pad looks."""
+
+
+_FIST = ((80.0, 95.0, 60.0),) * 4
+_HOLDS = {
+    "palm": _Hold(
+        at=(0.018, -0.02, 0.0),
+        into=(0.0, -1.0, 0.0),
+        aside=(-0.2, 0.0, 0.98),
+        opened=((-35.0, -10.0, 0.0), *((-12.0, 4.0, 2.0),) * 4),
+        closed=((50.0, 55.0, 65.0), *_FIST),
+        thumb_aim=(-0.38, -0.80, 0.46),
+        thumb_pad=(-0.85, 0.35, -0.1),
+    ),
+    "pinch": _Hold(
+        at=(0.004, -0.058, 0.022),
+        into=(-0.10, -1.0, 0.0),
+        aside=(-1.0, 0.10, -0.15),
+        opened=((-10.0, -8.0, -5.0), *((32.0, 22.0, 8.0),) * 4),
+        closed=((50.0, 25.0, 30.0), *((70.0, 75.0, 40.0),) * 4),
+        thumb_aim=(-0.50, -0.72, 0.45),
+        thumb_pad=(-0.85, 0.35, -0.25),
+    ),
+}
+
+
+def _frame(into: Float[ndarray, 3], aside: Float[ndarray, 3], at: Float[ndarray, 3]) -> Float[ndarray, "4 4"]:
+    """Frame with x along ``into`` and y as near to ``aside`` as can be."""
+    x = np.asarray(into, dtype=float) / np.linalg.norm(into)
+    z = np.cross(x, aside)
+    z /= np.linalg.norm(z)
+    return se3.rigid(np.stack([x, np.cross(z, x), z], axis=-1), np.asarray(at, dtype=float))
+
+
+class SignedDistance:
+    """Signed distance to a mesh of closed parts, negative inside [m]."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._mesh = mesh
+
+    def __call__(self, X: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch"]:
+        """Distances at points in the mesh's frame."""
+        import igl
+
+        kind = igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER  # right for overlapping parts as well
+        flat = np.ascontiguousarray(X.reshape(-1, 3))
+        distance = igl.signed_distance(flat, self._mesh.vertices, self._mesh.faces, kind)[0]
+        return np.asarray(distance, dtype=float).reshape(X.shape[:-1])
+
+
+@dataclass(frozen=True)
+class Grasper:
+    """A right generic hand and an object; poses are of the object in the hand."""
+
+    hand: ShapedHand
+    distance: SignedDistance
+    hold: Literal["palm", "pinch"]
+    steer: tuple[float, float] = (0.0, 0.0)
+    """Turns of the opposed thumb's metacarpal: aside, and about itself [deg]."""
+
+    def posed(self, angles: Float[ndarray, "*batch 5 3"]) -> PosedHand:
+        """The hand with its joints bent by ``angles`` [rad], thumb first, each finger from the palm to the tip."""
+        hold = _HOLDS[self.hold]
+        rest = rest_fingers()
+        pose = np.zeros((*angles.shape[:-2], 15, 3))
+        for f, name in enumerate(FINGERS):
+            hinges = rest[name].axes[:, 1]
+            pose[..., KNUCKLES[f] - 1 : KNUCKLES[f] + 2, :] = angles[..., f, :, None] * hinges
+        if hold.thumb_aim is not None:
+            along, _, back = rest["thumb"].axes[0]
+            opposed = _frame(np.array(hold.thumb_aim), np.array(hold.thumb_pad), np.zeros(3))[:3, :3]
+            aside, roll = np.radians(self.steer)
+            opposed = opposed @ se3.exp_so3(np.array([0.0, aside, 0.0])) @ se3.exp_so3(np.array([roll, 0.0, 0.0]))
+            R = opposed @ np.stack([along, -back, np.cross(along, -back)])
+            first = KNUCKLES[0] - 1
+            pose[..., first, :] = se3.log_so3(R @ se3.exp_so3(pose[..., first, :]))
+        return self.hand.with_pose(pose.reshape(*angles.shape[:-2], 45))
+
+    def opened(self) -> PosedHand:
+        """The hand before it closes."""
+        return self.posed(np.radians(_HOLDS[self.hold].opened))
+
+    def approach(self, grip: Grip) -> Float[ndarray, "4 4"]:
+        """``T_hand_obj`` of the object at the open hand; in the palm it touches, in the pinch nothing need touch."""
+        hold = _HOLDS[self.hold]
+        T_hand_grip = _frame(np.array(hold.into), np.array(hold.aside), np.array(hold.at))
+        T_hand_obj = T_hand_grip @ se3.inverse(_frame(np.array(grip.into), np.array(grip.aside), np.array(grip.at)))
+        if self.hold == "pinch":
+            return T_hand_obj
+        away = np.arange(0.12, -0.04, -0.002)
+        offset = away[:, None] * np.array(hold.into) / np.linalg.norm(hold.into)
+        palm = self.opened().vertices[self._members(0, wrist=True)]
+        X = se3.transform(se3.inverse(T_hand_obj), palm - offset[:, None])
+        k = 0
+        while k < len(away) - 1 and (gap := float(self.distance(X[k]).min())) >= -TOUCH:
+            k = min(k + max(int(0.9 * (gap + TOUCH) / (away[0] - away[1])), 1), len(away) - 1)
+        return se3.rigid(None, offset[k]) @ T_hand_obj
+
+    def close(self, T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 5 3"]:
+        """Joint angles [rad] of the hand closed on the object at each of its poses."""
+        angles = np.broadcast_to(np.radians(_HOLDS[self.hold].opened), (len(T_hand_obj), 5, 3))
+        return self._close_thumb(self._sweep(angles, T_hand_obj, range(1, 5)), T_hand_obj)
+
+    def _close_thumb(
+        self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]
+    ) -> Float[ndarray, "A 5 3"]:
+        """The thumb closed, from where it is open, on the object and the other fingers."""
+        angles = angles.copy()
+        angles[:, 0] = np.radians(_HOLDS[self.hold].opened[0])
+        return self._sweep(angles, T_hand_obj, range(1), self.posed(angles))
+
+    def _sweep(
+        self,
+        angles: Float[ndarray, "A 5 3"],
+        T_hand_obj: Float[ndarray, "A 4 4"],
+        fingers: range,
+        obstacles: PosedHand | None = None,
+        steps: int = 14,
+    ) -> Float[ndarray, "A 5 3"]:
+        """Bend fingers, joint by joint, until they touch the object or, given other fingers as obstacles, those."""
+        angles, closed = angles.copy(), np.radians(_HOLDS[self.hold].closed)
+        t = np.linspace(0.0, 1.0, steps)[:, None, None, None]
+        T_obj_hand = se3.inverse(T_hand_obj)
+        for stage in range(3):
+            goal = angles.copy()
+            goal[:, list(fingers), stage:] = closed[list(fingers), stage:]
+            sweep = self.posed(angles + t * (goal - angles)).vertices
+            for f in fingers:
+                reach = self._reach(sweep[:, :, self._members(f, stage)], T_obj_hand, obstacles)[:, None]
+                angles[:, f] += reach * (goal[:, f] - angles[:, f])
+        return angles
+
+    def _reach(
+        self, X: Float[ndarray, "S A n 3"], T_obj_hand: Float[ndarray, "A 4 4"], obstacles: PosedHand | None
+    ) -> Float[ndarray, "A"]:
+        """Where, in [0, 1] along the sweep, its points first touch; steps at which they cannot yet are passed over."""
+        Y = se3.transform(T_obj_hand, X)
+        stride = np.linalg.norm(np.diff(Y, axis=0), axis=-1).max(axis=(0, 2)) + 1e-9
+        gap = np.full(X.shape[:2], np.inf)
+        step, left = np.zeros(X.shape[1], dtype=int), np.arange(X.shape[1])
+        while left.size:
+            at = step[left]
+            now = self.distance(Y[at, left]).min(axis=-1)
+            ahead = np.maximum(np.floor(0.9 * (now + TOUCH) / stride[left]).astype(int), 1)
+            if obstacles is not None:  # their distance is a rough one: look at every step
+                now, ahead = np.minimum(now, self._gap_to_fingers(X[at, left], obstacles, left)), np.ones_like(ahead)
+            gap[at, left] = now
+            step[left] += ahead
+            left = left[(now >= -TOUCH) & (step[left] < len(X))]
+        return _first_below(gap, -TOUCH)
+
+    def gaps(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 6"]:
+        """Smallest signed distance of each finger, thumb first, and of the palm to the object [m]."""
+        gap = self.distance(se3.transform(se3.inverse(T_hand_obj), self.posed(angles).vertices))
+        parts = [self._members(f) for f in range(5)] + [self._members(0, wrist=True)]
+        return np.stack([gap[:, part].min(axis=1) for part in parts], axis=-1)
+
+    def steered(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Grasper:
+        """The same with the thumb turned as little as lets it touch the object at its first, middle and last pose.
+
+        ``angles`` are those of the closed hand.
+        """
+        some = [0, len(angles) // 2, -1]
+
+        def miss(grasper: Grasper) -> float:
+            closed = grasper._close_thumb(angles[some], T_hand_obj[some])
+            return thumb_miss(grasper.gaps(closed, T_hand_obj[some]))
+
+        best, least = self, miss(self)
+        for rolls in ((0.0,), (-20.0, 20.0)):
+            for steer in [(aside, roll) for aside in ASIDE for roll in rolls]:
+                if least > NEAR and (off := miss(replace(self, steer=steer))) < least - NEAR / 2.0:
+                    best, least = replace(self, steer=steer), off
+        return best
+
+    def _members(self, finger: int, stage: int = 0, wrist: bool = False) -> Bool[ndarray, "V"]:
+        """Vertices that move with a finger's joints from ``stage`` on; or with no joint (the palm)."""
+        weights = self.hand.model.weights
+        if wrist:
+            return np.asarray(weights[:, 0] > 0.5)
+        first = KNUCKLES[finger]
+        return np.asarray(weights[:, first + stage : first + 3].sum(axis=1) > 0.5)
+
+    def _gap_to_fingers(
+        self, X: Float[ndarray, "B n 3"], posed: PosedHand, which: Int[ndarray, "B"]
+    ) -> Float[ndarray, "B"]:
+        """Smallest signed distance from points of the thumb to the other fingers of some of the posed hands."""
+        from scipy.spatial import cKDTree
+
+        others = np.any([self._members(f) for f in range(1, 5)], axis=0)
+        gap = np.empty(len(X))
+        for b, hand in enumerate(which):
+            points, normals = posed.vertices[hand, others], posed.normals[hand, others]
+            distance, nearest = cKDTree(points).query(X[b])
+            side = np.sum((X[b] - points[nearest]) * normals[nearest], axis=-1)
+            gap[b] = (np.where(side < 0.0, -1.0, 1.0) * distance).min()
+        return gap
+
+
+def looseness(gaps: Float[ndarray, "6"], hold: Literal["palm", "pinch"]) -> float:
+    """How badly a closed hand holds: the gaps of the parts that ought to touch, and tenfold their excess depth [m]."""
+    parts = gaps if hold == "palm" else gaps[:3]
+    return float(np.clip(parts, 0.0, 0.02).sum() + 10.0 * np.maximum(-gaps - SOFT, 0.0).sum())
+
+
+def thumb_miss(gaps: Float[ndarray, "A 6"]) -> float:
+    """How far the thumb stays from the object, or stands in it beyond what flesh gives way [m]."""
+    return float(np.maximum(gaps[:, 0], -gaps[:, 0] - SOFT).max())
+
+
+def _first_below(gap: Float[ndarray, "S A"], level: float) -> Float[ndarray, "A"]:
+    """Where, in [0, 1] along the first axis, the gap first falls below a level (linear between samples); 1 if never."""
+    below = gap < level
+    k = np.argmax(below, axis=0)
+    column = np.arange(gap.shape[1])
+    before, after = gap[np.maximum(k - 1, 0), column], gap[k, column]
+    part = np.where(k > 0, (before - level) / np.maximum(before - after, 1e-12), 0.0)
+    t = (k - 1 + part) / (len(gap) - 1)
+    return np.where(below.any(axis=0), np.maximum(t, 0.0), 1.0)

@@ -1,0 +1,170 @@
+"""Errors of hand trackers and of masks, put on clips whose truth is known.
+
+A tracker's hand in frame n is the true one, displaced:
+
+    T_cam_hand' = shift(d_n r) . T_cam_hand . turn_and_shift(w_n, s_n)
+
+w_n turns the hand about its middle, s_n shifts it in any direction, and d_n shifts it along the camera's ray r through
+its middle: what a single picture tells least. The fingers' joints are bent besides. Every error has a **bias**, the
+same in all frames, and **jitter**, an autoregressive process: e_n = a e_(n-1) + sqrt(1 - a^2) white noise, with
+a = exp(-1 / (fps memory)), so that a tracker that errs in one frame errs alike in the next.
+
+The levels are named after the trackers that they imitate. They are assumptions, not measurements: see docs/datasets.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from getagrip.clip import Clip, HandTrack, Masks
+from getagrip.datasets.synthetic.fingers import bent, finger_weights
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.geometry.camera import bounding_boxes
+
+
+@dataclass(frozen=True)
+class Noise:
+    """How far a clip's hands and masks are off."""
+
+    hand_bias_deg: float = 0.0
+    """Turn of the hand, the same in all frames, about a random axis."""
+    hand_bias_mm: float = 0.0
+    """Shift of the hand, the same in all frames, in a random direction of the hand's frame."""
+    hand_bias_depth_mm: float = 0.0
+    """Shift of the hand along the camera's ray, the same in all frames, towards the camera or away."""
+    finger_bias_deg: float = 0.0
+    """Root mean square bend of each finger joint, the same in all frames."""
+    hand_jitter_deg: float = 0.0
+    """Root mean square turn of the hand that changes from frame to frame."""
+    hand_jitter_mm: float = 0.0
+    """Root mean square shift that changes from frame to frame."""
+    hand_jitter_depth_mm: float = 0.0
+    """Root mean square shift along the camera's ray that changes from frame to frame."""
+    finger_jitter_deg: float = 0.0
+    """Root mean square bend of each finger joint that changes from frame to frame."""
+    jitter_memory_s: float = 0.0
+    """Time after which the correlation of the jitter has fallen to 1/e [s]; zero: new in every frame."""
+    mask_ragged_px: float = 0.0
+    """Root mean square distance of the masks' boundaries from the true ones [px]."""
+
+
+NOISE: dict[str, Noise] = {
+    "none": Noise(),
+    "hamer": Noise(
+        hand_bias_deg=3.0,
+        hand_bias_mm=3.0,
+        hand_bias_depth_mm=8.0,
+        finger_bias_deg=8.0,
+        hand_jitter_deg=1.5,
+        hand_jitter_mm=1.5,
+        hand_jitter_depth_mm=4.0,
+        finger_jitter_deg=4.0,
+        jitter_memory_s=0.1,
+        mask_ragged_px=1.0,
+    ),
+    "frankmocap": Noise(
+        hand_bias_deg=7.5,
+        hand_bias_mm=7.5,
+        hand_bias_depth_mm=20.0,
+        finger_bias_deg=16.0,
+        hand_jitter_deg=3.75,
+        hand_jitter_mm=3.75,
+        hand_jitter_depth_mm=10.0,
+        finger_jitter_deg=8.0,
+        jitter_memory_s=0.1,
+        mask_ragged_px=1.0,
+    ),
+}
+"""FrankMocap's hands are 2.5 times as far off as HaMeR's (fingers: twice), the masks alike in both."""
+
+
+def perturbed(clip: Clip, masks: Masks, noise: Noise, seed: int | Sequence[int]) -> tuple[Clip, Masks]:
+    """The clip with its given hand displaced, and its masks with their boundaries moved.
+
+    The truth, where the clip has one, keeps the true hand. The same seed draws the same errors, larger or smaller, for
+    every noise. Raises ``InputError`` where fingers are to be bent and the clip has no joints.
+    """
+    rng = np.random.default_rng(seed)
+    hand = noisy_hand(clip, noise, rng)
+    provenance = clip.provenance | {"noise": {"seed": seed} | {f.name: getattr(noise, f.name) for f in fields(Noise)}}
+    return replace(clip, hand=hand, provenance=provenance), noisy_masks(masks, noise, rng)
+
+
+def noisy_hand(clip: Clip, noise: Noise, rng: np.random.Generator) -> HandTrack:
+    """The clip's hands, displaced; see ``perturbed``."""
+    frames, a = len(clip), _memory(noise, clip.fps)
+    depth, fingers = rng.spawn(2)  # generators of their own: hands err alike whatever their depth and fingers do
+    turn = _of_length(rng.normal(size=3), np.radians(noise.hand_bias_deg))
+    shift = _of_length(rng.normal(size=3), 1e-3 * noise.hand_bias_mm)
+    turns = turn + np.radians(noise.hand_jitter_deg) / np.sqrt(3.0) * _lasting(rng.normal(size=(frames, 3)), a)
+    shifts = shift + 1e-3 * noise.hand_jitter_mm / np.sqrt(3.0) * _lasting(rng.normal(size=(frames, 3)), a)
+    middle = clip.hand.vertices.mean(axis=(0, 1))
+    R = se3.exp_so3(turns)
+    displaced = clip.hand.T_cam_hand @ se3.rigid(R, middle + shifts - R @ middle)
+
+    ray = se3.transform(clip.hand.T_cam_hand, middle[None])[:, 0]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    deeper = 1e-3 * noise.hand_bias_depth_mm * depth.choice([-1.0, 1.0])
+    deeper = deeper + 1e-3 * noise.hand_jitter_depth_mm * _lasting(depth.normal(size=(frames, 1)), a)
+    hand = replace(clip.hand, T_cam_hand=se3.rigid(None, deeper * ray) @ displaced)
+    if noise.finger_bias_deg == 0.0 and noise.finger_jitter_deg == 0.0:
+        return hand
+    if hand.joints is None:
+        raise InputError(clip.folder / "hand.npz", "joints", "none", "joints (T, 21, 3), to bend the fingers about")
+    angles = np.radians(noise.finger_bias_deg) * fingers.normal(size=(5, 3))
+    angles = angles + np.radians(noise.finger_jitter_deg) * _lasting(fingers.normal(size=(frames, 5, 3)), a)
+    vertices, joints = bent(hand.vertices, hand.joints, finger_weights(hand), angles)
+    return replace(hand, vertices=vertices, joints=joints)
+
+
+def noisy_masks(masks: Masks, noise: Noise, rng: np.random.Generator) -> Masks:
+    """Masks whose boundaries are off; what is ignored stays ignored rather than the object's."""
+    if noise.mask_ragged_px == 0.0:
+        return masks
+    pairs = []
+    for seen, ignore in zip(masks.object, masks.ignore, strict=True):
+        hidden = ragged(ignore, noise.mask_ragged_px, rng)
+        pairs.append((ragged(seen, noise.mask_ragged_px, rng) & ~hidden, hidden))
+    objects, ignored = zip(*pairs, strict=True)
+    return Masks(np.stack(objects), np.stack(ignored))
+
+
+def ragged(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> Bool[ndarray, "H W"]:
+    """The mask with its boundary moved by a random field of ``px`` root mean square, smooth over about 5 px."""
+    import cv2
+
+    if not mask.any():
+        return mask
+    margin = int(np.ceil(4.0 * px)) + 2
+    left, top, right, bottom = bounding_boxes(mask[None])[0] + [-margin, -margin, margin, margin]
+    window = slice(max(top, 0), bottom), slice(max(left, 0), right)
+    part = mask[window]
+    inside = cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 3)
+    outside = cv2.distanceTransform((~part).astype(np.uint8), cv2.DIST_L2, 3)
+    field = cv2.GaussianBlur(rng.normal(size=part.shape).astype(np.float32), (0, 0), 5.0)
+    moved = mask.copy()
+    moved[window] = inside - outside > field * (px / field.std())
+    return moved
+
+
+def _memory(noise: Noise, fps: float) -> float:
+    """Correlation of the jitter of two frames in succession."""
+    return float(np.exp(-1.0 / (fps * noise.jitter_memory_s))) if noise.jitter_memory_s > 0.0 else 0.0
+
+
+def _lasting(white: Float[ndarray, "T *rest"], a: float) -> Float[ndarray, "T *rest"]:
+    """White noise of unit variance made into a first-order autoregressive process of unit variance."""
+    out = white.copy()
+    for n in range(1, len(out)):
+        out[n] = a * out[n - 1] + np.sqrt(1.0 - a * a) * white[n]
+    return out
+
+
+def _of_length(v: Float[ndarray, 3], length: float) -> Float[ndarray, 3]:
+    return np.asarray(v / np.linalg.norm(v) * length)

@@ -1,0 +1,60 @@
+"""The clips of the ``synthetic`` benchmark: which categories, seeds and options its splits hold.
+
+Each preset has the same motions and grasps (``wild`` has other shapes), seen through other hands and masks. The seeds
+of train and test differ, and with them all that is drawn: a clip's random stream comes from its category and seed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.datasets.synthetic.noise import NOISE
+from getagrip.datasets.synthetic.scene import Options
+from getagrip.errors import UsageError
+
+Split = Literal["train", "test"]
+Preset = Literal["clean", "hamer", "frankmocap", "wild"]
+
+PRESETS: dict[Preset, Options] = {
+    "clean": Options(),
+    "hamer": Options(**asdict(NOISE["hamer"])),
+    "frankmocap": Options(**asdict(NOISE["frankmocap"])),
+    "wild": Options(**asdict(NOISE["hamer"]), cad="mean", vary=0.15, scale="free"),
+}
+"""What is known: everything; hands and masks with noise; and in the wild no more than the mean shape, without its size.
+"""
+SEEDS: dict[Split, range] = {"train": range(100_000, 100_005), "test": range(200_000, 200_009)}
+"""Seeds of each category's clips."""
+BOTH_HANDS = 0.3
+"""Share of clips in which the other hand comes in front."""
+
+
+def split(name: Split, preset: Preset = "clean") -> list[tuple[str, int, Options]]:
+    """Category, seed and options of every clip of a split, as ``synthesise`` takes them.
+
+    Left and right hands alternate. Grips vary, and the object departs from its axis by up to 4 degrees and 2 mm.
+    Raises ``UsageError`` for an unknown split or preset.
+    """
+    if name not in SEEDS:
+        raise UsageError(f"split: got {name!r}, expected one of {', '.join(get_args(Split))}")
+    if preset not in PRESETS:
+        raise UsageError(f"preset: got {preset!r}, expected one of {', '.join(get_args(Preset))}")
+    rng = np.random.default_rng(list(f"synthetic {name}".encode()))
+    clips = []
+    for c, category in enumerate(CATEGORIES):
+        for seed in SEEDS[name]:
+            options = replace(
+                PRESETS[preset],
+                side="left" if (c + seed) % 2 else "right",
+                other_hand=bool(rng.random() < BOTH_HANDS),
+                grip_deg=12.0,
+                turn_deg=(5.0, 60.0),
+                residual_deg=float(rng.uniform(0.5, 4.0)),
+                residual_mm=float(rng.uniform(0.5, 2.0)),
+            )
+            clips.append((category, seed, options))
+    return clips

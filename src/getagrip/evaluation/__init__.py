@@ -1,0 +1,12 @@
+"""Reconstructions against their clips: all of docs/metrics.md.
+
+- ``results``: a result folder of ours;
+- ``meshes``: a mesh for each frame, as systems give them that know no CAD;
+- ``tables``: means over clips, and what is printed.
+"""
+
+from getagrip.evaluation.meshes import evaluate_meshes
+from getagrip.evaluation.results import clip_of, evaluate, evaluate_result, read_evaluated
+from getagrip.evaluation.tables import summary, tables
+
+__all__ = ["clip_of", "evaluate", "evaluate_meshes", "evaluate_result", "read_evaluated", "summary", "tables"]

@@ -1,0 +1,67 @@
+"""An ablation as a picture: a few metrics over its settings, a line for each method, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.experiments.comparison import Row, Table
+from getagrip.experiments.statistics import LEVEL
+
+SHOWN = ("IOU", "ADD sym.", "SCA", "SCA-ADD sym.", "SCA-IOU 0.8")
+TRUTH = "truth's SCA"
+ACROSS = 3
+"""Panels side by side."""
+
+
+def plot(table: Table, title: str, path: Path) -> None:
+    """Draw a table's rows into a PNG."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    columns = [column for column in table.columns if column.heading in SHOWN]
+    methods = list(dict.fromkeys(row.arm.group for row in table.rows))
+    steps = list(dict.fromkeys(row.arm.step for row in table.rows))
+    down = -(-(len(columns) + 1) // ACROSS)  # one panel is the legend's
+    width = max(3.0, 0.35 * len(steps) + 1.2)
+    figure, grid = plt.subplots(down, ACROSS, figsize=(width * ACROSS, 2.9 * down), layout="constrained")
+    panels = grid.ravel()
+    slanted = max(map(len, steps)) * len(steps) > 25
+    turn = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if slanted else {}
+    for panel, column in zip(panels, columns, strict=False):
+        for n, method in enumerate(methods):
+            rows = [row for row in table.rows if row.arm.group == method]
+            mean, low, high = _percent(rows, column.heading)
+            x = np.array([steps.index(row.arm.step) for row in rows]) + 0.12 * (n - (len(methods) - 1) / 2)
+            bars = np.nan_to_num([mean - low, high - mean])  # no interval, no bar
+            dots = panel.errorbar(x, mean, bars, fmt="o", markersize=4, elinewidth=1.2, capsize=2, label=method)
+            panel.plot(x, mean, linewidth=1, alpha=0.5, color=dots[0].get_color())
+        if column.heading == "SCA" and any(c.heading == TRUTH for c in table.columns):
+            rows = [row for row in table.rows if row.arm.group == methods[0]]
+            panel.plot(range(len(rows)), _percent(rows, TRUTH)[0], "k:", linewidth=1, label="the truth's SCA")
+            panel.legend(handles=panel.lines[-1:], fontsize=8, frameon=False)
+        bottom, top = panel.get_ylim()
+        panel.set_ylim(max(bottom, -2.0), min(top, 102.0))
+        panel.set_title(f"{column.heading}, %", fontsize=10)
+        panel.set_xticks(range(len(steps)), steps, fontsize=8, **turn)
+        panel.tick_params(axis="y", labelsize=8)
+        panel.grid(axis="y", alpha=0.3)
+        panel.spines[["top", "right"]].set_visible(False)
+    for panel in panels[len(columns) :]:
+        panel.axis("off")
+    panels[len(columns)].legend(*panels[0].get_legend_handles_labels(), fontsize=9, frameon=False, loc="center left")
+    figure.suptitle(f"{title} ({table.clips} clips, {100 * LEVEL:.0f} % intervals)", fontsize=10)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def _percent(rows: Sequence[Row], heading: str) -> Float[ndarray, "3 n"]:
+    """Means and ends of the intervals of a column."""
+    values = [row.values[heading] for row in rows]
+    return 100.0 * np.array([(value.mean, value.low, value.high) for value in values]).T

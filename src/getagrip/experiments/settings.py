@@ -1,0 +1,213 @@
+"""What is tried on every clip: the methods as they are, and for each ablation its settings, as data."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, get_args
+
+import numpy as np
+
+from getagrip.clip import Clip, Masks
+from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
+from getagrip.errors import InputError
+from getagrip.fitting.options import Method, Options
+from getagrip.geometry.mesh import Mesh
+from getagrip.metrics.contact import SIDES, THRESHOLDS
+
+REFERENCE: Method = "one-dof"
+"""The paper's method: what the others are compared with."""
+CONTACT = "object_10mm"
+"""Of the definitions of contact (docs/metrics.md) the one in use, unless a setting says otherwise."""
+
+
+class Change(Protocol):
+    """What is done to a clip before it is reconstructed; its ``repr`` says all about it."""
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        """The changed clip and masks. Raises ``InputError`` where the clip does not allow it."""
+
+
+@dataclass(frozen=True)
+class AsGiven:
+    """The clip itself."""
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        return clip, masks
+
+
+@dataclass(frozen=True)
+class Noisy:
+    """Hands and masks displaced; the same seed draws the same errors, larger or smaller, in every setting."""
+
+    noise: Noise
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        return perturbed(clip, masks, self.noise, [seed, *clip.name.encode()])
+
+
+@dataclass(frozen=True)
+class ScaleKnown:
+    """The mesh at its true size."""
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        if clip.scale == "known":
+            return clip, masks
+        if clip.truth is None:
+            raise InputError(clip.folder / "truth.npz", "scale", "no truth", "the true scale, to make it known")
+        mesh = Mesh(clip.mesh.vertices * clip.truth.scale, clip.mesh.faces)
+        return replace(clip, scale="known", mesh=mesh, truth=replace(clip.truth, scale=1.0)), masks
+
+
+@dataclass(frozen=True)
+class ScaleFree:
+    """The mesh at a size that says nothing: between 1 / 1.25 and 1.25 times what it was."""
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        factor = float(np.exp(np.random.default_rng([seed, *clip.name.encode()]).uniform(-1.0, 1.0) * np.log(1.25)))
+        mesh = Mesh(clip.mesh.vertices / factor, clip.mesh.faces)
+        truth = clip.truth and replace(clip.truth, scale=clip.truth.scale * factor)
+        return replace(clip, scale="free", mesh=mesh, truth=truth), masks
+
+
+AS_GIVEN = AsGiven()
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One step of an ablation."""
+
+    label: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """``Options`` that differ from those of the run."""
+    change: Change = AS_GIVEN
+    contact: str = CONTACT
+    """What counts as contact in the metrics."""
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """Settings that are compared with each other, for each of a few methods."""
+
+    title: str
+    usual: str | None
+    """Label of the setting that the others are compared with; None: methods are compared in each setting."""
+    settings: tuple[Setting, ...]
+    methods: tuple[Method, ...] = (REFERENCE, "soft-hinge")
+    """Unless others are named."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One row of a table: what is done with every clip, and where the results go."""
+
+    label: str
+    folder: str
+    """Arms with the same folder share their results."""
+    options: Options
+    change: Change
+    contact: str
+    against: str
+    """Label of the arm that this one is compared with."""
+    group: str
+    """What a plot draws as one line: the method."""
+    step: str
+    """The place on the plot's axis."""
+
+
+def _hand_noise(mm: float) -> Setting:
+    """A bias, and jitter of half its size, that lasts a tenth of a second: 0.8 degrees for each millimetre."""
+    deg = 0.8 * mm
+    noise = Noise(
+        hand_bias_mm=mm, hand_bias_deg=deg, hand_jitter_mm=mm / 2, hand_jitter_deg=deg / 2, jitter_memory_s=0.1
+    )
+    return Setting(f"{mm:g} mm, {deg:g}°", change=Noisy(noise))
+
+
+def _tracker(name: str) -> Setting:
+    """The hands of a named tracker; the masks stay as they are."""
+    return Setting(name, change=Noisy(replace(NOISE[name], mask_ragged_px=0.0)))
+
+
+def _mask_noise(px: float) -> Setting:
+    return Setting(f"{px:g} px", change=Noisy(Noise(mask_ragged_px=px)))
+
+
+def _contact(side: str, threshold: float) -> Setting:
+    key = f"{side}_{threshold * 1e3:.0f}mm"
+    return Setting(f"{side}, {threshold * 1e3:.0f} mm", contact=key)
+
+
+ABLATIONS: dict[str, Ablation] = {
+    "physical": Ablation(
+        "Weights of the physical terms, the paper's λ₂ = λ₃ without the focal length",
+        "0.1",
+        tuple(Setting(f"{weight:g}", {"push": weight, "pull": weight}) for weight in (0.0, 0.1, 1.0)),
+    ),
+    "occlusion": Ablation(
+        "Pixels hidden by the hand left out (the paper's C_o)",
+        "on",
+        (Setting("off", {"occlusion": False}), Setting("on", {"occlusion": True})),
+    ),
+    "axis": Ablation(
+        "Where the axis may lie: through the origin of the hand frame, or anywhere",
+        "free",
+        (Setting("hand", {"axis": "hand"}), Setting("free", {"axis": "free"})),
+    ),
+    "inits": Ablation(
+        "Starting rotations", "50", tuple(Setting(f"{count}", {"inits": count}) for count in (10, 25, 50, 100, 200))
+    ),
+    "hand-noise": Ablation(
+        "Error of the given hands: the same in all frames, and half of it changing",
+        "none",
+        (
+            Setting("none"),
+            *(_hand_noise(mm) for mm in (2.5, 5.0, 7.5, 10.0)),
+            _tracker("hamer"),
+            _tracker("frankmocap"),
+        ),
+    ),
+    "mask-noise": Ablation(
+        "Distance of the given masks' boundaries from the true ones, root mean square",
+        "none",
+        (Setting("none"), *(_mask_noise(px) for px in (0.5, 1.0, 2.0, 4.0))),
+    ),
+    "scale": Ablation(
+        "Scale of the object",
+        "known",
+        (Setting("known", change=ScaleKnown()), Setting("free", change=ScaleFree())),
+    ),
+    "sca": Ablation(
+        "What counts as contact: whose points, and how near",
+        None,
+        tuple(_contact(side, threshold) for side in SIDES for threshold in THRESHOLDS),
+        get_args(Method),
+    ),
+}
+
+
+def method_arms(methods: Sequence[Method], base: Options) -> list[Arm]:
+    """Each method as it is; all of them where none is named."""
+    named: Sequence[Method] = methods or get_args(Method)
+    return [Arm(m, m, replace(base, method=m), AS_GIVEN, CONTACT, REFERENCE, m, m) for m in named]
+
+
+def ablation_arms(name: str, methods: Sequence[Method], base: Options) -> list[Arm]:
+    """Each method in each setting of an ablation. A setting that changes nothing shares the method's own results."""
+    ablation, arms = ABLATIONS[name], []
+    for method in methods or ablation.methods:
+        usual = replace(base, method=method)
+        for setting in ablation.settings:
+            options = replace(usual, **setting.options)
+            same = options == usual and setting.change == AS_GIVEN
+            folder = method if same else f"{method}+{name}-{_slug(setting.label)}"
+            against = f"{REFERENCE}, {setting.label}" if ablation.usual is None else f"{method}, {ablation.usual}"
+            label = f"{method}, {setting.label}"
+            arms.append(Arm(label, folder, options, setting.change, setting.contact, against, method, setting.label))
+    return arms
+
+
+def _slug(label: str) -> str:
+    """A label as part of a folder's name."""
+    return re.sub(r"[^a-z0-9.]+", "-", label.lower().replace("°", " deg")).strip("-")

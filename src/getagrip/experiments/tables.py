@@ -1,0 +1,244 @@
+"""Comparisons on paper: Markdown for people, CSV for scripts, LaTeX as in the paper, and a table for the terminal."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from getagrip.experiments.comparison import Table
+from getagrip.experiments.settings import Arm
+from getagrip.experiments.statistics import LEVEL, Estimate
+from getagrip.experiments.trials import Scores
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a kind of page marks a value that is best, one that is second best, and an interval."""
+
+    best: str
+    second: str
+    interval: str
+    symbols: Mapping[str, str] = field(default_factory=dict)
+    """What stands for letters that the page cannot hold."""
+
+    def cell(self, value: str, rank: int, interval: str) -> str:
+        """A value with its mark and its interval."""
+        marked = {1: self.best, 2: self.second}.get(rank, "{}").format(self.text(value))
+        return marked + (self.interval.format(interval) if interval else "")
+
+    def text(self, text: str) -> str:
+        """Plain text on the page."""
+        return "".join(self.symbols.get(letter, letter) for letter in text)
+
+
+LATEX_SYMBOLS = {
+    "_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", "°": r"$^\circ$", "λ": r"$\lambda$", "₂": "$_2$", "₃": "$_3$",
+    "−": "$-$", "–": "--",
+}  # fmt: skip
+MARKDOWN = Style("**{}**", "<u>{}</u>", " <sub>{}</sub>")
+LATEX = Style(r"\textbf{{{}}}", r"\underline{{{}}}", r" {{\tiny {}}}", LATEX_SYMBOLS)
+SCREEN = Style("[bold]{}[/]", "[u]{}[/]", "\n[dim]{}[/]")
+
+
+def _number(share: float) -> str:
+    """A share as per cent."""
+    return "–" if math.isnan(share) else f"{100.0 * share:.1f}"
+
+
+def _interval(value: Estimate) -> str:
+    """The interval of a share, as per cent; nothing where there is none."""
+    return "" if math.isnan(value.low) else f"[{100.0 * value.low:.0f}, {100.0 * value.high:.0f}]"
+
+
+def _difference(share: float) -> str:
+    """A difference of shares, with its sign."""
+    return "–" if math.isnan(share) else f"{100.0 * share:+.1f}".replace("-", "−")
+
+
+def _differences_interval(value: Estimate) -> str:
+    return "" if math.isnan(value.low) else f"[{_difference(value.low)}, {_difference(value.high)}]"
+
+
+def _seconds(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.2f}"
+
+
+def _body(table: Table, style: Style) -> list[list[str]]:
+    """The rows of a table as texts: label, columns, seconds."""
+    ranks = {column.heading: table.ranks(column) for column in table.columns}
+    rows = []
+    for n, row in enumerate(table.rows):
+        cells = [style.text(row.arm.label + (f" ({row.failed} failed)" if row.failed else ""))]
+        for column in table.columns:
+            value = row.values[column.heading]
+            cells.append(style.cell(_number(value.mean), ranks[column.heading][n], _interval(value)))
+        rows.append([*cells, _seconds(row.seconds)])
+    return rows
+
+
+def _headings(table: Table) -> list[str]:
+    return ["", *(column.heading for column in table.columns), "s"]
+
+
+def _differences(table: Table, style: Style) -> list[list[str]]:
+    """Headings and rows of the differences in pairs; those whose interval leaves out zero are marked as best."""
+    columns = [column for column in table.columns if column.ranked]
+    rows = [["", *(column.heading for column in columns)]]
+    for row in table.rows:
+        if row.differences:
+            cells = [style.text(f"{row.arm.label} − {row.arm.against}")]
+            for column in columns:
+                value = row.differences[column.heading]
+                sure = value.low > 0.0 or value.high < 0.0
+                cells.append(style.cell(_difference(value.mean), int(sure), _differences_interval(value)))
+            rows.append(cells)
+    return rows
+
+
+def markdown(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
+    """A page: what was run, the table over all clips, the differences, a table for each category folded away."""
+    lines = [f"# {title}", "", *(f"- {line}" for line in about)]
+    for table in tables[:1]:
+        lines += ["", f"{_heading(table)}:", "", *_grid([_headings(table), *_body(table, MARKDOWN)])]
+        differences = _differences(table, MARKDOWN)
+        if len(differences) > 1:
+            lines += ["", "Differences, clip by clip; bold where the interval leaves out zero:", ""]
+            lines += _grid(differences)
+    if tables[1:]:
+        lines += ["", "<details><summary>Each category</summary>"]
+        for table in tables[1:]:
+            lines += ["", f"{_heading(table)}:", "", *_grid([_headings(table), *_body(table, MARKDOWN)])]
+        lines += ["", "</details>"]
+    return "\n".join(lines) + "\n"
+
+
+def _heading(table: Table) -> str:
+    return f"{table.title[:1].upper()}{table.title[1:]}: {table.clips} clip{'s' * (table.clips != 1)}"
+
+
+def _grid(rows: list[list[str]]) -> list[str]:
+    headings, *body = rows
+    return [f"| {' | '.join(cells)} |" for cells in (headings, ["---", *["---:"] * (len(headings) - 1)], *body)]
+
+
+def latex(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
+    """The same tables for a paper (needs the package booktabs)."""
+    lines = [f"% {title}", *(f"% {line}" for line in about)]
+    for table in tables:
+        headings = [LATEX.text(heading) for heading in _headings(table)]
+        lines += [
+            "",
+            r"\begin{table}",
+            r"\centering",
+            rf"\begin{{tabular}}{{l|{'c' * (len(headings) - 1)}}}",
+            r"\toprule",
+            " & ".join(headings) + r" \\",
+            r"\midrule",
+            *(" & ".join(row) + r" \\" for row in _body(table, LATEX)),
+            r"\bottomrule",
+            r"\end{tabular}",
+            rf"\caption{{{LATEX.text(f'{title}. {_heading(table)}.')}}}",
+            r"\end{table}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def write_csv(tables: Sequence[Table], path: Path) -> None:
+    """One line for each table, row and column, unrounded, shares from 0 to 1."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        numbers = ("mean", "low", "high", "clips")
+        writer.writerow(
+            ["table", "row", "column", *numbers, "rank", "against", *(f"difference_{key}" for key in numbers)]
+        )
+        for table in tables:
+            for column in table.columns:
+                for row, rank in zip(table.rows, table.ranks(column), strict=True):
+                    value, difference = row.values[column.heading], row.differences.get(column.heading)
+                    compared = ["", *[""] * 4] if difference is None else [row.arm.against, *_numbers(difference)]
+                    writer.writerow(
+                        [table.title, row.arm.label, column.heading, *_numbers(value), rank or "", *compared]
+                    )
+            for row in table.rows:
+                writer.writerow([table.title, row.arm.label, "seconds (median)", row.seconds, *[""] * 9])
+
+
+def _numbers(estimate: Estimate) -> list[float | int]:
+    return [estimate.mean, estimate.low, estimate.high, estimate.clips]
+
+
+def write_clips_csv(scores: Sequence[Scores], arms: Sequence[Arm], path: Path) -> None:
+    """One line for each clip and arm: what it is, how it went, and every metric, unrounded."""
+    of = {arm.folder: arm for arm in arms}
+    keys = list(dict.fromkeys(key for clip in scores for score in clip.scores for key in score.metrics))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        about = ("clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "status")
+        writer.writerow([*about, *keys])
+        for clip in scores:
+            if clip.failure:
+                writer.writerow([clip.clip, *[""] * 7, f"failed: {clip.failure}", *[""] * len(keys)])
+            for score in clip.scores:
+                arm = of[score.arm]
+                status = f"failed: {score.status}" if score.failed else score.status
+                how = [score.seconds, score.energy, score.ambiguous, status]
+                metrics = [score.metrics.get(key, "") for key in keys]
+                what = [clip.clip, clip.category, clip.subject, arm.options.method, arm.step]
+                writer.writerow([*what, *how, *metrics])
+
+
+def terminal(table: Table) -> RichTable:
+    """The table over all clips for a screen."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table as RichTable
+
+    out = RichTable(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=_heading(table), title_justify="left")
+    out.add_column("")
+    for heading in _headings(table)[1:]:
+        out.add_column(heading.replace(" ", "\n").replace("SCA-", "SCA-\n", 1), justify="right", no_wrap=True)
+    for row in _body(table, SCREEN):
+        out.add_row(*row)
+    return out
+
+
+def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, Any]:
+    """Every number, unrounded: the tables' and each clip's."""
+    return {
+        "level": LEVEL,
+        "tables": [
+            {
+                "table": table.title,
+                "clips": table.clips,
+                "rows": [
+                    {
+                        "row": row.arm.label,
+                        "method": row.arm.options.method,
+                        "seconds": row.seconds,
+                        "failed": row.failed,
+                        "values": {key: vars(value) for key, value in row.values.items()},
+                        "against": row.arm.against if row.differences else None,
+                        "differences": {key: vars(value) for key, value in row.differences.items()},
+                    }
+                    for row in table.rows
+                ],
+            }
+            for table in tables
+        ],
+        "clips": [
+            {
+                "clip": clip.clip,
+                "category": clip.category,
+                "subject": clip.subject,
+                "failure": clip.failure or None,
+                "results": [vars(score) for score in clip.scores],
+            }
+            for clip in scores
+        ],
+    }

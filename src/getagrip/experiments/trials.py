@@ -1,0 +1,193 @@
+"""One clip, reconstructed and evaluated in every way that is asked for; what is there already is kept.
+
+A result is kept as a result folder, its metrics in ``result.json``, so that the other commands can read it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import getagrip
+from getagrip.batch.job import failure
+from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
+from getagrip.errors import InputError, UsageError
+from getagrip.experiments.settings import AS_GIVEN, Arm
+from getagrip.fitting.options import Options
+from getagrip.io import files
+from getagrip.result import Reconstruction, is_result, read_record, software, write_result
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A clip of a dataset."""
+
+    name: str
+    folder: Path
+    make: Callable[[Path], None] | None = None
+    """Makes the folder where it is not there."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A clip and all that is tried on it."""
+
+    sample: Sample
+    arms: tuple[Arm, ...]
+    results: Path
+    """Results go to ``results/<arm's folder>/<clip>``."""
+    overwrite: bool
+
+
+@dataclass(frozen=True)
+class Score:
+    """What an arm made of a clip."""
+
+    arm: str
+    """The arm's folder."""
+    metrics: dict[str, float]
+    """Empty where it failed."""
+    seconds: float
+    energy: float
+    ambiguous: bool
+    status: str
+    failed: bool = False
+    outdated: bool = False
+    """Whether its result was there already, made before the package's files were last changed."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What all arms made of a clip."""
+
+    clip: str
+    category: str = ""
+    subject: str = ""
+    """Who holds the object; empty where nobody says."""
+    true: bool = False
+    """Whether the clip has a truth."""
+    scores: tuple[Score, ...] = ()
+    made: int = 0
+    """How many results were not there already."""
+    failure: str = ""
+    """Why there are no scores at all."""
+    trace: str = ""
+
+
+def run(task: Task) -> Scores:
+    """Reconstruct and evaluate a clip with every arm. Raises nothing: what fails is told in the scores."""
+    sample = task.sample
+    try:
+        if sample.make is not None and not sample.folder.exists():
+            sample.make(sample.folder)
+        clip = read_clip(sample.folder)
+        checksum = input_sha256(sample.folder)
+        scores, missing = dict[str, Score](), list[Arm]()
+        for arm in task.arms:
+            record = None if task.overwrite else _kept(_place(task, arm), _checksum(checksum, arm), arm.options)
+            if record is None:
+                missing.append(arm)
+            else:
+                scores[arm.folder] = replace(_score(arm, record), outdated=_outdated(_place(task, arm)))
+        if missing:
+            scores |= _made(task, clip, missing, checksum)
+    except Exception as error:  # one clip's trouble must not end the others
+        outcome = failure(sample.name, error)
+        return Scores(sample.name, failure=outcome.message, trace=outcome.trace)
+    subject = str(clip.provenance.get("subject", ""))
+    return Scores(clip.name, clip.category, subject, clip.truth is not None, tuple(scores.values()), len(missing))
+
+
+def _made(task: Task, clip: Clip, arms: list[Arm], checksum: str) -> dict[str, Score]:
+    """The scores of arms that have no result yet; the masks are read once, and each change of the clip made once."""
+    masks, scores = read_masks(clip), dict[str, Score]()
+    for _, same in groupby(sorted(arms, key=lambda arm: repr(arm.change)), lambda arm: repr(arm.change)):
+        alike = list(same)
+        changed = alike[0].change(clip, masks, alike[0].options.seed)
+        for arm in alike:
+            scores[arm.folder] = _try(task, arm, changed, masks, _checksum(checksum, arm))
+    return scores
+
+
+def _try(task: Task, arm: Arm, changed: tuple[Clip, Masks], masks: Masks, checksum: str) -> Score:
+    """Reconstruct, evaluate and write the result. What a method raises is its score, but for a fault of the files."""
+    from getagrip.fitting.reconstruct import reconstruct
+
+    clip, place = changed[0], _place(task, arm)
+    try:
+        result = reconstruct(*changed, arm.options)
+        write_result(result, place, checksum, evaluated(result, clip, masks), clip_folder=clip.folder, overwrite=True)
+    except InputError:
+        raise
+    except Exception as error:
+        return Score(arm.folder, {}, np.nan, np.nan, False, failure(clip.name, error).message, failed=True)
+    return _score(arm, read_record(place))
+
+
+def _score(arm: Arm, record: dict[str, Any]) -> Score:
+    """The score that a result's record holds."""
+    metrics = {key: np.nan if value is None else float(value) for key, value in record["metrics"].items()}
+    seconds, energy = float(record["seconds"]["total"]), float(record["energy"]["total"])
+    return Score(arm.folder, metrics, seconds, energy, record["ambiguous"], record["status"])
+
+
+def _place(task: Task, arm: Arm) -> Path:
+    """The folder of an arm's result."""
+    return task.results / arm.folder / task.sample.name
+
+
+def evaluated(result: Reconstruction, clip: Clip, masks: Masks) -> dict[str, float]:
+    """The metrics of a result, against the clip as it was reconstructed and the masks as they were given."""
+    from getagrip.evaluation import evaluate
+
+    place = {name: n for n, name in enumerate(clip.frames)}
+    index = np.array([place[name] for name in result.frames])
+    metrics: dict[str, float] = evaluate(result, clip.take(index), Masks(masks.object[index], masks.ignore[index]))[
+        "metrics"
+    ]
+    return metrics
+
+
+def _checksum(checksum: str, arm: Arm) -> str:
+    """The checksum of the clip as the arm sees it: ``evaluate`` must not take a changed one for that in the folder."""
+    if arm.change == AS_GIVEN:
+        return checksum
+    return hashlib.sha256(f"{checksum} {arm.change} {arm.options.seed}".encode()).hexdigest()
+
+
+def _outdated(folder: Path) -> bool:
+    """Whether a result is older than the code: its version does not tell what a developer has changed since."""
+    return (folder / "result.json").stat().st_mtime < _code_changed()
+
+
+@lru_cache
+def _code_changed() -> float:
+    """When the package's files were last changed."""
+    return max(file.stat().st_mtime for file in Path(getagrip.__file__).parent.rglob("*.py"))
+
+
+def _kept(folder: Path, checksum: str, options: Options) -> dict[str, Any] | None:
+    """The record of the result that is there, if it is one of this clip, these options and this version.
+
+    Raises ``UsageError`` where something else is in its place.
+    """
+    if not folder.exists():
+        return None
+    if not is_result(folder):
+        raise UsageError(f"{folder}: exists and is no result; it is not overwritten")
+    record = read_record(folder)
+    same = (
+        record["input_sha256"] == checksum
+        and record["options"] == json.loads(files.to_json(asdict(options)))
+        and record["software"].get("getagrip") == software()["getagrip"]
+        and record["metrics"]
+    )
+    return record if same else None

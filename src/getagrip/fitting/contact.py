@@ -1,0 +1,114 @@
+"""What touches: the hand's contact regions, and the object they may touch, as the push and pull terms read them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit
+from numpy import ndarray
+
+from getagrip.clip import FINGERS, HandTrack
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.kernels.closest import FaceGrid, screen, signed_distance
+from getagrip.kernels.silhouette import OPTIONS
+
+MARGIN = 0.03
+"""How far around the object contact is looked for [m]."""
+
+
+def solid(mesh: Mesh, centre: Float[ndarray, "3"]) -> FaceGrid:
+    """The object as contact sees it, about its centre."""
+    return FaceGrid.of(mesh.vertices[mesh.faces] - centre, margin=MARGIN)
+
+
+@njit(**OPTIONS)
+def distances(points, corners, normals, face, distance, origin, spacing):
+    """Unsigned distance of points (P, 3) in the frame of a ``FaceGrid`` to its mesh [m].
+
+    Beyond the grid, where no face is known to be near, a lower bound: ``MARGIN`` and the distance to the grid.
+    """
+    P = len(points)
+    local, rough, out = np.empty((P, 3)), np.empty(P), np.empty(P)
+    last = origin + spacing * (np.array(distance.shape) - 1)
+    screen(points, np.eye(3), np.zeros(3), 1.0, distance, origin, spacing, local, rough)
+    for p in range(P):
+        if np.isfinite(rough[p]):
+            x, y, z = local[p, 0], local[p, 1], local[p, 2]
+            out[p] = abs(signed_distance(x, y, z, corners, normals, face, origin, spacing)[0])
+        else:
+            squared = 0.0
+            for k in range(3):
+                squared += max(origin[k] - local[p, k], local[p, k] - last[k], 0.0) ** 2
+            out[p] = MARGIN + np.sqrt(squared)
+    return out
+
+
+@dataclass(frozen=True)
+class HandContacts:
+    """The vertices of a hand's contact regions in the camera frame."""
+
+    position: Float[ndarray, "N Q 3"]
+    region: Int[ndarray, "6"]
+    """Where each of the five fingertip regions begins, and where the last ends; palm regions follow."""
+
+    @staticmethod
+    def of(hand: HandTrack, per_region: int | None = None) -> HandContacts:
+        """All vertices of the regions, or at most ``per_region`` spread evenly over each."""
+        names = [*FINGERS, *sorted(set(hand.regions) - set(FINGERS))]
+        ids = [hand.regions[name] for name in names]
+        if per_region is not None:
+            ids = [i[spread_points(hand.vertices[0, i], per_region)] for i in ids]
+        ends = np.concatenate([[0], np.cumsum([len(i) for i in ids[: len(FINGERS)]])])
+        return HandContacts(se3.transform(hand.T_cam_hand, hand.vertices[:, np.concatenate(ids)]), ends)
+
+    def take(self, index: Int[ndarray, "n"]) -> HandContacts:
+        """The contacts at some of the frames."""
+        return HandContacts(self.position[index], self.region)
+
+
+def spread_points(points: Float[ndarray, "P 3"], wanted: int) -> Int[ndarray, "n"]:
+    """Indices of ``wanted`` points spread evenly (farthest point first, starting nearest to the mean)."""
+    if len(points) <= wanted:
+        return np.arange(len(points))
+    chosen = np.empty(wanted, int)
+    chosen[0] = np.argmin(np.sum((points - points.mean(axis=0)) ** 2, axis=1))
+    distance = np.full(len(points), np.inf)
+    for k in range(1, wanted):
+        distance = np.minimum(distance, np.sum((points - points[chosen[k - 1]]) ** 2, axis=1))
+        chosen[k] = np.argmax(distance)
+    return np.sort(chosen)
+
+
+@njit(**OPTIONS)
+def add_height(d, give, m0, m1, m2, x, y, z, R, centre, scale, weight, delta, g, H):
+    """Add ``weight |scale d + give|`` to the normal equations, d the height of a hand point over the object.
+
+    The point (x, y, z) and the direction m of d are in the camera's and in the object's frame, d is of the unscaled
+    object [m]. Moving the object by the local 7-vector (v, w, l) changes the height by
+    ``-n . v - (r x n) . w + (d - r . n) l``, r the point from the object's centre, n the direction in the camera frame.
+    Only the upper half of H is filled.
+    """
+    n0 = R[0, 0] * m0 + R[0, 1] * m1 + R[0, 2] * m2
+    n1 = R[1, 0] * m0 + R[1, 1] * m1 + R[1, 2] * m2
+    n2 = R[2, 0] * m0 + R[2, 1] * m1 + R[2, 2] * m2
+    d *= scale
+    r0, r1, r2 = x - centre[0], y - centre[1], z - centre[2]
+    a = (
+        -n0, -n1, -n2, r2 * n1 - r1 * n2, r0 * n2 - r2 * n0, r1 * n0 - r0 * n1, d - r0 * n0 - r1 * n1 - r2 * n2
+    )  # fmt: skip
+    h = weight / max(abs(d + give), delta)
+    for i in range(7):
+        g[i] += h * (d + give) * a[i]
+        for j in range(i, 7):
+            H[i, j] += h * a[i] * a[j]
+
+
+@njit(**OPTIONS)
+def mirror_upper(H):
+    """Copy the upper half of a square matrix to its lower half."""
+    for i in range(1, H.shape[0]):
+        for j in range(i):
+            H[i, j] = H[j, i]

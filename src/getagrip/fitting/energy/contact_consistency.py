@@ -1,0 +1,144 @@
+"""Contact consistency: every pair of frames keeps the same distances between points of the hand and of the object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit
+from numpy import ndarray
+
+from getagrip.fitting.energy import Local, Poses
+from getagrip.kernels.silhouette import OPTIONS
+
+
+@dataclass(frozen=True)
+class ContactConsistencyTerm:
+    """``sum over t of weight_t * mean over frames t' and pairs (h, o) of rho(D_t - D_t')``, D = |h - o|^2 [m^2].
+
+    The term of the authors' later in-hand model, between all pairs of frames. Its absolute value is rounded off below
+    ``delta`` (Huber: ``rho(e) = e^2 / (2 delta)`` there, ``|e| - delta / 2`` beyond), so that value, gradient and
+    curvature agree; the curvature ``1 / max(|e|, delta)`` is that of a quadratic above it.
+    """
+
+    points: Float[ndarray, "P 3"]
+    """Points of the object about its centre, unscaled [m]."""
+    hand: Float[ndarray, "N Q 3"]
+    """Points of the hand in the camera frame [m]."""
+    weight: Float[ndarray, "N"]
+    """Energy per square metre, per frame [px^2 / m^2]."""
+    delta: float = 2e-5
+    """Differences below this count as quadratic [m^2]: a tenth of a millimetre at a distance of ten centimetres."""
+    name: str = "consistency"
+
+    def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
+        B, N = poses.centre.shape[:2]
+        value, g, H = np.zeros((B, N)), np.zeros((B, N, 7)), np.zeros((B, N, 7, 7))
+        across = np.zeros((B, N, 7, N, 7))
+        _evaluate(
+            poses.R, poses.centre, poses.scale, self.points, self.hand, self.weight, self.delta, bound,
+            value, g, H, across,
+        )  # fmt: skip
+        return Local(value, g, H, across)
+
+
+@njit(**OPTIONS)
+def _evaluate(R, centre, scale, points, hand, weight, delta, bound, value, g, H, across):
+    """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7), across (B, N, 7, N, 7)."""
+    B, N = value.shape
+    D = len(points) * hand.shape[1]
+    distance, a = np.empty((N, D)), np.empty((N, 7, D))
+    for b in range(B):
+        for n in range(N):
+            _distances(R[b, n], centre[b, n], scale[b], points, hand[n], distance[n], a[n])
+        total = _compare(distance, weight, delta, value[b])
+        if not total <= bound[b]:  # nothing to be gained, or no number at all
+            continue
+        _tie(distance, a, weight, delta, g[b], H[b], across[b])
+
+
+@njit(**OPTIONS)
+def _compare(distance, weight, delta, value):
+    """Share the cost of each pair of frames between the two, in value (N,), and return the sum."""
+    N, D = distance.shape
+    total = 0.0
+    for i in range(N):
+        for j in range(i):
+            cost = 0.0
+            for k in range(D):
+                e = abs(distance[i, k] - distance[j, k])
+                cost += e - 0.5 * delta if e > delta else 0.5 * e * e / delta
+            cost /= N * D
+            value[i] += weight[i] * cost
+            value[j] += weight[j] * cost
+            total += (weight[i] + weight[j]) * cost
+    return total
+
+
+@njit(**OPTIONS)
+def _tie(distance, a, weight, delta, g, H, across):
+    """Fill in g (N, 7), H (N, 7, 7), across (N, 7, N, 7) from distances (N, D) and their derivatives (N, 7, D)."""
+    N, D = distance.shape
+    slope, curve = np.zeros((N, D)), np.zeros((N, D))
+    between, weighted = np.empty(D), np.empty((7, D))
+    for i in range(N):
+        for j in range(i):
+            unit = (weight[i] + weight[j]) / (N * D)
+            for k in range(D):
+                e = distance[i, k] - distance[j, k]
+                h = unit / max(abs(e), delta)
+                between[k] = h
+                slope[i, k] += h * e
+                slope[j, k] -= h * e
+                curve[i, k] += h
+                curve[j, k] += h
+            _times(between, a[i], weighted)
+            for p in range(7):
+                for q in range(7):
+                    across[i, p, j, q] = across[j, q, i, p] = -_dot(weighted[p], a[j, q])
+    for n in range(N):
+        _times(curve[n], a[n], weighted)
+        for p in range(7):
+            g[n, p] = _dot(slope[n], a[n, p])
+            for q in range(p + 1):
+                H[n, p, q] = H[n, q, p] = _dot(weighted[p], a[n, q])
+
+
+@njit(**OPTIONS)
+def _distances(R, centre, scale, points, hand, distance, a):
+    """Squared distances (D,) of all pairs of a frame, and their derivatives (7, D) by the local 7-vector.
+
+    With y = scale R x from the object's centre and u = h - centre - y, D = |u|^2 changes by
+    ``-2 u . v - 2 (y x u) . w - 2 (u . y) l``.
+    """
+    k = 0
+    for x in points:
+        y0 = scale * (R[0, 0] * x[0] + R[0, 1] * x[1] + R[0, 2] * x[2])
+        y1 = scale * (R[1, 0] * x[0] + R[1, 1] * x[1] + R[1, 2] * x[2])
+        y2 = scale * (R[2, 0] * x[0] + R[2, 1] * x[1] + R[2, 2] * x[2])
+        for h in hand:
+            u0, u1, u2 = h[0] - centre[0] - y0, h[1] - centre[1] - y1, h[2] - centre[2] - y2
+            distance[k] = u0 * u0 + u1 * u1 + u2 * u2
+            a[0, k], a[1, k], a[2, k] = -2.0 * u0, -2.0 * u1, -2.0 * u2
+            a[3, k] = -2.0 * (y1 * u2 - y2 * u1)
+            a[4, k] = -2.0 * (y2 * u0 - y0 * u2)
+            a[5, k] = -2.0 * (y0 * u1 - y1 * u0)
+            a[6, k] = -2.0 * (u0 * y0 + u1 * y1 + u2 * y2)
+            k += 1
+
+
+@njit(**OPTIONS)
+def _times(h, a, out):
+    """Rows of a (7, D) times h (D,)."""
+    for p in range(7):
+        for k in range(len(h)):
+            out[p, k] = h[k] * a[p, k]
+
+
+@njit(**OPTIONS)
+def _dot(a, b):
+    total = 0.0
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total

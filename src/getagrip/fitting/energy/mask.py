@@ -1,0 +1,113 @@
+"""E_mask (Eq. 6): pixels in which the rendered and the observed object mask differ, where nothing hides them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit
+from numpy import ndarray
+
+from getagrip.fitting.energy import Local, Poses
+from getagrip.fitting.observation import CROP, FIELD, Observation
+from getagrip.geometry.mesh import Mesh
+from getagrip.kernels.contour import accumulate, cover, look_up, walk
+from getagrip.kernels.silhouette import NEAR, OPTIONS, PLANES, fill, mismatch, outline, project
+
+MOST_POINTS = 1500
+"""Contour points kept per image; far more than any 256-pixel outline gives at the steps in use."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A mesh as the silhouette kernels read it: coordinates about its centre, one array per component."""
+
+    vertices: Float[ndarray, "3 V"]
+    planes: Float[ndarray, "4 F"]
+    edges: ndarray
+    closed: bool
+
+    @staticmethod
+    def of(mesh: Mesh, centre: Float[ndarray, "3"]) -> Surface:
+        """The tables of a mesh about a given centre."""
+        planes = mesh.planes.copy()
+        planes[:, 3] += planes[:, :3] @ centre
+        return Surface(
+            vertices=np.ascontiguousarray((mesh.vertices - centre).T),
+            planes=np.ascontiguousarray(planes.T),
+            edges=np.ascontiguousarray(mesh.edges.T),
+            closed=mesh.is_closed,
+        )
+
+
+@dataclass(frozen=True)
+class MaskTerm:
+    """E_mask of N frames at one resolution."""
+
+    surface: Surface
+    observation: Observation
+    level: int = CROP
+    """Side of the rendered masks [px]: 64, 128 or 256."""
+    step: float = 2.0
+    """Distance between contour points [px of the level]."""
+    delta: float = 1.0
+    """Distances below this count as this in the curvature [px of the crop]."""
+    coverage: float = 0.0
+    """Weight of the pull from observed boundary points to the rendered contour; it finds thin objects."""
+    name: str = "mask"
+
+    def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
+        B, N = poses.centre.shape[:2]
+        value, g, H = np.zeros((B, N)), np.zeros((B, N, 7)), np.zeros((B, N, 7, 7))
+        o, s = self.observation, self.surface
+        _evaluate(
+            poses.R, poses.centre, poses.scale, s.vertices, s.planes, s.edges, s.closed, o.K, o.seen[self.level],
+            o.care[self.level], o.field, o.targets, self.step, self.delta, self.coverage, bound, value, g, H,
+        )  # fmt: skip
+        return Local(value, g, H)
+
+
+@njit(**OPTIONS)
+def _evaluate(
+    R, centre, scale, vertices, planes, edges, closed, K, seen, care, field, targets, step, delta, coverage, bound,
+    value, g, H,
+):  # fmt: skip
+    """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
+    B, N = value.shape
+    size, words = seen.shape[1], seen.shape[2]
+    zoom = size / CROP
+    E = edges.shape[1] + 1
+    uvz = np.empty((N, 3, vertices.shape[1]))
+    sign = np.empty(planes.shape[1] + 1, np.int64)
+    edge = np.empty((N, 3, E), np.int64)
+    n_edges = np.empty(N, np.int64)
+    counters = np.empty((PLANES, size, words), np.uint64)
+    bits = np.empty((N, size, words), np.uint64)
+    points = np.empty((7, MOST_POINTS))
+    matched = np.empty((7, targets.shape[1]))
+    pixel = 1.0 / (zoom * zoom)
+    gate = 4.0 * (20.0 / zoom) ** 2
+    for b in range(B):
+        total = 0.0
+        for n in range(N):
+            if project(vertices, R[b, n], centre[b, n], scale[b], K[n], uvz[n]) < NEAR:
+                value[b, n] = np.inf
+                total = np.inf
+                break
+            n_edges[n] = outline(planes, edges, R[b, n], centre[b, n], scale[b], sign, edge[n])
+            fill(uvz[n], edge[n], n_edges[n], closed, zoom, counters, bits[n])
+            value[b, n] = pixel * mismatch(bits[n], seen[n], care[n])
+            total += value[b, n]
+        if total > bound[b] or total == np.inf:
+            continue
+        for n in range(N):
+            found = walk(uvz[n], edge[n], n_edges[n], zoom, step, bits[n], care[n], points)
+            look_up(points, found, field[n], FIELD / CROP, step / zoom, delta)
+            accumulate(points, found, centre[b, n], K[n], g[b, n], H[b, n])
+            if coverage > 0.0:
+                cover(points, found, targets[n], gate, coverage, delta, matched)
+                accumulate(matched, targets.shape[1], centre[b, n], K[n], g[b, n], H[b, n])
+            for i in range(1, 7):
+                for j in range(i):
+                    H[b, n, i, j] = H[b, n, j, i]

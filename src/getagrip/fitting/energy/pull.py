@@ -1,0 +1,81 @@
+"""E_pull (appendix): each fingertip is drawn to the object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit
+from numpy import ndarray
+
+from getagrip.fitting.contact import HandContacts, add_height, mirror_upper
+from getagrip.fitting.energy import Local, Poses
+from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
+from getagrip.kernels.silhouette import OPTIONS
+
+
+@dataclass(frozen=True)
+class PullTerm:
+    """``weight * mean over the five fingertips of min over their vertices of |d|``, d the distance to the object.
+
+    The paper takes ``<v_h - v_o, n_o>``, the height over the tangent plane of an object vertex, without an absolute
+    value, which is unbounded below; the authors' later code takes the absolute value at the nearest vertex. The
+    distance to the surface is what both stand for. A finger farther than ``reach`` is taken to hold
+    nothing and feels no pull: in a pinch three of five fingers are in the air.
+    """
+
+    solid: FaceGrid
+    hand: HandContacts
+    weight: Float[ndarray, "N"]
+    """Energy per metre of mean distance, per frame [px^2 / m]."""
+    reach: float = 0.01
+    """Largest distance that pulls [m]."""
+    delta: float = 0.002
+    """Distances below this count as this in the curvature [m]."""
+    name: str = "pull"
+
+    def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
+        B, N = poses.centre.shape[:2]
+        value, g, H = np.zeros((B, N)), np.zeros((B, N, 7)), np.zeros((B, N, 7, 7))
+        s = self.solid
+        _evaluate(
+            poses.R, poses.centre, poses.scale, s.corners, s.normals, s.face, s.distance, s.origin, s.spacing,
+            self.hand.position, self.hand.region, self.weight, self.reach, self.delta, value, g, H,
+        )  # fmt: skip
+        return Local(value, g, H)
+
+
+@njit(**OPTIONS)
+def _evaluate(
+    R, centre, scale, corners, normals, face, distance, origin, spacing, hand, region, weight, reach, delta,
+    value, g, H,
+):  # fmt: skip
+    """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
+    B, N = value.shape
+    fingers = len(region) - 1
+    tips = region[fingers]
+    local, rough = np.empty((tips, 3)), np.empty(tips)
+    slack = SLACK * spacing
+    for b in range(B):
+        farthest = reach / scale[b]
+        for n in range(N):
+            unit = weight[n] / fingers
+            screen(hand[n, :tips], R[b, n], centre[b, n], scale[b], distance, origin, spacing, local, rough)
+            for f in range(fingers):
+                least, tip, d, n0, n1, n2 = farthest, -1, 0.0, 0.0, 0.0, 0.0
+                for q in range(region[f], region[f + 1]):
+                    if abs(rough[q]) - slack > least:
+                        continue
+                    e, m0, m1, m2 = signed_distance(
+                        local[q, 0], local[q, 1], local[q, 2], corners, normals, face, origin, spacing
+                    )  # fmt: skip
+                    if abs(e) < least:
+                        least, tip, d, n0, n1, n2 = abs(e), q, e, m0, m1, m2
+                value[b, n] += unit * scale[b] * least
+                if tip >= 0:
+                    x, y, z = hand[n, tip, 0], hand[n, tip, 1], hand[n, tip, 2]
+                    add_height(
+                        d, 0.0, n0, n1, n2, x, y, z, R[b, n], centre[b, n], scale[b], unit, delta, g[b, n], H[b, n]
+                    )  # fmt: skip
+            mirror_upper(H[b, n])

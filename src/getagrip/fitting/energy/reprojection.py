@@ -1,0 +1,44 @@
+"""Reprojection (HOMan): points of a body stay where they were seen in the image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.fitting.energy import Local, Poses
+from getagrip.geometry import se3
+
+
+@dataclass(frozen=True)
+class ReprojectionTerm:
+    """``weight * mean over points of |pi(x) - u|^2``, pi the pinhole projection of the crop."""
+
+    points: Float[ndarray, "N P 3"]
+    """Points of the body in each frame, about its centre, unscaled [m]."""
+    K: Float[ndarray, "N 4"]
+    """fx, fy, cx, cy [px of the crop]."""
+    target: Float[ndarray, "N P 2"]
+    """Where they were seen [px of the crop]."""
+    weight: float
+    """Energy per squared pixel."""
+    name: str = "reprojection"
+
+    def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
+        arm = poses.scale[:, None, None, None] * self.points @ np.swapaxes(poses.R, -1, -2)
+        x = arm + poses.centre[:, :, None]
+        z = x[..., 2:]
+        f, c = self.K[:, None, :2], self.K[:, None, 2:]
+        error = f * x[..., :2] / z + c - self.target
+        J_pi = np.zeros((*x.shape[:-1], 2, 3))
+        J_pi[..., 0, 0], J_pi[..., 1, 1] = np.moveaxis(f / z, -1, 0)
+        J_pi[..., 2] = -f * x[..., :2] / z**2
+        J_x = np.concatenate([np.broadcast_to(np.eye(3), (*x.shape, 3)), -se3.hat(arm), arm[..., None]], axis=-1)
+        J = (J_pi @ J_x).reshape(*poses.centre.shape[:2], -1, 7)
+        Jt = np.swapaxes(J, -1, -2)
+        unit = self.weight / self.points.shape[1]
+        value = np.where((z > 0.0).all(axis=(2, 3)), unit * np.sum(error**2, axis=(2, 3)), np.inf)
+        g = 2.0 * unit * (Jt @ error.reshape(*value.shape, -1, 1))[..., 0]
+        return Local(value, g, 2.0 * unit * (Jt @ J))

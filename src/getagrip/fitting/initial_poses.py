@@ -1,0 +1,54 @@
+"""Where the search starts: poses that are given, then rotations spread over SO(3) at a place from hand and masks. Never
+from the truth.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip import FINGERS, Clip, Masks
+from getagrip.fitting.motion import Fixed
+from getagrip.geometry import camera, se3
+
+
+def starting_poses(
+    clip: Clip, masks: Masks, inits: int, seed: int = 0, poses: Float[ndarray, "k 4 4"] | None = None
+) -> Fixed:
+    """B = ``inits`` starts: the first of ``poses`` (``T_hand_obj``), then rotations spread over SO(3).
+
+    For the latter, the object's centre is where the hand grips and the masks' centres cross. A free scale starts where
+    the object at that place is as large as its masks.
+    """
+    poses = np.zeros((0, 4, 4)) if poses is None else poses[:inits]
+    turn = se3.exp_so3(np.random.default_rng(seed).uniform(-1.0, 1.0, 3)) if seed else np.eye(3)
+    R = turn @ se3.super_fibonacci(inits - len(poses))
+    boxes = camera.bounding_boxes(masks.object).astype(float)
+    point = grip_point(clip, (boxes[:, :2] + boxes[:, 2:]) / 2.0)
+    scale = 1.0
+    if clip.scale == "free":
+        depth = se3.transform(clip.hand.T_cam_hand, point[None, None])[:, 0, 2]
+        seen = np.linalg.norm(boxes[:, 2:] - boxes[:, :2], axis=1) * depth / clip.K[:, 0, 0]
+        scale = float(np.clip(np.median(seen) / clip.mesh.diameter, 0.2, 5.0))
+    centre = np.concatenate([se3.transform(poses, scale * clip.mesh.centre[None])[:, 0], np.tile(point, (len(R), 1))])
+    R = np.concatenate([poses[:, :3, :3], R])
+    return Fixed(R, centre, np.full(inits, np.log(scale)), len(clip), clip.scale == "free")
+
+
+def grip_point(clip: Clip, uv: Float[ndarray, "T 2"]) -> Float[ndarray, "3"]:
+    """The point of the hand frame nearest to the rays through the masks' centres and to the hand's grip [m].
+
+    The grip is the mean of the contact regions; a ray counts as much as the grip at 2 cm against 5 cm of spread,
+    all rays together as four, since what the hand hides biases them all alike.
+    """
+    hand = clip.hand
+    grip = np.mean([hand.vertices[:, hand.regions[name]].mean(axis=(0, 1)) for name in FINGERS], axis=0)
+    R_hand_cam = np.swapaxes(hand.T_cam_hand[:, :3, :3], 1, 2)
+    eye = -(R_hand_cam @ hand.T_cam_hand[:, :3, 3, None])[..., 0]
+    ray = (R_hand_cam @ camera.backproject(clip.K, uv[:, None])[:, 0, :, None])[..., 0]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+    ray_weight, grip_weight = 4.0 / (len(ray) * 0.02**2), 1.0 / 0.05**2
+    A = ray_weight * across.sum(axis=0) + grip_weight * np.eye(3)
+    return np.linalg.solve(A, ray_weight * (across @ eye[..., None])[..., 0].sum(axis=0) + grip_weight * grip)

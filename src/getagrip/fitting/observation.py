@@ -1,0 +1,142 @@
+"""What the masks of a clip say, cropped, at several resolutions, in the form the mask term reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int, UInt64
+from numba import njit
+from numpy import ndarray
+
+from getagrip.clip import Masks
+from getagrip.geometry.camera import Crops, crops_around
+from getagrip.kernels.silhouette import OPTIONS, pack
+
+CROP = 256
+"""Side of the crops [px]: the paper's render_size."""
+LEVELS = (64, 128, 256)
+FIELD = 128
+"""Side of the distance fields [px]."""
+TARGETS = 28
+"""Observed boundary points per frame in the coverage term."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The observed masks of N frames in square crops of 256 pixels."""
+
+    crops: Crops
+    K: Float[ndarray, "N 4"]
+    """fx, fy, cx, cy of the crops [px of the crop]."""
+    seen: dict[int, UInt64[ndarray, "N _ _"]]
+    """Per level: the object's mask as bits."""
+    care: dict[int, UInt64[ndarray, "N _ _"]]
+    """Per level: pixels that count (the paper's C_o)."""
+    field: Float32[ndarray, "N 128 128"]
+    """Signed distance to the visible outline [px of the crop], negative inside. Inside it is the distance to visible
+    background, so that borders with an occluder do not attract."""
+    targets: Float[ndarray, "N 28 5"]
+    """Points on the visible outline: position, outward normal, and the length of outline each stands for [px]."""
+    area: Float[ndarray, "N"]
+    """Pixels of the object's mask in the crop."""
+
+    def take(self, index: Int[ndarray, "n"]) -> Observation:
+        """The observation at some of its frames."""
+        return Observation(
+            crops=Crops(self.crops.corner[index], self.crops.side, self.crops.size),
+            K=self.K[index],
+            seen={level: bits[index] for level, bits in self.seen.items()},
+            care={level: bits[index] for level, bits in self.care.items()},
+            field=self.field[index],
+            targets=self.targets[index],
+            area=self.area[index],
+        )
+
+
+def observe(masks: Masks, K: Float[ndarray, "T 3 3"], use_ignore: bool = True) -> Observation:
+    """Crop the masks of a clip and prepare them for fitting. Every object mask must have a pixel.
+
+    ``use_ignore=False`` counts hidden pixels as background (the paper's ablation of C_o).
+    """
+    crops = crops_around(masks.object, size=CROP)
+    seen = crops.resample(masks.object, outside=False)
+    inside = crops.resample(np.ones_like(masks.object[:1]).repeat(len(seen), axis=0), outside=False)
+    care = inside & ~crops.resample(masks.ignore, outside=True) if use_ignore else inside
+    care |= seen
+    Kc = crops.intrinsics(K)
+    seen_at, care_at = {CROP: seen}, {CROP: care}
+    for level in LEVELS[:-1]:
+        seen_at[level], care_at[level] = _reduce(seen, care, level)
+    field = np.empty((len(seen), FIELD, FIELD), np.float32)
+    targets = np.empty((len(seen), TARGETS, 5))
+    for n, (s, c) in enumerate(zip(*_reduce(seen, care, FIELD), strict=True)):
+        field[n] = _signed_distance(s, c) * (CROP / FIELD)
+        _boundary(s, c, field[n], CROP / FIELD, targets[n])
+    return Observation(
+        crops=crops,
+        K=np.stack([Kc[:, 0, 0], Kc[:, 1, 1], Kc[:, 0, 2], Kc[:, 1, 2]], axis=1),
+        seen={level: pack(mask) for level, mask in seen_at.items()},
+        care={level: pack(mask) for level, mask in care_at.items()},
+        field=field,
+        targets=targets,
+        area=seen.sum(axis=(1, 2)).astype(float),
+    )
+
+
+def _reduce(
+    seen: Bool[ndarray, "N 256 256"], care: Bool[ndarray, "N 256 256"], size: int
+) -> tuple[Bool[ndarray, "N s s"], Bool[ndarray, "N s s"]]:
+    """Masks at a lower resolution: a pixel counts if most of it does, and is the object if most of what counts is."""
+    counts = []
+    for mask in (seen, care):
+        small = [cv2.resize(m.view(np.uint8) * 255, (size, size), interpolation=cv2.INTER_AREA) for m in mask]
+        counts.append(np.stack(small).astype(np.int16))
+    n_seen, n_care = counts
+    return 2 * n_seen > n_care, (n_care > 127) | (2 * n_seen > 255)
+
+
+def _signed_distance(seen: Bool[ndarray, "s s"], care: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
+    """Distance to the visible outline [px]: to the object outside of it, minus that to visible background inside."""
+    background = care & ~seen
+    far = np.float32(2 * len(seen))
+    distances = []
+    for target in (seen, background):
+        zero_at_target = np.where(target, 0, 255).astype(np.uint8)
+        if target.any():
+            distances.append(cv2.distanceTransform(zero_at_target, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+        else:
+            distances.append(np.full(seen.shape, far, np.float32))
+    to_object, to_background = distances
+    return np.where(seen, 0.5 - to_background, np.where(background, to_object - 0.5, to_object - to_background))
+
+
+@njit(**OPTIONS)
+def _boundary(seen, care, field, zoom, targets):
+    """Spread the targets over the pixels of the object that touch visible background; unused ones get length 0."""
+    size = len(seen)
+    rows, cols = np.empty(size * size, np.int64), np.empty(size * size, np.int64)
+    n = 0
+    for i in range(1, size - 1):
+        for j in range(1, size - 1):
+            if seen[i, j] and (
+                (care[i - 1, j] and not seen[i - 1, j])
+                or (care[i + 1, j] and not seen[i + 1, j])
+                or (care[i, j - 1] and not seen[i, j - 1])
+                or (care[i, j + 1] and not seen[i, j + 1])
+            ):
+                rows[n], cols[n] = i, j
+                n += 1
+    targets[:] = 0.0
+    used = min(n, len(targets))
+    for q in range(used):
+        k = (2 * q + 1) * n // (2 * used)
+        i, j = rows[k], cols[k]
+        gx, gy = field[i, j + 1] - field[i, j - 1], field[i + 1, j] - field[i - 1, j]
+        norm = np.sqrt(gx * gx + gy * gy) + 1e-12
+        gx, gy = gx / norm, gy / norm
+        d = field[i, j]  # from the pixel's centre to the outline itself
+        targets[q, 0], targets[q, 1] = (j + 0.5) * zoom - d * gx, (i + 0.5) * zoom - d * gy
+        targets[q, 2], targets[q, 3] = gx, gy
+        targets[q, 4] = zoom * n / used

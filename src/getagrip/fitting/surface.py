@@ -1,0 +1,62 @@
+"""An object's surface about its centre, in the form the search asks it: when do two poses place it alike?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.fitting.contact import distances, solid
+from getagrip.geometry.mesh import Mesh, decimate
+from getagrip.kernels.closest import FaceGrid
+
+COARSE_FACES = 1000
+"""Objects of more faces are decimated to so many for contact and for 64-pixel silhouettes."""
+POINTS = 48
+"""Points of the surface that are compared."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The surface of a rigid object."""
+
+    coarse: Mesh
+    """The mesh, decimated."""
+    solid: FaceGrid
+    """Its surface about the centre of the mesh as it was given."""
+    points: Float[ndarray, "P 3"]
+    """Points of the surface, about that centre."""
+    axes: Float[ndarray, "3 3"]
+    """Principal axes of the vertices, one a row."""
+    diameter: float
+
+    @staticmethod
+    def of(mesh: Mesh) -> Shape:
+        """The shape of a mesh, about ``mesh.centre``."""
+        coarse = decimate(mesh, COARSE_FACES)
+        about = mesh.vertices - mesh.centre
+        _, axes = np.linalg.eigh(np.cov(about.T))
+        spread = np.linspace(0, len(about) - 1, min(POINTS, len(about))).round().astype(int)
+        return Shape(coarse, solid(coarse, mesh.centre), about[spread], axes.T, mesh.diameter)
+
+    def apart(
+        self,
+        R: Float[ndarray, "N 3 3"],
+        centre: Float[ndarray, "N 3"],
+        scale: float,
+        others_R: Float[ndarray, "C N 3 3"],
+        others_centre: Float[ndarray, "C N 3"],
+        others_scale: Float[ndarray, "C"],
+    ) -> Float[ndarray, "C"]:
+        """Root mean square distance of the posed surface from C other poses of it, over N frames, in diameters.
+
+        A bottle that is turned about its axis has not moved. Where the two are far apart, this is a lower bound.
+        """
+        placed = scale * self.points @ np.swapaxes(R, -1, -2) + centre[:, None]
+        back = (placed - others_centre[:, :, None]) @ others_R / others_scale[:, None, None, None]
+        s = self.solid
+        grid = (s.corners, s.normals, s.face, s.distance, s.origin, s.spacing)
+        gap = distances(np.ascontiguousarray(back.reshape(-1, 3)), *grid).reshape(len(others_scale), -1)
+        return np.asarray(np.sqrt(np.mean(gap**2, axis=1)) / self.diameter)

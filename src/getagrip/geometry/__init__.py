@@ -1,0 +1,1 @@
+"""Rigid motions, cameras, meshes, and what a camera sees of them."""

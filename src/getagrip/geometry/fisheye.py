@@ -1,0 +1,145 @@
+"""Fisheye cameras of Project Aria and Quest 3 (Fisheye624), and the pinhole images that are resampled from them.
+
+The model (projectaria_tools, ``FisheyeRadTanThinPrism.h``; "Camera Intrinsic Models for Project Aria devices"): for a
+point (x, y, z) in front of the camera, with r = |(x, y)| / z and theta = atan(r),
+
+    m = theta (1 + k0 theta^2 + k1 theta^4 + ... + k5 theta^12) (x, y) / |(x, y)|        radial
+    d = m + 2 (m . p) m + |m|^2 p                                                        tangential
+          + (s0 |m|^2 + s1 |m|^4, s2 |m|^2 + s3 |m|^4)                                   thin prism
+    (u, v) = f d + c
+
+Their pixels have their centres at integers, ours at halves (``camera``): 0.5 is added on reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Shaped
+from numpy import ndarray
+
+from getagrip.geometry import se3
+from getagrip.geometry.camera import backproject
+
+NEWTON_STEPS = 15
+
+
+@dataclass(frozen=True)
+class Fisheye624:
+    """A fisheye camera; see the module for the equations."""
+
+    f: float
+    """Focal length [px]."""
+    c: Float[ndarray, "2"]
+    """Principal point (u, v) [px]."""
+    k: Float[ndarray, "6"]
+    p: Float[ndarray, "2"]
+    s: Float[ndarray, "4"]
+    size: tuple[int, int]
+    """Width and height of the image [px]."""
+
+    @classmethod
+    def from_parameters(cls, parameters: Sequence[float], size: tuple[int, int]) -> Fisheye624:
+        """From the 15 numbers f, cx, cy, k0-k5, p0, p1, s0-s3, or 16 with two equal focal lengths first.
+
+        Raises ``ValueError`` for another count, numbers that are not finite, or a focal length that is not positive.
+        """
+        numbers = np.asarray(parameters, dtype=float)
+        if numbers.shape == (16,):
+            numbers = np.delete(numbers, 1)  # HOT3D's tools, too, read one focal length
+        if numbers.shape != (15,) or not np.isfinite(numbers).all() or numbers[0] <= 0:
+            raise ValueError("expected 15 or 16 finite numbers, the first, the focal length, positive")
+        return cls(float(numbers[0]), numbers[1:3] + 0.5, numbers[3:9], numbers[9:11], numbers[11:15], size)
+
+    def project(self, X_cam: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 2"]:
+        """Pixel coordinates (u, v) of points in the camera frame [m], z > 0."""
+        xy = X_cam[..., :2] / X_cam[..., 2:]
+        r = np.linalg.norm(xy, axis=-1, keepdims=True)
+        theta = np.arctan(r)
+        m = self._radial(theta)[0] * xy / np.maximum(r, 1e-12)
+        return self.f * self._bent(m)[0] + self.c
+
+    def unproject(self, uv: Float[ndarray, "*batch 2"]) -> Float[ndarray, "*batch 3"]:
+        """Points at depth 1 on the rays through pixel coordinates, by Newton's method.
+
+        Only where the model can be inverted: pixels of rays within some 75 degrees of the axis.
+        """
+        d = (uv - self.c) / self.f
+        m = d
+        for _ in range(NEWTON_STEPS):
+            value, slope = self._bent(m)
+            m = m + np.linalg.solve(slope, (d - value)[..., None])[..., 0]
+        length = np.linalg.norm(m, axis=-1, keepdims=True)
+        theta = np.minimum(length, 1.3)
+        for _ in range(NEWTON_STEPS):
+            radial, gain = self._radial(theta)
+            theta = np.clip(theta + (length - radial) / gain, 0.0, 0.999 * np.pi / 2.0)
+        xy = np.tan(theta) * m / np.maximum(length, 1e-12)
+        return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
+
+    def _radial(self, theta: Float[ndarray, "*b 1"]) -> tuple[Float[ndarray, "*b 1"], Float[ndarray, "*b 1"]]:
+        """|m| and its derivative by theta."""
+        powers = theta ** np.array([2, 4, 6, 8, 10, 12])
+        value = theta * (1.0 + (powers @ self.k)[..., None])
+        slope = 1.0 + (powers @ (self.k * np.array([3, 5, 7, 9, 11, 13])))[..., None]
+        return value, slope
+
+    def _bent(self, m: Float[ndarray, "*b 2"]) -> tuple[Float[ndarray, "*b 2"], Float[ndarray, "*b 2 2"]]:
+        """d and its derivative by m."""
+        square = np.sum(m * m, axis=-1, keepdims=True)
+        dot = (m @ self.p)[..., None]
+        prism = self.s.reshape(2, 2)
+        value = m + 2.0 * dot * m + square * self.p + square * prism[:, 0] + square**2 * prism[:, 1]
+        by_square = self.p + prism[:, 0] + 2.0 * square * prism[:, 1]
+        slope = (
+            (1.0 + 2.0 * dot)[..., None] * np.eye(2)
+            + 2.0 * m[..., :, None] * self.p
+            + by_square[..., :, None] * 2.0 * m[..., None, :]
+        )
+        return value, slope
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """A pinhole camera that takes the place of a fisheye camera: the same centre, perhaps turned about its axis."""
+
+    K: Float[ndarray, "3 3"]
+    """Intrinsics [px]."""
+    size: tuple[int, int]
+    """Width and height [px]."""
+    T_fisheye_pinhole: Float[ndarray, "4 4"]
+    """Pinhole camera to fisheye camera: a rotation about the optical axis."""
+
+    def source(self, camera: Fisheye624) -> Float[ndarray, "h w 2"]:
+        """Where in the fisheye image (u, v) each pixel comes from."""
+        width, height = self.size
+        uv = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+        return camera.project(se3.transform(self.T_fisheye_pinhole, backproject(self.K, uv)))
+
+    def covered(self, camera: Fisheye624) -> Bool[ndarray, "h w"]:
+        """Which pixels the fisheye image has."""
+        uv = self.source(camera)
+        return np.all((uv >= 0.0) & (uv < camera.size), axis=-1)
+
+    def undistort(self, camera: Fisheye624, image: Shaped[ndarray, "H W *c"]) -> Shaped[ndarray, "h w *c"]:
+        """The fisheye image as this pinhole sees it; black where there is none."""
+        import cv2
+
+        at = (self.source(camera) - 0.5).astype(np.float32)  # OpenCV's pixel centres are integers
+        return np.asarray(cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT))
+
+
+def pinhole(camera: Fisheye624, focal: float, size: tuple[int, int], quarter_turns: int = 0) -> Pinhole:
+    """A pinhole of given focal length and size [px] that looks along a fisheye camera's axis.
+
+    ``quarter_turns`` turns the picture clockwise by 90 degrees each: one turn makes the pictures of Aria's cameras
+    upright, as they are mounted on their side.
+    """
+    if not 0.0 < focal < np.inf or min(size) < 1:
+        raise ValueError("expected a positive focal length and size")
+    K = np.array([[focal, 0.0, size[0] / 2.0], [0.0, focal, size[1] / 2.0], [0.0, 0.0, 1.0]])
+    # The picture turns clockwise when the camera turns counter-clockwise: its x axis goes to the old -y (up).
+    R = np.linalg.matrix_power(np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), quarter_turns % 4)
+    return Pinhole(K, size, se3.rigid(R))

@@ -1,0 +1,96 @@
+"""Masks and pictures of posed meshes, from one z-buffer. For ground truth and for people; no energy uses it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from getagrip.geometry.depth import barycentric, depth_and_face
+from getagrip.geometry.mesh import vertex_normals
+
+Surface = tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]
+"""Vertices in the camera frame [m] and faces."""
+Colour = tuple[float, float, float]
+"""Red, green, blue in [0, 1]."""
+
+HIDES = 0.01
+"""Share of the held object's outline that another object must cover to count as in front of it. Less is noise of the
+poses, such as a keyboard that cuts into the mouse on it."""
+LIGHT = np.array([-0.35, -0.6, -0.72])
+"""Direction to the light in the camera frame: from above the left shoulder."""
+
+
+def true_masks(
+    held: Surface, hands: Sequence[Surface], others: Sequence[Surface], K: Float[ndarray, "3 3"], size: tuple[int, int]
+) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
+    """Where the held object is seen, and which pixels say nothing about it (1 - C_o of the paper's Eq. 4).
+
+    Ignored is every pixel whose nearest surface is a hand, or another object that hides part of the held one; objects
+    that hide nothing are background, which does say where the held object is not. An object in front is ignored as
+    a whole, so that the ignored area does not betray the outline of what it hides.
+    """
+    surfaces = [held, *hands, *others]
+    vertices, faces, first = _joined(surfaces)
+    _, face = depth_and_face(vertices, faces, K, size)
+    part = np.searchsorted(first, face, side="right") - 1  # -1: nothing, 0: held, then hands, then others
+    outline = depth_and_face(*held, K, size)[1] >= 0
+    ignore = (part > 0) & (part <= len(hands))
+    for k in range(1 + len(hands), len(surfaces)):
+        covers = part == k
+        if np.count_nonzero(covers & outline) > HIDES * np.count_nonzero(outline):
+            ignore |= covers
+    return part == 0, ignore
+
+
+def render_rgb(
+    meshes: Sequence[tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"], Colour]],
+    K: Float[ndarray, "3 3"],
+    size: tuple[int, int],
+    background: UInt8[ndarray, "H W 3"] | Colour | None = None,
+) -> UInt8[ndarray, "H W 3"]:
+    """A lit picture of meshes in the camera frame, smoothly shaded between vertices, four samples a pixel.
+
+    ``background`` is an image of ``size``, a colour, or nothing: white.
+    """
+    width, height = size
+    if background is None:
+        background = (1.0, 1.0, 1.0)
+    behind = np.broadcast_to(
+        background / 255.0 if isinstance(background, ndarray) else np.array(background), (height, width, 3)
+    )
+    picture = np.repeat(np.repeat(behind.astype(np.float32), 2, axis=0), 2, axis=1)
+    if meshes:
+        vertices, faces, _ = _joined([(v, f) for v, f, _ in meshes])
+        brightness = _lambert(vertices, np.concatenate([vertex_normals(v, f) for v, f, _ in meshes]))
+        colours = np.repeat([colour for _, _, colour in meshes], [len(f) for _, f, _ in meshes], axis=0)
+        K2 = np.diag([2.0, 2.0, 1.0]) @ K
+        _, face = depth_and_face(vertices, faces, K2, (2 * width, 2 * height))
+        seen = face >= 0
+        weights = barycentric(vertices, faces, K2, face)
+        light = np.sum(weights * brightness[faces[face[seen]]], axis=1)
+        picture[seen] = np.clip(light[:, None] * colours[face[seen]], 0.0, 1.0)
+    mean = (picture[::2, ::2] + picture[::2, 1::2] + picture[1::2, ::2] + picture[1::2, 1::2]) / 4.0
+    return np.asarray(np.round(255.0 * mean), dtype=np.uint8)
+
+
+def _lambert(points: Float[ndarray, "n 3"], normals: Float[ndarray, "n 3"]) -> Float[ndarray, n]:
+    """Brightness: ambient light, a key light, and a head light that gives form to what the key light leaves dark."""
+    to_eye = -points / np.linalg.norm(points, axis=1, keepdims=True)
+    n = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    facing = np.sum(n * to_eye, axis=1)
+    n = np.where(facing[:, None] < 0.0, -n, n)  # the inside of an open mesh is lit as well
+    key = np.clip(n @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
+    return np.asarray(0.3 + 0.5 * key + 0.3 * np.abs(facing))
+
+
+def _joined(surfaces: Sequence[Surface]) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"], Int[ndarray, n]]:
+    """One mesh from several, and the first face of each."""
+    offsets = [0, *accumulate(len(v) for v, _ in surfaces)]
+    first = np.array([0, *accumulate(len(f) for _, f in surfaces)])[:-1]
+    vertices = np.concatenate([v for v, _ in surfaces])
+    faces = np.concatenate([f + o for (_, f), o in zip(surfaces, offsets, strict=False)])
+    return vertices, faces, first

@@ -1,0 +1,180 @@
+"""A hand's hold on an object as one pose, or as a turn about one axis: the nearest to known poses (paper, Eq. 3).
+
+Poses are rotations R_n (object to hand) and places c_n of the object's centre in the hand frame. The paper's
+``||T_n - T_gt,n||^2`` adds rotations to lengths. Here the unit of length is named, ``size``, and the object's frame is
+in its centre:
+
+    E = sum_n ||R_n - R_gt,n||^2 + ||c_n - c_gt,n||^2 / size^2          (Frobenius norm)
+
+With ``size`` the root mean square distance of the object's points from its centre, over the root of 3, E size^2 is the
+mean square distance by which the points of a ball of that extent are off. With an infinite size rotations alone count,
+and the optimum is known in closed form: as ``||R - R'||^2 = 8 (1 - (q . q')^2)`` for unit quaternions, and a turn about
+an axis is a great circle of quaternions, the nearest pose is the first eigenvector of ``sum_n q_n q_n^T`` (Markley et
+al., "Averaging quaternions", 2007), the nearest turn the plane of the first two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.geometry import se3
+
+PRECISION = 1e-10
+"""Relative change of E, and of the hinge, at which the search for the best hinge ends."""
+TRIAL, LONGEST = 20, 200
+"""Steps from each start, and then from the best of them."""
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """A turn of the object about one line of the hand frame.
+
+    Turned by the angle w it has ``R(w) = exp(w direction) R`` and ``c(w) = point + exp(w direction) arm``.
+    """
+
+    R: Float[ndarray, "3 3"]
+    """Rotation of the object at angle 0."""
+    direction: Float[ndarray, "3"]
+    """Unit vector along the axis."""
+    point: Float[ndarray, "3"]
+    """A point of the axis [m]."""
+    arm: Float[ndarray, "3"]
+    """From there to the object's centre at angle 0 [m]."""
+    size: float
+    """Unit of length of E [m]; infinite where rotations alone count."""
+
+    def angles(self, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
+        """The angle [rad] nearest to each of some poses: E is a sine wave of it."""
+        d = self.direction
+        M = self.R @ np.swapaxes(R, -1, -2)
+        across = self.arm - d * (d @ self.arm)
+        away = (c - self.point) / self.size**2
+        cosine = np.trace(M, axis1=1, axis2=2) - (M @ d) @ d + away @ across
+        sine = np.einsum("ij,nji->n", se3.hat(d), M) + away @ np.cross(d, across)
+        return np.arctan2(sine, cosine)
+
+    def at(self, angle: Float[ndarray, "N"]) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"]]:
+        """Rotations, and places of the centre [m], at some angles."""
+        turn = se3.exp_so3(angle[:, None] * self.direction)
+        return turn @ self.R, self.point + turn @ self.arm
+
+    def energy(self, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> float:
+        """E of the nearest poses."""
+        R_found, c_found = self.nearest(R, c)
+        return float(np.sum((R_found - R) ** 2) + np.sum((c_found - c) ** 2) / self.size**2)
+
+    def nearest(
+        self, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]
+    ) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"]]:
+        """The hinge's own poses that are nearest to some others."""
+        return self.at(self.angles(R, c))
+
+
+def mean_rotation(R: Float[ndarray, "N 3 3"]) -> Float[ndarray, "3 3"]:
+    """The rotation of least ``sum_n ||R - R_n||^2``."""
+    return se3.nearest_rotation(R.sum(axis=0))
+
+
+def rotation_hinge(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> Hinge:
+    """The hinge whose rotations are nearest to R; its line passes where the centres then ask for."""
+    return next(_circles(R, c, np.inf, None))
+
+
+def pose_hinge(
+    R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float, through: Float[ndarray, "3"] | None = None
+) -> Hinge:
+    """The hinge of least E, anywhere or through a point of the hand frame [m].
+
+    E is minimised over the hinge, the angles always the best ones, by Levenberg-Marquardt from a few starts: the two
+    best turns that the eigenvectors of the quaternions span with the mean rotation, each as a turn by the best angles
+    of its rotations, and as no turn at all. From the latter E can only fall below that of the best single pose.
+    """
+    starts = list(_circles(R, c, size, through))[:2]
+    starts += [_still(start, R, c, through) for start in starts]
+    tried = [_refined(start, R, c, through, TRIAL) for start in starts]
+    best = min(tried, key=lambda hinge: hinge.energy(R, c))
+    return _refined(best, R, c, through, LONGEST)
+
+
+def _circles(
+    R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float, through: Float[ndarray, "3"] | None
+) -> Iterator[Hinge]:
+    """Hinges through the mean rotation, the nearest to the rotations first."""
+    q = se3.quaternion(R)
+    _, vectors = np.linalg.eigh(q.T @ q)
+    mean = vectors[:, 3]
+    R_mean = se3.from_quaternion(mean)
+    for other in (vectors[:, 2], vectors[:, 1], vectors[:, 0]):
+        w, v = mean[0], mean[1:]
+        direction = w * other[1:] - other[0] * v - np.cross(other[1:], v)  # other times mean's conjugate
+        direction /= np.linalg.norm(direction)
+        angle = Hinge(R_mean, direction, np.zeros(3), np.zeros(3), np.inf).angles(R, c)
+        point, arm = _line(direction, angle, c, through)
+        yield Hinge(R_mean, direction, point, arm, size)
+
+
+def _line(
+    direction: Float[ndarray, "3"],
+    angle: Float[ndarray, "N"],
+    c: Float[ndarray, "N 3"],
+    through: Float[ndarray, "3"] | None,
+) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]]:
+    """Point and arm whose turns by the angles are nearest to c: linear least squares."""
+    turn = se3.exp_so3(angle[:, None] * direction)
+    if through is not None:
+        arm = (np.swapaxes(turn, -1, -2) @ (c - through)[..., None])[..., 0].mean(axis=0)
+        return through, arm
+    rows = np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=-1).reshape(-1, 6)
+    solution = np.linalg.lstsq(rows, c.ravel(), rcond=1e-9)[0]
+    return solution[:3], solution[3:]
+
+
+def _still(
+    hinge: Hinge, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], through: Float[ndarray, "3"] | None
+) -> Hinge:
+    """The same direction through the mean centre, or through the given point, with the mean pose at angle 0."""
+    point = c.mean(axis=0) if through is None else through
+    return replace(hinge, R=mean_rotation(R), point=point, arm=c.mean(axis=0) - point)
+
+
+def _refined(
+    start: Hinge, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], through: Float[ndarray, "3"] | None, steps: int
+) -> Hinge:
+    """The hinge to which so many steps at most lead from another; E never rises."""
+    from scipy.optimize import least_squares
+
+    moved = _moves(start, free=through is None)
+
+    def residuals(x: Float[ndarray, "k"]) -> Float[ndarray, "m"]:
+        R_found, c_found = moved(x).nearest(R, c)
+        return np.concatenate([(R_found - R).ravel(), (c_found - c).ravel() / start.size])
+
+    x = np.zeros(11 if through is None else 8)
+    solution = least_squares(residuals, x, xtol=PRECISION, ftol=PRECISION, gtol=1e-14, max_nfev=steps)
+    return moved(solution.x)
+
+
+def _moves(start: Hinge, free: bool) -> Callable[[Float[ndarray, "k"]], Hinge]:
+    """Hinges around one: a turn of R (3), a tilt of the axis (2), a step of the arm (3) and of the point (3 if free).
+
+    Some of these move nothing (a turn of R and arm about the axis, a step of the point along it): the solver's steps
+    are the shortest.
+    """
+    tilts = np.linalg.svd(start.direction[None])[2][1:]
+
+    def moved(x: Float[ndarray, "k"]) -> Hinge:
+        direction = start.direction + x[3:5] @ tilts
+        return replace(
+            start,
+            R=se3.exp_so3(x[:3]) @ start.R,
+            direction=direction / np.linalg.norm(direction),
+            arm=start.arm + start.size * x[5:8],
+            point=start.point + start.size * x[8:11] if free else start.point,
+        )
+
+    return moved

@@ -1,0 +1,85 @@
+"""FrankMocap's hand module: ``*_prediction_result.pkl``, one file for each image.
+
+A list ``pred_output_list`` of people, each with ``left_hand`` and ``right_hand``: ``pred_camera`` (s, tx, ty) in a crop
+of 224 px, which is ``bbox_scale_ratio`` times as large as in the image and has its corner at ``bbox_top_left``;
+``pred_hand_pose`` (48) as rotation vectors, the global one first, the fingers' relative to MANO's mean pose (its model
+is SMPL-X with ``flat_hand_mean=False``); and, where it was run with ``--save_mesh``, ``pred_vertices_smpl`` (778, 3),
+turned, about an origin of its own. A hand that was not seen is an empty dictionary, or None. A vertex X is seen at
+(``convert_smpl_to_bbox``, ``convert_bbox_to_oriIm``)
+
+    (u, v) = bbox_top_left + (112 / ratio) (1 + s (X + tx, Y + ty)).
+
+FrankMocap turns left hands back itself. Its ``pred_hand_betas`` are a body's (SMPL-X), no shape of MANO's, and not
+used: the hand keeps the mean shape, and is put where the mean of FrankMocap's vertices is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.hands.model import Side, mirrored_pose
+from getagrip.hands.trackers.estimates import Camera, Seen
+from getagrip.hands.trackers.hand import load_mano
+from getagrip.hands.trackers.records import Record, numbers
+from getagrip.hands.trackers.weak_perspective import WeakPerspective
+from getagrip.io.files import shown
+
+CROP = 224.0
+"""Side of FrankMocap's crops [px]."""
+
+
+def of_side(path: Path, record: Record, side: Side) -> Record | None:
+    """The record of one side's hand, or nothing where it holds none. Raises ``InputError`` for two of them."""
+    people = record.get("pred_output_list")
+    if not isinstance(people, list) or not all(person is None or isinstance(person, Mapping) for person in people):
+        given = "no such key" if people is None else shown(people)
+        raise InputError(path, "pred_output_list", given, "a list with a dictionary for each person")
+    hands = [person.get(f"{side}_hand") for person in people if person]
+    hands = [hand for hand in hands if not (hand is None or (isinstance(hand, Mapping) and not hand))]
+    if len(hands) > 1:
+        raise InputError(path, "pred_output_list", f"{len(hands)} {side} hands", "one; leave out other people's")
+    if hands and not isinstance(hands[0], Mapping):
+        raise InputError(path, f"{side}_hand", shown(hands[0]), "a dictionary")
+    return hands[0] if hands else None
+
+
+def mean_pose(folder: Path | None, side: Side) -> Float[ndarray, "45"]:
+    """The pose that FrankMocap's are relative to [rad]; a left hand's is that of a right one in the mirror.
+
+    It stands in the user's MANO file. Raises ``InputError``, and ``UsageError`` without a folder.
+    """
+    model = load_mano(folder, "right")
+    if model is None:
+        what = "FrankMocap's poses are relative to the mean pose, which stands in them"
+        raise UsageError(f"--mano: got nothing, expected the folder of your MANO files: {what}")
+    return mirrored_pose(model.mean) if side == "left" else model.mean
+
+
+def seen(path: Path, record: Record, camera: Camera, mean: Float[ndarray, "45"]) -> tuple[Seen, str]:
+    """The hand of one record, and where its depth comes from; ``mean`` is that of ``mean_pose``.
+
+    Raises ``InputError``.
+    """
+    if "pred_vertices_smpl" not in record:
+        raise InputError(path, "pred_vertices_smpl", "no such key", "the key: run FrankMocap with --save_mesh")
+    cam = numbers(path, record, "pred_camera", (3,))
+    ratio = float(numbers(path, record, "bbox_scale_ratio", ()))
+    if not (ratio > 0 and cam[0] > 0):
+        key, bad = ("bbox_scale_ratio", ratio) if not ratio > 0 else ("pred_camera", cam[0])
+        raise InputError(path, key, f"the scale {bad:g}", "above 0")
+    side = CROP / ratio
+    corner = numbers(path, record, "bbox_top_left", (2,))
+    weak = WeakPerspective.of_crop(corner + side / 2.0, side, cam)
+    pose = numbers(path, record, "pred_hand_pose", (48,))
+    vertices = numbers(path, record, "pred_vertices_smpl", (778, 3))
+    t = weak.before(camera)
+    R = se3.exp_so3(pose[:3])
+    depth = "weak perspective (pred_camera, bbox_top_left, bbox_scale_ratio) and the clip's focal length"
+    return Seen(R, pose[3:] + mean, np.zeros(10), t, vertices=vertices + t), depth

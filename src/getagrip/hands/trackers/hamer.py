@@ -1,0 +1,143 @@
+"""HaMeR and WiLoR: dictionaries as their demos hold them, one hand or several to a record.
+
+Read are ``global_orient`` (3, 3), ``hand_pose`` (15, 3, 3) and ``betas`` (10), at the top or in ``pred_mano_params``,
+and where the hand is, from the first of these that is there:
+
+- ``pred_cam_t_full`` (3) with ``scaled_focal_length`` () (the demo's 5000 / 256 * max(W, H) where it is missing);
+- ``pred_cam`` (s, tx, ty) with ``box_center`` (2) and ``box_size`` ();
+- ``pred_cam`` with ``box_xyxy`` (4): the detected box, enlarged twice;
+- ``pred_cam`` with ``box_xyxy_456x256`` (4), in an image of 456 x 256: the later code of the paper's authors, whose
+  files hold such a dictionary for each of ``left`` and ``right``.
+
+Boxes and translations are in the pixels of ``img_size`` (W, H), or of the clip's images where it is missing. ``right``
+(or ``is_right``) is 1 for right hands. Both networks know right hands only: rotations of a left hand are those of a
+right one in the mirrored crop, and are mirrored here; ``pred_cam[1]`` is as both demos leave it, its sign turned
+already. ``wilor_preds`` (WiLoR-mini) holds left hands' rotations, vectors, turned back already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.hands.model import MIRROR, Side
+from getagrip.hands.trackers.estimates import Camera, Seen, mirror_rotation, rotations
+from getagrip.hands.trackers.records import Record, child, numbers
+from getagrip.hands.trackers.weak_perspective import WeakPerspective, hamer_focal, vitdet_side
+
+LATER_SIZE = (456, 256)
+"""Images in which the later code's boxes are [px]."""
+
+
+def of_side(path: Path, record: Record, side: Side) -> Record | None:
+    """The record of one side's hand, or nothing where it holds none.
+
+    Raises ``InputError`` for records that do not tell the side, or hold two hands of it.
+    """
+    if not record:  # the later code's, of an image without hands
+        return None
+    if "left" in record or isinstance(record.get("right", 0), dict | None):
+        return child(path, record, side) if record.get(side) is not None else None
+    key = next((key for key in ("right", "is_right") if key in record), None)
+    if key is None:
+        raise InputError(path, "right", "no such key", "1 for a right hand, 0 for a left one")
+    flags = np.atleast_1d(numbers(path, record, key, (-1,))).ravel()
+    rows = np.flatnonzero((flags > 0.5) == (side == "right"))
+    if len(rows) > 1:
+        raise InputError(path, key, f"{len(rows)} {side} hands", "one; leave out those of other people")
+    if not rows.size:
+        return None
+    return dict(_taken(record, int(rows[0]), len(flags))) if len(flags) > 1 else record
+
+
+def _taken(record: Record, row: int, of: int) -> Iterator[tuple[str, object]]:
+    """A record's items at one of several hands; what is not there for each hand is of all of them."""
+    for key, value in record.items():
+        if isinstance(value, dict):
+            yield key, dict(_taken(value, row, of))
+        else:
+            shape = np.shape(value) if isinstance(value, ndarray | list) else ()
+            each = len(shape) > (key == "img_size") and shape[0] == of
+            yield key, value[row] if each else value
+
+
+def seen(path: Path, record: Record, side: Side, camera: Camera) -> tuple[Seen, str]:
+    """The hand of one record, and where its depth comes from. Raises ``InputError``."""
+    turned_back = "wilor_preds" in record
+    inner = child(path, record, "wilor_preds") if turned_back else record
+    inner = {**record, **inner}
+    of = {**inner, **child(path, inner, "pred_mano_params")} if "pred_mano_params" in inner else inner
+    R = rotations(path, "global_orient", numbers(path, of, "global_orient", (3, 3), (3,)), 0)
+    fingers = rotations(path, "hand_pose", numbers(path, of, "hand_pose", (15, 3, 3), (15, 3)), 1)
+    betas = numbers(path, of, "betas", (10,))
+    if side == "left" and not turned_back:
+        R, fingers = mirror_rotation(R), mirror_rotation(fingers)
+    weak, depth = _weak_perspective(path, inner, camera)
+    if not weak.pixels_per_metre > 0:
+        raise InputError(path, "pred_cam", f"the scale {weak.pixels_per_metre:g}", "a hand before the camera")
+    t = weak.before(camera)
+    pose = se3.log_so3(fingers).reshape(45)
+    joints = _joints(path, inner, side, R, pose, betas) if "pred_keypoints_3d" in inner else None
+    return Seen(R, pose, betas, t, None if joints is None else joints + t), depth
+
+
+def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakPerspective, str]:
+    """What the network saw, in the pixels of the clip's images, and where its depth comes from, in words."""
+    size = np.array(camera.size, dtype=float)
+    if "img_size" in record:
+        size = numbers(path, record, "img_size", (2,))
+    if "box_xyxy_456x256" in record:
+        size = np.array(LATER_SIZE, dtype=float)
+    if not size.min() >= 1.0:
+        raise InputError(path, "img_size", str(size.tolist()), "width and height [px]")
+    zoom = np.array(camera.size) / size
+    if "pred_cam_t_full" in record:
+        t = numbers(path, record, "pred_cam_t_full", (3,))
+        if not t[2] > 0:
+            raise InputError(path, "pred_cam_t_full", f"the depth {t[2]:g}", "above 0")
+        focal = hamer_focal((int(size[0]), int(size[1])))
+        assumed = "5000 / 256 times the larger side, as the demo assumes, to be divided out again: no focal in the file"
+        if "scaled_focal_length" in record:
+            focal = float(numbers(path, record, "scaled_focal_length", ()))
+            assumed = f"the file's focal length, {focal:.6g} px, divided out"
+        if not focal > 0:
+            raise InputError(path, "scaled_focal_length", f"{focal:g}", "above 0")
+        weak = WeakPerspective.of_translation(t, focal, size / 2.0)
+        return weak.resized(zoom), f"pred_cam_t_full, {assumed}, and the clip's put in"
+    cam = numbers(path, record, "pred_cam", (3,))
+    if "box_center" in record:
+        centre, side = numbers(path, record, "box_center", (2,)), float(numbers(path, record, "box_size", ()))
+        source = "box_center and box_size"
+    else:
+        source = next((key for key in ("box_xyxy_456x256", "box_xyxy") if key in record), "box_center")
+        corners = numbers(path, record, source, (4,))
+        centre, side = (corners[:2] + corners[2:]) / 2.0, vitdet_side(corners[2:] - corners[:2], 2.0)
+    if not side > 0:
+        raise InputError(path, source, f"a box {side:g} px large", "a box with an area")
+    weak = WeakPerspective.of_crop(centre, side, cam)
+    return weak.resized(zoom), f"weak perspective (pred_cam, {source}) and the clip's focal length"
+
+
+def _joints(
+    path: Path, record: Record, side: Side, R: ndarray, pose: ndarray, betas: ndarray
+) -> Float[ndarray, "21 3"]:
+    """``pred_keypoints_3d`` of the hand as it is.
+
+    The demos mirror a left hand's vertices where they are, but its keypoints not always: of the two, those are taken
+    that agree with the rotations.
+    """
+    from getagrip.hands.trackers.hand import generic_joints
+
+    joints = numbers(path, record, "pred_keypoints_3d", (21, 3))
+    if side == "right":
+        return joints
+    expected = generic_joints(side, R, pose)
+    both = [joints, joints * MIRROR]
+    errors = [np.linalg.norm((x - x[0]) - (expected - expected[0])) for x in both]
+    return both[int(np.argmin(errors))]

@@ -1,0 +1,113 @@
+"""From an estimator's numbers to surfaces: MANO's where the user has it, the generic hand's where not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip import HandTrack
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.hands import generic, mano
+from getagrip.hands.fit import fit_joints
+from getagrip.hands.model import (
+    HandModel,
+    PosedHand,
+    Side,
+    hand_track,
+    mirrored,
+    mirrored_pose,
+    root_transform,
+)
+from getagrip.hands.trackers.estimates import Estimates
+
+FILES: dict[Side, str] = {"left": "MANO_LEFT.pkl", "right": "MANO_RIGHT.pkl"}
+DISAGREES = 0.03
+"""Vertices so far from an estimator's own [m, root mean square] are another pose, not another shape."""
+
+
+def load_mano(folder: Path | None, side: Side) -> mano.Mano | None:
+    """The user's MANO hand of a side, or nothing without a folder. Raises ``InputError``."""
+    return None if folder is None else mano.load(folder / FILES[side], side)
+
+
+def track(estimates: Estimates, folder: Path | None) -> tuple[HandTrack, str]:
+    """The hand in every frame, and in words which one it is.
+
+    With a ``folder`` of MANO files it is MANO's. Without one it is the generic hand: fitted to the joints where the
+    estimator gives them, turned like the estimator's where not. Raises ``InputError``.
+    """
+    side, seen = estimates.side, [hand.seen for hand in estimates.hands]
+    joints = [hand.joints for hand in seen if hand.joints is not None]
+    if folder is None and len(joints) == len(seen):
+        return fitted(estimates.hands[0].path, side, np.array(joints))
+    R, pose, betas, t = (np.array([getattr(hand, key) for hand in seen]) for key in ("R", "pose", "betas", "t"))
+    if folder is None:
+        shaped = generic.load(side).with_shape()
+        posed, root = shaped.with_pose(pose), shaped.joints[0]
+        what = "the generic hand of mean size, turned as the estimator's MANO hand: not its surface"
+    elif side == "left" and estimates.left_model == "mirrored":
+        posed, root = _mirrored_right(mano.load(folder / FILES["right"], "right").model, betas, pose)
+        what = "MANO's right hand mirrored, as the estimator has it"
+    else:
+        shaped = mano.load(folder / FILES[side], side).model.with_shape(betas)
+        posed, root = shaped.with_pose(pose), shaped.joints[:, 0]
+        what = f"MANO's {side} hand"
+    T_cam_hand = root_transform(R, t, root)
+    if all(hand.vertices is not None for hand in seen):
+        T_cam_hand = _onto_vertices(estimates, posed, T_cam_hand)
+    return hand_track(posed, T_cam_hand), what
+
+
+def fitted(path: Path, side: Side, joints: Float[ndarray, "T 21 3"]) -> tuple[HandTrack, str]:
+    """The generic hand fitted to joints before the camera [m], in this package's order. Raises ``InputError``."""
+    try:
+        fit = fit_joints(generic.load(side), joints, "openpose")
+    except UsageError as error:
+        given, _, expected = str(error).removeprefix("joints: got ").partition(", expected ")
+        raise InputError(path, "joints", given, expected or "the 21 joints of a hand [m]") from error
+    off = 1e3 * np.sqrt(np.mean(fit.residuals**2))
+    return fit.hand, f"the generic hand fitted to the estimator's joints ({off:.1f} mm off, root mean square)"
+
+
+def generic_joints(side: Side, R: Float[ndarray, "3 3"], pose: Float[ndarray, "45"]) -> Float[ndarray, "21 3"]:
+    """The joints of the generic hand with a global rotation and a pose, in the camera's axes [m]."""
+    return generic.load(side).with_shape().with_pose(pose).joints @ R.T
+
+
+def _mirrored_right(
+    model: HandModel, betas: Float[ndarray, "T 10"], pose: Float[ndarray, "T 45"]
+) -> tuple[PosedHand, Float[ndarray, "T 3"]]:
+    """A right hand's mirror image, and its root joint."""
+    shaped = model.with_shape(betas)
+    posed = shaped.with_pose(mirrored_pose(pose))
+    left = replace(
+        posed,
+        side="left",
+        vertices=mirrored(posed.vertices),
+        faces=posed.faces[:, ::-1].copy(),
+        joints=mirrored(posed.joints),
+    )
+    return left, mirrored(shaped.joints[:, 0])
+
+
+def _onto_vertices(
+    estimates: Estimates, posed: PosedHand, T_cam_hand: Float[ndarray, "T 4 4"]
+) -> Float[ndarray, "T 4 4"]:
+    """MANO's hands moved such that the means of their vertices are where those of the estimator's are.
+
+    Raises ``InputError`` where the vertices then still are far from the estimator's.
+    """
+    given = np.array([hand.seen.vertices for hand in estimates.hands])
+    ours = se3.transform(T_cam_hand, posed.vertices)
+    shift = given.mean(axis=1) - ours.mean(axis=1)
+    off = np.sqrt(np.mean(np.sum((ours + shift[:, None] - given) ** 2, axis=-1), axis=1))
+    if off.max() > DISAGREES:
+        worst = estimates.hands[int(np.argmax(off))]
+        given_words = f"vertices {1e3 * off.max():.0f} mm from MANO's in the same pose"
+        raise InputError(worst.path, "pred_vertices_smpl", given_words, "the hand of pred_hand_pose")
+    return se3.rigid(None, shift) @ T_cam_hand

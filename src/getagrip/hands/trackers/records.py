@@ -1,0 +1,125 @@
+"""Estimators' files as dictionaries of numbers, whatever container they came in. Nothing in them is ever run."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.errors import InputError, UsageError
+from getagrip.io import arrays, files, pickles
+
+Record = Mapping[str, Any]
+"""Arrays, numbers, texts, lists and further records by name."""
+SUFFIXES = (".npz", ".npy", ".json", ".pkl", ".pickle", ".pt", ".pth")
+LARGEST = 256 * 2**20
+"""Bytes of the largest ``.npy`` or ``.pt`` file, unpacked."""
+ABSURD = 1e7
+"""No pixel, metre or radian is as large."""
+
+
+def read(path: Path) -> Record:
+    """The content of a file. A bare ``.npy`` array becomes a record with the one key ``joints``.
+
+    Raises ``InputError`` for damaged, hostile and absurdly large files, ``UsageError`` for ``.pt`` without torch.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        return arrays.read(path, lambda _: True)
+    if suffix == ".json":
+        return files.read_json(path)
+    if suffix in {".pkl", ".pickle"}:
+        return pickles.read(path, files.read_bytes(path, pickles.LARGEST), "a pickled dictionary of arrays")
+    if suffix in {".pt", ".pth"}:
+        return _read_torch(path)
+    if suffix == ".npy":
+        return {"joints": arrays.parse_npy(path, "", files.read_bytes(path, LARGEST))}
+    raise InputError(path, "", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")
+
+
+def _read_torch(path: Path) -> Record:
+    """A file of ``torch.save``, tensors only: torch's own safe reader refuses what could run code."""
+    try:
+        import torch
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"{path}: reading {path.suffix} files needs torch: pip install 'getagrip[torch]', or save the same "
+            "dictionary as .npz where the file was made"
+        ) from error
+    content = files.read_bytes(path, LARGEST)
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:  # older files than torch 1.6's are no zip archives
+            unpacked = sum(member.file_size for member in archive.infolist())
+        if unpacked > LARGEST:
+            raise InputError(path, "", f"tensors of {unpacked} bytes", f"at most {LARGEST}")
+        loaded = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+        pickles.check_bounded(path, loaded, "a dictionary of tensors")
+    except InputError:
+        raise
+    except Exception as error:  # torch raises whatever its parsers meet
+        reason = str(error).partition("\n")[0]
+        raise InputError(path, "", f"a file that does not load safely ({reason})", "a dictionary of tensors") from error
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, torch.Tensor):
+            return value.detach().float().numpy() if value.is_floating_point() else value.detach().numpy()
+        if isinstance(value, dict):
+            return {str(key): plain(item) for key, item in value.items()}
+        return [plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+    record = plain(loaded)
+    if not isinstance(record, dict):
+        raise InputError(path, "", f"a {type(loaded).__name__}", "a dictionary of tensors")
+    return record
+
+
+def numbers(path: Path, record: Record, key: str, *shapes: tuple[int, ...], of: str = "") -> Float[ndarray, "..."]:
+    """A finite array that fits one of the shapes once axes of length 1 are left out; it gets that shape.
+
+    A length of -1 stands for any above 0. ``of`` names the record where it stands in another one. Raises
+    ``InputError``.
+    """
+    name = f"{of}.{key}" if of else key
+    if key not in record:
+        raise InputError(path, name, "no such key", "the key")
+    try:
+        value = np.asarray(record[key])
+    except ValueError:  # rows of different lengths
+        value = np.asarray(None)
+    expected = " or ".join(str(shape).replace("-1", "any") for shape in shapes)
+    if value.dtype.kind not in "fiub":
+        raise InputError(path, name, files.shown(record[key]), f"numbers of shape {expected}")
+    for shape in shapes:
+        if (fitted := _fitted(value, shape)) is not None:
+            array = arrays.floats(path, {name: fitted}, name, fitted.shape, kinds="fiub")
+            if np.abs(array).max() > ABSURD:
+                raise InputError(path, name, f"the number {array.flat[np.abs(array).argmax()]:.3g}", "plausible ones")
+            return array
+    raise InputError(path, name, f"the shape {value.shape}", f"{expected}")
+
+
+def _fitted(value: ndarray, shape: tuple[int, ...]) -> ndarray | None:
+    """The array in a shape, or nothing where it has another one, axes of length 1 apart."""
+    if value.size == 0:
+        return None
+    squeezed = [n for n in value.shape if n != 1]
+    for count in [1, *squeezed[:1]] if -1 in shape else [1]:
+        wanted = tuple(count if n == -1 else n for n in shape)
+        if [n for n in wanted if n != 1] == squeezed:
+            return value.reshape(wanted)
+    return None
+
+
+def child(path: Path, record: Record, key: str) -> Record:
+    """A record within a record. Raises ``InputError``."""
+    value = record.get(key)
+    if not isinstance(value, Mapping):
+        given = "no such key" if key not in record else files.shown(value)
+        raise InputError(path, key, given, "a dictionary")
+    return value

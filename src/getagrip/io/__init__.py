@@ -1,0 +1,1 @@
+"""Files and arrays from strangers, read with limits; complete files or none written."""

@@ -1,0 +1,120 @@
+"""Arrays from strangers' ``.npz`` files, checked. No pickle is ever run; sizes are checked before memory is taken."""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.io import files
+
+LARGEST = 2**29
+"""Limit in bytes of the arrays of one file, unpacked."""
+
+
+def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray, "..."]]:
+    """The wanted arrays of an ``.npz`` file, the others left unread.
+
+    Raises ``InputError`` for damaged files, for arrays of Python objects, and for files that unpack to more than
+    ``LARGEST`` bytes.
+    """
+    content = files.read_bytes(path)
+    out: dict[str, ndarray] = {}
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            members = [m for m in archive.infolist() if m.filename.endswith(".npy") and wanted(m.filename[:-4])]
+            unpacked = sum(member.file_size for member in members)
+            if unpacked > LARGEST:
+                raise InputError(path, "", f"arrays of {unpacked} bytes", f"at most {LARGEST}")
+            for member in members:
+                key = member.filename[:-4]
+                if key in out:
+                    raise InputError(path, key, "the array twice", "each array once")
+                out[key] = parse_npy(path, key, archive.read(member))  # reads file_size bytes at most, checks the CRC
+    except InputError:
+        raise
+    except Exception as error:  # zipfile and its decompressors raise whatever they meet
+        raise InputError(path, "", f"a file that does not unpack ({error})", "an .npz file") from error
+    return out
+
+
+def parse_npy(path: Path, key: str, content: bytes) -> Shaped[ndarray, "..."]:
+    """An array from the bytes of an ``.npy`` file, whose header may lie about its size. Raises ``InputError``."""
+    stream = io.BytesIO(content)
+    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    try:
+        shape, fortran, dtype = headers[np.lib.format.read_magic(stream)](stream)
+    except Exception as error:  # the header is a Python literal: its parser raises many things
+        raise InputError(path, key, f"an array whose header does not parse ({error})", "a .npy array") from error
+    if dtype.hasobject:
+        raise InputError(path, key, "an array of Python objects", "an array of numbers")
+    start, count = stream.tell(), math.prod(shape)  # exact integers: a hostile header must not overflow
+    if min(shape, default=1) < 0 or count * dtype.itemsize != len(content) - start:
+        given = f"{len(content) - start} bytes for the shape {shape}"
+        raise InputError(path, key, given, f"{count * dtype.itemsize} bytes")
+    if count == 0:
+        return np.zeros(shape, dtype)
+    return np.frombuffer(content, dtype, offset=start).reshape(shape, order="F" if fortran else "C")
+
+
+def floats(
+    path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str = "f"
+) -> Float[ndarray, "..."]:
+    """A finite array of the given shape, -1 standing for any length above 0."""
+    array = _shaped(path, given, key, shape, kinds, "floating-point numbers")
+    with np.errstate(over="ignore"):
+        array = array.astype(float)
+    finite = np.isfinite(array)
+    if not finite.all():
+        first = np.unravel_index(np.argmin(finite), finite.shape)
+        bad = f"{np.count_nonzero(~finite)} NaN or infinite numbers (first at {[int(i) for i in first]})"
+        raise InputError(path, key, bad, "finite numbers")
+    return array
+
+
+def indices(
+    path: Path, given: dict[str, ndarray], key: str, vertices: int, shape: tuple[int, ...]
+) -> Int[ndarray, "..."]:
+    """An array of vertex ids."""
+    array = _shaped(path, given, key, shape, "iu", "integers")
+    if array.min() < 0 or array.max() >= vertices:
+        bad = array.min() if array.min() < 0 else array.max()
+        raise InputError(path, key, f"the vertex id {bad}", f"ids of the hand's vertices, 0 to {vertices - 1}")
+    return array.astype(np.int64)
+
+
+def _shaped(
+    path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str, what: str
+) -> Shaped[ndarray, "..."]:
+    """An array that is there, of the expected kind and shape."""
+    if key not in given:
+        raise InputError(path, key, "no such array", f"the array, of {what}")
+    array = given[key]
+    if array.dtype.kind not in kinds:
+        raise InputError(path, key, f"the type {files.shown(str(array.dtype))}", what)
+    fits = len(array.shape) == len(shape) and all(
+        have == want or (want == -1 and have > 0) for have, want in zip(array.shape, shape, strict=True)
+    )
+    if not fits:
+        expected = tuple("any" if length == -1 else length for length in shape)
+        raise InputError(path, key, f"the shape {array.shape}", f"({', '.join(map(str, expected))})")
+    return array
+
+
+def write(path: Path, content: dict[str, Shaped[ndarray, "..."]]) -> None:
+    """Write a compressed ``.npz`` file; the same arrays give the same bytes."""
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w") as archive:
+        for key, array in content.items():
+            member = zipfile.ZipInfo(f"{key}.npy")  # dated 1980, not today
+            member.compress_type = zipfile.ZIP_DEFLATED
+            with archive.open(member, "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, array, allow_pickle=False)
+    files.write_bytes(path, whole.getvalue())

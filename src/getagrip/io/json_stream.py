@@ -1,0 +1,149 @@
+"""JSON files that are too large to hold: one member of the outermost object, or the items of its list one by one."""
+
+from __future__ import annotations
+
+import codecs
+import json
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from getagrip.errors import InputError
+from getagrip.io.files import plain, shown
+
+LARGEST_ITEM = 4 * 2**20
+"""Limit in characters of one item; in memory it may take some twenty times as much."""
+CHUNK = 2**16
+_SPACE = " \t\n\r"
+
+
+def items(path: Path, key: str) -> Iterator[dict[str, Any]]:
+    """The objects in the list ``key`` of a JSON object, in order; the other members are left unread.
+
+    ``path`` is the file, or a ``.zip`` that holds it alone. Raises ``InputError`` for text that is no JSON, a file that
+    is cut short, NaN, a list that is missing or holds anything but objects, and an item above ``LARGEST_ITEM``.
+    """
+    with _opened(path) as stream:
+        text = _Text(path, stream)
+        text.enter(key)
+        text.expect("[", key)
+        n = 0
+        while not text.skip("]"):
+            if n:
+                text.expect(",", key)
+            item = text.value(f"{key}[{n}]")
+            if not isinstance(item, dict):
+                raise InputError(path, f"{key}[{n}]", shown(item), "an object")
+            yield item
+            n += 1
+
+
+def member(path: Path, key: str) -> dict[str, Any]:
+    """The object ``key`` of a JSON object; what follows it is left unread. Raises ``InputError`` as ``items`` does."""
+    with _opened(path) as stream:
+        text = _Text(path, stream)
+        text.enter(key)
+        value = text.value(key)
+    if not isinstance(value, dict):
+        raise InputError(path, key, shown(value), "an object")
+    return value
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[IO[bytes]]:
+    """The bytes of a file, unpacked while they are read where it is a ``.zip``."""
+    try:
+        if path.suffix != ".zip":
+            with path.open("rb") as stream:
+                yield stream
+            return
+        with zipfile.ZipFile(path) as archive:
+            inside = [name for name in archive.namelist() if name.endswith(".json")]
+            if len(inside) != 1:
+                raise InputError(path, "", f"{len(inside)} JSON files in it", "one")
+            with archive.open(inside[0]) as packed:
+                yield packed
+    except InputError:
+        raise
+    except (OSError, zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, zlib.error) as error:
+        raise InputError(path, "", f"a file that cannot be read ({error})", "a JSON file") from error
+
+
+class _Text:
+    """A window on the text of a JSON object, moved on by what is read from it."""
+
+    def __init__(self, path: Path, stream: IO[bytes]) -> None:
+        self.path, self.stream = path, stream
+        self.decode = codecs.getincrementaldecoder("utf-8-sig")().decode
+        self.parse = json.JSONDecoder(parse_constant=self._refuse).raw_decode
+        self.window, self.ended = "", False
+
+    def enter(self, wanted: str) -> None:
+        """Move on to the value of a key of the object."""
+        self.expect("{", "")
+        first = True
+        while not self.skip("}"):
+            if not first:
+                self.expect(",", "")
+            key = self.value("")
+            if not isinstance(key, str):
+                raise InputError(self.path, "", shown(key), "a JSON object")
+            self.expect(":", plain(key))
+            if key == wanted:
+                return
+            self.value(plain(key))
+            first = False
+        raise InputError(self.path, wanted, "no such key", "the key")
+
+    def skip(self, mark: str) -> bool:
+        """Whether a mark comes next; if so, it is read."""
+        self.window = self.window.lstrip(_SPACE)
+        while not self.window and self._more():
+            self.window = self.window.lstrip(_SPACE)
+        if not self.window.startswith(mark):
+            return False
+        self.window = self.window[1:]
+        return True
+
+    def expect(self, mark: str, key: str) -> None:
+        """Read a mark that must come next."""
+        if not self.skip(mark):
+            given = shown(self.window[:20]) if self.window else "the end of the file"
+            raise InputError(self.path, key, given, f"{mark!r}, as in a JSON object; is the file cut short?")
+
+    def value(self, key: str) -> Any:
+        """Read a value: with the text that is there or, where that does not parse, with twice as much."""
+        while True:
+            self.window = self.window.lstrip(_SPACE)
+            try:
+                value, end = self.parse(self.window)
+                if end < len(self.window) or self.ended:  # a number may go on
+                    self.window = self.window[end:]
+                    return value
+                trouble = "no end"
+            except RecursionError as error:
+                raise InputError(self.path, key, "values nested too deep", "a JSON value") from error
+            except ValueError as error:
+                trouble = f"text that is no JSON ({error})"
+            if len(self.window) > LARGEST_ITEM:
+                raise InputError(self.path, key, f"more than {LARGEST_ITEM} characters, or {trouble}", "a JSON value")
+            if not self._more(len(self.window)):
+                raise InputError(self.path, key, trouble, "a JSON value; is the file cut short?")
+
+    def _more(self, least: int = 0) -> bool:
+        """Widen the window; false at the end of the file."""
+        if self.ended:
+            return False
+        content = self.stream.read(max(least, CHUNK))
+        self.ended = not content
+        try:
+            self.window += self.decode(content, self.ended)
+        except UnicodeDecodeError as error:
+            raise InputError(self.path, "", f"bytes that are no UTF-8 ({error.reason})", "JSON text") from error
+        return bool(content)
+
+    def _refuse(self, constant: str) -> Any:
+        raise InputError(self.path, "", f"the number {constant}", "finite numbers")

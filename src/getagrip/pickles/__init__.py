@@ -1,6 +1,0 @@
-"""Pickled dictionaries of arrays, read without running what is in them."""
-
-from getagrip.pickles.reading import LARGEST, check_bounded, read
-from getagrip.pickles.stand_ins import Instance
-
-__all__ = ["LARGEST", "Instance", "check_bounded", "read"]
