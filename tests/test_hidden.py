@@ -8,7 +8,7 @@ import numpy as np
 from conftest import small_clip
 
 from getagrip.clip import Masks
-from getagrip.clip.occlusion import hidden_by_hand
+from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
@@ -17,7 +17,7 @@ from getagrip.geometry.depth import depth_and_face
 
 def test_what_is_hidden_is_the_hand_but_for_the_object() -> None:
     clip, masks = small_clip(3)
-    hidden = hidden_by_hand(clip, masks)
+    hidden = occluded_by_hand(clip, masks)
     for n, vertices in enumerate(se3.transform(clip.hand.T_cam_hand, clip.hand.vertices)):
         hand = depth_and_face(vertices, clip.hand.faces, clip.K[n], clip.size)[1] >= 0
         np.testing.assert_array_equal(hidden.ignore[n] | (hand & masks.object[n]), hand)

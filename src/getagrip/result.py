@@ -17,13 +17,11 @@ from getagrip.geometry import se3
 from getagrip.io import arrays, files
 
 VERSION = 1
-HINGED = ("one-dof", "soft-hinge")
-"""Methods whose results have an axis."""
 FILES = ("result.json", "result.npz")
 """Of a result's folder."""
+AXIS = ("axis_point", "axis_direction", "angle")
 ARRAYS = (
-    "T_hand_obj", "scale", "frames", "iou", "axis_point", "axis_direction", "angle",
-    "candidate_T_hand_obj", "candidate_scale", "candidate_energy",
+    "T_hand_obj", "scale", "frames", "iou", *AXIS, "candidate_T_hand_obj", "candidate_scale", "candidate_energy",
 )  # fmt: skip
 """What ``result.npz`` holds."""
 FIELDS: dict[str, tuple[type, str]] = {
@@ -99,7 +97,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
     T = len(frames)
     K = len(given.get("candidate_energy", [])) if np.ndim(given.get("candidate_energy", 0)) else 1
     axis = None
-    if fields["method"] in HINGED or "angle" in given:
+    if any(key in given for key in AXIS):
         direction = arrays.floats(path, given, "axis_direction", (3,))
         if abs(np.linalg.norm(direction) - 1.0) > 1e-3:
             raise InputError(path, "axis_direction", f"length {np.linalg.norm(direction):.4g}", "a unit vector")

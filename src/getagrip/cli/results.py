@@ -14,6 +14,7 @@ from getagrip.cli.command import (
     File,
     Flag,
     Folder,
+    Method,
     OptionalFile,
     OptionalFolder,
     Results,
@@ -21,7 +22,7 @@ from getagrip.cli.command import (
     Workers,
 )
 from getagrip.errors import UsageError
-from getagrip.fitting.options import Init, Method, Options, PriorsFile
+from getagrip.fitting.options import Init, Options, PriorsFile
 
 Inits = Annotated[int, arg(metavar="N")]
 

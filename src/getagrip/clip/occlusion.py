@@ -1,4 +1,4 @@
-"""What the hand hides, where nobody says so: the hand as it is given, drawn over the object."""
+"""Hand occlusion, where no mask says so: the given hand, drawn over the object."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from getagrip.clip import Clip, Masks
 from getagrip.geometry import se3
 
 
-def hidden_by_hand(clip: Clip, masks: Masks) -> Masks:
+def occluded_by_hand(clip: Clip, masks: Masks) -> Masks:
     """Masks whose ignored pixels are those that the clip's hand covers and the object's mask does not."""
     from getagrip.geometry.depth import covered
 

@@ -19,7 +19,7 @@ from getagrip.experiments.sources import Source, samples
 from getagrip.experiments.statistics import RESAMPLES
 from getagrip.experiments.tables import as_json, latex, markdown, terminal, write_clips_csv, write_csv
 from getagrip.experiments.trials import Scores, Task, run
-from getagrip.fitting.options import Method, Options
+from getagrip.fitting.options import Options
 from getagrip.io import files
 from getagrip.result import software
 
@@ -33,7 +33,7 @@ class Plan:
 
     source: Source
     out: Path
-    methods: tuple[Method, ...] = ()
+    methods: tuple[str, ...] = ()
     """None: all of them, or those that the ablation is about."""
     ablation: str | None = None
     options: Options = field(default_factory=Options)

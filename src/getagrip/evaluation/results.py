@@ -12,7 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
-from getagrip.clip.occlusion import hidden_by_hand
+from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -133,7 +133,7 @@ def _distances(clip: Clip, predicted: ObjectTrack, true: ObjectTrack | None) -> 
 
 def judged(clip: Clip, masks: Masks) -> Masks:
     """Masks in which the hand is ignored where nothing else is, as the methods take them."""
-    return masks if masks.ignore.any() else hidden_by_hand(clip, masks)
+    return masks if masks.ignore.any() else occluded_by_hand(clip, masks)
 
 
 def add_iou(metrics: Metrics, per_frame: PerFrame, ious: MaskIou) -> None:

@@ -5,18 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, get_args
+from typing import Any, Protocol
 
 import numpy as np
 
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
 from getagrip.errors import InputError
-from getagrip.fitting.options import Method, Options
+from getagrip.fitting.methods import METHODS
+from getagrip.fitting.options import Options
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import SIDES, THRESHOLDS
 
-REFERENCE: Method = "one-dof"
+REFERENCE = "one-dof"
 """The paper's method: what the others are compared with."""
 CONTACT = "object_10mm"
 """Of the definitions of contact (docs/metrics.md) the one in use, unless a setting says otherwise."""
@@ -94,7 +95,7 @@ class Ablation:
     usual: str | None
     """Label of the setting that the others are compared with; None: methods are compared in each setting."""
     settings: tuple[Setting, ...]
-    methods: tuple[Method, ...] = (REFERENCE, "soft-hinge")
+    methods: tuple[str, ...] = (REFERENCE, "soft-hinge")
     """Unless others are named."""
 
 
@@ -182,18 +183,18 @@ ABLATIONS: dict[str, Ablation] = {
         "What counts as contact: whose points, and how near",
         None,
         tuple(_contact(side, threshold) for side in SIDES for threshold in THRESHOLDS),
-        get_args(Method),
+        tuple(METHODS),
     ),
 }
 
 
-def method_arms(methods: Sequence[Method], base: Options) -> list[Arm]:
+def method_arms(methods: Sequence[str], base: Options) -> list[Arm]:
     """Each method as it is; all of them where none is named."""
-    named: Sequence[Method] = methods or get_args(Method)
+    named: Sequence[str] = methods or tuple(METHODS)
     return [Arm(m, m, replace(base, method=m), AS_GIVEN, CONTACT, REFERENCE, m, m) for m in named]
 
 
-def ablation_arms(name: str, methods: Sequence[Method], base: Options) -> list[Arm]:
+def ablation_arms(name: str, methods: Sequence[str], base: Options) -> list[Arm]:
     """Each method in each setting of an ablation. A setting that changes nothing shares the method's own results."""
     ablation, arms = ABLATIONS[name], []
     for method in methods or ablation.methods:

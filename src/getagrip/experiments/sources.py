@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Literal
 
 from getagrip.batch.job import Outcome, by_name
 from getagrip.clip import write_clip
+from getagrip.clip.sampling import frame_indices
 from getagrip.errors import UsageError
 from getagrip.experiments.trials import Sample
-from getagrip.fitting.search import spread
 from getagrip.io import files
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def samples(source: Source, debug: bool) -> tuple[list[Sample], list[Outcome]]:
     else:
         found, bad = _folder(Path(source.dataset), source.part)
     if source.count is not None and source.count < len(found):
-        found = [found[n] for n in spread(len(found), source.count)]
+        found = [found[n] for n in frame_indices(len(found), source.count)]
     return found, bad
 
 

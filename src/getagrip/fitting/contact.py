@@ -83,8 +83,8 @@ def spread_points(points: Float[ndarray, "P 3"], wanted: int) -> Int[ndarray, "n
 
 
 @njit(**OPTIONS)
-def add_height(d, give, m0, m1, m2, x, y, z, R, centre, scale, weight, delta, g, H):
-    """Add ``weight |scale d + give|`` to the normal equations, d the height of a hand point over the object.
+def add_height(d, tolerance, m0, m1, m2, x, y, z, R, centre, scale, weight, delta, g, H):
+    """Add ``weight |scale d + tolerance|`` to the normal equations, d the height of a hand point over the object.
 
     The point (x, y, z) and the direction m of d are in the camera's and in the object's frame, d is of the unscaled
     object [m]. Moving the object by the local 7-vector (v, w, l) changes the height by
@@ -99,9 +99,9 @@ def add_height(d, give, m0, m1, m2, x, y, z, R, centre, scale, weight, delta, g,
     a = (
         -n0, -n1, -n2, r2 * n1 - r1 * n2, r0 * n2 - r2 * n0, r1 * n0 - r0 * n1, d - r0 * n0 - r1 * n1 - r2 * n2
     )  # fmt: skip
-    h = weight / max(abs(d + give), delta)
+    h = weight / max(abs(d + tolerance), delta)
     for i in range(7):
-        g[i] += h * (d + give) * a[i]
+        g[i] += h * (d + tolerance) * a[i]
         for j in range(i, 7):
             H[i, j] += h * a[i] * a[j]
 

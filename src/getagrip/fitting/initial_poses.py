@@ -1,5 +1,5 @@
-"""Where the search starts: poses that are given, then rotations spread over SO(3) at a place from hand and masks. Never
-from the truth.
+"""Where the search starts: poses that are given, then rotations spread uniformly over SO(3), at a place that hand and
+masks tell. The ground truth is never used.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from getagrip.fitting.motion import Fixed
 from getagrip.geometry import camera, se3
 
 
-def starting_poses(
+def initial_poses(
     clip: Clip, masks: Masks, inits: int, seed: int = 0, poses: Float[ndarray, "k 4 4"] | None = None
 ) -> Fixed:
-    """B = ``inits`` starts: the first of ``poses`` (``T_hand_obj``), then rotations spread over SO(3).
+    """B = ``inits`` poses: the first of ``poses`` (``T_hand_obj``), then rotations spread uniformly over SO(3).
 
     For the latter, the object's centre is where the hand grips and the masks' centres cross. A free scale starts where
     the object at that place is as large as its masks.
     """
     poses = np.zeros((0, 4, 4)) if poses is None else poses[:inits]
-    turn = se3.exp_so3(np.random.default_rng(seed).uniform(-1.0, 1.0, 3)) if seed else np.eye(3)
-    R = turn @ se3.super_fibonacci(inits - len(poses))
+    offset = se3.exp_so3(np.random.default_rng(seed).uniform(-1.0, 1.0, 3)) if seed else np.eye(3)
+    R = offset @ se3.super_fibonacci(inits - len(poses))
     boxes = camera.bounding_boxes(masks.object).astype(float)
     point = grip_point(clip, (boxes[:, :2] + boxes[:, 2:]) / 2.0)
     scale = 1.0
     if clip.scale == "free":
         depth = se3.transform(clip.hand.T_cam_hand, point[None, None])[:, 0, 2]
-        seen = np.linalg.norm(boxes[:, 2:] - boxes[:, :2], axis=1) * depth / clip.K[:, 0, 0]
-        scale = float(np.clip(np.median(seen) / clip.mesh.diameter, 0.2, 5.0))
+        extent = np.linalg.norm(boxes[:, 2:] - boxes[:, :2], axis=1) * depth / clip.K[:, 0, 0]
+        scale = float(np.clip(np.median(extent) / clip.mesh.diameter, 0.2, 5.0))
     centre = np.concatenate([se3.transform(poses, scale * clip.mesh.centre[None])[:, 0], np.tile(point, (len(R), 1))])
     R = np.concatenate([poses[:, :3, :3], R])
     return Fixed(R, centre, np.full(inits, np.log(scale)), len(clip), clip.scale == "free")
@@ -48,7 +48,7 @@ def grip_point(clip: Clip, uv: Float[ndarray, "T 2"]) -> Float[ndarray, "3"]:
     eye = -(R_hand_cam @ hand.T_cam_hand[:, :3, 3, None])[..., 0]
     ray = (R_hand_cam @ camera.backproject(clip.K, uv[:, None])[:, 0, :, None])[..., 0]
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+    orthogonal = np.eye(3) - ray[:, :, None] * ray[:, None, :]
     ray_weight, grip_weight = 4.0 / (len(ray) * 0.02**2), 1.0 / 0.05**2
-    A = ray_weight * across.sum(axis=0) + grip_weight * np.eye(3)
-    return np.linalg.solve(A, ray_weight * (across @ eye[..., None])[..., 0].sum(axis=0) + grip_weight * grip)
+    A = ray_weight * orthogonal.sum(axis=0) + grip_weight * np.eye(3)
+    return np.linalg.solve(A, ray_weight * (orthogonal @ eye[..., None])[..., 0].sum(axis=0) + grip_weight * grip)

@@ -1,4 +1,7 @@
-"""The energy of Eq. 4 for a clip, at any of its resolutions and frames: E_mask, E_push and E_pull."""
+"""The energy of Eq. 5 for a clip, at any of its resolutions and frames: E_mask, E_push and E_pull.
+
+A term is added to a method where the method builds its energy (``methods``): ``plus(energy_of(...), mine)``.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,12 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from getagrip.fitting.contact import HandContacts, spread_points
-from getagrip.fitting.energy import Term
+from getagrip.fitting.energy import Energy, Term
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
-from getagrip.fitting.energy.mask import MaskTerm, Surface
+from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
 from getagrip.fitting.energy.pull import PullTerm
 from getagrip.fitting.energy.push import PushTerm
 from getagrip.fitting.problem import Problem
-from getagrip.fitting.search import Stage, TermsAt
 from getagrip.geometry.mesh import decimate
 
 STEP = {64: 1.0, 128: 2.0, 256: 3.0}
@@ -24,45 +26,56 @@ DELTA = {64: 2.0, 128: 1.0, 256: 1.0}
 CONTACTS = {64: 8, 128: None, 256: None}
 """Vertices of each contact region in use at each level; all of them at the finer ones."""
 FINE_FACES = 4000
-"""Objects of more faces are decimated to so many for the finer silhouettes (for the others: ``shape``)."""
+"""Objects of more faces are decimated to so many for the finer silhouettes (for the others: ``surface``)."""
 PUSH, PULL = 0.125, 0.015
 """The paper sums E_mask over pixels, which leaves push and pull without effect; the authors' code divides it by the
 area of the mask. Ours multiplies push and pull by these fractions of the mean area of the masks instead. Pull has less:
 a hand may well go without touching with all five fingertips, but not into the object.
 """
-
-
 PER_REGION, POINTS = 2, 20
 """Points of each contact region of the hand, and of the object, that stand for all where distances are to stay."""
 
 
-def energy_of(problem: Problem, push: float, pull: float) -> TermsAt:
-    """The terms for a stage at some of the frames, with lambda_f, the focal length in pixels of the crop.
+def energy_of(problem: Problem, push: float, pull: float) -> Energy:
+    """E_mask, E_push and E_pull."""
+    return plus(mask_of(problem), contact_of(problem, push, pull))
 
-    ``push`` and ``pull`` are the paper's lambda_2 and lambda_3 without the focal length; weight 0 leaves a term out.
-    """
-    clip, observation, coarse, touch = problem.clip, problem.observation, problem.shape.coarse, problem.shape.solid
-    fine = decimate(clip.mesh, FINE_FACES)
-    centre = clip.mesh.centre
-    surface = {64: Surface.of(coarse, centre)}
-    surface[128] = surface[256] = surface[64] if fine is coarse else Surface.of(fine, centre)
-    hands = {level: HandContacts.of(clip.hand, count) for level, count in CONTACTS.items()}
-    physical = observation.area.mean() * observation.K[:, 0]
 
-    def terms(stage: Stage, index: Int[ndarray, "n"]) -> Sequence[Term]:
-        level = stage.level
-        at, hand = observation.take(index), hands[level].take(index)
+def mask_of(problem: Problem) -> Energy:
+    """E_mask."""
+    clip, observation, coarse = problem.clip, problem.observation, problem.surface.coarse
+    fine, centre = decimate(clip.mesh, FINE_FACES), clip.mesh.centre
+    mesh = {64: SilhouetteMesh.of(coarse, centre)}
+    mesh[128] = mesh[256] = mesh[64] if fine is coarse else SilhouetteMesh.of(fine, centre)
+
+    def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
         coverage = 1.0 if level == 64 else 0.0
-        mask = MaskTerm(surface[level], at, level, step=STEP[level], delta=DELTA[level], coverage=coverage)
-        push_term = PushTerm(touch, hand, push * PUSH * physical[index])
-        pull_term = PullTerm(touch, hand, pull * PULL * physical[index])
-        return [mask, *([push_term] if push else []), *([pull_term] if pull else [])]
+        observed = observation.take(index)
+        return [MaskTerm(mesh[level], observed, level, step=STEP[level], delta=DELTA[level], coverage=coverage)]
 
     return terms
 
 
-def consistency_of(problem: Problem, weight: float) -> TermsAt:
-    """One more term at any stage: hand and object are to keep their distances.
+def contact_of(problem: Problem, push: float, pull: float) -> Energy:
+    """E_push and E_pull, with lambda_f, the focal length in pixels of the crop.
+
+    ``push`` and ``pull`` are the paper's lambda_2 and lambda_3 without the focal length; weight 0 leaves a term out.
+    """
+    observation, solid = problem.observation, problem.surface.solid
+    hands = {level: HandContacts.of(problem.clip.hand, count) for level, count in CONTACTS.items()}
+    unit = observation.area.mean() * observation.K[:, 0]
+
+    def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
+        hand = hands[level].take(index)
+        push_term = PushTerm(solid, hand, push * PUSH * unit[index])
+        pull_term = PullTerm(solid, hand, pull * PULL * unit[index])
+        return [*([push_term] if push else []), *([pull_term] if pull else [])]
+
+    return terms
+
+
+def consistency_of(problem: Problem, weight: float) -> Energy:
+    """The term by which hand and object keep their distances, at any level.
 
     ``weight`` is that of the mean absolute change of squared distances, before the focal length and the masks' mean
     area: 1 in the authors' later code.
@@ -74,7 +87,12 @@ def consistency_of(problem: Problem, weight: float) -> TermsAt:
     # Their masks' term is divided by the mask's area, ours is not.
     each = weight * observation.area.mean() * observation.K[:, 0]
 
-    def terms(stage: Stage, index: Int[ndarray, "n"]) -> Sequence[Term]:
+    def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
         return [ContactConsistencyTerm(points, hand.position[index], each[index])]
 
     return terms
+
+
+def plus(*energies: Energy) -> Energy:
+    """The terms of all energies."""
+    return lambda level, index: [term for energy in energies for term in energy(level, index)]

@@ -30,15 +30,15 @@ class Observation:
     crops: Crops
     K: Float[ndarray, "N 4"]
     """fx, fy, cx, cy of the crops [px of the crop]."""
-    seen: dict[int, UInt64[ndarray, "N _ _"]]
+    observed: dict[int, UInt64[ndarray, "N _ _"]]
     """Per level: the object's mask as bits."""
-    care: dict[int, UInt64[ndarray, "N _ _"]]
+    valid: dict[int, UInt64[ndarray, "N _ _"]]
     """Per level: pixels that count (the paper's C_o)."""
     field: Float32[ndarray, "N 128 128"]
-    """Signed distance to the visible outline [px of the crop], negative inside. Inside it is the distance to visible
+    """Signed distance to the visible contour [px of the crop], negative inside. Inside it is the distance to visible
     background, so that borders with an occluder do not attract."""
     targets: Float[ndarray, "N 28 5"]
-    """Points on the visible outline: position, outward normal, and the length of outline each stands for [px]."""
+    """Points on the visible contour: position, outward normal, and the length of contour each stands for [px]."""
     area: Float[ndarray, "N"]
     """Pixels of the object's mask in the crop."""
 
@@ -47,8 +47,8 @@ class Observation:
         return Observation(
             crops=Crops(self.crops.corner[index], self.crops.side, self.crops.size),
             K=self.K[index],
-            seen={level: bits[index] for level, bits in self.seen.items()},
-            care={level: bits[index] for level, bits in self.care.items()},
+            observed={level: bits[index] for level, bits in self.observed.items()},
+            valid={level: bits[index] for level, bits in self.valid.items()},
             field=self.field[index],
             targets=self.targets[index],
             area=self.area[index],
@@ -61,70 +61,70 @@ def observe(masks: Masks, K: Float[ndarray, "T 3 3"], use_ignore: bool = True) -
     ``use_ignore=False`` counts hidden pixels as background (the paper's ablation of C_o).
     """
     crops = crops_around(masks.object, size=CROP)
-    seen = crops.resample(masks.object, outside=False)
-    inside = crops.resample(np.ones_like(masks.object[:1]).repeat(len(seen), axis=0), outside=False)
-    care = inside & ~crops.resample(masks.ignore, outside=True) if use_ignore else inside
-    care |= seen
+    observed = crops.resample(masks.object, outside=False)
+    inside = crops.resample(np.ones_like(masks.object[:1]).repeat(len(observed), axis=0), outside=False)
+    valid = inside & ~crops.resample(masks.ignore, outside=True) if use_ignore else inside
+    valid |= observed
     Kc = crops.intrinsics(K)
-    seen_at, care_at = {CROP: seen}, {CROP: care}
+    observed_at, valid_at = {CROP: observed}, {CROP: valid}
     for level in LEVELS[:-1]:
-        seen_at[level], care_at[level] = _reduce(seen, care, level)
-    field = np.empty((len(seen), FIELD, FIELD), np.float32)
-    targets = np.empty((len(seen), TARGETS, 5))
-    for n, (s, c) in enumerate(zip(*_reduce(seen, care, FIELD), strict=True)):
+        observed_at[level], valid_at[level] = _reduce(observed, valid, level)
+    field = np.empty((len(observed), FIELD, FIELD), np.float32)
+    targets = np.empty((len(observed), TARGETS, 5))
+    for n, (s, c) in enumerate(zip(*_reduce(observed, valid, FIELD), strict=True)):
         field[n] = _signed_distance(s, c) * (CROP / FIELD)
         _boundary(s, c, field[n], CROP / FIELD, targets[n])
     return Observation(
         crops=crops,
         K=np.stack([Kc[:, 0, 0], Kc[:, 1, 1], Kc[:, 0, 2], Kc[:, 1, 2]], axis=1),
-        seen={level: pack(mask) for level, mask in seen_at.items()},
-        care={level: pack(mask) for level, mask in care_at.items()},
+        observed={level: pack(mask) for level, mask in observed_at.items()},
+        valid={level: pack(mask) for level, mask in valid_at.items()},
         field=field,
         targets=targets,
-        area=seen.sum(axis=(1, 2)).astype(float),
+        area=observed.sum(axis=(1, 2)).astype(float),
     )
 
 
 def _reduce(
-    seen: Bool[ndarray, "N 256 256"], care: Bool[ndarray, "N 256 256"], size: int
+    observed: Bool[ndarray, "N 256 256"], valid: Bool[ndarray, "N 256 256"], size: int
 ) -> tuple[Bool[ndarray, "N s s"], Bool[ndarray, "N s s"]]:
     """Masks at a lower resolution: a pixel counts if most of it does, and is the object if most of what counts is."""
     counts = []
-    for mask in (seen, care):
+    for mask in (observed, valid):
         small = [cv2.resize(m.view(np.uint8) * 255, (size, size), interpolation=cv2.INTER_AREA) for m in mask]
         counts.append(np.stack(small).astype(np.int16))
-    n_seen, n_care = counts
-    return 2 * n_seen > n_care, (n_care > 127) | (2 * n_seen > 255)
+    n_observed, n_valid = counts
+    return 2 * n_observed > n_valid, (n_valid > 127) | (2 * n_observed > 255)
 
 
-def _signed_distance(seen: Bool[ndarray, "s s"], care: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
-    """Distance to the visible outline [px]: to the object outside of it, minus that to visible background inside."""
-    background = care & ~seen
-    far = np.float32(2 * len(seen))
+def _signed_distance(observed: Bool[ndarray, "s s"], valid: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
+    """Distance to the visible contour [px]: to the object outside of it, minus that to visible background inside."""
+    background = valid & ~observed
+    far = np.float32(2 * len(observed))
     distances = []
-    for target in (seen, background):
+    for target in (observed, background):
         zero_at_target = np.where(target, 0, 255).astype(np.uint8)
         if target.any():
             distances.append(cv2.distanceTransform(zero_at_target, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
         else:
-            distances.append(np.full(seen.shape, far, np.float32))
+            distances.append(np.full(observed.shape, far, np.float32))
     to_object, to_background = distances
-    return np.where(seen, 0.5 - to_background, np.where(background, to_object - 0.5, to_object - to_background))
+    return np.where(observed, 0.5 - to_background, np.where(background, to_object - 0.5, to_object - to_background))
 
 
 @njit(**OPTIONS)
-def _boundary(seen, care, field, zoom, targets):
+def _boundary(observed, valid, field, zoom, targets):
     """Spread the targets over the pixels of the object that touch visible background; unused ones get length 0."""
-    size = len(seen)
+    size = len(observed)
     rows, cols = np.empty(size * size, np.int64), np.empty(size * size, np.int64)
     n = 0
     for i in range(1, size - 1):
         for j in range(1, size - 1):
-            if seen[i, j] and (
-                (care[i - 1, j] and not seen[i - 1, j])
-                or (care[i + 1, j] and not seen[i + 1, j])
-                or (care[i, j - 1] and not seen[i, j - 1])
-                or (care[i, j + 1] and not seen[i, j + 1])
+            if observed[i, j] and (
+                (valid[i - 1, j] and not observed[i - 1, j])
+                or (valid[i + 1, j] and not observed[i + 1, j])
+                or (valid[i, j - 1] and not observed[i, j - 1])
+                or (valid[i, j + 1] and not observed[i, j + 1])
             ):
                 rows[n], cols[n] = i, j
                 n += 1
@@ -136,7 +136,7 @@ def _boundary(seen, care, field, zoom, targets):
         gx, gy = field[i, j + 1] - field[i, j - 1], field[i + 1, j] - field[i - 1, j]
         norm = np.sqrt(gx * gx + gy * gy) + 1e-12
         gx, gy = gx / norm, gy / norm
-        d = field[i, j]  # from the pixel's centre to the outline itself
+        d = field[i, j]  # from the pixel's centre to the contour itself
         targets[q, 0], targets[q, 1] = (j + 0.5) * zoom - d * gx, (i + 0.5) * zoom - d * gy
         targets[q, 2], targets[q, 3] = gx, gy
         targets[q, 4] = zoom * n / used

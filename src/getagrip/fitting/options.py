@@ -8,40 +8,37 @@ from pathlib import Path
 from typing import Literal
 
 from getagrip.errors import UsageError
+from getagrip.fitting.methods import METHODS
 
-Method = Literal["one-dof", "soft-hinge", "static", "dynamic", "single-frame", "homan", "contact-consistency"]
 Init = Literal["uniform", "clusters", "priors"]
 
 
 @dataclass(frozen=True)
 class PriorsFile:
-    """A file or folder of starting poses (``priors.given``)."""
+    """A file or folder of initial poses (``pose_priors.given``)."""
 
     path: Path
     sha256: str
-    """What it held when it was named: results say which poses they started from."""
+    """What it held when it was named: results say which initial poses they had."""
 
 
 @dataclass(frozen=True)
 class Options:
     """How to reconstruct a clip."""
 
-    method: Method = "soft-hinge"
-    """How the object may move in the hand: turn about one axis, as in the paper (one-dof); deviate from that a little
-    in each frame (soft-hinge); not at all (static); freely (dynamic). Or as others do it: each frame on its own
-    (single-frame); HOMan (homan); freely, but for distances to the hand that stay (contact-consistency)."""
+    method: str = "soft-hinge"
+    """A name in ``methods.METHODS``: how the object may move in the hand, or a baseline."""
     inits: int = 50
-    """Starting rotations, spread evenly over all rotations; 50 is about the least, 100 is safe."""
+    """Number of initial poses, their rotations spread uniformly; more is slower and safer, fewer than 50 is unsafe."""
     init: Init = "uniform"
-    """Whether rotations spread evenly are all the starts (uniform), or come after the poses in ``priors``: those that
-    ``init learn`` has found (clusters), or a folder of poses by category and side, as the authors keep theirs
-    (priors)."""
+    """Which initial poses come first: none but uniform rotations (uniform), those that ``init learn`` has learnt
+    (clusters), or a folder of poses by category and side, as the paper's authors keep theirs (priors)."""
     priors: PriorsFile | None = None
-    """Where the poses of ``init`` are."""
+    """The file or folder of ``init``."""
     thorough: bool = False
-    """Search two to three times as long. For the methods that fit all frames at once; no other changes by it."""
+    """Search two to three times as long. Affects the methods that fit all frames at once."""
     seed: int = 0
-    """Turns the set of starting rotations; the same seed gives the same result."""
+    """Rotates the set of initial rotations; the same seed gives the same result."""
     frames: int = 30
     """Frames sampled linearly from the clip."""
     push: float = 0.1
@@ -49,11 +46,13 @@ class Options:
     pull: float = 0.1
     """Weight of E_pull, the paper's lambda_3 without the focal length."""
     axis: Literal["free", "hand"] = "free"
-    """Where the axis of one-dof lies: anywhere (free), or through the origin of the hand frame (hand)."""
+    """Where a hinge's axis may lie: anywhere (free), or through the origin of the hand frame (hand)."""
     occlusion: bool = True
     """Leave out pixels hidden by the hand (the paper's C_o)."""
 
     def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise UsageError(f"method: got {self.method!r}, expected one of {', '.join(METHODS)}")
         if self.inits < 1 or self.frames < 2:
             raise UsageError(f"inits and frames: got {self.inits} and {self.frames}, expected at least 1 and 2")
         if (self.init == "uniform") != (self.priors is None):

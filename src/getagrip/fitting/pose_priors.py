@@ -1,5 +1,5 @@
-"""Poses in which objects of a category are held, for the search to start from: a file that ``clusters`` has made, or a
-folder that somebody brings. A file says which clips and whose hands it was learnt from, and is not used for those.
+"""Poses in which objects of a category are held, for the search to start from: a file that ``learn_priors`` has made,
+or a folder that the user brings. A file says which clips and whose hands it was learnt from, and is not used for those.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def given(path: Path, init: Init) -> PriorsFile:
 
 
 def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tuple[str, ...]]:
-    """The poses that the search may start from besides even rotations, and what to say about them.
+    """The poses that the search may start from before uniform rotations, and what to say about them.
 
     Raises ``InputError`` for files that are missing, malformed or not what they were when the options were made, and
     for poses learnt from this clip or from other grasps of the same subject.
@@ -72,11 +72,11 @@ def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tu
     path = options.priors.path
     _refuse_own(path, priors, clip)
     poses = priors.of(clip.category, clip.side)[: options.inits]
-    even = f"{options.inits - len(poses)} rotations spread evenly"
+    uniform = f"{options.inits - len(poses)} uniform rotations"
     if not len(poses):
-        return poses, (f"{path.name} has no poses of {files.plain(clip.category)} in a {clip.side} hand: {even}",)
+        return poses, (f"{path.name} has no poses of {files.plain(clip.category)} in a {clip.side} hand: {uniform}",)
     whence = "" if priors.clips else ", which does not say what they were learnt from"
-    return poses, (f"started from {len(poses)} poses of {path.name}{whence}, and {even}",)
+    return poses, (f"started from {len(poses)} poses of {path.name}{whence}, and {uniform}",)
 
 
 def _refuse_own(path: Path, priors: Priors, clip: Clip) -> None:

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from dataclasses import asdict
 
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
 from threadpoolctl import threadpool_limits
 
 from getagrip.clip import Clip, Masks
-from getagrip.fitting.methods import all_frames as joint
+from getagrip.fitting.energy.mask import SilhouetteMesh
+from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import Clock, Found, Problem, answer, prepare, read_sampled
-from getagrip.result import Reconstruction
+from getagrip.fitting.problem import MethodResult, Problem, prepare
+from getagrip.geometry import se3
+from getagrip.kernels.silhouette import silhouettes, unpack
+from getagrip.result import Candidates, Reconstruction
+
+AMBIGUOUS = 1.05
+"""A distinct candidate within this factor of the best energy makes a result ambiguous."""
 
 
 def reconstruct(
@@ -23,35 +34,85 @@ def reconstruct(
 
     ``masks`` are those of the clip's frames; without them, those of the frames that are used are read from its folder.
     ``progress`` is called with the name of the stage that has ended and the fraction done. Raises ``InputError`` when
-    the object is seen in fewer than two frames and ``GetagripError`` when nothing can be rendered.
+    the object is visible in fewer than two frames and ``GetagripError`` when nothing can be rendered.
 
     BLAS runs on one thread meanwhile, in the whole process: the matrices are small, and threads of it that wait for a
     core that somebody else has make a clip take ten times as long.
     """
     options = options or Options()
-    if masks is None:
-        clip, masks = read_sampled(clip, options.frames)
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress)
         problem = prepare(clip, masks, options)
         clock("prepare")
-        return answer(problem, _fit(problem, clock), clock)
+        found = METHODS[options.method].fit(problem, clock)
+        T_hand_obj = placed(found, problem.clip.mesh.centre)
+        iou = image_iou(problem.clip, problem.masks, T_hand_obj[0], float(found.poses.scale[0]))
+        clock("finish")
+    return _reconstruction(problem, found, T_hand_obj, iou, clock.seconds())
 
 
-def _fit(problem: Problem, watch: Callable[[str], None]) -> Found:
-    """The solutions of the method that the options name."""
-    match problem.options.method:
-        case "single-frame":
-            from getagrip.fitting.methods import single_frame
+def placed(found: MethodResult, centre: Float[ndarray, "3"]) -> Float[ndarray, "K T 4 4"]:
+    """``T_hand_obj`` of poses about the mesh's centre, which lies at ``centre`` in its own frame."""
+    R, scale = found.poses.R, found.poses.scale[:, None, None]
+    return se3.rigid(R, found.poses.centre - scale * (R @ centre))
 
-            return single_frame.fit(problem, watch)
-        case "homan":
-            from getagrip.fitting.methods import homan
 
-            return homan.fit(problem, watch)
-        case "contact-consistency":
-            from getagrip.fitting.methods import contact_consistency
+def image_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:
+    """IOU of rendered and observed object mask on the full image, outside ignored pixels."""
+    T_cam_obj = clip.hand.T_cam_hand @ T_hand_obj
+    K = np.stack([clip.K[:, 0, 0], clip.K[:, 1, 1], clip.K[:, 0, 2], clip.K[:, 1, 2]], axis=1)
+    width, height = clip.size
+    bits = np.empty((len(clip), height, -(-width // 64)), np.uint64)
+    R, t = np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3])
+    silhouettes(R, t, np.full(len(clip), scale), *SilhouetteMesh.of(clip.mesh, np.zeros(3)).tables, K, bits)
+    rendered = unpack(bits, width) & (masks.object | ~masks.ignore)
+    union = (rendered | masks.object).sum(axis=(1, 2))
+    return np.asarray((rendered & masks.object).sum(axis=(1, 2)) / np.maximum(union, 1))
 
-            return contact_consistency.fit(problem, watch)
-        case _:
-            return joint.fit(problem, watch)
+
+def _reconstruction(
+    problem: Problem,
+    found: MethodResult,
+    T_hand_obj: Float[ndarray, "K T 4 4"],
+    iou: Float[ndarray, "T"],
+    seconds: dict[str, float],
+) -> Reconstruction:
+    """A method's solutions, with all that is known about how they were found."""
+    clip, options, energy = problem.clip, problem.options, found.energy
+    scale = float(found.poses.scale[0])
+    guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
+    return Reconstruction(
+        clip=clip.name,
+        method=options.method,
+        frames=clip.frames,
+        T_hand_obj=T_hand_obj[0],
+        scale=scale,
+        iou=iou,
+        axis=found.axis,
+        candidates=Candidates(T_hand_obj, found.poses.scale, energy),
+        energy={"total": float(energy[0]), **found.terms},
+        status=found.status,
+        ambiguous=bool(len(energy) > 1 and energy[1] < AMBIGUOUS * energy[0]),
+        seconds=seconds,
+        options=asdict(options),
+        seed=options.seed,
+        notes=(*problem.notes, *([guess] if clip.scale == "free" else [])),
+    )
+
+
+class Clock:
+    """Seconds per stage, and the caller's progress."""
+
+    STAGES = ("prepare", "coarse", "middle", "fine", "finest", "finish")
+
+    def __init__(self, progress: Callable[[str, float], None] | None) -> None:
+        self.progress, self.spent, self.since = progress, dict[str, float](), time.perf_counter()
+
+    def __call__(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.spent[stage], self.since = now - self.since, now
+        if self.progress:
+            self.progress(stage, len(self.spent) / len(self.STAGES))
+
+    def seconds(self) -> dict[str, float]:
+        return {"total": sum(self.spent.values()), **self.spent}

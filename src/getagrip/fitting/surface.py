@@ -1,4 +1,4 @@
-"""An object's surface about its centre, in the form the search asks it: when do two poses place it alike?"""
+"""An object's surface about its centre, as the search uses it: how far apart do two poses place it?"""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ POINTS = 48
 
 
 @dataclass(frozen=True)
-class Shape:
+class ObjectSurface:
     """The surface of a rigid object."""
 
     coarse: Mesh
@@ -31,17 +31,18 @@ class Shape:
     axes: Float[ndarray, "3 3"]
     """Principal axes of the vertices, one a row."""
     diameter: float
+    """Of the mesh [m]."""
 
     @staticmethod
-    def of(mesh: Mesh) -> Shape:
-        """The shape of a mesh, about ``mesh.centre``."""
+    def of(mesh: Mesh) -> ObjectSurface:
+        """The surface of a mesh, about ``mesh.centre``."""
         coarse = decimate(mesh, COARSE_FACES)
         about = mesh.vertices - mesh.centre
         _, axes = np.linalg.eigh(np.cov(about.T))
         spread = np.linspace(0, len(about) - 1, min(POINTS, len(about))).round().astype(int)
-        return Shape(coarse, solid(coarse, mesh.centre), about[spread], axes.T, mesh.diameter)
+        return ObjectSurface(coarse, solid(coarse, mesh.centre), about[spread], axes.T, mesh.diameter)
 
-    def apart(
+    def rms_distance(
         self,
         R: Float[ndarray, "N 3 3"],
         centre: Float[ndarray, "N 3"],
@@ -52,11 +53,9 @@ class Shape:
     ) -> Float[ndarray, "C"]:
         """Root mean square distance of the posed surface from C other poses of it, over N frames, in diameters.
 
-        A bottle that is turned about its axis has not moved. Where the two are far apart, this is a lower bound.
+        A bottle that is rotated about its axis has not moved. Where the two are far apart, this is a lower bound.
         """
         placed = scale * self.points @ np.swapaxes(R, -1, -2) + centre[:, None]
         back = (placed - others_centre[:, :, None]) @ others_R / others_scale[:, None, None, None]
-        s = self.solid
-        grid = (s.corners, s.normals, s.face, s.distance, s.origin, s.spacing)
-        gap = distances(np.ascontiguousarray(back.reshape(-1, 3)), *grid).reshape(len(others_scale), -1)
+        gap = distances(np.ascontiguousarray(back.reshape(-1, 3)), *self.solid.tables).reshape(len(others_scale), -1)
         return np.asarray(np.sqrt(np.mean(gap**2, axis=1)) / self.diameter)

@@ -46,6 +46,22 @@ def log_so3(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3"]:
     return np.where(norm < _SMALL, 2.0 * vec, angle * vec / safe)
 
 
+def left_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
+    """Left Jacobian of SO(3): ``exp(w + dw) = exp(left_jacobian(w) @ dw) exp(w)`` to first order."""
+    theta = np.linalg.norm(w, axis=-1)[..., None, None]
+    small = theta < 1e-4
+    safe = np.where(small, 1.0, theta)
+    a = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
+    b = np.where(small, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
+    W = hat(w)
+    return np.eye(3) + a * W + b * (W @ W)
+
+
+def right_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
+    """Right Jacobian of SO(3): ``exp(w + dw) = exp(w) exp(right_jacobian(w) @ dw)`` to first order."""
+    return left_jacobian(-w)
+
+
 def quaternion(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 4"]:
     """Unit quaternion (w, x, y, z), w >= 0, of a rotation matrix (Shepperd's method)."""
     m = np.moveaxis(R.reshape(*R.shape[:-2], 9), -1, 0)

@@ -142,7 +142,7 @@ def joints_and_jacobian(
     J = np.zeros((T, 21, 3, 51 + S))
     X[:, 0], J[:, 0, :, 51:] = chains.wrist + chains.wrist_directions @ shape, chains.wrist_directions
     rest = chains.points + chains.directions @ shape
-    R, Jr = se3.exp_so3(q), right_jacobian(q)
+    R, Jr = se3.exp_so3(q), se3.right_jacobian(q)
     for n in range(5):
         at = 1 + 4 * n
         X[:, at], J[:, at, :, 51:] = rest[n, 0], chains.directions[n, 0]
@@ -161,17 +161,6 @@ def joints_and_jacobian(
     J[..., :3] = np.eye(3)
     J[..., 3:6] = -se3.hat(X - chains.wrist)
     return X, J
-
-
-def right_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Right Jacobian of SO(3): exp(w + dw) = exp(w) exp(Jr(w) dw) to first order."""
-    theta = np.linalg.norm(w, axis=-1)[..., None, None]
-    small = theta < 1e-3
-    safe = np.where(small, 1.0, theta)
-    a = np.where(small, 0.5 - theta**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
-    b = np.where(small, 1.0 / 6.0 - theta**2 / 120.0, (safe - np.sin(safe)) / safe**3)
-    W = se3.hat(w)
-    return np.asarray(np.eye(3) - a * W + b * (W @ W))
 
 
 def _normal_equations(

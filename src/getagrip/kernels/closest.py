@@ -38,6 +38,11 @@ class FaceGrid:
     spacing: float
     """Distance of neighbouring nodes [m]."""
 
+    @property
+    def tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+        """The fields, as the kernels take them."""
+        return self.corners, self.normals, self.face, self.distance, self.origin, self.spacing
+
     @staticmethod
     def of(corners: np.ndarray, margin: float, nodes: int = 64) -> FaceGrid:
         """The grid around faces (F, 3, 3), reaching ``margin`` beyond them, with ``nodes`` along its longest side."""

@@ -1,10 +1,10 @@
 """The contour of a silhouette: where it pulls, how strongly, and how a pose moves it.
 
-Walking the outline's edges gives points with an outward normal; those whose outside neighbour is uncovered lie on the
-true contour. The boundary integral over them is the exact gradient of E_mask, and their signed distance d to the
+Points are sampled along the silhouette edges, with an outward normal; those whose outside neighbour is uncovered lie on
+the contour. The boundary integral over them is the exact gradient of E_mask, and their signed distance d to the
 observed mask gives its curvature: weight h = step / max(|d|, delta), gradient sum(h d a), Hessian sum(h a a^T), a
 being the derivative of the point along its normal by the local 7-vector (``se3``). For |d| > delta the gradient is that
-of E_mask, and one step is a majorise-minimise step on it. ``reference.contour_points`` and
+of E_mask, and one step is a majorise-minimise step on it. ``reference.sample_contour`` and
 ``reference.normal_equations`` are the readable specifications.
 """
 
@@ -22,7 +22,7 @@ _ONE = np.uint64(1)
 
 
 @njit(**OPTIONS)
-def walk(uvz, edges, n_edges, zoom, step, bits, care, points):
+def sample_contour(uvz, edges, n_edges, zoom, step, bits, valid, points):
     """Sample the visible contour every ``step`` pixels of the level into points (7, M); return how many.
 
     ``zoom`` is level pixels per pixel of the full crop. Points in ignored pixels are dropped.
@@ -47,7 +47,7 @@ def walk(uvz, edges, n_edges, zoom, step, bits, care, points):
             if not (0.0 <= x < size and 0.0 <= y < size):
                 continue
             i, j = int(y), int(x)
-            if not (care[i, j >> 6] >> np.uint64(j & 63)) & _ONE:
+            if not (valid[i, j >> 6] >> np.uint64(j & 63)) & _ONE:
                 continue
             ox, oy = x + 0.75 * nx, y + 0.75 * ny
             if 0.0 <= ox < size and 0.0 <= oy < size:
@@ -65,7 +65,7 @@ def walk(uvz, edges, n_edges, zoom, step, bits, care, points):
 
 
 @njit(**OPTIONS)
-def look_up(points, n, field, zoom, spacing, delta):
+def sample_field(points, n, field, zoom, spacing, delta):
     """Fill in distance (bilinear in the signed distance field, ``zoom`` field pixels a pixel) and weight."""
     last = field.shape[0] - 1.000001
     for k in range(n):
@@ -81,8 +81,8 @@ def look_up(points, n, field, zoom, spacing, delta):
 
 
 @njit(**OPTIONS)
-def cover(points, n, targets, gate, strength, delta, matched):
-    """Pull the nearest contour point with a like normal to each observed boundary point (the coverage term).
+def match_boundary(points, n, targets, gate, strength, delta, matched):
+    """Pull the nearest contour point with a similar normal to each observed boundary point (the coverage term).
 
     targets (Q, 5) holds position, outward normal and boundary length. Writes one point per target into matched (7, Q),
     its residual along its own normal as the distance; weight 0 where nothing is near. Returns the term's value, the
@@ -94,8 +94,8 @@ def cover(points, n, targets, gate, strength, delta, matched):
         nearest, at = gate, -1
         for k in range(n):
             dx, dy = points[U, k] - x, points[V, k] - y
-            like = nx * points[NX, k] + ny * points[NY, k]
-            cost = dx * dx + dy * dy + gate * (1.0 - like)
+            alike = nx * points[NX, k] + ny * points[NY, k]
+            cost = dx * dx + dy * dy + gate * (1.0 - alike)
             if cost < nearest:
                 nearest, at = cost, k
         matched[:, q] = 0.0

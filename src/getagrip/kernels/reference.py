@@ -53,16 +53,16 @@ def silhouette(uvz: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], shape: tu
     return mask
 
 
-def mismatch(mask: Bool[ndarray, "h w"], observed: Bool[ndarray, "h w"], care: Bool[ndarray, "h w"]) -> float:
+def mismatch(mask: Bool[ndarray, "h w"], observed: Bool[ndarray, "h w"], valid: Bool[ndarray, "h w"]) -> float:
     """E_mask (Eq. 6): the sum of ``C_o (M_o - Pi)^2`` over pixels."""
-    return float(np.sum((mask != observed) & care))
+    return float(np.sum((mask != observed) & valid))
 
 
 def mask_energy(
     uvz: Float[ndarray, "V 3"],
     faces: Int[ndarray, "F 3"],
     observed: Bool[ndarray, "h w"],
-    care: Bool[ndarray, "h w"],
+    valid: Bool[ndarray, "h w"],
     finer: int,
 ) -> float:
     """E_mask [px^2] of a silhouette drawn ``finer`` times finer than the masks: nearly smooth in the pose.
@@ -71,10 +71,12 @@ def mask_energy(
     """
     fine = silhouette(uvz * [finer, finer, 1.0], faces, (finer * len(observed), finer * observed.shape[1]))
     grow = np.ones((finer, finer), bool)
-    return mismatch(fine, np.kron(observed, grow), np.kron(care, grow)) / finer**2
+    return mismatch(fine, np.kron(observed, grow), np.kron(valid, grow)) / finer**2
 
 
-def outline(uvz: Float[ndarray, "V 3"], edges: Int[ndarray, "E 4"], faces: Int[ndarray, "F 3"]) -> Int[ndarray, "n 3"]:
+def silhouette_edges(
+    uvz: Float[ndarray, "V 3"], edges: Int[ndarray, "E 4"], faces: Int[ndarray, "F 3"]
+) -> Int[ndarray, "n 3"]:
     """Edges (v0, v1, weight) between faces turned to and from the camera: ``weight = sign(f1) - sign(f2)``.
 
     A face is turned to the camera (sign 1) if its corners run counter-clockwise in the picture; no face has sign 0.
@@ -86,21 +88,21 @@ def outline(uvz: Float[ndarray, "V 3"], edges: Int[ndarray, "E 4"], faces: Int[n
     return np.column_stack([edges[:, :2], weight])[weight != 0]
 
 
-def contour_points(
+def sample_contour(
     uvz: Float[ndarray, "V 3"],
-    outline_edges: Int[ndarray, "n 3"],
+    edges: Int[ndarray, "n 3"],
     zoom: float,
     step: float,
     mask: Bool[ndarray, "h w"],
-    care: Bool[ndarray, "h w"],
+    valid: Bool[ndarray, "h w"],
 ) -> Float[ndarray, "7 M"]:
-    """Points every ``step`` px of the level along the outline's edges, those kept that lie on the visible contour.
+    """Points every ``step`` px of the level along the silhouette edges, those kept that lie on the visible contour.
 
-    A point is kept if it lies in a pixel that counts and 0.75 px outwards nothing is rendered. Its position is given in
+    A point is kept if it lies in a valid pixel and 0.75 px outwards nothing is rendered. Its position is given in
     pixels of the crop; ``1/z`` is linear along an edge's image. Along an edge of positive weight with the direction
     (dx, dy), (-dy, dx) points outward.
     """
-    a, b, weight = outline_edges.T
+    a, b, weight = edges.T
     start, along = uvz[a, :2] * zoom, (uvz[b, :2] - uvz[a, :2]) * zoom
     length = np.linalg.norm(along, axis=1)
     end = np.cumsum(length)
@@ -111,7 +113,7 @@ def contour_points(
     at = start[k] + t * along[k]
     normal = np.sign(weight[k])[:, None] * np.stack([-along[k, 1], along[k, 0]], axis=1) / length[k, None]
     beside = _pixel(mask, at + 0.75 * normal)
-    keep = _pixel(care, at) & ~beside
+    keep = _pixel(valid, at) & ~beside
     points = np.zeros((7, int(keep.sum())))
     points[[U, V]] = at[keep].T / zoom
     points[Z] = (1.0 / ((1 - t[:, 0]) / uvz[a[k], 2] + t[:, 0] / uvz[b[k], 2]))[keep]
@@ -126,7 +128,7 @@ def _pixel(mask: Bool[ndarray, "h w"], at: Float[ndarray, "M 2"]) -> Bool[ndarra
     return np.where(inside, mask[np.where(inside, i, 0), np.where(inside, j, 0)], False)
 
 
-def look_up(
+def sample_field(
     points: Float[ndarray, "7 M"], field: Float[ndarray, "s s"], zoom: float, spacing: float, delta: float
 ) -> Float[ndarray, "7 M"]:
     """The points with their distance d, bilinear in the field, and the weight ``spacing / max(|d|, delta)``."""
@@ -138,7 +140,7 @@ def look_up(
     return out
 
 
-def cover(
+def match_boundary(
     points: Float[ndarray, "7 M"], targets: Float[ndarray, "Q 5"], gate: float, strength: float, delta: float
 ) -> tuple[Float[ndarray, "7 Q"], float]:
     """Per observed boundary point y the contour point x of least cost ``|x - y|^2 + gate (1 - n_x . n_y) < gate``.
@@ -148,14 +150,14 @@ def cover(
     matched, value = np.zeros((7, len(targets))), 0.0
     matched[Z] = 1.0
     for q, (x, y, nx, ny, length) in enumerate(targets):
-        apart = points[[U, V]] - [[x], [y]]
-        cost = np.sum(apart**2, axis=0) + gate * (1.0 - nx * points[NX] - ny * points[NY])
+        offset = points[[U, V]] - [[x], [y]]
+        cost = np.sum(offset**2, axis=0) + gate * (1.0 - nx * points[NX] - ny * points[NY])
         least = cost.min(initial=gate)
         value += strength * length * np.sqrt(least)
         if least < gate:
             best = int(np.argmin(cost))
             matched[:DISTANCE, q] = points[:DISTANCE, best]
-            d = apart[:, best] @ points[[NX, NY], best]
+            d = offset[:, best] @ points[[NX, NY], best]
             matched[DISTANCE, q], matched[WEIGHT, q] = d, strength * length / max(abs(d), delta)
     return matched, value
 
@@ -176,31 +178,31 @@ def normal_equations(
     return g, H
 
 
-def distance_field(seen: Bool[ndarray, "h w"], care: Bool[ndarray, "h w"]) -> Float[ndarray, "h w"]:
-    """Signed distance of each pixel to the visible outline [px]: to the object outside of it, minus that to visible
-    background inside; the difference of both where nothing is known. Outlines run half a pixel from pixel centres."""
+def distance_field(observed: Bool[ndarray, "h w"], valid: Bool[ndarray, "h w"]) -> Float[ndarray, "h w"]:
+    """Signed distance of each pixel to the visible contour [px]: to the object outside of it, minus that to visible
+    background inside; the difference of both where nothing is known. Contours run half a pixel from pixel centres."""
     from scipy.ndimage import distance_transform_edt
 
-    background = care & ~seen
+    background = valid & ~observed
     to_object, to_background = (
-        distance_transform_edt(~mask) if mask.any() else np.full(seen.shape, 2.0 * len(seen))
-        for mask in (seen, background)
+        distance_transform_edt(~mask) if mask.any() else np.full(observed.shape, 2.0 * len(observed))
+        for mask in (observed, background)
     )
-    return np.where(seen, 0.5 - to_background, np.where(background, to_object - 0.5, to_object - to_background))
+    return np.where(observed, 0.5 - to_background, np.where(background, to_object - 0.5, to_object - to_background))
 
 
 def boundary_targets(
-    seen: Bool[ndarray, "h w"], care: Bool[ndarray, "h w"], field: Float[ndarray, "h w"], zoom: float, count: int
+    observed: Bool[ndarray, "h w"], valid: Bool[ndarray, "h w"], field: Float[ndarray, "h w"], zoom: float, count: int
 ) -> Float[ndarray, "count 5"]:
-    """At most ``count`` of the object's pixels with visible background beside them, moved onto the outline.
+    """At most ``count`` of the object's pixels with visible background beside them, moved onto the contour.
 
     Rows are position [px of the crop, ``zoom`` per pixel of the field], outward normal, and the length each stands for.
     """
-    background = care & ~seen
-    beside = np.zeros_like(seen)
+    background = valid & ~observed
+    beside = np.zeros_like(observed)
     beside[1:-1, 1:-1] = (
         background[:-2, 1:-1] | background[2:, 1:-1] | background[1:-1, :-2] | background[1:-1, 2:]
-    ) & seen[1:-1, 1:-1]
+    ) & observed[1:-1, 1:-1]
     pixels = np.argwhere(beside)
     targets = np.zeros((count, 5))
     used = min(len(pixels), count)
@@ -264,15 +266,15 @@ def screen(
     return local, np.where(inside, distance[tuple(node.T)], np.inf)
 
 
-def push(heights: Float[ndarray, "Q"], weight: float, give: float) -> float:
-    """E_push: ``weight * mean over contact vertices of max(0, -d - give)``, d their signed distances [m]."""
-    return float(weight * np.mean(np.maximum(0.0, -heights - give)))
+def push(heights: Float[ndarray, "Q"], weight: float, tolerance: float) -> float:
+    """E_push: ``weight * mean over contact vertices of max(0, -d - tolerance)``, d their signed distances [m]."""
+    return float(weight * np.mean(np.maximum(0.0, -heights - tolerance)))
 
 
-def pull(heights: Float[ndarray, "Q"], region: Int[ndarray, "f"], weight: float, reach: float) -> float:
-    """E_pull: ``weight * mean over fingertips of min over their vertices of |d|``, at most ``reach`` [m].
+def pull(heights: Float[ndarray, "Q"], region: Int[ndarray, "f"], weight: float, max_distance: float) -> float:
+    """E_pull: ``weight * mean over fingertips of min over their vertices of |d|``, at most ``max_distance`` [m].
 
     The vertices of fingertip k stand at ``region[k]:region[k + 1]``.
     """
-    tips = [np.abs(heights[a:b]).min(initial=reach) for a, b in pairwise(region)]
+    tips = [np.abs(heights[a:b]).min(initial=max_distance) for a, b in pairwise(region)]
     return float(weight * np.mean(tips))

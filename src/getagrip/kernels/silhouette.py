@@ -1,8 +1,8 @@
-"""Exact silhouettes of triangle meshes as bit masks, from the edges of the outline alone.
+"""Exact silhouettes of triangle meshes as bit masks, from the silhouette edges alone.
 
 A pixel is covered when some face covers it. Summed over faces, coverage is a signed crossing count of edges: the edge
 between faces f1 and f2 counts ``sign(f1) - sign(f2)``, where a face's sign says on which side of its plane the camera
-is. Only edges on the outline have a non-zero weight, so only they are scan-converted: each adds its weight to all
+is. Only silhouette edges have a non-zero weight, so only they are scan-converted: each adds its weight to all
 pixels right of it, row by row, in four bit planes (a ripple-carry counter modulo 16 over 64 pixels at a time). The mask
 is where the counter is not zero: exactly the mask of a triangle rasteriser while fewer than 16 layers overlap (closed
 meshes count whole layers, open ones single faces). ``reference.silhouette`` is the readable specification.
@@ -56,8 +56,8 @@ def project(vertices, R, centre, scale, K, uvz):
 
 
 @njit(**OPTIONS)
-def outline(planes, edges, R, centre, scale, sign, out):
-    """Collect the outline's edges into out (3, E) as (v0, v1, weight); return how many.
+def silhouette_edges(planes, edges, R, centre, scale, sign, out):
+    """Collect the silhouette edges into out (3, E) as (v0, v1, weight); return how many.
 
     planes (4, F) and edges (4, E) are the mesh's tables, sign (F + 1) is scratch. The weight is even for closed meshes.
     """
@@ -78,8 +78,8 @@ def outline(planes, edges, R, centre, scale, sign, out):
 
 
 @njit(**OPTIONS)
-def fill(uvz, edges, n_edges, closed, zoom, planes, bits):
-    """Scan-convert the first n outline edges (coordinates times zoom) into bits (height, words), 64 pixels a word.
+def rasterise(uvz, edges, n_edges, closed, zoom, planes, bits):
+    """Scan-convert the first n silhouette edges (coordinates times zoom) into bits (height, words), 64 pixels a word.
 
     planes (4, height, words) is scratch. Pixel j of a row is bit j % 64 of word j // 64.
     """
@@ -120,12 +120,12 @@ def fill(uvz, edges, n_edges, closed, zoom, planes, bits):
 
 
 @njit(**OPTIONS)
-def mismatch(bits, observed, care):
-    """Number of cared-for pixels in which two bit masks differ: E_mask (Eq. 6), at the resolution of the masks."""
+def mismatch(bits, observed, valid):
+    """Number of valid pixels in which two bit masks differ: E_mask (Eq. 6), at the resolution of the masks."""
     total = np.uint64(0)
     for row in range(bits.shape[0]):
         for word in range(bits.shape[1]):
-            total += popcount((bits[row, word] ^ observed[row, word]) & care[row, word])
+            total += popcount((bits[row, word] ^ observed[row, word]) & valid[row, word])
     return float(total)
 
 
@@ -139,8 +139,8 @@ def silhouettes(R, centre, scale, vertices, planes, edges, closed, K, bits):
     for p in range(len(R)):
         bits[p] = _ZERO
         if project(vertices, R[p], centre[p], scale[p], K[p], uvz) >= NEAR:
-            n = outline(planes, edges, R[p], centre[p], scale[p], sign, edge)
-            fill(uvz, edge, n, closed, 1.0, counters, bits[p])
+            n = silhouette_edges(planes, edges, R[p], centre[p], scale[p], sign, edge)
+            rasterise(uvz, edge, n, closed, 1.0, counters, bits[p])
 
 
 def pack(masks: np.ndarray) -> np.ndarray:

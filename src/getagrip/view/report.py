@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
 from getagrip.errors import InputError
+from getagrip.fitting.methods import METHODS
 from getagrip.geometry import se3
 from getagrip.geometry.camera import Crops, project
 from getagrip.geometry.depth import depth_and_face
@@ -33,16 +34,6 @@ TURN = np.radians(80.0)
 """The turned view looks from this far to the left."""
 HAND, OBJECT = (0.87, 0.72, 0.63), (0.44, 0.58, 0.69)
 SEEN, IGNORED = (126, 158, 184), (216, 200, 186)
-METHODS = {
-    "one-dof": "1-DoF",
-    "soft-hinge": "soft hinge",
-    "static": "Static",
-    "dynamic": "Dynamic",
-    "single-frame": "Single Frame",
-    "homan": "HOMan",
-    "contact-consistency": "contact consistency",
-}
-"""What methods are called in the paper."""
 
 
 def write_report(
@@ -141,7 +132,11 @@ def _draw(view: _View, metrics: Mapping[str, float]) -> Figure:
 def _title(figure: Figure, view: _View, metrics: Mapping[str, float], x: float, y: float, step: float) -> None:
     result, clip = view.result, view.clip
     figure.text(x, y, clip.name, fontsize=15, fontweight="bold", va="top")
-    facts = [METHODS.get(result.method, result.method), f"{len(result.frames)} frames", f"{clip.side} hand"]
+    facts = [
+        METHODS[result.method].label if result.method in METHODS else result.method,
+        f"{len(result.frames)} frames",
+        f"{clip.side} hand",
+    ]
     facts.append(f"scale {result.scale:.3f} is a guess" if clip.scale == "free" else "scale known")
     figure.text(x, y - 1.25 * step, "  ·  ".join(facts), color=FAINT, fontsize=9.5, va="top")
     figure.text(x, y - 2.0 * step, result.status, color=INK, fontsize=9.5, va="top")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 from numba import njit
 from numpy import ndarray
 
-from getagrip.fitting.energy import Local, Poses
+from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.kernels.silhouette import OPTIONS
 
 
@@ -29,23 +29,22 @@ class ContactConsistencyTerm:
     weight: Float[ndarray, "N"]
     """Energy per square metre, per frame [px^2 / m^2]."""
     delta: float = 2e-5
-    """Differences below this count as quadratic [m^2]: a tenth of a millimetre at a distance of ten centimetres."""
+    """The Huber threshold [m^2]: a tenth of a millimetre at a distance of ten centimetres."""
     name: str = "consistency"
 
-    def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         B, N = poses.centre.shape[:2]
-        value, g, H = np.zeros((B, N)), np.zeros((B, N, 7)), np.zeros((B, N, 7, 7))
-        across = np.zeros((B, N, 7, N, 7))
+        found = replace(Quadratic.zero(poses), cross=np.zeros((B, N, 7, N, 7)))
         _evaluate(
             poses.R, poses.centre, poses.scale, self.points, self.hand, self.weight, self.delta, bound,
-            value, g, H, across,
+            found.value, found.g, found.H, found.cross,
         )  # fmt: skip
-        return Local(value, g, H, across)
+        return found
 
 
 @njit(**OPTIONS)
-def _evaluate(R, centre, scale, points, hand, weight, delta, bound, value, g, H, across):
-    """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7), across (B, N, 7, N, 7)."""
+def _evaluate(R, centre, scale, points, hand, weight, delta, bound, value, g, H, cross):
+    """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7), cross (B, N, 7, N, 7)."""
     B, N = value.shape
     D = len(points) * hand.shape[1]
     distance, a = np.empty((N, D)), np.empty((N, 7, D))
@@ -55,7 +54,7 @@ def _evaluate(R, centre, scale, points, hand, weight, delta, bound, value, g, H,
         total = _compare(distance, weight, delta, value[b])
         if not total <= bound[b]:  # nothing to be gained, or no number at all
             continue
-        _tie(distance, a, weight, delta, g[b], H[b], across[b])
+        _tie(distance, a, weight, delta, g[b], H[b], cross[b])
 
 
 @njit(**OPTIONS)
@@ -77,8 +76,8 @@ def _compare(distance, weight, delta, value):
 
 
 @njit(**OPTIONS)
-def _tie(distance, a, weight, delta, g, H, across):
-    """Fill in g (N, 7), H (N, 7, 7), across (N, 7, N, 7) from distances (N, D) and their derivatives (N, 7, D)."""
+def _tie(distance, a, weight, delta, g, H, cross):
+    """Fill in g (N, 7), H (N, 7, 7), cross (N, 7, N, 7) from distances (N, D) and their derivatives (N, 7, D)."""
     N, D = distance.shape
     slope, curve = np.zeros((N, D)), np.zeros((N, D))
     between, weighted = np.empty(D), np.empty((7, D))
@@ -96,7 +95,7 @@ def _tie(distance, a, weight, delta, g, H, across):
             _times(between, a[i], weighted)
             for p in range(7):
                 for q in range(7):
-                    across[i, p, j, q] = across[j, q, i, p] = -_dot(weighted[p], a[j, q])
+                    cross[i, p, j, q] = cross[j, q, i, p] = -_dot(weighted[p], a[j, q])
     for n in range(N):
         _times(curve[n], a[n], weighted)
         for p in range(7):

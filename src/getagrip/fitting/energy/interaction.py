@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.fitting.energy import Local, Poses
+from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 
 
 @dataclass(frozen=True)
@@ -21,9 +21,7 @@ class InteractionTerm:
     """Energy per square metre [px^2 / m^2]."""
     name: str = "interaction"
 
-    def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
-        apart = poses.centre - self.hand
-        g, H = np.zeros((*apart.shape[:2], 7)), np.zeros((*apart.shape[:2], 7, 7))
-        g[..., :3] = 2.0 * self.weight * apart
-        H[..., :3, :3] = 2.0 * self.weight * np.eye(3)
-        return Local(self.weight * np.sum(apart**2, axis=-1), g, H)
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        error = poses.centre - self.hand
+        J = np.broadcast_to(np.eye(3, 7), (*error.shape, 7))
+        return Quadratic.of_squares(error, J, self.weight)

@@ -9,18 +9,18 @@ from jaxtyping import Float
 from numba import njit
 from numpy import ndarray
 
-from getagrip.fitting.energy import Local, Poses
+from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.fitting.observation import CROP, FIELD, Observation
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels.contour import accumulate, cover, look_up, walk
-from getagrip.kernels.silhouette import NEAR, OPTIONS, PLANES, fill, mismatch, outline, project
+from getagrip.kernels.contour import accumulate, match_boundary, sample_contour, sample_field
+from getagrip.kernels.silhouette import NEAR, OPTIONS, PLANES, mismatch, project, rasterise, silhouette_edges
 
 MOST_POINTS = 1500
-"""Contour points kept per image; far more than any 256-pixel outline gives at the steps in use."""
+"""Contour points kept per image; far more than any 256-pixel contour gives at the steps in use."""
 
 
 @dataclass(frozen=True)
-class Surface:
+class SilhouetteMesh:
     """A mesh as the silhouette kernels read it: coordinates about its centre, one array per component."""
 
     vertices: Float[ndarray, "3 V"]
@@ -28,12 +28,17 @@ class Surface:
     edges: ndarray
     closed: bool
 
+    @property
+    def tables(self) -> tuple[ndarray, ndarray, ndarray, bool]:
+        """The fields, as the kernels take them."""
+        return self.vertices, self.planes, self.edges, self.closed
+
     @staticmethod
-    def of(mesh: Mesh, centre: Float[ndarray, "3"]) -> Surface:
+    def of(mesh: Mesh, centre: Float[ndarray, "3"]) -> SilhouetteMesh:
         """The tables of a mesh about a given centre."""
         planes = mesh.planes.copy()
         planes[:, 3] += planes[:, :3] @ centre
-        return Surface(
+        return SilhouetteMesh(
             vertices=np.ascontiguousarray((mesh.vertices - centre).T),
             planes=np.ascontiguousarray(planes.T),
             edges=np.ascontiguousarray(mesh.edges.T),
@@ -45,7 +50,7 @@ class Surface:
 class MaskTerm:
     """E_mask of N frames at one resolution."""
 
-    surface: Surface
+    mesh: SilhouetteMesh
     observation: Observation
     level: int = CROP
     """Side of the rendered masks [px]: 64, 128 or 256."""
@@ -57,25 +62,23 @@ class MaskTerm:
     """Weight of the pull from observed boundary points to the rendered contour; it finds thin objects."""
     name: str = "mask"
 
-    def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
-        B, N = poses.centre.shape[:2]
-        value, g, H = np.zeros((B, N)), np.zeros((B, N, 7)), np.zeros((B, N, 7, 7))
-        o, s = self.observation, self.surface
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        found, o = Quadratic.zero(poses), self.observation
         _evaluate(
-            poses.R, poses.centre, poses.scale, s.vertices, s.planes, s.edges, s.closed, o.K, o.seen[self.level],
-            o.care[self.level], o.field, o.targets, self.step, self.delta, self.coverage, bound, value, g, H,
+            poses.R, poses.centre, poses.scale, *self.mesh.tables, o.K, o.observed[self.level], o.valid[self.level],
+            o.field, o.targets, self.step, self.delta, self.coverage, bound, found.value, found.g, found.H,
         )  # fmt: skip
-        return Local(value, g, H)
+        return found
 
 
 @njit(**OPTIONS)
 def _evaluate(
-    R, centre, scale, vertices, planes, edges, closed, K, seen, care, field, targets, step, delta, coverage, bound,
+    R, centre, scale, vertices, planes, edges, closed, K, observed, valid, field, targets, step, delta, coverage, bound,
     value, g, H,
 ):  # fmt: skip
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape
-    size, words = seen.shape[1], seen.shape[2]
+    size, words = observed.shape[1], observed.shape[2]
     zoom = size / CROP
     E = edges.shape[1] + 1
     uvz = np.empty((N, 3, vertices.shape[1]))
@@ -95,18 +98,18 @@ def _evaluate(
                 value[b, n] = np.inf
                 total = np.inf
                 break
-            n_edges[n] = outline(planes, edges, R[b, n], centre[b, n], scale[b], sign, edge[n])
-            fill(uvz[n], edge[n], n_edges[n], closed, zoom, counters, bits[n])
-            value[b, n] = pixel * mismatch(bits[n], seen[n], care[n])
+            n_edges[n] = silhouette_edges(planes, edges, R[b, n], centre[b, n], scale[b], sign, edge[n])
+            rasterise(uvz[n], edge[n], n_edges[n], closed, zoom, counters, bits[n])
+            value[b, n] = pixel * mismatch(bits[n], observed[n], valid[n])
             total += value[b, n]
         if total > bound[b] or total == np.inf:
             continue
         for n in range(N):
-            found = walk(uvz[n], edge[n], n_edges[n], zoom, step, bits[n], care[n], points)
-            look_up(points, found, field[n], FIELD / CROP, step / zoom, delta)
-            accumulate(points, found, centre[b, n], K[n], g[b, n], H[b, n])
+            count = sample_contour(uvz[n], edge[n], n_edges[n], zoom, step, bits[n], valid[n], points)
+            sample_field(points, count, field[n], FIELD / CROP, step / zoom, delta)
+            accumulate(points, count, centre[b, n], K[n], g[b, n], H[b, n])
             if coverage > 0.0:
-                cover(points, found, targets[n], gate, coverage, delta, matched)
+                match_boundary(points, count, targets[n], gate, coverage, delta, matched)
                 accumulate(matched, targets.shape[1], centre[b, n], K[n], g[b, n], H[b, n])
             for i in range(1, 7):
                 for j in range(i):

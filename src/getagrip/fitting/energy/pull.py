@@ -10,7 +10,7 @@ from numba import njit
 from numpy import ndarray
 
 from getagrip.fitting.contact import HandContacts, add_height, mirror_upper
-from getagrip.fitting.energy import Local, Poses
+from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
 from getagrip.kernels.silhouette import OPTIONS
 
@@ -21,7 +21,7 @@ class PullTerm:
 
     The paper takes ``<v_h - v_o, n_o>``, the height over the tangent plane of an object vertex, without an absolute
     value, which is unbounded below; the authors' later code takes the absolute value at the nearest vertex. The
-    distance to the surface is what both stand for. A finger farther than ``reach`` is taken to hold
+    distance to the surface is what both stand for. A finger farther than ``max_distance`` is taken to hold
     nothing and feels no pull: in a pinch three of five fingers are in the air.
     """
 
@@ -29,26 +29,25 @@ class PullTerm:
     hand: HandContacts
     weight: Float[ndarray, "N"]
     """Energy per metre of mean distance, per frame [px^2 / m]."""
-    reach: float = 0.01
+    max_distance: float = 0.01
     """Largest distance that pulls [m]."""
     delta: float = 0.002
     """Distances below this count as this in the curvature [m]."""
     name: str = "pull"
 
-    def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
-        B, N = poses.centre.shape[:2]
-        value, g, H = np.zeros((B, N)), np.zeros((B, N, 7)), np.zeros((B, N, 7, 7))
-        s = self.solid
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        found = Quadratic.zero(poses)
         _evaluate(
-            poses.R, poses.centre, poses.scale, s.corners, s.normals, s.face, s.distance, s.origin, s.spacing,
-            self.hand.position, self.hand.region, self.weight, self.reach, self.delta, value, g, H,
+            poses.R, poses.centre, poses.scale, *self.solid.tables,
+            self.hand.position, self.hand.region, self.weight, self.max_distance, self.delta,
+            found.value, found.g, found.H,
         )  # fmt: skip
-        return Local(value, g, H)
+        return found
 
 
 @njit(**OPTIONS)
 def _evaluate(
-    R, centre, scale, corners, normals, face, distance, origin, spacing, hand, region, weight, reach, delta,
+    R, centre, scale, corners, normals, face, distance, origin, spacing, hand, region, weight, max_distance, delta,
     value, g, H,
 ):  # fmt: skip
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
@@ -58,7 +57,7 @@ def _evaluate(
     local, rough = np.empty((tips, 3)), np.empty(tips)
     slack = SLACK * spacing
     for b in range(B):
-        farthest = reach / scale[b]
+        farthest = max_distance / scale[b]
         for n in range(N):
             unit = weight[n] / fingers
             screen(hand[n, :tips], R[b, n], centre[b, n], scale[b], distance, origin, spacing, local, rough)

@@ -10,48 +10,47 @@ from numba import njit
 from numpy import ndarray
 
 from getagrip.fitting.contact import HandContacts, add_height, mirror_upper
-from getagrip.fitting.energy import Local, Poses
+from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
 from getagrip.kernels.silhouette import OPTIONS
 
 
 @dataclass(frozen=True)
 class PushTerm:
-    """``weight * mean over contact vertices of max(0, -d - give)``, d the signed distance of the vertex to the object.
+    """``weight * mean over contact vertices of max(0, -d - tolerance)``, d the vertex's signed distance to the object.
 
     The paper sums, over the object's vertices, the depth behind the tangent plane of the nearest contact vertex (the
     authors' code takes the mean). The same overlap is measured here from the hand's side: it does not depend on how the
     object is triangulated, a far vertex behind some finger's plane does not count, and the object, being rigid, can be
     prepared once.
 
-    Skin gives way, and the hand is never known exactly: up to ``give``, depth costs nothing. Without it the object is
-    pushed off its outline by hands that are right but for some millimetres.
+    Skin gives way, and the hand is never known exactly: up to ``tolerance``, depth costs nothing. Without it, hands
+    that are right but for some millimetres push the object off its silhouette.
     """
 
     solid: FaceGrid
     hand: HandContacts
     weight: Float[ndarray, "N"]
     """Energy per metre of mean depth, per frame [px^2 / m]."""
-    give: float = 0.004
+    tolerance: float = 0.004
     """Depth that costs nothing [m]."""
     delta: float = 0.002
     """Excess depths below this count as this in the curvature [m]."""
     name: str = "push"
 
-    def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
-        B, N = poses.centre.shape[:2]
-        value, g, H = np.zeros((B, N)), np.zeros((B, N, 7)), np.zeros((B, N, 7, 7))
-        s = self.solid
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        found = Quadratic.zero(poses)
         _evaluate(
-            poses.R, poses.centre, poses.scale, s.corners, s.normals, s.face, s.distance, s.origin, s.spacing,
-            self.hand.position, self.weight, self.give, self.delta, value, g, H,
+            poses.R, poses.centre, poses.scale, *self.solid.tables,
+            self.hand.position, self.weight, self.tolerance, self.delta,
+            found.value, found.g, found.H,
         )  # fmt: skip
-        return Local(value, g, H)
+        return found
 
 
 @njit(**OPTIONS)
 def _evaluate(
-    R, centre, scale, corners, normals, face, distance, origin, spacing, hand, weight, give, delta, value, g, H
+    R, centre, scale, corners, normals, face, distance, origin, spacing, hand, weight, tolerance, delta, value, g, H
 ):  # fmt: skip
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape
@@ -63,15 +62,16 @@ def _evaluate(
             unit = weight[n] / Q
             screen(hand[n], R[b, n], centre[b, n], scale[b], distance, origin, spacing, local, rough)
             for q in range(Q):
-                if scale[b] * (rough[q] - slack) >= -give:
+                if scale[b] * (rough[q] - slack) >= -tolerance:
                     continue
                 d, n0, n1, n2 = signed_distance(
                     local[q, 0], local[q, 1], local[q, 2], corners, normals, face, origin, spacing
                 )  # fmt: skip
-                if scale[b] * d < -give:
-                    value[b, n] -= unit * (scale[b] * d + give)
+                if scale[b] * d < -tolerance:
+                    value[b, n] -= unit * (scale[b] * d + tolerance)
                     x, y, z = hand[n, q, 0], hand[n, q, 1], hand[n, q, 2]
                     add_height(
-                        d, give, n0, n1, n2, x, y, z, R[b, n], centre[b, n], scale[b], unit, delta, g[b, n], H[b, n]
+                        d, tolerance, n0, n1, n2, x, y, z, R[b, n], centre[b, n], scale[b], unit, delta,
+                        g[b, n], H[b, n],
                     )  # fmt: skip
             mirror_upper(H[b, n])

@@ -1,14 +1,14 @@
-"""Reprojection (HOMan): points of a body stay where they were seen in the image."""
+"""Reprojection (HOMan): points of a body stay where they were observed in the image."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.fitting.energy import Local, Poses
+from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.geometry import se3
 
 
@@ -21,12 +21,12 @@ class ReprojectionTerm:
     K: Float[ndarray, "N 4"]
     """fx, fy, cx, cy [px of the crop]."""
     target: Float[ndarray, "N P 2"]
-    """Where they were seen [px of the crop]."""
+    """Where they were observed [px of the crop]."""
     weight: float
     """Energy per squared pixel."""
     name: str = "reprojection"
 
-    def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         arm = poses.scale[:, None, None, None] * self.points @ np.swapaxes(poses.R, -1, -2)
         x = arm + poses.centre[:, :, None]
         z = x[..., 2:]
@@ -37,8 +37,5 @@ class ReprojectionTerm:
         J_pi[..., 2] = -f * x[..., :2] / z**2
         J_x = np.concatenate([np.broadcast_to(np.eye(3), (*x.shape, 3)), -se3.hat(arm), arm[..., None]], axis=-1)
         J = (J_pi @ J_x).reshape(*poses.centre.shape[:2], -1, 7)
-        Jt = np.swapaxes(J, -1, -2)
-        unit = self.weight / self.points.shape[1]
-        value = np.where((z > 0.0).all(axis=(2, 3)), unit * np.sum(error**2, axis=(2, 3)), np.inf)
-        g = 2.0 * unit * (Jt @ error.reshape(*value.shape, -1, 1))[..., 0]
-        return Local(value, g, 2.0 * unit * (Jt @ J))
+        found = Quadratic.of_squares(error.reshape(*J.shape[:-1]), J, self.weight / self.points.shape[1])
+        return replace(found, value=np.where((z > 0.0).all(axis=(2, 3)), found.value, np.inf))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.fitting.energy import Local, Poses
+from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.geometry import se3
 
 
@@ -36,7 +36,7 @@ class SmoothnessTerm:
     """Energy per square metre [px^2 / m^2]."""
     name: str = "smoothness"
 
-    def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         B, N = poses.centre.shape[:2]
         points, share = self.moments[:, :3], self.moments[:, 3:]
         arm = poses.scale[:, None, None, None] * points @ np.swapaxes(poses.R, -1, -2)
@@ -56,9 +56,9 @@ class SmoothnessTerm:
         neighbours[0] -= 1.0
         neighbours[-1] -= 1.0
         H = 2.0 * self.weight * neighbours[:, None, None] * (Jt @ J)
-        across = np.zeros((B, N, 7, N, 7))
+        cross = np.zeros((B, N, 7, N, 7))
         n = np.arange(N - 1)
         block = -2.0 * self.weight * np.swapaxes(Jt[:, :-1] @ J[:, 1:], 0, 1)  # frames first, as the indexing below
-        across[:, n, :, n + 1] = block
-        across[:, n + 1, :, n] = np.swapaxes(block, -1, -2)
-        return Local(value, g, H, across)
+        cross[:, n, :, n + 1] = block
+        cross[:, n + 1, :, n] = np.swapaxes(block, -1, -2)
+        return Quadratic(value, g, H, cross)

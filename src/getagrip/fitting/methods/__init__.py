@@ -1,1 +1,55 @@
-"""What the method is compared with: each ``fit(problem, watch) -> Found``, as in ``joint``."""
+"""Every method, by its name: ours, the paper's motion models, and the baselines.
+
+A method is a function from a ``Problem`` to a ``MethodResult``. A new one needs a file here and a line in ``METHODS``;
+a script adds its own with ``METHODS["name"] = Method(...)``. Loading the table costs nothing: a method's file is
+imported when it is first used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from getagrip.fitting.problem import MethodResult, Problem
+
+OnStage = Callable[[str], None]
+"""Called with the name of each stage when it ends."""
+Fit = Callable[["Problem", OnStage], "MethodResult"]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to find an object in a hand."""
+
+    label: str
+    """What tables and pictures call it."""
+    fit: Fit
+    """Raises ``GetagripError`` where nothing can be rendered."""
+    has_axis: bool = False
+    """Whether its results have a latent axis."""
+    baseline: bool = False
+    """Whether it is another system's method, to compare with."""
+
+
+def _in(file: str, function: str = "fit") -> Fit:
+    """A function of a file beside this one."""
+
+    def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
+        found: Fit = getattr(import_module(f"{__name__}.{file}"), function)
+        return found(problem, on_stage)
+
+    return fit
+
+
+METHODS: dict[str, Method] = {
+    "one-dof": Method("1-DoF", _in("all_frames", "one_dof"), has_axis=True),
+    "soft-hinge": Method("soft hinge", _in("all_frames", "soft_hinge"), has_axis=True),
+    "static": Method("Static", _in("all_frames", "static")),
+    "dynamic": Method("Dynamic", _in("all_frames", "dynamic")),
+    "single-frame": Method("Single Frame", _in("single_frame"), baseline=True),
+    "homan": Method("HOMan", _in("homan"), baseline=True),
+    "contact-consistency": Method("contact consistency", _in("contact_consistency"), baseline=True),
+}

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
-from getagrip.fitting.methods import all_frames as joint
+from getagrip.fitting.methods import OnStage, all_frames
 from getagrip.fitting.objective import consistency_of
-from getagrip.fitting.problem import Found, Problem
+from getagrip.fitting.problem import MethodResult, Problem
 
 WEIGHT = 0.1
 """Of the term (``objective.consistency_of``): theirs is 1."""
 
 
-def fit(problem: Problem, watch: Callable[[str], None]) -> Found:
+def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
     """Dynamic with one term more, in all stages. Raises ``GetagripError`` when nothing can be rendered."""
-    free = replace(problem, options=replace(problem.options, method="dynamic"))
-    return joint.fit(free, watch, consistency_of(problem, WEIGHT))
+    return all_frames.dynamic(problem, on_stage, consistency_of(problem, WEIGHT))

@@ -10,40 +10,37 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from getagrip import least_squares
 from getagrip.fitting.contact import spread_points
-from getagrip.fitting.energy import Local, Poses, Term, no_bound
+from getagrip.fitting.energy import PosesInCamera, Term, no_bound
 from getagrip.fitting.energy.interaction import InteractionTerm
 from getagrip.fitting.energy.reprojection import ReprojectionTerm
 from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
-from getagrip.fitting.motion import Free
-from getagrip.fitting.objective import energy_of
+from getagrip.fitting.motion import Free, PosesInHand
+from getagrip.fitting.objective import contact_of, mask_of
 from getagrip.fitting.problem import Problem
-from getagrip.fitting.search import Stage
-from getagrip.fitting.solve import Status
+from getagrip.fitting.solve import FLOOR, STATUS, Status
 from getagrip.geometry import camera, se3
+from getagrip.least_squares import arrow_step, damped
 
-STAGES = (
-    Stage("fine", level=128, frames=0, iterations=15, keep=0),
-    Stage("finest", level=256, frames=0, iterations=15, keep=0),
-)
+STAGES = ((128, 15), (256, 15))
+"""Resolution [px] and iterations of each stage."""
 SMOOTH = 3e5
 """Weight of the smoothness of either body [px^2 / m^2]."""
 REPROJECT = 50.0
 """Weight of the hand's squared reprojection error."""
 INTERACT = 1e3
 """Weight of the squared distance between the centres [px^2 / m^2]."""
-SEEN_POINTS = 30
+REPROJECTED = 30
 """Vertices of the hand that are reprojected."""
-_FLOOR = 1e2
-"""As in ``solve``."""
 
 
 @dataclass(frozen=True)
 class Bodies:
-    """Object and hand in the camera frame, each turned about its own centre."""
+    """Object and hand in the camera frame, each rotated about its own centre."""
 
     R: Float[ndarray, "N 3 3"]
     centre: Float[ndarray, "N 3"]
@@ -62,11 +59,12 @@ class Bodies:
         """The hand, refined."""
         return se3.rigid(self.hand_R, self.hand_centre - (self.hand_R @ self.grip[..., None])[..., 0])
 
-    def T_hand_obj(self, centre: Float[ndarray, "3"]) -> Float[ndarray, "N 4 4"]:
-        """The object in the refined hand, for the mesh's centre in its own frame."""
-        return se3.inverse(self.T_cam_hand) @ se3.rigid(self.R, self.centre - self.scale * (self.R @ centre))
+    def in_hand(self) -> PosesInHand:
+        """The object in the refined hand."""
+        T_hand_obj = se3.inverse(self.T_cam_hand) @ se3.rigid(self.R, self.centre)
+        return PosesInHand(T_hand_obj[None, :, :3, :3], T_hand_obj[None, :, :3, 3], np.array([self.scale]))
 
-    def moved(self, step: Float[ndarray, "N 12"], stretch: float) -> Bodies:
+    def retract(self, step: Float[ndarray, "N 12"], stretch: float) -> Bodies:
         """After local steps of object and hand, and of the log scale."""
         return replace(
             self,
@@ -89,17 +87,38 @@ class Refined:
 
 
 @dataclass(frozen=True)
+class NormalEquations:
+    """Of the 13 numbers of each frame: object's step, hand's step, log scale (which all frames share)."""
+
+    g: Float[ndarray, "N 13"]
+    H: Float[ndarray, "N 13 13"]
+    cross: Float[ndarray, "N N 13 13"]
+    """Between frames."""
+
+    def step(self, damping: Float[ndarray, "1"], free_scale: bool) -> tuple[Float[ndarray, "N 12"], float]:
+        """The damped step of all frames, and of the log scale where it is free."""
+        S = int(free_scale)
+        H_ss = (self.H[None, :, 12:, 12:].sum(axis=1) + self.cross[None, ..., 12:, 12:].sum(axis=(1, 2)))[:, :S, :S]
+        H_sl = (self.H[None, :, 12:, :12] + self.cross[None, ..., 12:, :12].sum(axis=1))[:, :, :S]
+        H_ll, cross = self.H[None, :, :12, :12], np.swapaxes(self.cross[None, ..., :12, :12], 2, 3)
+        g_s, g_l = self.g[None, :, 12:].sum(axis=1)[:, :S], self.g[None, :, :12]
+        H_ss, H_ll = damped(H_ss, damping, FLOOR), damped(H_ll, damping[:, None], FLOOR)
+        shared, local = arrow_step(H_ss, H_sl, H_ll, g_s, g_l, cross)
+        return local[0], float(shared.sum())
+
+
+@dataclass(frozen=True)
 class JointEnergy:
     """The terms on each of the three relations."""
 
-    seen_object: list[Term]
-    seen_hand: list[Term]
-    held: list[Term]
+    object_in_camera: list[Term]
+    hand_in_camera: list[Term]
+    object_in_hand: list[Term]
     T_cam_hand: Float[ndarray, "N 4 4"]
-    """The hand as given; the terms of ``held`` have it where they have the hand."""
+    """The hand as given; the terms of ``object_in_hand`` were made for it."""
 
-    def __call__(self, bodies: Bodies) -> tuple[dict[str, float], Float[ndarray, "N 13"], Float[ndarray, "N N 13 13"]]:
-        """Energy per term, gradient and Hessian by (object's step, hand's step, log scale) of each frame."""
+    def __call__(self, bodies: Bodies) -> tuple[dict[str, float], NormalEquations]:
+        """Energy per term, and its derivatives by the 13 numbers of each frame."""
         N = len(bodies.R)
         eye, scale = np.eye(6), np.array([bodies.scale])
         back = self.T_cam_hand @ se3.inverse(bodies.T_cam_hand)
@@ -111,27 +130,26 @@ class JointEnergy:
         # Moving the hand moves the object in the hand the other way.
         J_held[:, :3, 6:9] = J_held[:, 3:6, 9:12] = -turn
         J_held[:, :3, 9:12] = turn @ se3.hat(bodies.centre - bodies.hand_centre)
-        held = Poses(
+        held = PosesInCamera(
             np.ascontiguousarray(turn @ bodies.R)[None], se3.transform(back, bodies.centre[:, None])[None, :, 0], scale
         )
         relations = (
-            (self.seen_object, Poses(bodies.R[None], bodies.centre[None], scale), J_object),
-            (self.seen_hand, Poses(bodies.hand_R[None], bodies.hand_centre[None], np.ones(1)), J_hand),
-            (self.held, held, J_held),
+            (self.object_in_camera, PosesInCamera(bodies.R[None], bodies.centre[None], scale), J_object),
+            (self.hand_in_camera, PosesInCamera(bodies.hand_R[None], bodies.hand_centre[None], np.ones(1)), J_hand),
+            (self.object_in_hand, held, J_held),
         )
         values: dict[str, float] = {}
-        g, H = np.zeros((N, 13)), np.zeros((N, N, 13, 13))
-        n = np.arange(N)
+        g, H, cross = np.zeros((N, 13)), np.zeros((N, 13, 13)), np.zeros((N, N, 13, 13))
         for terms, poses, J in relations:
             Jt = np.swapaxes(J, -1, -2)
             for term in terms:
-                local: Local = term(poses, no_bound(poses))
+                local = term(poses, no_bound(poses))
                 values[term.name] = values.get(term.name, 0.0) + float(local.value.sum())
                 g += (Jt @ local.g[0, ..., None])[..., 0]
-                H[n, n] += Jt @ local.H[0] @ J
-                if local.across is not None:
-                    H += Jt[:, None] @ np.swapaxes(local.across[0], 1, 2) @ J[None]
-        return values, g, H
+                H += Jt @ local.H[0] @ J
+                if local.cross is not None:
+                    cross += Jt[:, None] @ np.swapaxes(local.cross[0], 1, 2) @ J[None]
+        return values, NormalEquations(g, H, cross)
 
 
 def refine(problem: Problem, track: Free) -> Refined:
@@ -146,59 +164,71 @@ def refine(problem: Problem, track: Free) -> Refined:
         hand_centre=se3.transform(given.T_cam_hand, grip[:, None])[:, 0],
         grip=grip,
     )
-    for stage in STAGES:
-        refined = descend(joint_energy(problem, stage, bodies), bodies, stage.iterations, track.free_scale)
+    for level, iterations in STAGES:
+        refined = descend(joint_energy(problem, level, bodies), bodies, iterations, track.free_scale)
         bodies = refined.bodies
     return refined
 
 
-def joint_energy(problem: Problem, stage: Stage, bodies: Bodies) -> JointEnergy:
+def joint_energy(problem: Problem, level: int, bodies: Bodies) -> JointEnergy:
     """The terms at one resolution."""
     clip, options, K = problem.clip, problem.options, problem.observation.K
-    mask, *contact = energy_of(problem, options.push, options.pull)(stage, np.arange(len(clip)))
+    everywhere = np.arange(len(clip))
+    mask = mask_of(problem)(level, everywhere)
+    contact = contact_of(problem, options.push, options.pull)(level, everywhere)
     about_grip = clip.hand.vertices - bodies.grip[:, None]
-    points = about_grip[:, spread_points(about_grip[0], SEEN_POINTS)]
+    points = about_grip[:, spread_points(about_grip[0], REPROJECTED)]
     given = clip.hand.T_cam_hand
     grip = se3.transform(given, bodies.grip[:, None])
     crop = np.zeros((len(K), 3, 3))
     crop[:, [0, 1, 0, 1, 2], [0, 1, 2, 2, 2]] = np.concatenate([K, np.ones((len(K), 1))], axis=1)
     target = camera.project(crop, points @ np.swapaxes(given[:, :3, :3], 1, 2) + grip)
     return JointEnergy(
-        seen_object=[mask, SmoothnessTerm(moments(clip.mesh.vertices - clip.mesh.centre), SMOOTH)],
-        seen_hand=[
+        object_in_camera=[
+            *mask,
+            SmoothnessTerm(moments(clip.mesh.vertices - clip.mesh.centre), SMOOTH),
+        ],
+        hand_in_camera=[
             SmoothnessTerm(moments(about_grip.mean(axis=0)), SMOOTH, name="hand_smoothness"),
             ReprojectionTerm(points, K, target, REPROJECT),
         ],
-        held=[*contact, InteractionTerm(grip[:, 0], INTERACT)],
+        object_in_hand=[
+            *contact,
+            InteractionTerm(grip[:, 0], INTERACT),
+        ],
         T_cam_hand=given,
     )
 
 
+@dataclass(frozen=True)
+class _State:
+    """A track at its current poses (``least_squares.State``)."""
+
+    energy: JointEnergy
+    bodies: Bodies
+    free_scale: bool
+    values: dict[str, float]
+    equations: NormalEquations
+
+    @staticmethod
+    def of(energy: JointEnergy, bodies: Bodies, free_scale: bool) -> _State:
+        return _State(energy, bodies, free_scale, *energy(bodies))
+
+    @property
+    def cost(self) -> Float[ndarray, "1"]:
+        return np.array([sum(self.values.values())])
+
+    def trial(self, active: Int[ndarray, "1"], damping: Float[ndarray, "1"]) -> _State:
+        return _State.of(
+            self.energy, self.bodies.retract(*self.equations.step(damping, self.free_scale)), self.free_scale
+        )
+
+    def accept(self, trial: _State, active: Int[ndarray, "1"], better: Bool[ndarray, "1"]) -> _State:
+        return trial if better[0] else self
+
+
 def descend(energy: JointEnergy, bodies: Bodies, iterations: int, free_scale: bool) -> Refined:
-    """Levenberg-Marquardt with the rules of ``solve.minimise``, on all numbers of a track at once."""
-    N = len(bodies.R)
-    values, g, H = energy(bodies)
-    lam, rejects, small = 1e-2, 0, 0
-    for _ in range(iterations):
-        if rejects == 4 or small == 2:
-            break
-        A = np.empty((12 * N + 1, 12 * N + 1))
-        A[:-1, :-1] = np.swapaxes(H[..., :12, :12], 1, 2).reshape(12 * N, 12 * N)
-        A[-1, :-1] = A[:-1, -1] = H[..., :12, 12].sum(axis=1).ravel()
-        A[-1, -1] = H[..., 12, 12].sum()
-        b = np.append(g[:, :12].ravel(), g[:, 12].sum())
-        A[np.diag_indices_from(A)] += lam * (np.diag(A) + _FLOOR)
-        unknown = slice(None) if free_scale else slice(-1)
-        step = np.zeros(12 * N + 1)
-        step[unknown] = -np.linalg.solve(A[unknown, unknown], b[unknown])
-        trial = bodies.moved(step[:-1].reshape(N, 12), float(step[-1]))
-        new = energy(trial)
-        total, now = sum(new[0].values()), sum(values.values())
-        if total < now:
-            bodies, (values, g, H) = trial, new
-            lam, rejects = max(0.3 * lam, 1e-7), 0
-            small = small + 1 if now - total < 1e-3 * now else 0
-        else:
-            lam, rejects = min(6.0 * lam, 1e7), rejects + 1
-    status = Status.CONVERGED if small == 2 else Status.STUCK if rejects == 4 else Status.LIMIT
-    return Refined(bodies, sum(values.values()), values, status)
+    """Levenberg-Marquardt on all numbers of a track at once, by the rules of ``solve.minimise``."""
+    found = least_squares.minimise(_State.of(energy, bodies, free_scale), iterations)
+    values = found.state.values
+    return Refined(found.state.bodies, sum(values.values()), values, STATUS[found.endings[0]])

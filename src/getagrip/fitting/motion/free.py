@@ -1,0 +1,53 @@
+"""Dynamic: the object moves freely in the hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.fitting.motion.base import Batch, PosesInHand, Prior, no_prior
+from getagrip.geometry import se3
+
+
+@dataclass(frozen=True)
+class Free(Batch):
+    """A pose per frame (the paper's Dynamic); S = scale, L = 6."""
+
+    R: Float[ndarray, "B N 3 3"]
+    centre: Float[ndarray, "B N 3"]
+    log_scale: Float[ndarray, "B"]
+    free_scale: bool = False
+
+    def poses(self) -> PosesInHand:
+        return PosesInHand(self.R, self.centre, np.exp(self.log_scale))
+
+    def rotated(self, R: Float[ndarray, "B 3 3"]) -> Free:
+        return replace(self, R=self.R @ R[:, None])
+
+    def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
+        B, N = self.centre.shape[:2]
+        eye = np.eye(7)
+        shared = np.broadcast_to(eye[:, 6:] if self.free_scale else eye[:, :0], (B, N, 7, int(self.free_scale)))
+        return shared, np.broadcast_to(eye[:, :6], (B, N, 7, 6))
+
+    def prior(self) -> Prior:
+        return no_prior(len(self.centre), self.centre.shape[1], 6)
+
+    def retract(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Free:
+        return replace(
+            self,
+            R=se3.exp_so3(local[..., 3:6]) @ self.R,
+            centre=self.centre + local[..., :3],
+            log_scale=self.log_scale + (shared[:, 0] if self.free_scale else 0.0),
+        )
+
+    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Free:
+        before = np.clip(np.searchsorted(old, new, side="right") - 1, 0, len(old) - 2)
+        share = ((new - old[before]) / (old[before + 1] - old[before]))[:, None]
+        R, centre = self.R[:, before], self.centre[:, before]
+        turn = se3.log_so3(self.R[:, before + 1] @ np.swapaxes(R, -1, -2))
+        centre = centre + share * (self.centre[:, before + 1] - centre)
+        return replace(self, R=se3.exp_so3(share * turn) @ R, centre=centre)

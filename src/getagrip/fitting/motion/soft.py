@@ -1,0 +1,77 @@
+"""Soft: another motion, from which each frame may deviate a little."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.fitting.motion.base import Batch, Motion, PosesInHand, Prior
+from getagrip.geometry import se3
+
+Core = TypeVar("Core", bound=Motion)
+
+
+@dataclass(frozen=True)
+class Soft(Batch, Generic[Core]):
+    """A fixed or hinged motion, and a small deviation per frame under a ridge; L grows by 6.
+
+    Deviations (v, w) shift the object and turn it about its centre, in the hand frame:
+    ``R_n = exp(w_n) R_core, centre_n = centre_core + v_n``. They take up what the model inside cannot: an object that
+    is not quite on a hinge, a hand that the estimator has put a little wrong.
+    """
+
+    core: Core
+    deviation: Float[ndarray, "B N 6"]
+    ridge: tuple[float, float]
+    """Energy per m^2 and per rad^2 of deviation, times 1/2."""
+
+    @staticmethod
+    def around(core: Core, poses: PosesInHand, ridge: tuple[float, float]) -> Soft[Core]:
+        """The given poses, as a core motion and the deviations from it."""
+        inner = core.poses()
+        w = se3.log_so3(poses.R @ np.swapaxes(inner.R, -1, -2))
+        return Soft(core, np.concatenate([poses.centre - inner.centre, w], axis=-1), ridge)
+
+    def poses(self) -> PosesInHand:
+        held = self.core.poses()
+        R = se3.exp_so3(self.deviation[..., 3:]) @ held.R
+        return PosesInHand(R, held.centre + self.deviation[..., :3], held.scale)
+
+    def rotated(self, R: Float[ndarray, "B 3 3"]) -> Soft[Core]:
+        return replace(self, core=self.core.rotated(R))
+
+    def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
+        shared, angles = self.core.jacobian()
+        turn = se3.exp_so3(self.deviation[..., 3:])
+        B, N = self.deviation.shape[:2]
+        own = np.zeros((B, N, 7, 6))
+        own[..., :3, :3] = np.eye(3)
+        own[..., 3:6, 3:] = se3.left_jacobian(self.deviation[..., 3:])
+        return _rotated(turn, shared), np.concatenate([_rotated(turn, angles), own], axis=-1)
+
+    def prior(self) -> Prior:
+        stiffness = np.repeat(self.ridge, 3)
+        pull = stiffness * self.deviation
+        inside = self.core.prior()
+        return Prior(
+            inside.value + 0.5 * np.sum(pull * self.deviation, axis=(1, 2)),
+            np.concatenate([inside.g, pull], axis=-1),
+            np.concatenate([inside.diagonal, stiffness]),
+        )
+
+    def retract(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Soft[Core]:
+        core = self.core.retract(shared, local[..., :-6])
+        return replace(self, core=core, deviation=self.deviation + local[..., -6:])
+
+    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Soft[Core]:
+        between = [[np.interp(new, old, column) for column in d.T] for d in self.deviation]
+        return replace(self, core=self.core.resampled(old, new), deviation=np.swapaxes(between, 1, 2))
+
+
+def _rotated(turn: Float[ndarray, "B N 3 3"], J: Float[ndarray, "B N 7 k"]) -> Float[ndarray, "B N 7 k"]:
+    """Local 7-vectors whose rotations are followed by another."""
+    return np.concatenate([J[..., :3, :], turn @ J[..., 3:6, :], J[..., 6:, :]], axis=-2)

@@ -1,0 +1,76 @@
+"""The stages of a search, from coarse to fine: how many frames and pixels, how many hypotheses, how long."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Rotations:
+    """Rotations of the object that lead from one local minimum to another, from and to how many degrees."""
+
+    random: tuple[float, float]
+    """About any axis."""
+    principal: tuple[float, float]
+    """About one of the three principal axes, either way."""
+
+
+FAR = Rotations(random=(10.0, 40.0), principal=(180.0, 180.0))
+"""To other poses; half a turn about a principal axis shows nearly the same silhouette."""
+NEAR = Rotations(random=(5.0, 20.0), principal=(8.0, 25.0))
+"""Out of a minimum beside the best."""
+
+ALL = 10**9
+"""As many frames as there are."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One resolution: how many frames, which level, how long, and how many hypotheses go on to the next."""
+
+    name: str
+    level: int
+    """Side of the masks [px]: 64, 128 or 256."""
+    frames: int
+    iterations: int
+    keep: int
+    rounds: int = 0
+    """How often the best of the stage are rotated and fitted again."""
+    parents: int = 8
+    """How many of them."""
+    rotations: Rotations = FAR
+    """And by how much."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """The whole search."""
+
+    static_iterations: int = 6
+    """Of the first fit, with one pose for all frames."""
+    relaxed_iterations: int = 3
+    """Of the second, in which each frame may deviate from it."""
+    coarse: tuple[Stage, ...] = (
+        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3),
+        Stage("middle", level=64, frames=15, iterations=6, keep=6, rounds=1, parents=6, rotations=NEAR),
+    )
+    """Stages that see some of the frames. The first two fits are made at the first one's frames and level."""
+    fine: tuple[Stage, ...] = (
+        Stage("fine", level=128, frames=ALL, iterations=8, keep=4),
+        Stage("finest", level=256, frames=ALL, iterations=8, keep=4),
+    )
+    """Stages that see all frames."""
+
+
+USUAL = Schedule()
+THOROUGH = Schedule(
+    coarse=(
+        Stage("coarse", level=64, frames=8, iterations=5, keep=32, rounds=8, parents=12),
+        Stage("middle", level=64, frames=15, iterations=8, keep=12, rounds=2, parents=8, rotations=NEAR),
+    ),
+    fine=(
+        Stage("fine", level=128, frames=ALL, iterations=12, keep=6, rounds=2, parents=3),
+        Stage("finest", level=256, frames=ALL, iterations=16, keep=4),
+    ),
+)
+"""A longer search: more hypotheses go on, and further, and are rotated once more with all frames in view."""

@@ -1,0 +1,167 @@
+"""Levenberg-Marquardt, once for all: the damping loop over problems side by side, and the block-arrow step.
+
+What is minimised is the caller's: anything that has a cost, can be tried at a damped step, and can take over the trials
+that were better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, Protocol, Self, TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+
+class State(Protocol):
+    """B problems at their current parameters."""
+
+    @property
+    def cost(self) -> Float[ndarray, "B"]: ...
+
+    def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> Self:
+        """The active problems alone, each after a step with its damping."""
+        ...
+
+    def accept(self, trial: Self, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> Self:
+        """All problems, with the better ones of the active problems' trials in place."""
+        ...
+
+
+S = TypeVar("S", bound=State)
+
+
+class Ending(Enum):
+    """Why a problem's iterations ended."""
+
+    LOST = "its cost was not finite to begin with"
+    CONVERGED = "steps gain next to nothing"
+    STUCK = "no step lowers the cost"
+    LIMIT = "the limit of iterations"
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How damping follows success and failure, and when a problem is done."""
+
+    damping: float = 1e-2
+    """At the first step."""
+    success: float = 0.3
+    """Factor on the damping after a step that lowered the cost."""
+    failure: float = 6.0
+    """And after one that did not."""
+    least: float = 1e-7
+    """Smallest damping."""
+    most: float = 1e7
+    """Stuck beyond this damping."""
+    rejections: float = 4
+    """Stuck after so many rejected steps in a row."""
+    tolerance: float = 1e-3
+    """A step that gains less than this share of the cost is small."""
+    small_steps: int = 2
+    """Converged after so many small steps in a row."""
+
+
+@dataclass(frozen=True)
+class Minimum(Generic[S]):
+    """Where the iterations led."""
+
+    state: S
+    endings: list[Ending]
+    """Of each problem."""
+    evaluations: int
+    """Problems evaluated, all iterations together."""
+
+
+DEFAULT = Rules()
+
+
+def minimise(state: S, iterations: int, rules: Rules = DEFAULT) -> Minimum[S]:
+    """Take every problem downhill, for at most so many iterations of one evaluation each."""
+    B = len(state.cost)
+    damping = np.full(B, rules.damping)
+    rejected, small = np.zeros(B, int), np.zeros(B, int)
+    evaluations = B
+    finite = np.isfinite(state.cost)
+    for _ in range(iterations):
+        stuck = (rejected >= rules.rejections) | (damping > rules.most)
+        active = np.flatnonzero(finite & ~stuck & (small < rules.small_steps))
+        if active.size == 0:
+            break
+        cost = state.cost[active]
+        trial = state.trial(active, damping[active])
+        evaluations += active.size
+        better = trial.cost < cost
+        gain = np.where(better, cost - trial.cost, 0.0)
+        gains_little = better & (gain < rules.tolerance * cost)
+        small[active] = np.where(gains_little, small[active] + 1, np.where(better, 0, small[active]))
+        rejected[active] = np.where(better, 0, rejected[active] + 1)
+        factor = np.where(better, rules.success, rules.failure)
+        damping[active] = np.maximum(damping[active] * factor, rules.least)
+        state = state.accept(trial, active, better)
+    stuck = (rejected >= rules.rejections) | (damping > rules.most)
+    endings = [
+        Ending.LOST if not f else Ending.CONVERGED if c else Ending.STUCK if s else Ending.LIMIT
+        for f, c, s in zip(finite, small >= rules.small_steps, stuck, strict=True)
+    ]
+    return Minimum(state, endings, evaluations)
+
+
+def damped(H: Float[ndarray, "*batch n n"], damping: ndarray, floor: float = 0.0) -> Float[ndarray, "*batch n n"]:
+    """A Hessian with its diagonal raised in proportion; ``floor`` is added to directions that the cost does not see.
+
+    ``damping`` has the batch's axes, or some axes of length 1 in their place.
+    """
+    diagonal = damping[..., None] * (np.diagonal(H, axis1=-2, axis2=-1) + floor)
+    return np.asarray(H + diagonal[..., None] * np.eye(H.shape[-1]))
+
+
+def arrow_step(
+    H_ss: Float[ndarray, "B S S"],
+    H_sl: Float[ndarray, "B N S L"],
+    H_ll: Float[ndarray, "B N L L"],
+    g_s: Float[ndarray, "B S"],
+    g_l: Float[ndarray, "B N L"],
+    cross: Float[ndarray, "B N L N L"] | None = None,
+) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
+    """Solve the block-arrow normal equations for the step of S shared parameters and of L in each of N frames.
+
+    Frames that know of each other only through what is shared are eliminated (Schur complement). Where ``cross``, the
+    Hessian between frames, ties them, the system is solved as it is.
+    """
+    if cross is not None:
+        return _tied_step(H_ss, H_sl, H_ll, g_s, g_l, cross)
+    S, L = g_s.shape[-1], g_l.shape[-1]
+    if L == 0:
+        return -np.linalg.solve(H_ss, g_s[..., None])[..., 0], np.zeros_like(g_l)
+    right = np.concatenate([np.swapaxes(H_sl, -1, -2), g_l[..., None]], axis=-1)
+    solved = right / H_ll if L == 1 else np.linalg.solve(H_ll, right)
+    schur = H_ss - (H_sl @ solved[..., :S]).sum(axis=1)
+    reduced = g_s - (H_sl @ solved[..., S:]).sum(axis=1)[..., 0]
+    shared = -np.linalg.solve(schur, reduced[..., None])[..., 0] if S else np.zeros_like(g_s)
+    return shared, -(solved[..., S] + (solved[..., :S] @ shared[:, None, :, None])[..., 0])
+
+
+def _tied_step(
+    H_ss: Float[ndarray, "B S S"],
+    H_sl: Float[ndarray, "B N S L"],
+    H_ll: Float[ndarray, "B N L L"],
+    g_s: Float[ndarray, "B S"],
+    g_l: Float[ndarray, "B N L"],
+    cross: Float[ndarray, "B N L N L"],
+) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
+    """The step where frames are tied to each other: nothing can be eliminated."""
+    B, N, L = g_l.shape
+    S = g_s.shape[1]
+    n = np.arange(N)
+    A = np.empty((B, S + N * L, S + N * L))
+    A[:, :S, :S] = H_ss
+    A[:, :S, S:] = np.swapaxes(H_sl, 1, 2).reshape(B, S, N * L)
+    A[:, S:, :S] = np.swapaxes(A[:, :S, S:], 1, 2)
+    blocks = cross.copy()
+    blocks[:, n, :, n] += np.swapaxes(H_ll, 0, 1)
+    A[:, S:, S:] = blocks.reshape(B, N * L, N * L)
+    step = -np.linalg.solve(A, np.concatenate([g_s, g_l.reshape(B, N * L)], axis=1)[..., None])[..., 0]
+    return step[:, :S], step[:, S:].reshape(B, N, L)
