@@ -12,13 +12,13 @@ import av
 import cv2
 import numpy as np
 import pytest
-from annotated import BITS, FRAMES, number_in, write_images, write_video
 
 from getagrip.annotate.footage import Cache, ImageFolder, encoded, seconds
 from getagrip.annotate.tasks import open_footage, read_tasks
 from getagrip.annotate.video import Video
 from getagrip.datasets.epic.images import Video as EpicVideo
 from getagrip.errors import InputError
+from helpers.numbered_footage import BITS, FRAMES, number_in, write_images, write_video
 
 UNEVEN = [40 + n + n * n // 30 for n in range(FRAMES)]
 

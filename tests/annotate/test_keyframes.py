@@ -13,11 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from annotated import ask
-from conftest import Run, box
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from labelled_scene import FRAMES, HEIGHT, WIDTH, circle, joints, write_scene
 
 from getagrip.annotate import labels, marks
 from getagrip.annotate.background import Background, Job
@@ -32,6 +29,10 @@ from getagrip.clip import read_clip, read_masks
 from getagrip.clip.segments import polygons
 from getagrip.commands.annotate import DATABASE, write_labels
 from getagrip.errors import GetagripError
+from helpers.annotation_page import ask
+from helpers.clips import box
+from helpers.command_line import Run
+from helpers.labelled_scene import FRAMES, HEIGHT, WIDTH, circle, joints, write_scene
 
 VIDEO = "scene"
 FIRST, LAST = 2, 11

@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
-from conftest import Run
 
 from getagrip.annotate import labels
 from getagrip.annotate.clicked_hands import hands_from_clicks
@@ -20,11 +18,11 @@ from getagrip.datasets.synthetic.shapes import plate
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.mesh import write_mesh
+from helpers.command_line import Run
+from helpers.paths import DATA, ROOT, needs
 
-LABELS = Path(__file__).with_name("kitchen_plate_labels.json")
-VIDEO = Path(__file__).resolve().parents[2] / "shared" / "data" / "egocentric" / "kitchen_plate.mp4"
-
-needs_video = pytest.mark.skipif(not VIDEO.is_file(), reason="the footage is not part of the project")
+LABELS = ROOT / "tests" / "helpers" / "kitchen_plate_labels.json"
+VIDEO = DATA / "egocentric" / "kitchen_plate.mp4"
 
 
 def test_the_labels_are_of_one_hand_and_one_plate() -> None:
@@ -44,7 +42,7 @@ def test_the_labels_are_of_one_hand_and_one_plate() -> None:
         assert to_plate < 0.1 * np.ptp(u)
 
 
-@needs_video
+@needs(VIDEO)
 def test_from_video_to_reconstruction(tmp_path: Path, run: Run) -> None:
     whole = labels.read(LABELS)
     first, last = 93, 111  # a part of it, for the sake of time

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from annotated_page import CHROMIUM, Served, chromium, saved, until
-from labelled_scene import circle, joints, middle, write_scene
 
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import Change
 from getagrip.commands.annotate import DATABASE
+from helpers.annotation_page import CHROMIUM, Served, chromium, saved, until
+from helpers.labelled_scene import circle, joints, middle, write_scene
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")

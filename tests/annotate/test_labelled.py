@@ -9,7 +9,6 @@ import av
 import cv2
 import numpy as np
 import pytest
-from conftest import Run, box, contents
 from numpy import ndarray
 
 from getagrip.annotate.clicked_hands import hands_from_clicks
@@ -24,6 +23,9 @@ from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
 from getagrip.geometry.mesh import write_mesh
 from getagrip.hands import generic
+from helpers.clips import box
+from helpers.command_line import Run
+from helpers.folders import contents
 
 SIZE = (320, 240)
 FOCAL = 320.0

@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from annotated import FRAMES, ask, number_in, write_images, write_video
-from conftest import Run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -27,8 +25,13 @@ from getagrip.annotate.versions import RefusedError
 from getagrip.commands.annotate import DATABASE, write_files
 from getagrip.datasets.epic.files import read_grasps
 from getagrip.experiments.durations import read_list
+from helpers.annotation_page import ask
+from helpers.command_line import Run
+from helpers.numbered_footage import FRAMES, number_in, write_images, write_video
+from helpers.paths import DATA, needs
 
 VIDEO = "P01_101"
+EPIC = DATA / "epic" / "epicgrasps_2431.csv"
 
 
 @pytest.fixture(scope="module")
@@ -238,11 +241,9 @@ def test_the_table_is_read_back_as_epic_grasps(project: Project, tmp_path: Path)
     assert pair["iou"] == pytest.approx(temporal_iou((12, 45), (1, 30)))
 
 
+@needs(EPIC)
 def test_the_columns_are_those_published(project: Project) -> None:
-    published = Path(__file__).resolve().parents[2] / "shared" / "data" / "epic" / "epicgrasps_2431.csv"
-    if not published.is_file():
-        pytest.skip("EPIC-Grasps' table is not there")
-    with published.open() as stream:
+    with EPIC.open() as stream:
         assert project.exported("csv", "ann").splitlines()[0] == stream.readline().strip()
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from annotated import BITS, FRAMES, write_video
-from annotated_page import CHROMIUM, Served, chromium, saved
 
 from getagrip.annotate.tasks import Task
 from getagrip.commands.annotate import DATABASE
+from helpers.annotation_page import CHROMIUM, Served, chromium, saved
+from helpers.numbered_footage import BITS, FRAMES, write_video
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")

@@ -1,4 +1,4 @@
-"""Jobs over processes. Nothing heavy is imported here: each process imports this file again."""
+"""Jobs over processes: none takes another along, none outlives its parent."""
 
 from __future__ import annotations
 
@@ -10,14 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from getagrip.batch.pool import in_processes
-
-
-def work(job: int) -> str:
-    """Runs in another process: dies for job 3, and tells the threads that numpy may use."""
-    if job == 3:
-        os._exit(1)
-    time.sleep(0.01)
-    return f"{job} {os.environ['OMP_NUM_THREADS']}"
+from helpers.jobs import work
+from helpers.paths import ROOT
 
 
 def test_a_dying_process_takes_no_other_job_along() -> None:
@@ -27,18 +21,13 @@ def test_a_dying_process_takes_no_other_job_along() -> None:
     assert os.environ.get("OMP_NUM_THREADS") == before
 
 
-def tick(file: str) -> None:
-    """Runs in another process: lengthens a file as long as it lives, a minute at most."""
-    for _ in range(600):
-        with Path(file).open("a") as out:
-            out.write(".")
-        time.sleep(0.1)
-
-
 def test_a_killed_parent_leaves_no_process_behind(tmp_path: Path) -> None:
     file = tmp_path / "ticks"
-    code = f"import test_pool as t; list(t.in_processes(t.tick, [{str(file)!r}], 1))"
-    parent = subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parent, stderr=subprocess.DEVNULL)
+    code = (
+        "from getagrip.batch.pool import in_processes; from helpers.jobs import tick;"
+        f"list(in_processes(tick, [{str(file)!r}], 1))"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT / "tests", stderr=subprocess.DEVNULL)
     try:
         assert _soon(file.exists)
     finally:

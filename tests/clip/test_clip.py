@@ -16,7 +16,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from conftest import FullDisk, contents, small_clip
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -36,6 +35,8 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import write_mesh
 from getagrip.io import files
 from getagrip.io.images import write_image, write_mask
+from helpers.clips import small_clip
+from helpers.folders import FullDisk, contents
 
 Break = Callable[[Path], None]
 Refused = Callable[..., str]

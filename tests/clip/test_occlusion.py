@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from conftest import small_clip
 
 from getagrip.clip import Masks
 from getagrip.clip.occlusion import hidden_by_hand
@@ -13,6 +12,7 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
+from helpers.clips import small_clip
 
 
 def test_what_is_hidden_is_the_hand_but_for_the_object() -> None:

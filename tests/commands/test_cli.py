@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Run
 
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.datasets.synthetic.scene import Options, synthesise
 from getagrip.result import read_result
+from helpers.command_line import Run
 
 QUICK = ("--inits", "8", "--frames", "4")
 

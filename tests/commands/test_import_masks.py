@@ -14,7 +14,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from conftest import FullDisk, Run, contents, small_clip
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
@@ -27,6 +26,9 @@ from getagrip.clip.segments import polygons, region, run_lengths
 from getagrip.commands.import_masks import write_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays
+from helpers.clips import small_clip
+from helpers.command_line import Run
+from helpers.folders import FullDisk, contents
 
 SIZE = (20, 14)
 FRAMES = ("000003", "000004")

@@ -11,7 +11,6 @@ import av
 import cv2
 import numpy as np
 import pytest
-from conftest import FullDisk, Run, box, contents, small_clip
 from numpy import ndarray
 
 from getagrip.annotate.video import Video
@@ -25,6 +24,9 @@ from getagrip.geometry.mesh import read_mesh, write_mesh
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track
 from getagrip.io import arrays, files
+from helpers.clips import box, small_clip
+from helpers.command_line import Run
+from helpers.folders import FullDisk, contents
 
 SIZE = (64, 48)
 K = ("60", "60", "32", "24")

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from getagrip.cli import main
 from getagrip.evaluation import evaluate_result
+from helpers.paths import DATA, needs
 
-ROOT = Path(__file__).resolve().parents[2] / "shared" / "data" / "hot3d"
+HOT3D = DATA / "hot3d"
 HOLDS = ("P0003_c701bd11-coffee_pot-left", "P0003_c701bd11-mug_white-right", "P0002_273c2819-mouse-right")
 """A pot lifted to pour, a mug held still on the table, a mouse moved about."""
 
 
-@pytest.mark.skipif(not ROOT.is_dir(), reason=f"HOT3D's samples are not at {ROOT}")
+@needs(HOT3D)
 def test_the_three_holds_are_reconstructed(tmp_path: Path) -> None:
     clips, results = tmp_path / "clips", tmp_path / "results"
-    assert main(["import", "hot3d", str(ROOT), "--out", str(clips)]) == 0
+    assert main(["import", "hot3d", str(HOT3D), "--out", str(clips)]) == 0
     assert main(["reconstruct", str(clips), "--out", str(results), "--workers", "1"]) == 0
     for hold in HOLDS:
         metrics = evaluate_result(results / hold, clips)["metrics"]

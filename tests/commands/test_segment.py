@@ -14,17 +14,21 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from conftest import Run, box, small_clip
 
 from getagrip.clip import Clip, HandTrack, Truth, read_clip, write_clip
+from getagrip.datasets.hot3d import clips as hot3d
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.stable import OPENED, Definition, contact_iou, contact_sets, fragments, segment
 from getagrip.metrics.contact import contact_distances
 from getagrip.view.matrix import write_matrix
+from helpers.clips import box, small_clip
+from helpers.command_line import Run
+from helpers.paths import DATA, needs
 
 RADIUS = 0.03
+HOT3D = DATA / "hot3d"
 
 
 def ball(radius: float, subdivisions: int = 3) -> Mesh:
@@ -272,13 +276,9 @@ def test_a_picture_is_drawn_of_any_length(frames: int, tmp_path: Path) -> None:
 # Real data.
 
 
+@needs(HOT3D)
 def test_the_pot_of_hot3d_is_held_from_first_to_last_frame(tmp_path: Path) -> None:
-    root = Path(__file__).resolve().parents[2] / "shared" / "data" / "hot3d"
-    if not root.is_dir():
-        pytest.skip("HOT3D's test sample is not beside this checkout")
-    from getagrip.datasets.hot3d import clips as hot3d
-
-    clips = {clip.category: clip for clip, _ in hot3d.read(root)}
+    clips = {clip.category: clip for clip, _ in hot3d.read(HOT3D)}
     # The one proper lifted grasp: contact is reliable at 5 mm.
     for points in ("vertices", "area"):
         assert segment(clips["coffee_pot"], Definition(contact=0.005, points=points))[1] == [(0, 33)]

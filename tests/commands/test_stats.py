@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 
 from getagrip.experiments.durations import Grasp, durations, read_epic, read_list
+from helpers.paths import DATA, needs
 
 Run = Callable[..., tuple[int, str, str]]
-EPIC = Path(__file__).resolve().parents[2] / "shared" / "data" / "epic" / "epicgrasps_2431.csv"
+EPIC = DATA / "epic" / "epicgrasps_2431.csv"
 HEADS = "vid,st_bound,ed_bound,st,ed,contact,handside,cat,hos_name,mp4_name,set_name,round,duration,n_unfiltered_masks,\
 n_filtered_masks,good_CAD,example,fmt,ablate_inithand"
 LIST = "sequence,side,object,start,end,duration\na,left,box,0,29,1.0\nb,right,box,3,92,3.0\nc,left,cup,0,59,2.0\n"
@@ -50,7 +51,7 @@ def epic_table(folder: Path) -> Path:
     return folder / "epic.csv"
 
 
-@pytest.mark.skipif(not EPIC.is_file(), reason="needs the real data")
+@needs(EPIC)
 def test_the_papers_table_comes_out() -> None:
     rows = {row.category: row for row in durations(read_epic(EPIC))}
     assert set(rows) == set(PAPER)
@@ -66,7 +67,7 @@ def test_the_papers_table_comes_out() -> None:
             assert row.std == pytest.approx(std, abs=0.05)
 
 
-@pytest.mark.skipif(not EPIC.is_file(), reason="needs the real data")
+@needs(EPIC)
 def test_true_rates_make_the_first_videos_shorter_only() -> None:
     paper, true = durations(read_epic(EPIC)), durations(read_epic(EPIC, "true"))
     for one, other in zip(paper, true, strict=True):
@@ -103,7 +104,7 @@ def test_errata_change_hands_or_take_grasps_away(run: Run, tmp_path: Path) -> No
         assert (status, words in err) == (1, True)
 
 
-@pytest.mark.skipif(not EPIC.is_file(), reason="needs the real data")
+@needs(EPIC)
 def test_the_published_errata() -> None:
     all_ = durations(read_epic(EPIC, "paper", EPIC.with_name("epicgrasps_2431_errata.csv")))[-1]
     assert (all_.clips, all_.left, all_.right) == (2425, 1439, 986)

@@ -8,7 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from held_ball import (
+
+from getagrip.batch.imports import Given, import_clips
+from getagrip.clip import read_clip, read_masks
+from getagrip.datasets import arctic, tracks
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.geometry.depth import depth_and_face
+from getagrip.geometry.mesh import Mesh
+from getagrip.grasps.stable import Definition, segment
+from helpers.held_ball import (
     BETAS,
     FRAMES,
     TAKEN,
@@ -22,15 +31,6 @@ from held_ball import (
     save_pickled,
     write_mano,
 )  # fmt: skip
-
-from getagrip.batch.imports import Given, import_clips
-from getagrip.clip import read_clip, read_masks
-from getagrip.datasets import arctic, tracks
-from getagrip.errors import InputError, UsageError
-from getagrip.geometry import se3
-from getagrip.geometry.depth import depth_and_face
-from getagrip.geometry.mesh import Mesh
-from getagrip.grasps.stable import Definition, segment
 
 OPENED = 28
 """From this frame on, the joint is at another angle."""

@@ -16,9 +16,7 @@ from getagrip.geometry.depth import depth_and_face
 from getagrip.hands import generic
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.model import mirrored
-
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="no real data beside the checkout")
+from helpers.paths import DATA, needs
 
 SUBJECT, SEQUENCE, HELD, OTHER = "20200709-subject-01", "20200709_141754", "025_mug", "003_cracker_box"
 NAME = f"{SUBJECT}--{SEQUENCE}--{HELD}"
@@ -414,7 +412,7 @@ def test_import_writes_clips_and_goes_on_where_it_stopped(root, tmp_path, capsys
     assert (out / NAME / "hand.npz").stat().st_mtime_ns == stamp
 
 
-@needs_data
+@needs(DATA / "frame")
 def test_real_labels_and_intrinsics_are_read():
     poses, joints = dexycb_files._label(DATA / "frame" / "labels.npz", 4)
     assert se3.is_rigid(np.concatenate([poses, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (4, 1, 1))], axis=1)).all()
@@ -424,7 +422,7 @@ def test_real_labels_and_intrinsics_are_read():
     np.testing.assert_allclose(uv[:, :2] / uv[:, 2:] - 0.5, label["joint_2d"][0], atol=1e-3)
 
 
-@needs_data
+@needs(DATA / "dexycb")
 def test_real_sequences():
     sequences = dexycb_files.find(DATA / "dexycb")
     recordings = [sequence.read() for sequence in sequences]

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from held_ball import AT, BETAS, FRAMES, TAKEN, Hostile, ball, bent, global_motion, motion, write_mano
 
 from getagrip.batch.imports import Given, import_clips
 from getagrip.clip import read_clip, read_masks
@@ -18,6 +17,7 @@ from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.mano import load
+from helpers.held_ball import AT, BETAS, FRAMES, TAKEN, Hostile, ball, bent, global_motion, motion, write_mano
 
 HELD = "025_mug"
 LOST = 29

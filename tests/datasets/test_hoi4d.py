@@ -9,7 +9,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from held_ball import BETAS, FRAMES, TAKEN, Hostile, ball, bent, global_motion, motion, posed, same_points, write_mano
 from scipy.spatial.transform import Rotation
 
 from getagrip.batch.imports import Given, import_clips
@@ -17,6 +16,19 @@ from getagrip.clip import read_clip, read_masks
 from getagrip.datasets import hoi4d, tracks
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
+from helpers.held_ball import (
+    BETAS,
+    FRAMES,
+    TAKEN,
+    Hostile,
+    ball,
+    bent,
+    global_motion,
+    motion,
+    posed,
+    same_points,
+    write_mano,
+)
 
 INDEX = "ZY20210800001/H1/C5/N11/S125/s03/T1"
 NAME = f"H1--{INDEX.replace('/', '-')}--Bottle--right"

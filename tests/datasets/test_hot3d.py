@@ -2,12 +2,10 @@
 
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-from test_umetrack import profile
 
 from getagrip.clip import FINGERS
 from getagrip.datasets import tracks
@@ -18,8 +16,10 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
 from getagrip.grasps.stable import Definition, segment
+from helpers.paths import DATA, needs
+from helpers.umetrack_profile import profile
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "hot3d"
+HOT3D = DATA / "hot3d"
 NAME = "P0000_0123abcd"
 FRAMES = 16
 STEP = 33_333_333
@@ -288,13 +288,13 @@ def test_what_is_no_list_is_refused(tmp_path, content):
         hot3d_timelines.read(tmp_path / "hit.json")
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="needs HOT3D's samples in the folder 'shared' beside the checkout")
+@needs(HOT3D)
 def test_the_three_holds_of_the_samples():
     from scipy.spatial import cKDTree
 
     notes = []
     found = {}
-    for clip, masks in hot3d.read(DATA, notes.append):
+    for clip, masks in hot3d.read(HOT3D, notes.append):
         found[clip.name] = len(clip)
         assert masks.object.any(axis=(1, 2)).all()
         assert clip.truth.scale == 1.0

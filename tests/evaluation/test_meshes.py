@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from conftest import Run
 from hypothesis import given
 from hypothesis import strategies as st
-from test_evaluate import perfect, same, scene, written
 
 from getagrip.clip import Clip, Masks, input_sha256, write_clip
 from getagrip.evaluation import evaluate, evaluate_meshes
@@ -22,8 +20,9 @@ from getagrip.geometry.mesh import Mesh, write_mesh
 from getagrip.metrics.contact import pairwise_iou, stable_contact_area
 from getagrip.metrics.meshes import mesh_distances
 from getagrip.result import write_result
+from helpers.command_line import Run
+from helpers.egg_and_mug import perfect, same, written
 
-__all__ = ["scene"]  # the fixture: a mug that turns in an egg
 NAME = "egg-and-mug"
 
 

@@ -12,7 +12,6 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from conftest import Run
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -30,6 +29,7 @@ from getagrip.experiments.tables import LATEX, latex, markdown
 from getagrip.experiments.trials import Score, Scores
 from getagrip.fitting.options import Method, Options
 from getagrip.result import read_result
+from helpers.command_line import Run
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import box
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
@@ -15,6 +14,7 @@ from getagrip.fitting.observation import CROP, FIELD, LEVELS, TARGETS, Observati
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.kernels.silhouette import silhouettes, unpack
+from helpers.clips import box
 
 K = np.array([[200.0, 0.0, 80.0], [0.0, 210.0, 60.0], [0.0, 0.0, 1.0]])
 WIDTH, HEIGHT = 160, 120

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import small_clip
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy import ndarray
@@ -26,8 +25,10 @@ from getagrip.fitting.pose_priors import Priors, poses_for, read_folder, read_le
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from helpers.clips import small_clip
+from helpers.paths import DATA, needs
 
-REAL = Path(__file__).resolve().parents[2] / "shared" / "data" / "epic" / "pose_priors"
+REAL = DATA / "epic" / "pose_priors"
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -220,7 +221,7 @@ def test_a_folder_of_poses_by_category_and_side_is_read(tmp_path: Path, refused:
         refused(lambda: read_folder(tmp_path), "left_a.npy", *words)
 
 
-@pytest.mark.skipif(not REAL.is_dir(), reason="the authors' poses are not here")
+@needs(REAL)
 def test_the_authors_poses_are_read() -> None:
     read = read_folder(REAL)
     assert (len(read.side), read.side.count("left")) == (74, 38)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import small_clip
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,6 +16,7 @@ from getagrip.clip import masks as clip_masks
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare, read_sampled
+from helpers.clips import small_clip
 
 FRAMES = 9
 

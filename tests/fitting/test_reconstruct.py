@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import small_clip
 from numpy import ndarray
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -24,6 +23,7 @@ from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.result import Reconstruction
+from helpers.clips import small_clip
 
 SMALL = ClipOptions(frames=8, size=(320, 240), focal=300.0)
 STILL = replace(SMALL, turn_deg=(0.0, 0.0), residual_deg=0.0, residual_mm=0.0)

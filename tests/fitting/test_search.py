@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from conftest import box
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -31,6 +30,7 @@ from getagrip.fitting.solve import Poses, minimise
 from getagrip.fitting.surface import Shape
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from helpers.clips import box
 
 CORNERS = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]) * [0.1, 0.06, 0.04] - [0.05, 0.03, 0.02]
 SHAPE = Shape.of(box(0.1, 0.06, 0.04))

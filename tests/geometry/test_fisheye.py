@@ -1,7 +1,6 @@
 """Fisheye624: it inverts, its derivatives are right, and without distortion it is what it should be."""
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +9,9 @@ from hypothesis import strategies as st
 
 from getagrip.geometry import se3
 from getagrip.geometry.fisheye import Fisheye624, pinhole
+from helpers.paths import DATA, needs
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "hot3d"
+HOT3D = DATA / "hot3d"
 SIZE = (640, 480)
 
 
@@ -110,13 +110,13 @@ def test_a_quarter_turn_turns_the_picture_clockwise():
     )
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="needs HOT3D's samples in the folder 'shared' beside the checkout")
+@needs(HOT3D)
 def test_objects_of_hot3d_fall_into_the_published_boxes():
     from getagrip.datasets.hot3d.clips import Objects
     from getagrip.datasets.hot3d.files import find, read_recording
 
-    objects = Objects.below(DATA)
-    for (name, files), stream in zip(find(DATA).items(), ("1201-1", "214-1"), strict=True):
+    objects = Objects.below(HOT3D)
+    for (name, files), stream in zip(find(HOT3D).items(), ("1201-1", "214-1"), strict=True):
         recording = read_recording(name, files)
         meshes = objects.read(recording, print)
         camera = recording.camera

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from conftest import box
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -30,6 +29,7 @@ from getagrip.geometry.mesh import (
     write_mesh,
 )
 from getagrip.geometry.obj import parse_obj
+from helpers.clips import box
 
 triangles = st.permutations(range(6)).map(lambda order: order[:3])
 soups = st.lists(triangles, min_size=1, max_size=12).map(np.array)

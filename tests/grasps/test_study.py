@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from conftest import small_clip
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,10 +23,11 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.approximation import Hinge, _refined, mean_rotation, pose_hinge, rotation_hinge
 from getagrip.grasps.stable import Definition, PairwiseIou
 from getagrip.grasps.study import MEASURES, TIMES, Spread, fingers, kept_contact, mean_curves, study
+from helpers.clips import small_clip
+from helpers.paths import DATA, needs
 
 Run = Callable[..., tuple[int, str, str]]
 Poses = tuple[np.ndarray, np.ndarray]
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 SIZE = 0.05
 AT_HAND = np.zeros(3)
 seeds = st.integers(0, 10_000)
@@ -312,10 +312,9 @@ def test_wrong_calls_exit_with_2(run: Run, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@needs(DATA / "dexycb")
 def test_a_real_sequence() -> None:
-    if not SHARED.is_dir():
-        pytest.skip("needs the real data")
-    source = dexycb.sources(SHARED / "dexycb", SHARED / "ycb")[0]
+    source = dexycb.sources(DATA / "dexycb", DATA / "ycb")[0]
     (track,) = source.read(lambda _: None)
     assert len(track) > 40
     assert np.all(np.diff(track.numbers) == 1)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,10 +12,10 @@ from getagrip.hands.fit import ORDERS, Chains, State, fit_joints, joints_and_jac
 from getagrip.hands.model import Side, mirrored
 from getagrip.hands.pose_prior import PosePrior
 from getagrip.hands.umetrack_skinned import skinned
+from helpers.paths import DATA, needs
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 DEXYCB = DATA / "dexycb" / "left_hand_sequences.npz"
-HOT3D, PROFILE = DATA / "hot3d", "umetrack_hand_user_profile.json"
+HOT3D = DATA / "hot3d"
 
 
 def likely_hands(side: Side, T: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -129,7 +127,7 @@ def test_bad_joints_are_refused(change, message) -> None:  # type: ignore[no-unt
         fit_joints(generic.load("right"), Y, "mediapipe")  # type: ignore[arg-type]
 
 
-@pytest.mark.skipif(not DEXYCB.is_file(), reason="DexYCB joints (research licence) are not here")
+@needs(DEXYCB)
 def test_real_joints_are_met_within_millimetres() -> None:
     with np.load(DEXYCB, allow_pickle=False) as data:
         joints, valid, offset = data["joints"].astype(float), data["hand_valid"], data["offset"]
@@ -141,10 +139,10 @@ def test_real_joints_are_met_within_millimetres() -> None:
         assert np.abs(fit.shape).max() < 0.6
 
 
-@pytest.mark.skipif(not list(HOT3D.rglob(PROFILE)), reason="HOT3D's hands (research licence) are not here")
+@needs(HOT3D)
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_umetrack_hands_fit_like_any_other(side: Side) -> None:
-    for profile in HOT3D.rglob(PROFILE):
+    for profile in HOT3D.rglob("umetrack_hand_user_profile.json"):
         hand = umetrack.load(profile)
         model = skinned(hand, side)
         rest, flat = hand.with_pose(side, np.zeros(22)), model.with_shape().with_pose()

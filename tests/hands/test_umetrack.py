@@ -1,11 +1,9 @@
 """The UmeTrack hand: against a loop over vertices, laws of mirrors and hinges, and HOT3D's own hands where they are."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 
 from getagrip.clip import FINGERS
 from getagrip.errors import InputError
@@ -13,31 +11,10 @@ from getagrip.geometry import se3
 from getagrip.hands import umetrack
 from getagrip.hands.generic_skeleton import WRIST
 from getagrip.hands.model import MIRROR, PALM_REGIONS, root_transform
+from helpers.paths import DATA, needs
+from helpers.umetrack_profile import profile
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "hot3d"
-needs_data = pytest.mark.skipif(
-    not DATA.is_dir(), reason="needs HOT3D's samples in the folder 'shared' beside the checkout"
-)
-
-
-def profile():
-    """A made-up profile: an open ball with random hinges and weights, lengths as in a hand [mm]."""
-    rng = np.random.default_rng(3)
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=60.0)
-    faces = ball.faces[~(ball.faces == 0).any(axis=1)]
-    used, faces = np.unique(faces, return_inverse=True)
-    weights = rng.dirichlet(0.2 * np.ones(17), len(used))
-    axes = rng.normal(size=(22, 3))
-    return {
-        "hand_model": {
-            "mesh_vertices": (ball.vertices[used] + [60.0, 0.0, 0.0]).tolist(),
-            "mesh_triangles": faces.reshape(-1, 3).tolist(),
-            "dense_bone_weights": weights.tolist(),
-            "joint_rest_positions": rng.uniform(-40, 40, (22, 3)).tolist(),
-            "joint_rotation_axes": (axes / np.linalg.norm(axes, axis=1, keepdims=True)).tolist(),
-            "landmark_rest_positions": rng.uniform(-80, 80, (21, 3)).tolist(),
-        }
-    }
+HOT3D = DATA / "hot3d"
 
 
 def loaded(tmp_path, changes=None):
@@ -139,8 +116,8 @@ def test_files_that_are_no_profile_are_refused(tmp_path, text):
         umetrack.load(path)
 
 
-@needs_data
-@pytest.mark.parametrize("path", sorted(DATA.rglob("umetrack_hand_user_profile.json")), ids=lambda p: p.parent.name)
+@needs(HOT3D)
+@pytest.mark.parametrize("path", sorted(HOT3D.rglob("umetrack_hand_user_profile.json")), ids=lambda p: p.parent.name)
 def test_a_real_hand_lies_in_the_hand_frame(path):
     hand = umetrack.load(path)
     posed = hand.with_pose("right", np.zeros(22))
@@ -164,10 +141,10 @@ def test_a_real_hand_lies_in_the_hand_frame(path):
     assert np.all(curled.joints[8::4, 1] < posed.joints[8::4, 1] - 0.02)  # fingers bend towards the palm
 
 
-@needs_data
+@needs(HOT3D)
 def test_the_hand_frame_agrees_with_mano():
     turns, distances = [], []
-    for path in sorted(DATA.rglob("umetrack_hand_pose_trajectory.jsonl")):
+    for path in sorted(HOT3D.rglob("umetrack_hand_pose_trajectory.jsonl")):
         wrists = []
         for file in (path, path.with_name("mano_hand_pose_trajectory.jsonl")):
             hands = json.loads(file.read_text().splitlines()[0])["hand_poses"]

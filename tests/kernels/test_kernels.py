@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import box
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -18,6 +17,7 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.kernels import contour, reference
 from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
 from getagrip.kernels.silhouette import NEAR, PLANES, fill, mismatch, outline, pack, project, silhouettes, unpack
+from helpers.clips import box
 
 SEEDS = st.integers(0, 2**32 - 1)
 """Random numbers come from numpy, not from hypothesis, which loves the round ones: pixel centres exactly on an edge."""

@@ -12,16 +12,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import Run
 from hypothesis import given
 from hypothesis import strategies as st
-from test_epic import NAME, V, epic_folder, import_epic
 
 from getagrip.datasets.epic.archive import Archive
 from getagrip.datasets.epic.images import Frames
 from getagrip.errors import InputError
+from helpers.command_line import Run
+from helpers.epic_files import NAME, V, import_epic
 
-__all__ = ["epic_folder"]
 SUBJECT = V.partition("_")[0]
 
 

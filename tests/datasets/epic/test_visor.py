@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from visor_files import box, dense, hand, sparse, thing, write, write_mapping
 
 from getagrip.datasets.epic import visor
 from getagrip.errors import InputError
 from getagrip.io import json_stream
+from helpers.visor_files import box, dense, hand, sparse, thing, write, write_mapping
 
 V = "P01_101"
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import box
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
@@ -23,6 +22,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels import reference
 from getagrip.kernels.silhouette import mismatch, pack, silhouettes, unpack
+from helpers.clips import box, small_clip
 
 SIZE = 300
 CAMERA = np.array([[560.0, 0.0, 148.0], [0.0, 570.0, 152.0], [0.0, 0.0, 1.0]])
@@ -366,8 +366,6 @@ def test_hypotheses_do_not_know_of_each_other() -> None:
 
 
 def test_contact_vertices_are_the_regions_fingertips_first() -> None:
-    from conftest import small_clip
-
     hand = small_clip()[0].hand
     contact = HandContacts.of(hand)
     assert contact.position.shape == (3, 12, 3)

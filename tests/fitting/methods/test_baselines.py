@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import box, small_clip
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
@@ -38,6 +37,7 @@ from getagrip.fitting.search import TermsAt
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import camera, se3
 from getagrip.result import Reconstruction
+from helpers.clips import box, small_clip
 
 B, N = 2, 4
 K4 = np.tile([560.0, 570.0, 128.0, 120.0], (N, 1))

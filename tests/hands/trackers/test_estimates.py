@@ -19,7 +19,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
-from test_hands_mano import fake_mano, python2
 
 from getagrip.clip import FINGERS
 from getagrip.clip.naming import frame_of
@@ -33,11 +32,13 @@ from getagrip.hands.trackers import Hands, Reading, read
 from getagrip.hands.trackers.estimates import Camera, mirror_rotation
 from getagrip.hands.trackers.weak_perspective import WeakPerspective, vitdet_side
 from getagrip.io import arrays
+from helpers.mano_files import fake_mano, python2
+from helpers.paths import ROOT
 
 SIZE = (640, 480)
 K = np.array([[612.0, 0.0, 311.0], [0.0, 612.0, 247.0], [0.0, 0.0, 1.0]])
 FRAMES = ("000007", "000008", "000009")
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts" / "estimators"
+SCRIPTS = ROOT / "scripts" / "estimators"
 SIDES: list[Side] = ["right", "left"]
 
 

@@ -1,9 +1,7 @@
-"""Footage whose frames show their own number, and requests to the page's server, for the tests of annotation."""
+"""Footage whose frames show their own number."""
 
 from __future__ import annotations
 
-import http.client
-import json
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -11,8 +9,6 @@ from pathlib import Path
 import av
 import cv2
 import numpy as np
-
-from getagrip.annotate.server import Server
 
 BITS = 8
 FRAMES = 70
@@ -54,17 +50,3 @@ def write_images(folder: Path, numbers: Sequence[int]) -> Path:
     for n in numbers:
         cv2.imwrite(str(folder / f"frame_{n:010d}.jpg"), picture(n % (1 << BITS)))
     return folder
-
-
-def ask(
-    server: Server, path: str, content: object = None, head: dict[str, str] | None = None
-) -> tuple[int, dict[str, str], bytes]:
-    """GET, or POST where there is content."""
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
-    body = content if content is None or isinstance(content, bytes) else json.dumps(content).encode()
-    kind = {"Content-Type": "application/json"} if body is not None else {}
-    connection.request("GET" if body is None else "POST", path, body, kind | (head or {}))
-    answer = connection.getresponse()
-    found = answer.status, dict(answer.getheaders()), answer.read()
-    connection.close()
-    return found

@@ -1,7 +1,9 @@
-"""A server that can be stopped and started again, and a browser, for the tests of the annotation page."""
+"""The annotation page: a server that can be stopped and started again, requests to it, and a browser."""
 
 from __future__ import annotations
 
+import http.client
+import json
 import shutil
 import threading
 from collections.abc import Iterator
@@ -39,6 +41,20 @@ class Served:
 
     def grasps(self) -> list[tuple[Any, ...]]:
         return [(mark.start, mark.end, mark.side, mark.category) for mark in self.project.store.marks.standing()]
+
+
+def ask(
+    server: Server, path: str, content: object = None, head: dict[str, str] | None = None
+) -> tuple[int, dict[str, str], bytes]:
+    """GET, or POST where there is content."""
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
+    body = content if content is None or isinstance(content, bytes) else json.dumps(content).encode()
+    kind = {"Content-Type": "application/json"} if body is not None else {}
+    connection.request("GET" if body is None else "POST", path, body, kind | (head or {}))
+    answer = connection.getresponse()
+    found = answer.status, dict(answer.getheaders()), answer.read()
+    connection.close()
+    return found
 
 
 @contextmanager
