@@ -1,0 +1,71 @@
+"""A real egocentric clip labelled by hand: a plate is carried from a table. The labels are here, the video is not."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from getagrip.annotate import labels
+from getagrip.annotate.clicked_hands import hands_from_clicks
+from getagrip.annotate.labelled import make
+from getagrip.annotate.labels import OBJECT
+from getagrip.annotate.video import Video
+from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.datasets.synthetic.shapes import plate
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
+from getagrip.geometry.mesh import write_mesh
+from helpers.command_line import Run
+from helpers.paths import DATA, ROOT, needs
+
+LABELS = ROOT / "tests" / "helpers" / "kitchen_plate_labels.json"
+VIDEO = DATA / "egocentric" / "kitchen_plate.mp4"
+
+
+def test_the_labels_are_of_one_hand_and_one_plate() -> None:
+    said = labels.read(LABELS)
+    K, _ = intrinsics(Lens(guess_focal=True), said.size)
+    found = hands_from_clicks(said.clicks, K, said.side, said.first, said.last)
+    assert np.sqrt(np.nanmean(found.residuals**2)) < 4.0
+    assert not found.doubtful.any()
+    assert np.abs(found.shape).max() < 0.25
+    assert found.hand.joints is not None
+    tips = project(K, se3.transform(found.hand.T_cam_hand, found.hand.joints))[:, 4]
+    outlines = said.label_maps()
+    assert sorted(outlines) == sorted(said.frames)
+    for n, drawn in outlines.items():  # the thumb lies on the rim
+        v, u = np.nonzero(drawn == OBJECT)
+        to_plate = np.hypot(u + 0.5 - tips[n - said.first, 0], v + 0.5 - tips[n - said.first, 1]).min()
+        assert to_plate < 0.1 * np.ptp(u)
+
+
+@needs(VIDEO)
+def test_from_video_to_reconstruction(tmp_path: Path, run: Run) -> None:
+    whole = labels.read(LABELS)
+    first, last = 93, 111  # a part of it, for the sake of time
+    frames = {n: frame for n, frame in whole.frames.items() if first <= n <= last}
+    said = replace(whole, first=first, last=last, frames=frames)
+    video = Video(VIDEO)
+    try:
+        made = make(said, video.image, Lens(), tmp_path / "made")
+    finally:
+        video.close()
+    assert min(made.confidence.values()) > 0.85
+    write_mesh(tmp_path / "plate.obj", plate())
+    words = made.command.split()[1:]
+    words[words.index(said.video)] = str(VIDEO)
+    words[words.index("MESH")], words[words.index("CLIP")] = str(tmp_path / "plate.obj"), str(tmp_path / "carried")
+    status, _, err = run(*words)
+    assert status == 0
+    assert err.count("a guess") == 2
+    assert run("reconstruct", tmp_path / "carried", "--out", tmp_path / "results")[0] == 0
+    result = json.loads((tmp_path / "results" / "carried" / "result.json").read_text())
+    with np.load(tmp_path / "results" / "carried" / "result.npz") as file:
+        assert file["iou"].mean() > 0.93
+        assert file["iou"].min() > 0.85
+        diameter = 2.0 * 0.11 * float(file["scale"])
+    assert 0.17 < diameter < 0.32  # plates are; the hand's size and the camera are guesses
+    assert sum("guess" in note for note in result["notes"]) >= 3

@@ -1,0 +1,216 @@
+"""The annotation page in a real browser: open, step, mark, reload, nothing lost; two tabs at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from getagrip.annotate.tasks import Task
+from getagrip.commands.annotate import DATABASE
+from helpers.annotation_page import CHROMIUM, Served, chromium, saved
+from helpers.numbered_footage import BITS, FRAMES, write_video
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+
+READ_CANVAS = f"""() => {{
+  const canvas = document.getElementById("picture"), context = canvas.getContext("2d");
+  let number = 0;
+  for (let bit = 0; bit < {BITS}; bit += 1) {{
+    const [red] = context.getImageData((bit + 0.5) * canvas.width / {BITS}, canvas.height / 2, 1, 1).data;
+    if (red > 127) number |= 1 << bit;
+  }}
+  return number;
+}}"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory: Any) -> list[Path]:
+    folder = tmp_path_factory.mktemp("videos")
+    return [write_video(folder / f"{name}.mp4") for name in ("first", "second")]
+
+
+@pytest.fixture
+def served(videos: list[Path], tmp_path: Path) -> Iterator[Served]:
+    first, second = videos
+    tasks = [Task("first", "first", first), Task("second", "second", second, 11, 50, "left", "mug", "red mug", 20)]
+    made = Served(tasks, tmp_path / DATABASE)
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def context(browser: Any) -> Iterator[Any]:
+    """A browser's profile: its tabs share what the page keeps."""
+    made = browser.new_context(viewport={"width": 1400, "height": 860})
+    yield made
+    made.close()
+
+
+def opened(context: Any, served: Served, who: str | None = "ann") -> Any:
+    """A tab with the page, its first frame on the screen; `who` is None where the browser knows the name."""
+    page = context.new_page()
+    page.on("pageerror", lambda error: pytest.fail(f"the page raised {error}"))
+    page.goto(served.server.url)
+    if who is not None:
+        page.fill("#name-field", who)
+        page.keyboard.press("Enter")
+    shows(page, 1)
+    return page
+
+
+def shows(page: Any, number: int) -> None:
+    """Wait until a frame is on the screen, and see that it is that frame."""
+    playwright.expect(page.locator("#frame")).to_have_text(str(number))
+    assert page.evaluate(READ_CANVAS) == number - 1
+
+
+def mark(page: Any, start: int, end: int) -> None:
+    """Mark a grasp with the keyboard, from the first frame on."""
+    page.keyboard.press("Home")
+    shows(page, 1)
+    for _ in range(start):
+        page.keyboard.press("ArrowRight")
+    page.keyboard.press("s")
+    for _ in range((end - start) // 10):
+        page.keyboard.press("Shift+ArrowRight")
+    for _ in range((end - start) % 10):
+        page.keyboard.press("ArrowRight")
+    page.keyboard.press("e")
+    playwright.expect(page.locator("#marks li").first).to_contain_text(f"– {end + 1}")
+    saved(page)
+
+
+def test_step_mark_reload_nothing_is_lost(context: Any, served: Served) -> None:
+    asked: list[str] = []
+    context.on("request", lambda request: asked.append(request.url))
+    page = opened(context, served)
+    page.keyboard.press("ArrowRight")
+    shows(page, 2)
+    page.keyboard.press("Shift+ArrowRight")
+    shows(page, 12)
+    page.keyboard.press("ArrowLeft")
+    shows(page, 11)
+    page.keyboard.press("End")
+    shows(page, FRAMES)
+    page.keyboard.press("ArrowRight")
+    shows(page, FRAMES)
+    mark(page, 3, 25)
+    page.fill("#category", "plate")
+    page.keyboard.press("Enter")
+    page.keyboard.press("h")
+    saved(page)
+    assert served.grasps() == [(3, 25, "left", "plate")]
+    page.reload()
+    shows(page, 1)
+    playwright.expect(page.locator("#marks li")).to_contain_text("4 – 26")
+    playwright.expect(page.locator("#category")).to_have_value("plate")
+    for _ in range(4):  # hand, object, end, start
+        page.keyboard.press("u")
+    playwright.expect(page.locator("#marks li")).to_have_count(0)
+    saved(page)
+    assert served.grasps() == []
+    assert all(url.startswith(served.server.url) for url in asked)  # nothing is asked of other hosts
+
+
+def test_two_tabs_at_once(context: Any, served: Served) -> None:
+    one = opened(context, served)
+    two = opened(context, served, None)
+    mark(one, 3, 25)
+    playwright.expect(two.locator("#marks li")).to_have_count(1)  # without a reload
+    two.keyboard.press("End")
+    shows(two, FRAMES)
+    two.locator("#marks li").click()
+    shows(two, 4)
+    two.keyboard.press("ArrowRight")
+    two.keyboard.press("s")  # the second tab moves the start, the first one the kind of object
+    one.fill("#category", "bowl")
+    one.keyboard.press("Enter")
+    saved(one)
+    saved(two)
+    for page in (one, two):
+        playwright.expect(page.locator("#marks li")).to_contain_text("5 – 26")
+        playwright.expect(page.locator("#marks li")).to_contain_text("bowl")
+    assert served.grasps() == [(4, 25, "right", "bowl")]
+
+
+def test_marks_made_while_the_server_is_away_are_kept(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    served.stop()
+    page.keyboard.press("s")
+    playwright.expect(page.locator("#saved")).to_contain_text("Not saved")
+    served.start()
+    saved(page)
+    assert [grasp[0] for grasp in served.grasps()] == [0]
+
+
+def test_marks_made_while_the_server_is_away_outlive_the_tab(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    served.stop()
+    page.keyboard.press("s")
+    playwright.expect(page.locator("#saved")).to_contain_text("Not saved")
+    page.close()
+    served.start()
+    again = opened(context, served, None)
+    saved(again)
+    playwright.expect(again.locator("#marks li")).to_have_count(1)
+    assert [grasp[0] for grasp in served.grasps()] == [0]
+
+
+def test_marks_do_not_go_to_another_database(context: Any, served: Served, tmp_path: Path) -> None:
+    page = opened(context, served)
+    served.stop()
+    own, served.database = served.database, tmp_path / "other.sqlite"
+    served.start()
+    page.keyboard.press("s")
+    playwright.expect(page.locator("#saved")).to_contain_text("another database")
+    assert served.grasps() == []
+    served.stop()
+    served.database = own
+    served.start()
+    saved(page)
+    assert [grasp[0] for grasp in served.grasps()] == [0]
+
+
+def test_candidates_are_gone_through_and_discarded(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    page.keyboard.press("n")
+    shows(page, 11)  # where the candidate may begin
+    playwright.expect(page.locator("#category")).to_have_value("mug")
+    playwright.expect(page.locator("#side [aria-checked=true]")).to_have_text("Left")
+    page.keyboard.press("3")
+    saved(page)
+    playwright.expect(page.locator("#progress")).to_have_text("1 of 2 done")
+    page.keyboard.press("s")
+    playwright.expect(page.locator("#next-step")).to_contain_text("discarded")
+    page.keyboard.press("3")
+    page.keyboard.press("s")
+    saved(page)
+    assert served.grasps() == [(10, None, "left", "mug")]
+    page.reload()  # comes back to the clip that was open
+    shows(page, 11)
+    playwright.expect(page.locator("#marks li")).to_have_count(1)
+
+
+def test_playback_shows_frames_in_order_and_stops_at_the_end(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    page.evaluate(
+        """() => { window.seen = []; new MutationObserver(() =>
+        seen.push(Number(document.getElementById("frame").textContent)))
+        .observe(document.getElementById("frame"), {childList: true, characterData: true, subtree: true}); }"""
+    )
+    page.keyboard.press(" ")
+    playwright.expect(page.locator("#frame")).to_have_text(str(FRAMES), timeout=20_000)
+    shows(page, FRAMES)
+    seen = page.evaluate("seen")
+    assert seen == sorted(seen)
+    playwright.expect(page.locator("#play")).to_contain_text("Play")

@@ -1,0 +1,645 @@
+"""Clips: round trips, and for each way to break one a line that names the file and the key."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import zipfile
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from getagrip.clip import (
+    Clip,
+    Masks,
+    input_sha256,
+    read_clip,
+    read_masks,
+    read_name,
+    read_seen,
+    seen_frames,
+    write_clip,
+)
+from getagrip.clip.writing import write_hand
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry.mesh import write_mesh
+from getagrip.io import files
+from getagrip.io.images import write_image, write_mask
+from helpers.clips import small_clip
+from helpers.folders import FullDisk, contents
+
+Break = Callable[[Path], None]
+Refused = Callable[..., str]
+
+
+def read_all(folder: Path) -> tuple[Clip, Masks]:
+    clip = read_clip(folder)
+    return clip, read_masks(clip)
+
+
+# Round trips.
+
+
+@given(frames=st.integers(1, 4), seed=st.integers(0, 99), side=st.sampled_from(["left", "right"]), steady=st.booleans())
+def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, seed: int, side: str, steady: bool) -> None:
+    clip, masks = small_clip(frames, seed)
+    K = clip.K if steady else clip.K * np.linspace(1.0, 1.1, frames)[:, None, None] ** [[1, 1, 1], [1, 1, 1], [0, 0, 0]]
+    clip = replace(clip, side=side, K=K)
+    back, masks_back = read_all(write_clip(clip, masks, tmp_path_factory.mktemp("round") / "trip"))
+    for name in ("name", "category", "side", "fps", "frames", "size", "scale", "provenance"):
+        assert getattr(back, name) == getattr(clip, name)
+    np.testing.assert_array_equal(back.K, clip.K)
+    np.testing.assert_array_equal(masks_back.object, masks.object)
+    np.testing.assert_array_equal(masks_back.ignore, masks.ignore)
+    for name in ("vertices", "faces", "T_cam_hand", "joints"):
+        np.testing.assert_array_equal(getattr(back.hand, name), getattr(clip.hand, name))
+    assert list(back.hand.regions) == list(clip.hand.regions)
+    assert back.truth is not None
+    np.testing.assert_array_equal(back.truth.T_cam_hand, clip.hand.T_cam_hand)
+    assert back.mesh.diameter == pytest.approx(clip.mesh.diameter, abs=1e-7)
+    assert back.mesh.volume == pytest.approx(clip.mesh.volume, rel=1e-5)
+
+
+def test_the_true_hand_is_kept_where_it_differs(tmp_path: Path) -> None:
+    clip, _ = small_clip()
+    assert clip.truth is not None
+    other = replace(clip.truth, T_cam_hand=clip.hand.T_cam_hand[::-1].copy(), hand_vertices=1.1 * clip.hand.vertices)
+    back = read_clip(write_clip(replace(clip, truth=other), None, tmp_path / "clip")).truth
+    assert back is not None
+    np.testing.assert_array_equal(back.T_cam_hand, other.T_cam_hand)
+    np.testing.assert_array_equal(back.hand_vertices, other.hand_vertices)
+
+
+def test_the_same_clip_gives_the_same_bytes(tmp_path: Path) -> None:
+    clip, masks = small_clip()
+    a, b = (write_clip(clip, masks, tmp_path / name) for name in "ab")
+    assert input_sha256(a) == input_sha256(b)
+    for file in a.rglob("*"):
+        assert file.is_dir() or file.read_bytes() == (b / file.relative_to(a)).read_bytes()
+
+
+def test_the_checksum_sees_inputs_and_nothing_else(clip_folder: Path) -> None:
+    before = input_sha256(clip_folder)
+    (clip_folder / "truth.npz").unlink()
+    (clip_folder / "notes.txt").write_text("mine")
+    assert input_sha256(clip_folder) == before
+    edit_png(clip_folder / "masks/object/0001.png", np.invert)
+    assert input_sha256(clip_folder) != before
+
+
+def test_a_clip_is_named_by_its_folder_or_its_json(clip_folder: Path) -> None:
+    assert read_name(clip_folder) == read_clip(clip_folder / "clip.json").name == "small"
+
+
+def test_masks_are_needed_by_read_masks_only(clip_folder: Path, refused: Refused) -> None:
+    shutil.rmtree(clip_folder / "masks")
+    clip = read_clip(clip_folder)
+    refused(lambda: read_masks(clip), "masks/object/0000.png", "no such file")
+
+
+def test_ignore_masks_and_truth_may_be_absent(clip_folder: Path) -> None:
+    shutil.rmtree(clip_folder / "masks" / "ignore")
+    (clip_folder / "truth.npz").unlink()
+    clip, masks = read_all(clip_folder)
+    assert clip.truth is None
+    assert not masks.ignore.any()
+
+
+def test_arrays_beyond_the_format_are_ignored(clip_folder: Path) -> None:
+    edit_npz("hand.npz", extra=np.array([None, "object"], dtype=object), weights=np.zeros(3))(clip_folder)
+    assert set(read_clip(clip_folder).hand.regions) == {"thumb", "index", "middle", "ring", "pinky", "palm_edge"}
+
+
+def test_images_are_written_as_given(tmp_path: Path) -> None:
+    clip, masks = small_clip(2)
+    red = np.zeros((24, 32, 3), np.uint8)
+    red[..., 0] = 255
+    folder = write_clip(clip, masks, tmp_path / "clip", [red, red])
+    blue_green_red = cv2.imread(str(folder / "frames" / "0001.jpg"))[12, 16]
+    assert blue_green_red[2] > 240
+    assert blue_green_red[0] < 15
+
+
+def test_existing_folders_are_left_alone(clip_folder: Path) -> None:
+    with pytest.raises(UsageError, match="exists already"):
+        write_clip(*small_clip(), clip_folder)
+    read_all(clip_folder)
+
+
+def test_only_clips_are_replaced_by_clips(tmp_path: Path) -> None:
+    clip, masks = small_clip()
+    write_clip(*small_clip(frames=2), tmp_path / "clip")
+    write_clip(clip, masks, tmp_path / "clip", replace=True)
+    assert len(read_all(tmp_path / "clip")[0]) == len(clip)
+    (tmp_path / "clips").mkdir()
+    (tmp_path / "clip").rename(tmp_path / "clips" / "clip")
+    (tmp_path / "letter.txt").write_text("dear")
+    before = contents(tmp_path)
+    for target in (tmp_path / "clips", tmp_path / "letter.txt"):
+        with pytest.raises(UsageError, match=f"{target}: exists already without 'clip.json' in it"):
+            write_clip(clip, masks, target, replace=True)
+    assert contents(tmp_path) == before
+
+
+def test_nothing_half_written_is_left(tmp_path: Path) -> None:
+    clip, masks = small_clip()
+    with pytest.raises(ValueError, match="zip"):
+        write_clip(clip, masks, tmp_path / "clip", images=[np.zeros((24, 32, 3), np.uint8)])  # one for three frames
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("size", [100, 1_000, 4_000, 15_000])
+@pytest.mark.parametrize("what", ["masks", "images"])
+def test_clips_that_the_disk_has_no_room_for_are_not_written(
+    tmp_path: Path, full_disk: FullDisk, what: str, size: int
+) -> None:
+    """Whichever file is the first that does not fit."""
+    noise = np.random.default_rng(0).integers(0, 2, (3, 240, 320, 3), np.uint8)
+    masks = Masks(noise[..., 0] > 0, noise[..., 1] > 0) if what == "masks" else None
+    clip, images = replace(small_clip()[0], size=(320, 240)), [*255 * noise] if what == "images" else None
+    sizes = {name: len(content) for name, content in contents(write_clip(clip, masks, tmp_path / "a", images)).items()}
+    with full_disk(size), pytest.raises(OSError, match="too large") as caught:
+        write_clip(clip, masks, tmp_path / "b", images)
+    assert sizes[str(Path(caught.value.filename).relative_to(tmp_path / "b"))] > size
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a system without /dev/full")
+@pytest.mark.parametrize("name", ["mask.png", "image.jpg", "clip.json", "hand.npz", "object.obj"])
+def test_a_full_disk_is_an_error_that_names_the_file(tmp_path: Path, name: str) -> None:
+    (clip, masks), path = small_clip(), tmp_path / name
+    path.symlink_to("/dev/full")
+    write: dict[str, Callable[[], object]] = {
+        ".png": lambda: write_mask(path, masks.object[0]),
+        ".jpg": lambda: write_image(path, np.zeros((24, 32, 3), np.uint8)),
+        ".json": lambda: files.write_json(path, {}),
+        ".npz": lambda: write_hand(clip.hand, path),
+        ".obj": lambda: write_mesh(path, clip.mesh),
+    }
+    with pytest.raises(OSError, match="No space left") as caught:
+        write[path.suffix]()
+    assert caught.value.filename == str(path)
+
+
+# Frames in which the object is not seen.
+
+
+def test_unseen_frames_are_dropped_and_named() -> None:
+    clip, masks = small_clip(4)
+    masks.object[1] = False
+    masks.ignore[2] = True
+    short = seen_frames(clip, masks.seen)
+    assert (short.frames, short.left_out) == (("0000", "0003"), ("0001", "0002"))
+    assert len(short.hand.vertices) == 2
+
+
+@given(hidden=st.lists(st.booleans(), min_size=5, max_size=5))
+def test_reading_some_frames_is_reading_all_and_choosing(five_frames: Path, hidden: list[bool]) -> None:
+    clip = read_clip(five_frames)
+    whole = read_masks(clip)
+    np.testing.assert_array_equal(read_seen(clip), whole.seen)
+    index = np.flatnonzero(hidden)
+    if index.size:
+        some = read_masks(clip.take(index))
+        np.testing.assert_array_equal(some.object, whole.object[index])
+        np.testing.assert_array_equal(some.ignore, whole.ignore[index])
+
+
+@pytest.fixture(scope="module")
+def five_frames(tmp_path_factory: Any) -> Path:
+    """A clip whose frames differ, and of which the object is hidden in one."""
+    clip, masks = small_clip(5)
+    for n in range(5):
+        masks.object[n] = np.roll(masks.object[n], n, axis=1)
+    masks.ignore[3] = True
+    return write_clip(clip, masks, tmp_path_factory.mktemp("five") / "small")
+
+
+def test_one_seen_frame_is_too_few(refused: Refused) -> None:
+    clip, masks = small_clip(3)
+    masks.object[1:] = False
+    refused(lambda: seen_frames(clip, masks.seen), "masks/object", "1 of 3 masks", "at least 2")
+
+
+# Everything that can be wrong. Each case: how to break the clip, the file that is named, and words of the message.
+
+
+def edit_json(**changes: object) -> Break:
+    """Set keys of clip.json; None removes one."""
+
+    def apply(folder: Path) -> None:
+        fields = json.loads((folder / "clip.json").read_text()) | changes
+        fields = {key: value for key, value in fields.items() if value is not None}
+        (folder / "clip.json").write_text(json.dumps(fields))
+
+    return apply
+
+
+def replaced(old: str, new: str) -> Break:
+    """Replace text in clip.json."""
+
+    def apply(folder: Path) -> None:
+        text = (folder / "clip.json").read_text()
+        assert old in text
+        (folder / "clip.json").write_text(text.replace(old, new))
+
+    return apply
+
+
+def edit_npz(file: str, **changes: object) -> Break:
+    """Set arrays of an .npz; functions are applied to the array that is there; None removes one."""
+
+    def apply(folder: Path) -> None:
+        with np.load(folder / file) as loaded:
+            arrays = dict(loaded)
+        for key, value in changes.items():
+            arrays[key] = value(arrays[key].copy()) if callable(value) else value
+        np.savez(folder / file, **{key: value for key, value in arrays.items() if value is not None})
+
+    return apply
+
+
+def edit_png(path: Path, edit: Callable[[np.ndarray], np.ndarray]) -> None:
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    cv2.imwrite(str(path), edit(image))
+
+
+def mask(edit: Callable[[np.ndarray], np.ndarray], kind: str = "object") -> Break:
+    """Change the mask of frame 0001."""
+    return lambda folder: edit_png(folder / "masks" / kind / "0001.png", edit)
+
+
+def content(file: str, data: bytes | str) -> Break:
+    """Replace a file's content."""
+    return lambda folder: (folder / file).write_bytes(data if isinstance(data, bytes) else data.encode()) and None
+
+
+def removed(file: str) -> Break:
+    return lambda folder: (folder / file).unlink()
+
+
+def renamed(old: str, new: str) -> Break:
+    return lambda folder: (folder / old).rename(folder / new) and None
+
+
+def linked_out(file: str) -> Break:
+    """Move a file out of the clip and leave a link to it."""
+
+    def apply(folder: Path) -> None:
+        (folder / file).rename(folder.parent / "outside")
+        os.symlink(folder.parent / "outside", folder / file)
+
+    return apply
+
+
+def no_object(folder: Path) -> None:
+    for path in (folder / "masks" / "object").iterdir():
+        edit_png(path, np.zeros_like)
+
+
+def at(index: tuple[int, ...], value: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Set one element of an array."""
+
+    def apply(array: np.ndarray) -> np.ndarray:
+        array[index] = value
+        return array
+
+    return apply
+
+
+def header_lies(folder: Path) -> None:
+    """A hand.npz whose vertices' header promises 10^12 numbers."""
+    stream = io.BytesIO()
+    header = {"descr": "<f8", "fortran_order": False, "shape": (10**6, 10**6, 3)}
+    np.lib.format.write_array_header_1_0(stream, header)
+    with zipfile.ZipFile(folder / "hand.npz", "w") as archive:
+        archive.writestr("vertices.npy", stream.getvalue() + b"\0" * 64)
+
+
+def bomb(folder: Path) -> None:
+    """A hand.npz that says it unpacks to 4 GB: the sizes of a small one, changed in its directory."""
+    with zipfile.ZipFile(folder / "hand.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("vertices.npy", b"\0" * 1000)
+    data = bytearray((folder / "hand.npz").read_bytes())
+    entry = data.index(b"PK\x01\x02")
+    data[entry + 24 : entry + 28] = (0xFFFFFFF0).to_bytes(4, "little")
+    (folder / "hand.npz").write_bytes(data)
+
+
+def png_bomb(folder: Path) -> None:
+    """A mask whose header says 60000 x 60000, with a right checksum."""
+    from zlib import crc32
+
+    path = folder / "masks/object/0001.png"
+    data = bytearray(path.read_bytes())
+    data[16:24] = (60000).to_bytes(4, "big") * 2
+    data[29:33] = crc32(bytes(data[12:29])).to_bytes(4, "big")
+    path.write_bytes(data)
+
+
+K = [[40.0, 0.0, 16.0], [0.0, 41.0, 12.0], [0.0, 0.0, 1.0]]
+EYE = np.tile(np.eye(4), (3, 1, 1))
+
+BROKEN: dict[str, tuple[Break, str, tuple[str, ...]]] = {
+    # clip.json
+    "no clip.json": (removed("clip.json"), "clip.json", ("no such file",)),
+    "misnamed clip.json": (renamed("clip.json", "Clip.JSON"), "clip.json", ("no such file",)),
+    "empty json": (content("clip.json", ""), "clip.json", ("no JSON",)),
+    "json list": (content("clip.json", "[1]"), "clip.json", ("a JSON list",)),
+    "json no text": (content("clip.json", b"\xff\xfe\x00{"), "clip.json", ("no JSON",)),
+    "deep json": (content("clip.json", "[" * 10**6), "clip.json", ("no JSON",)),
+    "deep json object": (content("clip.json", '{"a":' * 10**5), "clip.json", ("no JSON",)),
+    "endless digits": (replaced('"fps": 30.0', f'"fps": {"9" * 10**4}'), "clip.json", ("no JSON",)),
+    "NaN in json": (replaced('"fps": 30.0', '"fps": NaN'), "clip.json", ("NaN",)),
+    "infinite in json": (replaced('"fps": 30.0', '"fps": 1e999'), "clip.json", ("1e999",)),
+    "duplicate key": (replaced('"fps": 30.0', '"fps": 30.0, "fps": 25.0'), "clip.json: fps", ("twice",)),
+    "unknown key": (edit_json(colour="red"), "clip.json: colour", ("unknown key",)),
+    "unknown key of many lines": (edit_json(**{"a\nb": 1}), "clip.json: a\\nb", ("unknown key",)),
+    "missing key": (edit_json(fps=None), "clip.json: fps", ("no such key",)),
+    "other version": (edit_json(version=2), "clip.json: version", ("got 2", "expected 1")),
+    "version in words": (edit_json(version="1"), "clip.json: version", ("got '1'",)),
+    "version true": (edit_json(version=True), "clip.json: version", ("got True",)),
+    "name is a path": (edit_json(name="../small"), "clip.json: name", ("'../small'",)),
+    "name unprintable": (edit_json(name="abc\u202egnp"), "clip.json: name", ("'abc\\u202egnp'",)),
+    "name half a letter": (edit_json(name="a\ud800"), "clip.json: name", ("'a\\ud800'",)),
+    "name of 201 bytes": (edit_json(name="\u00e9" * 100 + "a"), "clip.json: name", ()),
+    "name empty": (edit_json(name=""), "clip.json: name", ()),
+    "name no text": (edit_json(name=5), "clip.json: name", ("got 5",)),
+    "category no text": (edit_json(category=["mug"]), "clip.json: category", ()),
+    "other side": (edit_json(side="both"), "clip.json: side", ("'both'", "left")),
+    "side a list": (edit_json(side=["left"]), "clip.json: side", ()),
+    "other scale": (edit_json(scale=1.0), "clip.json: scale", ("known", "free")),
+    "fps zero": (edit_json(fps=0), "clip.json: fps", ("got 0",)),
+    "fps text": (edit_json(fps="30"), "clip.json: fps", ()),
+    "fps huge": (edit_json(fps=10**400), "clip.json: fps", ()),
+    "provenance text": (edit_json(provenance="me"), "clip.json: provenance", ()),
+    "no frames": (edit_json(frames=[]), "clip.json: frames", ("a list of names",)),
+    "frames numbers": (edit_json(frames=[0, 1, 2]), "clip.json: frames", ("a list of names",)),
+    "frames a text": (edit_json(frames="012"), "clip.json: frames", ("a list of names",)),
+    "frame twice": (edit_json(frames=["0000", "0001", "0000"]), "clip.json: frames", ("'0000' twice",)),
+    "frame a path": (edit_json(frames=["0000", "../1", "0002"]), "clip.json: frames", ("'../1'",)),
+    "frame with slash": (edit_json(frames=["0000", "a/b", "0002"]), "clip.json: frames", ("'a/b'",)),
+    "frame with NUL": (edit_json(frames=["0000", "a\0", "0002"]), "clip.json: frames", ()),
+    "frame misnamed": (edit_json(frames=["0000", "1", "0002"]), "masks/object/1.png", ("no such file",)),
+    "too few frames": (edit_json(frames=["0000", "0001"]), "hand.npz: vertices", ("(3, 8, 3)", "(2, any, 3)")),
+    "size of one": (edit_json(size=[32]), "clip.json: size", ("width, height",)),
+    "size with fraction": (edit_json(size=[32.0, 24]), "clip.json: size", ()),
+    "size negative": (edit_json(size=[32, -24]), "clip.json: size", ("-24",)),
+    "size huge": (edit_json(size=[10**9, 24]), "clip.json: size", ()),
+    "size swapped": (edit_json(size=[24, 32]), "masks/object/0000.png: size", ("32 x 24", "24 x 32")),
+    "size of a continent": (edit_json(size=[16384, 16384]), "clip.json: size", ("million pixels",)),
+    "frames many times": (edit_json(frames=["0000", *["0001"] * 10**5]), "clip.json: frames", ("'0001' twice",)),
+    "camera a list": (edit_json(camera=[1]), "clip.json: camera", ("3x3",)),
+    "camera with more": (edit_json(camera={"K": K, "k1": 0.1}), "clip.json: camera", ()),
+    "K for two frames": (edit_json(camera={"K": [K, K]}), "clip.json: camera.K", ("2 matrices", "3 frames")),
+    "K ragged": (edit_json(camera={"K": [[1, 2], [3]]}), "clip.json: camera.K", ("3x3",)),
+    "K text": (edit_json(camera={"K": "pinhole"}), "clip.json: camera.K", ("3x3",)),
+    "K of texts": (edit_json(camera={"K": [["a"] * 3] * 3}), "clip.json: camera.K", ("3x3",)),
+    "K of booleans": (edit_json(camera={"K": [[True] * 3] * 3}), "clip.json: camera.K", ("3x3",)),
+    "K too deep": (edit_json(camera={"K": [[K]]}), "clip.json: camera.K", ("3x3",)),
+    "focal zero": (edit_json(camera={"K": [[0, 0, 16], *K[1:]]}), "clip.json: camera.K", ("focal", "got")),
+    "focal negative": (edit_json(camera={"K": [[-40, 0, 16], *K[1:]]}), "clip.json: camera.K", ("-40",)),
+    "focal of unit images": (
+        edit_json(camera={"K": [[0.9, 0, 0.5], [0, 0.9, 0.5], K[2]]}),
+        "camera.K",
+        ("0.9", "1.6 to 3200 px"),
+    ),
+    "focal tiny": (edit_json(camera={"K": [[40, 0, 16], [0, 1, 12], K[2]]}), "clip.json: camera.K", ("32 x 24",)),
+    "focal vast": (edit_json(camera={"K": [[1e5, 0, 16], *K[1:]]}), "clip.json: camera.K", ("100000", "3200")),
+    "centre far": (edit_json(camera={"K": [[40, 0, 1e6], *K[1:]]}), "clip.json: camera.K", ("1e+06, 12", "-32 to 64")),
+    "centre beyond": (edit_json(camera={"K": [[40, 0, -33], *K[1:]]}), "clip.json: camera.K", ("-33, 12",)),
+    "centre of one": (
+        edit_json(camera={"K": [K, K, [K[0], [0, 41, 49], K[2]]]}),
+        "clip.json: camera.K",
+        ("principal point 16, 49", "-24 to 48"),
+    ),
+    "K transposed": (edit_json(camera={"K": np.transpose(K).tolist()}), "clip.json: camera.K", ("[0, 0, 1]",)),
+    "K with shear": (edit_json(camera={"K": [[40, 2, 16], *K[1:]]}), "clip.json: camera.K", ("without shear",)),
+    # the mesh
+    "mesh missing": (removed("object.obj"), "object.obj: mesh", ("no such file",)),
+    "mesh misnamed": (edit_json(mesh="cup.obj"), "cup.obj: mesh", ("no such file",)),
+    "mesh elsewhere": (edit_json(mesh="../object.obj"), "clip.json: mesh", ("'../object.obj'", "inside")),
+    "mesh absolute": (edit_json(mesh="/etc/passwd"), "clip.json: mesh", ("'/etc/passwd'", "inside")),
+    "mesh backslash": (edit_json(mesh="..\\object.obj"), "clip.json: mesh", ("inside",)),
+    "mesh NUL": (edit_json(mesh="a\0.obj"), "clip.json: mesh", ("inside",)),
+    "mesh endless": (edit_json(mesh="a" * 5000 + ".obj"), "clip.json: mesh", ()),
+    "mesh a folder": (edit_json(mesh="masks"), "mesh", ("no such file",)),
+    "mesh other suffix": (edit_json(mesh="clip.json"), "clip.json: mesh", (".obj",)),
+    "mesh no text": (edit_json(mesh=7), "clip.json: mesh", ()),
+    "mesh link": (linked_out("object.obj"), "clip.json: mesh", ("leads out",)),
+    "mesh no faces": (content("object.obj", "v 0 0 0\nv 1 0 0\n"), "object.obj", ("faces",)),
+    "mesh empty": (content("object.obj", ""), "object.obj", ()),
+    "mesh flat face": (
+        content("object.obj", "v 0 0 0\nv .1 0 0\nv 0 .1 0\nf 1 2 3\nf 1 2 2\n"),
+        "object.obj: faces",
+        ("1 faces without area",),
+    ),
+    "mesh NaN": (content("object.obj", "v nan 0 0\nv .1 0 0\nv 0 .1 0\nf 1 2 3\n"), "object.obj: vertices", ("NaN",)),
+    "mesh in millimetres": (
+        content("object.obj", "v 0 0 0\nv 100 0 0\nv 0 100 0\nf 1 2 3\n"),
+        "object.obj: vertices",
+        ("are these millimetres?",),
+    ),
+    "mesh tiny": (
+        content("object.obj", "v 0 0 0\nv .001 0 0\nv 0 .001 0\nf 1 2 3\n"),
+        "object.obj: vertices",
+        ("metre",),
+    ),
+    # hand.npz
+    "hand missing": (removed("hand.npz"), "hand.npz", ("no such file",)),
+    "hand no zip": (content("hand.npz", "hello"), "hand.npz", ("does not unpack",)),
+    "hand link": (linked_out("hand.npz"), "hand.npz", ("leads out",)),
+    "hand bomb": (bomb, "hand.npz", ("4294967280 bytes", "at most")),
+    "hand header lies": (header_lies, "hand.npz: vertices", ("64 bytes for the shape",)),
+    "hand of objects": (edit_npz("hand.npz", vertices=np.array([None])), "hand.npz: vertices", ("Python objects",)),
+    "hand of texts": (edit_npz("hand.npz", vertices=np.array(["a"])), "hand.npz: vertices", ("<U1", "floating")),
+    "hand complex": (edit_npz("hand.npz", vertices=lambda v: v + 1j), "hand.npz: vertices", ("complex128",)),
+    "hand integers": (edit_npz("hand.npz", T_cam_hand=EYE.astype(int)), "hand.npz: T_cam_hand", ("int64",)),
+    "no vertices": (edit_npz("hand.npz", vertices=None), "hand.npz: vertices", ("no such array",)),
+    "no faces": (edit_npz("hand.npz", faces=None), "hand.npz: faces", ("no such array",)),
+    "no poses": (edit_npz("hand.npz", T_cam_hand=None), "hand.npz: T_cam_hand", ("no such array",)),
+    "hand flat": (edit_npz("hand.npz", vertices=lambda v: v[0]), "hand.npz: vertices", ("(8, 3)",)),
+    "hand of no vertices": (edit_npz("hand.npz", vertices=lambda v: v[:, :0]), "hand.npz: vertices", ("(3, 0, 3)",)),
+    "hand NaN": (edit_npz("hand.npz", vertices=at((1, 2, 0), np.nan)), "hand.npz: vertices", ("NaN", "[1, 2, 0]")),
+    "hand infinite": (edit_npz("hand.npz", vertices=at((1, 2, 0), np.inf)), "hand.npz: vertices", ("infinite",)),
+    "hand in mm": (edit_npz("hand.npz", vertices=lambda v: 1e3 * v), "hand.npz: vertices", ("are these millimetres?",)),
+    "hand tiny": (edit_npz("hand.npz", vertices=lambda v: 1e-3 * v), "hand.npz: vertices", ("metre",)),
+    "faces of floats": (edit_npz("hand.npz", faces=lambda f: f.astype(float)), "hand.npz: faces", ("float64",)),
+    "faces of four": (edit_npz("hand.npz", faces=lambda f: np.c_[f, f[:, :1]]), "hand.npz: faces", ("(12, 4)",)),
+    "faces beyond": (edit_npz("hand.npz", faces=at((3, 1), 8)), "hand.npz: faces", ("vertex id 8", "0 to 7")),
+    "faces negative": (edit_npz("hand.npz", faces=at((3, 1), -1)), "hand.npz: faces", ("vertex id -1",)),
+    "faces of two": (edit_npz("hand.npz", faces=at((3, 1), 5)), "hand.npz: faces", ("1 faces with a vertex twice",)),
+    "faces inward": (edit_npz("hand.npz", faces=lambda f: f[:, ::-1]), "hand.npz: faces", ("inward",)),
+    "poses of 3x4": (edit_npz("hand.npz", T_cam_hand=lambda T: T[:, :3]), "hand.npz: T_cam_hand", ("(3, 3, 4)",)),
+    "poses scaled": (edit_npz("hand.npz", T_cam_hand=at((1, 0, 0), 1.1)), "hand.npz: T_cam_hand", ("rigid", "frame 1")),
+    "poses mirrored": (edit_npz("hand.npz", T_cam_hand=at((1, 0, 0), -1)), "hand.npz: T_cam_hand", ("rigid",)),
+    "poses huge": (edit_npz("hand.npz", T_cam_hand=at((1, 0, 0), 1e300)), "hand.npz: T_cam_hand", ("rigid",)),
+    "poses transposed": (
+        edit_npz("hand.npz", T_cam_hand=lambda T: T.swapaxes(1, 2)),
+        "hand.npz: T_cam_hand",
+        ("rigid", "frame 0"),
+    ),
+    "hand behind": (
+        edit_npz("hand.npz", T_cam_hand=at((2, 2, 3), -0.5)),
+        "hand.npz: T_cam_hand",
+        ("behind", "frame 2", "inverse"),
+    ),
+    "hand in the camera": (edit_npz("hand.npz", T_cam_hand=at((1, 2, 3), 0.02)), "T_cam_hand", ("at least 0.05 m",)),
+    "hand in the camera's frame": (
+        edit_npz("hand.npz", vertices=lambda v: v + np.array([0.0, 0.0, 0.5])),
+        "hand.npz: vertices",
+        ("0.5 m from the origin", "are these camera coordinates", "apply again"),
+    ),
+    "joints in the camera's frame": (
+        edit_npz("hand.npz", joints=lambda j: j + np.array([0.0, 0.0, 0.5])),
+        "hand.npz: joints",
+        ("are these camera coordinates",),
+    ),
+    "hand never in view": (
+        edit_npz("hand.npz", T_cam_hand=lambda T: T + 0.9 * at((slice(None), 0, 3), 1)(np.zeros_like(T))),
+        "hand.npz: T_cam_hand",
+        ("outside the image in every frame", "32 x 24", "camera"),
+    ),
+    "hand far away": (edit_npz("hand.npz", T_cam_hand=at((2, 2, 3), 500)), "hand.npz: T_cam_hand", ("millimetres?",)),
+    "joints of 20": (edit_npz("hand.npz", joints=lambda j: j[:, :20]), "hand.npz: joints", ("(3, 20, 3)",)),
+    "joints NaN": (edit_npz("hand.npz", joints=at((0, 0, 0), np.nan)), "hand.npz: joints", ("NaN",)),
+    "region missing": (edit_npz("hand.npz", region_ring=None), "hand.npz: region_ring", ("vertex ids",)),
+    "region beyond": (edit_npz("hand.npz", region_ring=np.array([8])), "hand.npz: region_ring", ("vertex id 8",)),
+    "region empty": (edit_npz("hand.npz", region_ring=np.array([], int)), "hand.npz: region_ring", ("(0,)",)),
+    "region of floats": (edit_npz("hand.npz", region_ring=np.array([1.0])), "hand.npz: region_ring", ("integers",)),
+    "region flags": (edit_npz("hand.npz", region_ring=np.ones(8, bool)), "hand.npz: region_ring", ("bool",)),
+    "palm beyond": (edit_npz("hand.npz", region_palm_edge=np.array([99])), "hand.npz: region_palm_edge", ("99",)),
+    "bare mesh": (
+        edit_npz(
+            "hand.npz", **{f"region_{f}": None for f in ("thumb", "index", "middle", "ring", "pinky", "palm_edge")}
+        ),
+        "hand.npz: region_thumb",
+        ("region_thumb", "region_pinky", "vertex ids"),
+    ),
+    # truth.npz
+    "truth no zip": (content("truth.npz", "hello"), "truth.npz", ("does not unpack",)),
+    "truth without object": (edit_npz("truth.npz", T_cam_obj=None), "truth.npz: T_cam_obj", ("no such array",)),
+    "truth not rigid": (edit_npz("truth.npz", T_cam_obj=at((0, 0, 0), 2)), "truth.npz: T_cam_obj", ("rigid",)),
+    "truth in mm": (edit_npz("truth.npz", T_cam_obj=at((0, 2, 3), 500)), "truth.npz: T_cam_obj", ("millimetres?",)),
+    "truth behind": (edit_npz("truth.npz", T_cam_obj=at((0, 2, 3), -1)), "truth.npz: T_cam_obj", ("behind",)),
+    "truth short": (edit_npz("truth.npz", T_cam_obj=EYE[:2]), "truth.npz: T_cam_obj", ("(2, 4, 4)",)),
+    "truth scale zero": (edit_npz("truth.npz", scale=np.array(0.0)), "truth.npz: scale", ("above 0",)),
+    "truth scale many": (edit_npz("truth.npz", scale=np.ones(3)), "truth.npz: scale", ("(3,)",)),
+    "truth scale huge": (edit_npz("truth.npz", scale=np.array(1e3)), "truth.npz: scale", ("millimetres?",)),
+    "truth hand": (
+        edit_npz("truth.npz", hand_vertices=np.zeros((3, 5, 3))),
+        "truth.npz: hand_vertices",
+        ("(3, 8, 3)",),
+    ),
+    "truth hand not rigid": (edit_npz("truth.npz", T_cam_hand=2 * EYE), "truth.npz: T_cam_hand", ("rigid",)),
+    # masks
+    "mask missing": (removed("masks/object/0001.png"), "masks/object/0001.png", ("no such file",)),
+    "mask link": (linked_out("masks/object/0001.png"), "masks/object/0001.png", ("leads out",)),
+    "mask no image": (content("masks/object/0001.png", "hello"), "masks/object/0001.png", ("no PNG",)),
+    "mask empty file": (content("masks/object/0001.png", ""), "masks/object/0001.png", ("no PNG",)),
+    "mask of colours": (mask(lambda m: np.stack([m] * 3, -1)), "masks/object/0001.png: channels", ("8 bit RGB",)),
+    "mask of 16 bit": (mask(lambda m: m.astype(np.uint16)), "masks/object/0001.png: channels", ("16 bit grey",)),
+    "mask small": (mask(lambda m: m[::2]), "masks/object/0001.png: size", ("32 x 12", "32 x 24")),
+    "mask bomb": (png_bomb, "masks/object/0001.png: size", ("60000 x 60000",)),
+    "ignore missing": (removed("masks/ignore/0001.png"), "masks/ignore/0001.png", ("no such file",)),
+    "ignore small": (mask(lambda m: m[::2], "ignore"), "masks/ignore/0001.png: size", ("32 x 12",)),
+    "object never seen": (no_object, "masks/object", ("3 masks without a pixel",)),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_each_fault_is_named_in_one_line(clip_folder: Path, refused: Refused, case: str) -> None:
+    breaks, culprit, words = BROKEN[case]
+    breaks(clip_folder)
+    refused(lambda: read_all(clip_folder), culprit, *words)
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_the_checksum_of_a_broken_clip_is_refused_or_reads_nothing_else(clip_folder: Path, case: str) -> None:
+    """Whatever the clip says, only files inside it are opened."""
+    BROKEN[case][0](clip_folder)
+    opened: list[Path] = []
+    read = files.read_bytes
+    with pytest.MonkeyPatch.context() as patch, suppress(InputError):
+        patch.setattr(files, "read_bytes", lambda path, *limit: opened.append(path) or read(path, *limit))
+        input_sha256(clip_folder)
+    assert all(path.resolve().is_relative_to(clip_folder.resolve()) for path in opened)
+
+
+def test_the_checksum_names_what_is_missing(clip_folder: Path, refused: Refused) -> None:
+    for file in ("masks/object/0001.png", "object.obj", "hand.npz", "clip.json"):
+        (clip_folder / file).unlink()
+        refused(lambda: input_sha256(clip_folder), file, "no such file")
+
+
+def test_hands_at_the_border_are_real(clip_folder: Path) -> None:
+    """Half out of the image in every frame, and wholly out of it in some."""
+    edit_npz("hand.npz", T_cam_hand=at((slice(None), 0, 3), 0.25))(clip_folder)
+    edit_npz("hand.npz", T_cam_hand=at((1, 0, 3), 3.0))(clip_folder)
+    read_clip(clip_folder)
+
+
+def test_no_folder(tmp_path: Path, refused: Refused) -> None:
+    refused(lambda: read_clip(tmp_path / "none"), "none", "no such folder")
+    refused(lambda: read_clip(tmp_path / "none" / "clip.json"), "none", "no such folder")
+
+
+def test_a_free_scale_needs_its_truth(clip_folder: Path, refused: Refused) -> None:
+    edit_json(scale="free")(clip_folder)
+    edit_npz("truth.npz", scale=None)(clip_folder)
+    refused(lambda: read_clip(clip_folder), "truth.npz: scale", "no such array")
+    edit_json(scale="known")(clip_folder)
+    truth = read_clip(clip_folder).truth
+    assert truth is not None
+    assert truth.scale == 1.0
+
+
+# Damaged files.
+
+FILES = ["clip.json", "hand.npz", "object.obj", "truth.npz", "masks/object/0001.png", "masks/ignore/0001.png"]
+
+
+@pytest.fixture(scope="module")
+def damaged_folder(tmp_path_factory: Any) -> Path:
+    return write_clip(*small_clip(), tmp_path_factory.mktemp("damaged") / "small")
+
+
+@pytest.mark.parametrize("file", FILES)
+@given(data=st.data())
+def test_a_damaged_file_is_an_input_error_or_still_valid(damaged_folder: Path, file: str, data: st.DataObject) -> None:
+    whole = (damaged_folder / file).read_bytes()
+    broken = bytearray(whole)
+    if data.draw(st.booleans(), "truncate"):
+        broken = broken[: data.draw(st.integers(0, len(whole) - 1))]
+    else:
+        for _ in range(data.draw(st.integers(1, 4))):
+            broken[data.draw(st.integers(0, len(whole) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    (damaged_folder / file).write_bytes(broken)
+    try:
+        with suppress(InputError):
+            read_all(damaged_folder)
+    finally:
+        (damaged_folder / file).write_bytes(whole)
+
+
+@pytest.mark.parametrize("file", ["hand.npz", "truth.npz", "masks/object/0001.png", "masks/ignore/0001.png"])
+@given(data=st.data())
+def test_truncated_binary_files_are_never_valid(damaged_folder: Path, file: str, data: st.DataObject) -> None:
+    whole = (damaged_folder / file).read_bytes()
+    (damaged_folder / file).write_bytes(whole[: data.draw(st.integers(0, len(whole) - 1))])
+    try:
+        with pytest.raises(InputError):
+            read_all(damaged_folder)
+    finally:
+        (damaged_folder / file).write_bytes(whole)

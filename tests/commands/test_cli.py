@@ -1,0 +1,214 @@
+"""The commands: exit statuses, messages, batches that survive their clips."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from getagrip.clip import read_clip, read_masks, write_clip
+from getagrip.datasets.synthetic.scene import Options, synthesise
+from getagrip.result import read_result
+from helpers.command_line import Run
+
+QUICK = ("--inits", "8", "--frames", "4")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: Any) -> Path:
+    """A folder of two clips, a can and a box; nothing in it is changed by tests."""
+    folder: Path = tmp_path_factory.mktemp("made") / "clips"
+    for name in ("can", "box"):
+        clip, masks = synthesise(name, 0, Options(frames=4))
+        write_clip(clip, masks, folder / name)
+    return folder
+
+
+def broken_clip(made: Path, folder: Path) -> Path:
+    """A copy of the can whose fps is zero."""
+    clip = read_clip(made / "can")
+    write_clip(clip, read_masks(clip), folder)
+    path = folder / "clip.json"
+    path.write_text(re.sub(r'"fps": [\d.]+', '"fps": 0', path.read_text()))
+    return folder
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ("--help",),
+        *((command, "--help") for command in ("demo", "reconstruct", "evaluate", "import", "report", "doctor")),
+    ],
+)
+def test_help_is_there(run: Run, args: tuple[str, ...]) -> None:
+    status, out, _ = run(*args)
+    assert status == 0
+    assert "usage: getagrip" in out
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        (),
+        ("reconstrct",),
+        ("reconstruct", "a"),
+        ("reconstruct", "--out", "x"),
+        ("reconstruct", "a", "--out", "x", "--method", "guess"),
+        ("reconstruct", "a", "--out", "x", "--inits", "many"),
+        ("reconstruct", "a", "--out", "x", "--inits", "0"),
+        ("reconstruct", "a", "--out", "x", "--frames", "1"),
+        ("reconstruct", "a", "--out", "x", "--workers", "0"),
+        ("reconstruct", "a", "--out", "x", "--seed", "-1"),
+        ("reconstruct", "a", "--out", "x", "--color"),
+        ("reconstruct", "a", "--out", __file__),
+        ("evaluate",),
+        ("evaluate", "a", "--json", "no/such/folder/file.json"),
+        ("import", "dexycb", "root", "--out", "x"),
+        ("report",),
+    ],
+)
+def test_wrong_calls_exit_with_2(run: Run, args: tuple[str, ...], tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, _, err = run(*args)
+    assert status == 2
+    assert err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("out", ["/proc/u1", "/dev/null", "/dev/null/sub", "a" * 300])
+def test_places_that_cannot_be_written_are_refused_first(run: Run, out: str, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    for call in (("reconstruct", "a", "--out"), ("demo", "--out"), ("import", "hot3d", "a", "--out")):
+        status, said, err = run(*call, out)
+        assert (status, said) == (2, "")
+        assert err.startswith(f"getagrip: --out: got {out}, expected a folder that can be written (")
+        assert err.count("\n") == 1
+    status, _, err = run("evaluate", "a", "--json", f"{out}/x.json")
+    assert status == 2
+    assert "--json: got " in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    status, said, _ = run("reconstruct", made, "--out", out, *QUICK, "--workers", 2)
+    assert status == 0
+    assert "2 done, 0 already done, 0 failed" in said
+    names = {read_clip(made / name).name for name in ("can", "box")}
+    assert {path.name for path in out.iterdir()} == names
+    result, record = read_result(next(out.iterdir()))
+    assert result.options["inits"] == 8
+    assert record["metrics"]["iou_full"] == pytest.approx(result.iou.mean())
+
+    # What is done is kept, other options are refused, --overwrite makes it again: the same, in whatever process.
+    status, said, _ = run("reconstruct", made, "--out", out, *QUICK)
+    assert status == 0
+    assert "0 done, 2 already done, 0 failed" in said
+    status, _, err = run("reconstruct", made / "can", "--out", out, *QUICK, "--seed", 3)
+    assert status == 1
+    assert "another seed" in err
+    shared = {path.name: read_result(path)[0].T_hand_obj for path in out.iterdir()}
+    assert run("reconstruct", made, "--out", out, *QUICK, "--overwrite")[0] == 0
+    for name, T_hand_obj in shared.items():
+        np.testing.assert_array_equal(read_result(out / name)[0].T_hand_obj, T_hand_obj)
+
+    file = tmp_path / "numbers.json"
+    status, said, _ = run("evaluate", out, "--clips", made, "--json", file)
+    assert status == 1  # the folders are not named as the clips are
+    status, said, _ = run("evaluate", out, "--json", file)
+    assert status == 0
+    assert all(name in said for name in names)
+    samples = json.loads(file.read_text())["samples"]
+    assert {sample["clip"] for sample in samples} == names
+    assert all(0.0 < sample["metrics"]["iou"] <= 1.0 for sample in samples)
+
+    status, said, _ = run("report", next(out.iterdir()))
+    assert status == 0
+    assert Path(said.strip()).stat().st_size > 10_000
+
+
+def test_one_broken_clip_stops_no_other(run: Run, made: Path, tmp_path: Path) -> None:
+    broken = broken_clip(made, tmp_path / "broken")
+    status, said, err = run("reconstruct", broken, tmp_path / "none", made / "box", "--out", tmp_path / "out", *QUICK)
+    assert status == 1
+    assert "1 done, 0 already done, 2 failed" in said
+    lines = err.strip().splitlines()
+    assert len(lines) == 2
+    assert "broken/clip.json: fps: got 0" in lines[0]
+    assert "none: got no such folder" in lines[1]
+    assert len(list((tmp_path / "out").iterdir())) == 1
+    assert "Traceback" in run("reconstruct", broken, "--out", tmp_path / "out", "--debug")[2]
+
+
+def test_two_clips_of_one_name_are_refused(run: Run, made: Path, tmp_path: Path) -> None:
+    status, _, err = run("reconstruct", made, made / "can", "--out", tmp_path / "out")
+    assert status == 2
+    assert str(made / "can") in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_foreign_folders_are_left_alone(run: Run, made: Path, tmp_path: Path) -> None:
+    mine = tmp_path / read_clip(made / "can").name
+    mine.mkdir()
+    (mine / "letter.txt").write_text("dear")
+    status, _, err = run("reconstruct", made / "can", "--out", tmp_path, "--overwrite", *QUICK)
+    assert status == 1
+    assert "not overwritten" in err
+    assert [path.name for path in mine.iterdir()] == ["letter.txt"]
+
+
+def test_a_folder_without_clips_or_results_is_named(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    for command in (("reconstruct", "--out", tmp_path / "out"), ("evaluate",)):
+        status, _, err = run(*command, tmp_path / "empty")
+        assert status == 1
+        assert "empty: got no " in err
+
+
+def test_an_import_without_recordings_is_named(run: Run, tmp_path: Path) -> None:
+    status, _, err = run("import", "hot3d", tmp_path, "--out", tmp_path / "out")
+    assert status == 1
+    assert err.startswith("getagrip: ")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_interrupt_leaves_no_traceback(made: Path, tmp_path: Path, monkeypatch: Any, run: Run) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("getagrip.batch.clips.reconstruct_one", interrupted)
+    status, _, err = run("reconstruct", made, "--out", tmp_path / "out")
+    assert status == 130
+    assert "interrupted" in err
+
+
+# Start-up.
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys, getagrip\n"
+        "from getagrip.cli import main\n"
+        "try: main(['reconstruct', '--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'numba', 'scipy', 'trimesh', 'cv2', 'matplotlib', 'igl'} & set(sys.modules)\n"
+        "sys.exit(','.join(heavy) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_root_has_what_it_says() -> None:
+    import getagrip
+
+    for name in getagrip.__all__:
+        assert getattr(getagrip, name) is not None
+    assert getagrip.__all__ == sorted(getagrip.__all__)
+    assert not hasattr(getagrip, "nonsense")
+    assert getagrip.__version__

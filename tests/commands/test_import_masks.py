@@ -1,0 +1,329 @@
+"""Masks from other people's files: what was drawn comes back, by label; what is wrong is named."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy import ndarray
+
+from getagrip.cli import main
+from getagrip.clip import read_clip, read_masks, write_clip
+from getagrip.clip.label_images import read_labels
+from getagrip.clip.mask_sources import Wanted, open_masks
+from getagrip.clip.segments import polygons, region, run_lengths
+from getagrip.commands.import_masks import write_masks
+from getagrip.errors import InputError, UsageError
+from getagrip.io import arrays
+from helpers.clips import small_clip
+from helpers.command_line import Run
+from helpers.folders import FullDisk, contents
+
+SIZE = (20, 14)
+FRAMES = ("000003", "000004")
+
+
+def labels(seed: int = 0) -> ndarray:
+    return np.random.default_rng(seed).integers(0, 4, (2, *SIZE[::-1]))
+
+
+def write_png(path: Path, values: ndarray, depth: int, kind: int, palette: bool = False) -> None:
+    """A PNG made by hand: any depth, grey or palette indices."""
+    height, width = values.shape
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    rows = b""
+    for row in values:
+        bits = "".join(f"{int(v):0{depth}b}" for v in row)
+        bits += "0" * (-len(bits) % 8)
+        rows += b"\0" + bytes(int(bits[i : i + 8], 2) for i in range(0, len(bits), 8))
+    content = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0))
+    if palette:
+        content += chunk(b"PLTE", bytes(range(3, 3 + 3 * 2 ** min(depth, 4))))
+    path.write_bytes(content + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+
+
+@pytest.mark.parametrize(("depth", "kind"), [(2, 0), (4, 0), (8, 0), (16, 0), (2, 3), (4, 3), (8, 3)])
+def test_labels_of_images(tmp_path: Path, depth: int, kind: int) -> None:
+    """Grey values and palette indices of any depth are the labels, whatever colours the palette has."""
+    write_png(tmp_path / "a.png", labels()[0], depth, kind, palette=kind == 3)
+    np.testing.assert_array_equal(read_labels(tmp_path / "a.png", SIZE), labels()[0])
+
+
+def test_colours_are_labels(tmp_path: Path) -> None:
+    colours = np.array([0x000000, 0xFF0000, 0x00FF00, 0x0102FF])
+    value = colours[labels()[0]]
+    cv2.imwrite(str(tmp_path / "a.png"), np.stack([value & 255, value >> 8 & 255, value >> 16], axis=-1))
+    np.testing.assert_array_equal(read_labels(tmp_path / "a.png", SIZE), value)
+
+
+def label_folder(folder: Path) -> Path:
+    folder.mkdir()
+    for name, values in zip(FRAMES, labels(), strict=True):
+        write_png(folder / f"frame_{int(name)}.png", values, 8, 3, palette=True)
+    return folder
+
+
+def encoded(mask: ndarray, compressed: bool) -> dict[str, Any]:
+    """COCO's run lengths, by its own definition."""
+    flat = mask.T.ravel()
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flat]).astype(int)) != 0)
+    counts = np.diff([0, *edges, flat.size]).tolist()
+    if not compressed:
+        return {"size": list(mask.shape), "counts": counts}
+    text = ""
+    for i, count in enumerate(counts):
+        x = count - counts[i - 2] if i > 2 else count
+        more = True
+        while more:
+            c, x = x & 31, x >> 5
+            more = x != -1 if c & 16 else x != 0
+            text += chr((c | 32 if more else c) + 48)
+    return {"size": list(mask.shape), "counts": text}
+
+
+def coco(path: Path, compressed: bool = True) -> Path:
+    images = [
+        {"id": n, "file_name": f"rgb/{name}.jpg", "width": SIZE[0], "height": SIZE[1]} for n, name in enumerate(FRAMES)
+    ]
+    annotations = [
+        {"image_id": n, "category_id": k, "segmentation": encoded(labels()[n] == k, compressed)}
+        for n in range(2)
+        for k in (1, 2, 3)
+    ]
+    categories = [{"id": 1, "name": "cup"}, {"id": 2, "name": "hand"}, {"id": 3, "name": "table"}]
+    path.write_text(json.dumps({"images": images, "annotations": annotations, "categories": categories}))
+    return path
+
+
+@pytest.mark.parametrize("source", ["png", "coco", "coco-plain", "npz"])
+def test_every_source_gives_the_same_masks(tmp_path: Path, source: str) -> None:
+    chosen = ("1",), ("2", "3")
+    if source == "png":
+        path = label_folder(tmp_path / "labels")
+    elif source == "npz":
+        path = tmp_path / "m.npz"
+        arrays.write(path, {"labels": labels()[::-1].astype(np.uint8), "frames": np.array([4, 3])})
+    else:
+        path, chosen = coco(tmp_path / "c.json", source == "coco"), (("cup",), ("hand", "3"))
+    read = open_masks(path, Wanted(FRAMES, SIZE, *chosen))
+    for n in range(2):
+        seen, ignored = read(n)
+        np.testing.assert_array_equal(seen, labels()[n] == 1)
+        np.testing.assert_array_equal(ignored, labels()[n] >= 2)
+
+
+def test_several_labels_have_to_be_chosen_from(tmp_path: Path, refused: Callable[..., str]) -> None:
+    folder = label_folder(tmp_path / "labels")
+    refused(lambda: open_masks(folder, Wanted(FRAMES, SIZE))(0), "labels", "--object")
+    refused(lambda: open_masks(coco(tmp_path / "c.json"), Wanted(FRAMES, SIZE))(0), "categories", "--object")
+    seen, _ = open_masks(folder, Wanted(FRAMES, SIZE, (), ("2", "3")))(0)
+    np.testing.assert_array_equal(seen, labels()[0] == 1)
+    with pytest.raises(UsageError, match="--object"):
+        open_masks(folder, Wanted(FRAMES, SIZE, ("cup",)))
+
+
+def test_labels_that_are_there_are_named_where_another_was_chosen(tmp_path: Path, refused: Callable[..., str]) -> None:
+    wanted = Wanted(FRAMES, SIZE, ("7",))
+    for source, told in [(label_folder(tmp_path / "labels"), "0, 1, 2, 3"), (coco(tmp_path / "c.json"), "cup, hand, ")]:
+        reader = open_masks(source, wanted)
+        refused(lambda read=reader: write_masks(read, FRAMES, tmp_path / "out"), f"there are {told}")
+        shutil.rmtree(tmp_path / "out")
+    (tmp_path / "jpg").mkdir()
+    cv2.imwrite(str(tmp_path / "jpg" / "000001.jpg"), np.zeros((4, 4), np.uint8))
+    refused(lambda: open_masks(tmp_path / "jpg", wanted), "000001.jpg is no PNG")
+
+
+def test_folders_of_a_thing_each_are_chosen_by_name(tmp_path: Path) -> None:
+    """As SAM 2 writes them, one for each object."""
+    folder = tmp_path / "things"
+    for value, thing in enumerate(("table", "cup", "left-hand", "sleeve")):
+        (folder / thing).mkdir(parents=True)
+        for n, frame in enumerate(FRAMES):
+            write_png(folder / thing / f"{frame}.png", 255 * (labels()[n] == value), 8, 0)
+    seen, ignored = open_masks(folder, Wanted(FRAMES, SIZE, ("cup",), ("left-hand", "sleeve")))(1)
+    np.testing.assert_array_equal(seen, labels()[1] == 1)
+    np.testing.assert_array_equal(ignored, labels()[1] >= 2)
+    for chosen, word in ((("mug",), "'mug'"), (("../things/cup",), "'../things/cup'"), ((), "'object'")):
+        with pytest.raises(UsageError, match=f"--object: got {word}.*cup, left-hand"):
+            open_masks(folder, Wanted(FRAMES, SIZE, chosen))
+    (folder / "cup").rename(folder / "object")
+    np.testing.assert_array_equal(open_masks(folder, Wanted(FRAMES, SIZE))(0)[0], labels()[0] == 1)
+    for thing in ("table", "left-hand", "sleeve"):
+        shutil.rmtree(folder / thing)
+    (folder / "object").rename(folder / "1")
+    np.testing.assert_array_equal(open_masks(folder, Wanted(FRAMES, SIZE))(0)[0], labels()[0] == 1)
+
+
+def test_missing_frames_are_named(tmp_path: Path, refused: Callable[..., str]) -> None:
+    folder = label_folder(tmp_path / "labels")
+    wanted = Wanted((*FRAMES, "000009"), SIZE, ("1",))
+    refused(lambda: open_masks(folder, wanted), str(folder), "000009")
+    refused(lambda: open_masks(coco(tmp_path / "c.json"), wanted), "images", "000009")
+    (folder / "x_4.png").write_bytes((folder / "frame_4.png").read_bytes())
+    refused(lambda: open_masks(folder, Wanted(FRAMES, SIZE)), "second mask")
+
+
+def test_polygons_fill_the_pixels_whose_centres_they_hold() -> None:
+    square = polygons(Path("c.json"), "s", [[3.0, 2.0, 9.0, 2.0, 9.0, 6.0, 3.0, 6.0]], SIZE)
+    expected = np.zeros(SIZE[::-1], dtype=bool)
+    expected[2:6, 3:9] = True
+    inner = np.zeros_like(expected)
+    inner[3:5, 4:8] = True
+    assert square[inner].all()
+    assert np.count_nonzero(square != expected) <= 2 * (6 + 4) + 4  # the border's own pixels, at most
+    everything = polygons(Path("c.json"), "s", [[-20, -14, 40, -14, 40, 28, -20, 28]], SIZE)
+    assert everything.all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.0), st.booleans())
+def test_run_lengths_come_back(seed: int, share: float, compressed: bool) -> None:
+    mask = np.random.default_rng(seed).random(SIZE[::-1]) < share
+    np.testing.assert_array_equal(run_lengths(Path("c"), "s", encoded(mask, compressed), SIZE), mask)
+
+
+JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=12),
+    lambda inner: st.lists(inner, max_size=8) | st.dictionaries(st.sampled_from(["size", "counts", "x"]), inner),
+    max_leaves=20,
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(JUNK | st.fixed_dictionaries({"size": st.just([14, 20]), "counts": JUNK | st.text("0123456789:;<=>?@PQRSTUVo")}))
+def test_any_segmentation_is_read_or_refused(value: Any) -> None:
+    try:
+        assert region(Path("c.json"), "annotations[0].segmentation", value, SIZE).shape == SIZE[::-1]
+    except InputError as error:
+        assert "annotations[0].segmentation" in str(error)  # noqa: PT017
+
+
+@pytest.mark.parametrize(
+    "segmentation",
+    [
+        [[1, 1, 2, 2]],
+        [[float("inf"), 1, 2, 2, 3, 3]],
+        [[1e9, 1, 2, 2, 3, 3]],
+        [["a", 1, 2, 2, 3, 3]],
+        [[1, 1, 2, 2, 3, 3, 4]],
+        {"size": [14, 21], "counts": [294]},
+        {"size": [14, 20], "counts": [2**62, 2**62]},
+        {"size": [14, 20], "counts": [-1, 281]},
+        {"size": [14, 20], "counts": "o" * 100},
+        {"size": [14, 20], "counts": "\u00ff"},
+    ],
+)
+def test_impossible_segmentations(refused: Callable[..., str], segmentation: Any) -> None:
+    refused(lambda: region(Path("c.json"), "annotations[7]", segmentation, SIZE), "c.json", "annotations[7]")
+
+
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_damaged_files_are_refused_or_read(tmp_path: Path, data: st.DataObject) -> None:
+    """Truncated files and swapped bytes."""
+    kind = data.draw(st.sampled_from(["png", "json", "npz"]))
+    folder = tmp_path / "labels"
+    if not folder.exists():
+        label_folder(folder)
+    path = {"png": folder / "frame_3.png", "json": tmp_path / "c.json", "npz": tmp_path / "m.npz"}[kind]
+    if kind == "png":
+        write_png(path, labels()[0], 8, 3, palette=True)
+    elif kind == "json":
+        coco(path)
+    else:
+        arrays.write(path, {"labels": labels().astype(np.uint8)})
+    content = bytearray(path.read_bytes())
+    if data.draw(st.booleans()):
+        content = content[: data.draw(st.integers(0, len(content) - 1))]
+    else:
+        a, b = (data.draw(st.integers(0, len(content) - 1)) for _ in range(2))
+        content[a], content[b] = content[b], content[a]
+    path.write_bytes(bytes(content))
+    try:
+        seen, ignored = open_masks(folder if kind == "png" else path, Wanted(FRAMES, SIZE, ("1",), ("2",)))(0)
+    except InputError as error:
+        assert path.name in str(error)  # noqa: PT017
+    else:
+        assert seen.shape == ignored.shape == SIZE[::-1]
+
+
+def test_huge_images_take_no_memory(tmp_path: Path, refused: Callable[..., str]) -> None:
+    folder = tmp_path / "labels"
+    folder.mkdir()
+    for name in FRAMES:
+        write_png(folder / f"{name}.png", np.zeros((1, 1)), 8, 0)
+        content = bytearray((folder / f"{name}.png").read_bytes())
+        content[16:24] = struct.pack(">II", 100_000, 100_000)
+        content[29:33] = struct.pack(">I", zlib.crc32(bytes(content[12:29])))
+        (folder / f"{name}.png").write_bytes(bytes(content))
+    refused(lambda: open_masks(folder, Wanted(FRAMES, SIZE, ("1",)))(0), "size", "100000")
+    bomb = tmp_path / "c.json"
+    bomb.write_text('{"images":' + "[" * 200_000)
+    refused(lambda: open_masks(bomb, Wanted(FRAMES, SIZE)), str(bomb))
+
+
+def test_command_adds_masks_to_a_clip(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    clip, masks = small_clip()
+    folder = write_clip(clip, None, tmp_path / "small")
+    source = tmp_path / "sam2"
+    source.mkdir()
+    for n in range(len(clip)):
+        write_png(source / f"{n + 50:05d}.png", masks.object[n] * 1 + masks.ignore[n] * 2, 8, 3, palette=True)
+    command = ["import", "masks", str(source), "--object", "1", "--ignore", "2", "--clip", str(folder)]
+    assert main(command) == 1
+    assert not (folder / "masks").exists()
+    assert main([*command, "--first", "50"]) == 0
+    read = read_masks(read_clip(folder))
+    np.testing.assert_array_equal(read.object, masks.object)
+    np.testing.assert_array_equal(read.ignore, masks.ignore)
+    assert "sam2" in read_clip(folder).provenance["masks"]
+    assert main([*command, "--first", "50"]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+
+
+def test_only_masks_are_overwritten(tmp_path: Path, run: Run) -> None:
+    clip, masks = small_clip()
+    folder = write_clip(clip, None, tmp_path / "small")
+    arrays.write(tmp_path / "seen.npz", {"object": masks.object, "frames": np.arange(3)})
+    (folder / "masks").mkdir()
+    (folder / "masks" / "by hand.psd").write_text("three weeks' work")
+    before = contents(tmp_path)
+    status, _, err = run("import", "masks", tmp_path / "seen.npz", "--clip", folder, "--overwrite")
+    assert status == 2
+    assert f"{folder / 'masks'}: exists already without 'object' in it; it is not overwritten" in err
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_masks_that_the_disk_has_no_room_for_leave_the_clip_as_it_was(
+    tmp_path: Path, run: Run, full_disk: FullDisk, overwrite: bool
+) -> None:
+    folder = write_clip(replace(small_clip()[0], size=(320, 240)), None, tmp_path / "clips" / "small")
+    noise = np.random.default_rng(0).random((3, 240, 320)) < 0.5
+    arrays.write(tmp_path / "noise.npz", {"object": noise, "frames": np.arange(3)})
+    command = ["import", "masks", tmp_path / "noise.npz", "--clip", folder, *["--overwrite"] * overwrite]
+    if overwrite:
+        assert run(*command)[0] == 0
+    before = contents(tmp_path)
+    with full_disk(4000):
+        status, _, err = run(*command)
+    assert status == 1
+    assert str(folder / "masks" / "object" / "0000.png") in err
+    assert err.count("\n") == 1
+    assert contents(tmp_path) == before
+    assert run(*command)[0] == 0
+    np.testing.assert_array_equal(read_masks(read_clip(folder)).object, noise)

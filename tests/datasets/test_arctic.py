@@ -1,0 +1,318 @@
+"""The ARCTIC reader: on small files of its layout, with known answers, and on broken ones; it has met no real file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from getagrip.batch.imports import Given, import_clips
+from getagrip.clip import read_clip, read_masks
+from getagrip.datasets import arctic, tracks
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.geometry.depth import depth_and_face
+from getagrip.geometry.mesh import Mesh
+from getagrip.grasps.stable import Definition, segment
+from helpers.held_ball import (
+    BETAS,
+    FRAMES,
+    TAKEN,
+    Hostile,
+    ball,
+    bent,
+    global_motion,
+    motion,
+    posed,
+    same_points,
+    save_pickled,
+    write_mano,
+)  # fmt: skip
+
+OPENED = 28
+"""From this frame on, the joint is at another angle."""
+OFFSET = 3
+K_EGO = np.array([[1720.0, 0.0, 1399.5], [0.0, 1710.0, 999.5], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def mano(tmp_path: Path) -> Path:
+    return write_mano(tmp_path / "mano")
+
+
+def scene() -> dict[str, np.ndarray]:
+    """A camera that moves in the world, and the ball, which the right hand carries."""
+    T_cam_hand, T_cam_obj = motion()
+    t = np.linspace(0.0, 1.0, FRAMES)
+    T_cam_world = se3.rigid(
+        se3.exp_so3(np.stack([1.0 + 0.1 * t, 0.2 * t, -0.3 * t], axis=-1)), np.array([0.1, 0.2, 1.5])
+    )
+    angle = np.where(np.arange(FRAMES) < OPENED, 0.03, 0.4)
+    return {"T_cam_hand": T_cam_hand, "T_cam_obj": T_cam_obj, "T_cam_world": T_cam_world, "angle": angle}
+
+
+@pytest.fixture
+def root(tmp_path: Path, mano: Path) -> Path:
+    """ARCTIC's folder, with one sequence."""
+    data, of = tmp_path / "data", scene()
+    raw, meta = data / "raw_seqs" / "s01", data / "meta"
+    template = meta / "object_vtemplates" / "ball"
+    raw.mkdir(parents=True)
+    template.mkdir(parents=True)
+    T_world_obj = se3.inverse(of["T_cam_world"]) @ of["T_cam_obj"]
+    numbers = [of["angle"][:, None], se3.log_so3(T_world_obj[:, :3, :3]), 1e3 * T_world_obj[:, :3, 3]]
+    np.save(raw / "ball_use_01.object.npy", np.concatenate(numbers, axis=1))
+    hands: dict[str, Any] = {}
+    for side in ("right", "left"):
+        hand, at_rest = posed(mano, side)
+        aside = se3.rigid(None, np.array([-0.14 if side == "left" else 0.0, 0.0, 0.0]))
+        T = se3.inverse(of["T_cam_world"]) @ aside @ of["T_cam_hand"]
+        rot, trans = global_motion(T, at_rest.joints[0])
+        hands[side] = {
+            "rot": rot,
+            "pose": np.tile(bent(side) - hand.mean, (FRAMES, 1)),
+            "trans": trans,
+            "shape": BETAS,
+            "fitting_err": np.zeros(FRAMES),
+        }
+    save_pickled(raw / "ball_use_01.mano.npy", hands)
+    camera = {
+        "R_k_cam_np": of["T_cam_world"][:, :3, :3],
+        "T_k_cam_np": of["T_cam_world"][:, :3, 3:],
+        "intrinsics": K_EGO,
+        "ego_markers.label": ["a", "b"],
+        "dist8": np.zeros(8),
+    }
+    save_pickled(raw / "ball_use_01.egocam.dist.npy", camera)
+    mesh = ball(40.0)
+    mesh.export(template / "mesh.obj")
+    (template / "parts.json").write_text(json.dumps((np.asarray(mesh.vertices)[:, 1] > 0).astype(int).tolist()))
+    fixed = {
+        "world2cam": np.tile(of["T_cam_world"][0], (8, 1, 1)).tolist(),
+        "intris_mat": np.tile(K_EGO, (8, 1, 1)).tolist(),
+        "image_size": [[2800, 2000]] * 9,
+        "ioi_offset": OFFSET,
+        "gender": "female",
+    }
+    (meta / "misc.json").write_text(json.dumps({"s01": fixed}))
+    return data
+
+
+def read(root: Path, mano: Path, **options: Any) -> list[tracks.Track]:
+    """The tracks of the one sequence."""
+    (source,) = arctic.find(root, mano, **options)
+    return list(source.read(lambda _: None))
+
+
+def clips(root: Path, mano: Path, whole: bool = False) -> list[Any]:
+    notes: list[str] = []
+    found = tracks.pieces(read(root, mano), notes.append, arctic.DEFINITION, whole)
+    return [tracks.clip(piece, 20, notes.append) for piece in found]
+
+
+def test_poses_and_hands_are_those_that_were_written(root: Path, mano: Path) -> None:
+    left, right = read(root, mano)
+    of = scene()
+    assert (left.side, right.side) == ("left", "right")
+    assert right.name == "s01--ball_use_01--ball--right"
+    np.testing.assert_allclose(right.hand.T_cam_hand, of["T_cam_hand"], atol=1e-9)
+    for track in (left, right):
+        np.testing.assert_allclose(track.hand.vertices[3], posed(mano, track.side)[1].vertices, atol=1e-9)
+    np.testing.assert_array_equal(right.numbers, np.arange(FRAMES) + OFFSET)
+    mesh = ball(0.04)
+    for n in (0, OPENED):  # metres from millimetres, the top turned about -z
+        turned = np.asarray(mesh.vertices) @ se3.exp_so3(np.array([0.0, 0.0, -of["angle"][n]])).T
+        expected = np.where(np.asarray(mesh.vertices)[:, 1:2] > 0, turned, mesh.vertices)
+        assert same_points(right.surface(n)[0], se3.transform(of["T_cam_obj"][n], expected), 1e-6)
+
+
+def test_the_view_on_the_head_is_of_a_third_of_the_size(root: Path, mano: Path) -> None:
+    track = read(root, mano)[0]
+    assert track.size == (840, 600)
+    np.testing.assert_allclose(track.K, [[516.0, 0.0, 420.0], [0.0, 513.0, 300.0], [0.0, 0.0, 1.0]])
+
+
+def test_a_fixed_view_stands_still(root: Path, mano: Path) -> None:
+    head, fixed = read(root, mano)[1], read(root, mano, view=8)[1]
+    T_world = se3.inverse(scene()["T_cam_world"])
+    np.testing.assert_allclose(fixed.T_cam_obj, scene()["T_cam_world"][0] @ T_world @ head.T_cam_obj, atol=1e-9)
+    with pytest.raises(UsageError, match="--view: got 9"):
+        arctic.find(root, mano, view=9)
+
+
+def test_opening_ends_a_grasp(root: Path, mano: Path) -> None:
+    ((clip, masks),) = clips(root, mano)
+    assert clip.name == "s01--ball_use_01--ball--right"
+    assert clip.frames == tuple(f"{n + OFFSET:05d}" for n in range(TAKEN, OPENED))
+    np.testing.assert_allclose(clip.truth.articulation, 0.03)
+    assert "between 1.7 and 1.7 degrees" in clip.provenance["articulation"]
+    assert masks.object.shape == (len(clip), 600, 840)
+    assert segment(clip, Definition())[1] == [(0, len(clip) - 1)]
+
+
+def test_masks_show_the_object_and_ignore_both_hands(root: Path, mano: Path) -> None:
+    ((clip, masks),) = clips(root, mano)
+    left, right = read(root, mano)
+    surfaces = [right.surface(TAKEN)] + [
+        (se3.transform(t.hand.T_cam_hand[TAKEN], t.hand.vertices[TAKEN]), t.hand.faces) for t in (right, left)
+    ]
+    depth = np.stack([depth_and_face(v, f, clip.K[0], clip.size)[0] for v, f in surfaces])
+    np.testing.assert_array_equal(masks.object[0], (depth.argmin(axis=0) == 0) & np.isfinite(depth[0]))
+    np.testing.assert_array_equal(masks.ignore[0], depth.argmin(axis=0) > 0)
+    assert masks.object[0].sum() > 300
+    assert masks.ignore[0].sum() > 300
+
+
+def test_whole_sequences_are_cut_where_the_joint_turns(root: Path, mano: Path) -> None:
+    found = clips(root, mano, whole=True)
+    assert [(clip.side, len(clip), masks) for clip, masks in found] == [("left", OPENED, None), ("right", OPENED, None)]
+
+
+def test_neutral_frames_are_of_the_shape_alone() -> None:
+    """Along the axis of a long round thing, across a flat one, whatever frame it is in; its middle at the origin."""
+    rng = np.random.default_rng(0)
+    for stretch in ([1.0, 1.0, 3.0], [1.0, 1.05, 0.2]):
+        mesh = ball(0.03)
+        vertices = np.asarray(mesh.vertices) / [1.0, 1.05, 1.2] * stretch
+        vertices = np.where(vertices > 0, 1.1 * vertices, vertices)  # so that no direction is like its opposite
+        own = arctic.neutral_frame(Mesh(vertices, np.asarray(mesh.faces)))
+        assert abs(own[2, 2]) > 0.95
+        seen = se3.transform(own, vertices)
+        np.testing.assert_allclose(seen.min(axis=0), -seen.max(axis=0), atol=1e-12)
+        T = se3.rigid(se3.exp_so3(rng.normal(size=3)), rng.normal(size=3))
+        moved = Mesh(se3.transform(T, vertices), np.asarray(mesh.faces))
+        np.testing.assert_allclose(arctic.neutral_frame(moved) @ T, own, atol=1e-9)
+
+
+def test_import_writes_clips_and_keeps_them(
+    root: Path, mano: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    out = tmp_path / "out"
+    given = Given(meshes=None, mano=mano, view=None, whole=False)
+    assert import_clips("arctic", root, out, given, debug=False) == 0
+    (folder,) = out.iterdir()
+    clip = read_clip(folder)
+    assert read_masks(clip).object.any()
+    assert clip.provenance["subject"] == "s01"
+    assert "no stable grasp" in capsys.readouterr().err  # of the left hand
+    assert import_clips("arctic", root, out, given, debug=False) == 0
+    assert "0 clips, 1 already there, 0 sequences failed" in capsys.readouterr().out
+
+
+def test_options_of_others_are_refused(root: Path, mano: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"--meshes: got .* arctic takes --mano, --view, --whole"):
+        import_clips("arctic", root, tmp_path, Given(tmp_path, mano, None, False), debug=False)
+    with pytest.raises(UsageError, match=r"--mano: ARCTIC holds .* MANO_LEFT.pkl and MANO_RIGHT.pkl"):
+        arctic.find(root, None)
+    with pytest.raises(UsageError, match="--mano: got"):
+        arctic.find(root, tmp_path)
+    with pytest.raises(InputError, match="raw_seqs"):
+        arctic.find(tmp_path / "mano", mano)
+
+
+def edited(path: Path, *keys: str, value: Any) -> None:
+    """Change one value of a pickled dictionary; leave it away where the new one is None."""
+    content = np.load(path, allow_pickle=True).item()
+    inner = content
+    for key in keys[:-1]:
+        inner = inner[key]
+    if value is None:
+        del inner[keys[-1]]
+    else:
+        inner[keys[-1]] = value
+    save_pickled(path, content)
+
+
+NAN = np.full((FRAMES, 3), np.nan)
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "named"),
+    [
+        (("right",), None, "None"),
+        (("left", "rot"), None, "rot: got no such key"),
+        (("left", "rot"), NAN, "rot: got 96 NaN"),
+        (("right", "pose"), np.zeros((FRAMES, 44)), "right.pose"),
+        (("right", "trans"), np.zeros((FRAMES + 1, 3)), "right.trans"),
+        (("right", "trans"), np.array([None] * FRAMES), "right.trans"),
+        (("right", "shape"), "ten", "right.shape"),
+        (("right", "shape"), np.zeros(9), "right.shape"),
+        (("right", "trans"), Hostile(), "system, expected .* nothing in it was run"),
+    ],
+)
+def test_broken_hands_are_named(root: Path, mano: Path, keys: tuple[str, ...], value: Any, named: str) -> None:
+    edited(root / "raw_seqs" / "s01" / "ball_use_01.mano.npy", *keys, value=value)
+    with pytest.raises(InputError, match=rf"ball_use_01\.mano\.npy: .*{named}"):
+        read(root, mano)
+
+
+def test_absurdly_long_sequences_are_refused_before_memory_is_taken(root: Path, mano: Path) -> None:
+    file = root / "raw_seqs" / "s01" / "ball_use_01.object.npy"
+    np.save(file, np.zeros((tracks.MOST_FRAMES + 1, 7)))
+    with pytest.raises(InputError, match=r"object\.npy: got 20001 frames, expected at most 20000"):
+        read(root, mano)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("R_k_cam_np", np.zeros((FRAMES, 3, 3))),
+        ("T_k_cam_np", np.zeros((FRAMES, 4, 1))),
+        ("intrinsics", np.eye(4)),
+        ("intrinsics", -K_EGO),
+        ("intrinsics", None),
+    ],
+)
+def test_broken_cameras_are_named(root: Path, mano: Path, key: str, value: Any) -> None:
+    edited(root / "raw_seqs" / "s01" / "ball_use_01.egocam.dist.npy", key, value=value)
+    with pytest.raises(InputError, match=r"egocam\.dist\.npy"):
+        read(root, mano)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "named"),
+    [
+        ("raw_seqs/s01/ball_use_01.object.npy", b"\x93NUMPY\x01\x00", "header"),
+        ("raw_seqs/s01/ball_use_01.mano.npy", b"\x93NUMPY\x01\x00", "header"),
+        ("raw_seqs/s01/ball_use_01.mano.npy", b"", "does not load"),
+        ("meta/misc.json", b"{}", "s01"),
+        ("meta/misc.json", b"[]", "JSON list"),
+        ("meta/misc.json", b'{"s01": {"image_size": [[2800, 2000]], "ioi_offset": 0}}', "s01.image_size"),
+        ("meta/misc.json", b'{"s01": {"image_size": [[2800], [1, 2]], "ioi_offset": 0}}', "s01.image_size"),
+        ("meta/object_vtemplates/ball/parts.json", b"[0, 1]", "2 numbers"),
+        ("meta/object_vtemplates/ball/parts.json", b"[0, [", "no JSON"),
+        ("meta/object_vtemplates/ball/mesh.obj", b"v 1 2", "line 1"),
+        ("meta/object_vtemplates/ball/mesh.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", "0.001 m large"),
+    ],
+)
+def test_broken_files_are_named(root: Path, mano: Path, name: str, content: bytes, named: str) -> None:
+    (root / name).write_bytes(content)
+    with pytest.raises(InputError, match=rf"{Path(name).name}.*{named}"):
+        read(root, mano)
+
+
+@pytest.mark.parametrize("name", ["ball_use_01.mano.npy", "ball_use_01.egocam.dist.npy", "ball_use_01.object.npy"])
+def test_truncated_and_missing_files_are_named(root: Path, mano: Path, name: str) -> None:
+    path = root / "raw_seqs" / "s01" / name
+    content = path.read_bytes()
+    for length in (20, len(content) // 2, len(content) - 1):
+        path.write_bytes(content[:length])
+        with pytest.raises(InputError, match=name):
+            read(root, mano)
+    path.unlink()
+    with pytest.raises((InputError, UsageError), match=r"no such file|raw_seqs"):
+        read(root, mano)
+
+
+def test_wrong_shapes_of_poses_are_named(root: Path, mano: Path) -> None:
+    np.save(root / "raw_seqs" / "s01" / "ball_use_01.object.npy", np.zeros((FRAMES, 6)))
+    with pytest.raises(InputError, match=r"\(32, 6\), expected \(any, 7\)"):
+        read(root, mano)

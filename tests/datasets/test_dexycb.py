@@ -1,0 +1,442 @@
+"""The DexYCB reader: on small files of exactly its layout, on broken ones, and on real ones where they are."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from getagrip.batch.imports import import_dexycb
+from getagrip.clip import read_clip, read_masks
+from getagrip.datasets.dexycb import clips as dexycb
+from getagrip.datasets.dexycb import files as dexycb_files
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.geometry.depth import depth_and_face
+from getagrip.hands import generic
+from getagrip.hands.fit import ORDERS
+from getagrip.hands.model import mirrored
+from helpers.paths import DATA, needs
+
+SUBJECT, SEQUENCE, HELD, OTHER = "20200709-subject-01", "20200709_141754", "025_mug", "003_cracker_box"
+NAME = f"{SUBJECT}--{SEQUENCE}--{HELD}"
+SERIALS = ["836212060125", "932122062010"]
+FRAMES, TAKEN, LOST = 32, 5, 29
+"""The object is taken in frame 5; the hand is not known in frame 29."""
+META = """serials:
+- '836212060125'
+- '932122062010'
+num_frames: 32
+extrinsics: '20200702_151821'
+ycb_ids:
+- 2
+- 14
+ycb_grasp_ind: 1
+mano_sides:
+- right
+mano_calib:
+- 20200709-subject-01_right
+"""
+INTRINSICS = """color:
+  fx: 616.6
+  fy: 616.2
+  ppx: 308.5
+  ppy: 248.5
+extrinsics: !!python/tuple
+- 1.0
+- 0.0
+"""
+
+
+def grip(shape=None):
+    """A right generic hand with bent fingers, and where the ball lies in it."""
+    pose = np.zeros((5, 3, 3))
+    pose[:4, :, 2] = 0.5  # bends towards the palm
+    posed = generic.load("right").with_shape(shape).with_pose(pose.reshape(45))
+    return posed, np.array([0.01, -0.045, 0.005])
+
+
+def scene():
+    """T_cam_hand, T_cam_obj of the ball and joints in the camera frame (N, ...): the hand carries the ball, turning."""
+    posed, at = grip()
+    t = np.linspace(0.0, 1.0, FRAMES)
+    turn = se3.exp_so3(np.stack([0.3 * t - 0.8, 0.5 * t, 0.2 * t], axis=-1))
+    T_cam_hand = se3.rigid(turn, np.stack([0.1 * t, -0.05 * t, 0.7 + 0.1 * t], axis=-1))
+    T_hand_obj = np.tile(se3.rigid(None, at), (FRAMES, 1, 1))
+    T_hand_obj[:TAKEN, 1, 3] -= 0.1
+    return T_cam_hand, T_cam_hand @ T_hand_obj, se3.transform(T_cam_hand, posed.joints)
+
+
+def write_models(folder):
+    for name, mesh in {
+        HELD: trimesh.creation.icosphere(subdivisions=3, radius=0.03),
+        OTHER: trimesh.creation.box(extents=[0.06, 0.16, 0.21]),
+    }.items():
+        (folder / name).mkdir(parents=True)
+        mesh.export(folder / name / "textured_simple.obj")
+
+
+def write_sequence(root, sequence=SEQUENCE, lost=(LOST,)):
+    """A sequence of DexYCB's own layout; the second camera looks from 1 m to the side and sees less of the ball."""
+    _, T_cam_obj, joints = scene()
+    folder = root / SUBJECT / sequence
+    folder.mkdir(parents=True)
+    (folder / "meta.yml").write_text(META)
+    aside = se3.rigid(None, np.array([1.0, 0.0, 0.0]))
+    beside = np.tile(se3.rigid(None, np.array([-0.25, 0.1, 0.9])), (FRAMES, 1, 1))
+    for serial, T, pixels in zip(SERIALS, (np.eye(4), aside), (900, 100), strict=True):
+        (folder / serial).mkdir()
+        for n in range(FRAMES):
+            seg = np.zeros((480, 640), np.uint8)
+            seg.flat[:pixels] = 14
+            seen = joints[n] + T[:3, 3]
+            np.savez(
+                folder / serial / f"labels_{n:06d}.npz",
+                seg=seg,
+                pose_y=np.stack([T @ beside[n], T @ T_cam_obj[n]])[:, :3].astype(np.float32),
+                pose_m=np.zeros((1, 51), np.float32),
+                joint_3d=np.where(n in lost, -1.0, seen)[None].astype(np.float32),
+                joint_2d=np.zeros((1, 21, 2), np.float32),
+            )
+    return folder
+
+
+@pytest.fixture
+def root(tmp_path):
+    """DexYCB's own layout with one sequence."""
+    write_models(tmp_path / "models")
+    intrinsics = tmp_path / "calibration" / "intrinsics"
+    intrinsics.mkdir(parents=True)
+    for serial in SERIALS:
+        (intrinsics / f"{serial}_640x480.yml").write_text(INTRINSICS)
+    write_sequence(tmp_path)
+    return tmp_path
+
+
+def packed(**changes):
+    """The arrays of a packed file with the same sequence twice, the second of another subject."""
+    _, T_cam_obj, joints = scene()
+    valid = np.arange(FRAMES) != LOST
+    ho3d = np.empty_like(joints)
+    ho3d[:, ORDERS["ho3d"]] = joints
+    once = {
+        "obj_quat_xyzw": np.roll(se3.quaternion(T_cam_obj[:, :3, :3]), -1, axis=1).astype(np.float32),
+        "obj_trans": T_cam_obj[:, :3, 3].astype(np.float32),
+        "joints": ho3d.astype(np.float32),
+        "hand_valid": valid,
+    }
+    return {
+        "sequence": np.array([f"{SUBJECT}/{SEQUENCE}", f"20200813-subject-02/{SEQUENCE}"]),
+        "object": np.array([HELD, HELD]),
+        "offset": np.array([0, FRAMES, 2 * FRAMES], np.int32),
+        **{key: np.concatenate([array, array]) for key, array in once.items()},
+        **changes,
+    }
+
+
+@pytest.fixture
+def pack(tmp_path):
+    """A folder with a packed file, and the folder of meshes."""
+    write_models(tmp_path / "ycb")
+    (tmp_path / "packed").mkdir()
+    np.savez(tmp_path / "packed" / "sequences.npz", **packed())
+    return tmp_path / "packed", tmp_path / "ycb"
+
+
+def test_a_stable_grasp_becomes_a_clip(root):
+    notes = []
+    ((clip, masks),) = dexycb.clips(root, note=notes.append)
+    assert (clip.name, clip.category, clip.side, clip.scale) == (NAME, HELD, "right", "known")
+    assert clip.frames == tuple(f"{n:06d}" for n in range(TAKEN, LOST))
+    np.testing.assert_allclose(clip.K[3], [[616.6, 0, 309.0], [0, 616.2, 249.0], [0, 0, 1]])
+    T_cam_hand, T_cam_obj, joints = scene()
+    np.testing.assert_allclose(clip.truth.T_cam_obj, T_cam_obj[TAKEN:LOST], atol=1e-6)
+    fitted = se3.transform(clip.hand.T_cam_hand, clip.hand.joints)
+    assert np.linalg.norm(fitted - joints[TAKEN:LOST], axis=-1).max() < 0.003
+    turn = se3.angle_between(clip.hand.T_cam_hand[:, :3, :3], T_cam_hand[TAKEN:LOST, :3, :3])
+    assert np.degrees(turn).max() < 2.0
+    assert clip.provenance["subject"] == SUBJECT
+    assert "CC BY-NC 4.0" in clip.provenance["licence"]
+    assert "fitted" in clip.provenance["hands"]
+    assert clip.provenance["camera"] == SERIALS[0]
+    assert masks.object.shape == masks.ignore.shape == (LOST - TAKEN, 480, 640)
+    assert notes == []
+
+
+def test_masks_are_the_object_less_what_hides_it(root):
+    ((clip, masks),) = dexycb.clips(root)
+    ball = se3.transform(clip.truth.T_cam_obj[0], clip.mesh.vertices)
+    hand = se3.transform(clip.hand.T_cam_hand[0], clip.hand.vertices[0])
+    of_ball, of_hand = (
+        depth_and_face(v, f, clip.K[0], clip.size)[0] for v, f in ((ball, clip.mesh.faces), (hand, clip.hand.faces))
+    )
+    np.testing.assert_array_equal(masks.object[0], of_ball < of_hand)
+    np.testing.assert_array_equal(masks.ignore[0], of_hand < of_ball)
+    assert masks.object[0].any()
+    assert masks.ignore[0].any()
+
+
+def test_other_objects_in_front_are_ignored(root):
+    for path in (root / SUBJECT / SEQUENCE / SERIALS[0]).iterdir():
+        label = dict(np.load(path))
+        label["pose_y"][0, :, 3] = label["pose_y"][1, :, 3] * 0.6 + [0.05, 0.0, 0.0]
+        np.savez(path, **label)
+    ((clip, masks),) = dexycb.clips(root)
+    box = trimesh.creation.box(extents=[0.06, 0.16, 0.21])
+    centre = 0.6 * clip.truth.T_cam_obj[0, :3, 3] + [0.05, 0.0, 0.0]
+    seen = depth_and_face(np.asarray(box.vertices) + centre, np.asarray(box.faces), clip.K[0], clip.size)[1] >= 0
+    assert seen.sum() > 1000
+    assert masks.ignore[0][seen].all()
+
+
+def test_the_camera_that_sees_most_is_taken(root):
+    folder = root / SUBJECT / SEQUENCE
+    ((_, first),) = dexycb.clips(root)
+    path = folder / SERIALS[1] / f"labels_{FRAMES - 1:06d}.npz"
+    label = dict(np.load(path))
+    label["seg"][:] = 14
+    np.savez(path, **label)
+    (recording,) = (s.read() for s in dexycb_files.find(root))
+    assert recording.camera == SERIALS[1]
+    assert first.object.any()
+
+
+def test_a_packed_file_holds_the_same(root, pack):
+    folder, meshes = pack
+    ((own, _),) = dexycb.clips(root)
+    for at in (folder, folder / "sequences.npz"):
+        found = [clip for clip, _ in dexycb.clips(at, meshes)]
+        assert [dexycb.subject_of(clip.name) for clip in found] == [SUBJECT, "20200813-subject-02"]
+        for clip in found:
+            assert (clip.side, clip.category, clip.frames) == (own.side, own.category, own.frames)
+            np.testing.assert_allclose(clip.truth.T_cam_obj, own.truth.T_cam_obj, atol=1e-6)
+            np.testing.assert_allclose(clip.hand.vertices, own.hand.vertices, atol=1e-4)
+            np.testing.assert_allclose(clip.hand.T_cam_hand, own.hand.T_cam_hand, atol=1e-4)
+
+
+def test_bent_fingers_tell_the_hand():
+    _, _, joints = scene()
+    assert dexycb_files.bent_side(joints) == "right"
+    assert dexycb_files.bent_side(mirrored(joints)) == "left"
+
+
+def test_a_mirrored_scene_gives_the_mirrored_hand(tmp_path, pack):
+    _, meshes = pack
+    flip = np.diag([-1.0, 1.0, 1.0])
+    given = packed()
+    R = flip @ se3.from_quaternion(np.roll(given["obj_quat_xyzw"], 1, axis=1).astype(float)) @ flip
+    given["obj_quat_xyzw"] = np.roll(se3.quaternion(R), -1, axis=1)
+    given["obj_trans"], given["joints"] = mirrored(given["obj_trans"]), mirrored(given["joints"])
+    np.savez(tmp_path / "left.npz", **given)
+    right, _ = next(dexycb.clips(pack[0], meshes))
+    left, _ = next(dexycb.clips(tmp_path / "left.npz", meshes))
+    assert (left.side, left.frames) == ("left", right.frames)
+    np.testing.assert_allclose(left.hand.vertices, mirrored(right.hand.vertices), atol=1e-5)
+
+
+def test_grasps_end_where_the_hand_is_not_known(root):
+    """What lies between two gaps is a grasp where it has 20 frames."""
+    for lost, expected in ((LOST, [(TAKEN, LOST - 1)]), (8, [(9, FRAMES - 1)]), (18, [])):
+        write_sequence(root, f"20200709_1500{lost:02d}", lost=(lost,))
+        (sequence,) = (s for s in dexycb_files.find(root) if s.name.endswith(f"{lost:02d}"))
+        found = dexycb.grasps(sequence, root / "models")
+        assert [(g.first, g.last) for g in found] == expected
+        assert all(g.stable_area > 0.9 for g in found)
+
+
+def test_a_hand_that_lets_go_gives_no_clip(root):
+    for path in (root / SUBJECT / SEQUENCE / SERIALS[0]).iterdir():
+        label = dict(np.load(path))
+        label["pose_y"][1, 0, 3] += 0.3
+        np.savez(path, **label)
+    notes = []
+    assert list(dexycb.clips(root, note=notes.append)) == []
+    assert "no stable grasp of 20 frames" in notes[0]
+
+
+def test_an_object_outside_the_image_gives_no_clip(root):
+    path = root / "calibration" / "intrinsics" / f"{SERIALS[0]}_640x480.yml"
+    path.write_text(INTRINSICS.replace("308.5", "-2000.0"))
+    notes = []
+    assert list(dexycb.clips(root, note=notes.append)) == []
+    assert "seen in fewer than 20 frames" in notes[0]
+
+
+@pytest.mark.parametrize("size", [0.9, 1.0, 1.15])
+def test_fingers_are_as_thick_as_the_hand_is_long(size):
+    """Joints of the generic hand at another size: the fitted hand has that size, in girth as well."""
+    shape = np.zeros(len(generic.SHAPES))
+    shape[generic.SHAPES.index("size")] = size - 1.0
+    posed, _ = grip(shape)
+    T_cam_hand, T_cam_obj, _ = scene()
+    joints = se3.transform(T_cam_hand, posed.joints)
+    known = np.ones(FRAMES, dtype=bool)
+    poses = {HELD: dexycb_files.Poses(T_cam_obj, known)}
+    recording = dexycb_files.Recording(
+        Path("x"), "s", "q", "", "right", HELD, poses, joints, known, dexycb_files.PACKED_K
+    )
+    hand = dexycb.fit_hand(recording)
+    assert np.median(hand.residuals) < 0.002
+    pads = hand.track.vertices[0][hand.track.regions["index"]]
+    expected = posed.vertices[posed.regions["index"]]
+    np.testing.assert_allclose(
+        np.linalg.svd(pads - pads.mean(0))[1], np.linalg.svd(expected - expected.mean(0))[1], rtol=0.06
+    )
+
+
+def test_subjects_are_told_by_the_name():
+    assert dexycb.subject_of(NAME) == SUBJECT
+    for name in ("mug-right-0001", "--a--b", ""):
+        with pytest.raises(UsageError, match="no subject"):
+            dexycb.subject_of(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("meta.yml", "num_frames: 32", "num_frames: 33"),
+        ("meta.yml", "num_frames: 32", "num_frames: many"),
+        ("meta.yml", "- 14", "- 22"),
+        ("meta.yml", "ycb_grasp_ind: 1", "ycb_grasp_ind: 2"),
+        ("meta.yml", "- right", "- both"),
+        ("meta.yml", "- '836212060125'\n- '932122062010'", "- ../../secret"),
+        ("meta.yml", "ycb_ids:\n- 2\n- 14", "ycb_ids: 14"),
+        ("meta.yml", META, "- 1"),
+        ("meta.yml", META, "a: [1"),
+        ("meta.yml", "ycb_ids:\n- 2\n- 14", "a: &a [2, 14]\nycb_ids: *a"),
+        ("meta.yml", META, "a: !!python/object/apply:os.system ['true']"),
+        ("836212060125_640x480.yml", "fx: 616.6", "fx: -1"),
+        ("836212060125_640x480.yml", "ppy: 248.5", "ppy: .nan"),
+        ("836212060125_640x480.yml", "color:", "colour:"),
+        ("836212060125_640x480.yml", INTRINSICS, "[" * 5000),
+    ],
+)
+def test_broken_descriptions_are_named(root, name, old, new):
+    (path,) = root.rglob(name)
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(InputError):
+        list(dexycb.clips(root))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("joint_3d", np.zeros((1, 20, 3), np.float32)),
+        ("joint_3d", np.full((1, 21, 3), np.nan, np.float32)),
+        ("joint_3d", np.zeros((1, 21, 3), np.float32)),
+        ("pose_y", np.zeros((1, 3, 4), np.float32)),
+        ("pose_y", np.ones((2, 3, 4), np.float32)),
+        ("pose_y", np.array([None])),
+        ("pose_y", None),
+    ],
+)
+def test_broken_labels_are_named(root, key, value):
+    path = root / SUBJECT / SEQUENCE / SERIALS[0] / "labels_000007.npz"
+    label = dict(np.load(path))
+    label[key] = value
+    np.savez(path, **{k: v for k, v in label.items() if v is not None})
+    with pytest.raises(InputError):
+        list(dexycb.clips(root))
+
+
+def test_missing_files_are_named(root):
+    next((root / "models" / HELD).iterdir()).unlink()
+    with pytest.raises(InputError, match="025_mug"):
+        list(dexycb.clips(root))
+    with pytest.raises(UsageError, match="nowhere"):
+        list(dexycb.clips(root, root / "nowhere"))
+    with pytest.raises(InputError, match="nowhere"):
+        list(dexycb.clips(root / "nowhere", root / "models"))
+    with pytest.raises(InputError, match="models"):
+        list(dexycb.clips(root / "models", root / "models"))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "named"),
+    [
+        ("offset", np.array([0, 2 * FRAMES, FRAMES]), "offset"),
+        ("offset", np.array([0, 2 * FRAMES]), "offset"),
+        ("object", np.array([HELD]), "object"),
+        ("object", np.array([HELD, "../../etc"]), "object"),
+        ("sequence", np.array(["subject", "subject"]), "sequence"),
+        ("sequence", np.array(["a/b", "../b"]), "sequence"),
+        ("obj_quat_xyzw", np.ones((2 * FRAMES, 4)), "obj_quat_xyzw"),
+        ("obj_trans", np.ones((2 * FRAMES, 4)), "obj_trans"),
+        ("joints", np.full((2 * FRAMES, 21, 3), np.inf), "joints"),
+        ("joints", np.ones((2 * FRAMES, 21, 3)), "wrist to middle knuckle"),
+        ("hand_valid", np.ones(2 * FRAMES), "hand_valid"),
+        ("hand_valid", np.array([{}]), "hand_valid"),
+    ],
+)
+def test_broken_packed_files_are_named(pack, key, value, named):
+    folder, meshes = pack
+    np.savez(folder / "sequences.npz", **packed(**{key: value}))
+    with pytest.raises(InputError, match=named):
+        list(dexycb.clips(folder, meshes))
+
+
+def test_sequences_of_absurd_lengths_are_refused(pack, monkeypatch):
+    monkeypatch.setattr(dexycb_files, "MOST_FRAMES", FRAMES - 1)
+    with pytest.raises(InputError, match=f"offset: got a sequence of {FRAMES} frames"):
+        dexycb_files.find(pack[0])
+
+
+def test_the_other_sequences_are_read_before_an_error_is_raised(root):
+    broken = root / SUBJECT / "20200709_000000"
+    broken.mkdir()
+    (broken / "meta.yml").write_text("a: [1")
+    clips = dexycb.clips(root)
+    assert next(clips)[0].name == NAME
+    with pytest.raises(InputError, match="20200709_000000"):
+        list(clips)
+
+
+def test_import_writes_clips_and_goes_on_where_it_stopped(root, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert import_dexycb(root, None, out, debug=False) == 0
+    ((clip, masks),) = dexycb.clips(root)
+    written = read_clip(out / NAME)
+    assert written.frames == clip.frames
+    np.testing.assert_allclose(written.truth.T_cam_obj, clip.truth.T_cam_obj)
+    np.testing.assert_array_equal(read_masks(written).object, masks.object)
+    stamp = (out / NAME / "hand.npz").stat().st_mtime_ns
+    broken = root / SUBJECT / "20200709_000000"
+    broken.mkdir()
+    (broken / "meta.yml").write_text("a: [1")
+    assert import_dexycb(root, None, out, debug=False) == 1
+    said = capsys.readouterr()
+    assert "0 clips, 1 already there, 1 sequences failed" in said.out
+    assert "20200709_000000" in said.err
+    assert "Traceback" not in said.err
+    assert (out / NAME / "hand.npz").stat().st_mtime_ns == stamp
+
+
+@needs(DATA / "frame")
+def test_real_labels_and_intrinsics_are_read():
+    poses, joints = dexycb_files._label(DATA / "frame" / "labels.npz", 4)
+    assert se3.is_rigid(np.concatenate([poses, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (4, 1, 1))], axis=1)).all()
+    K = dexycb_files._intrinsics(DATA / "frame" / "836212060125_640x480.yml")
+    label = np.load(DATA / "frame" / "labels.npz")
+    uv = joints @ K.T
+    np.testing.assert_allclose(uv[:, :2] / uv[:, 2:] - 0.5, label["joint_2d"][0], atol=1e-3)
+
+
+@needs(DATA / "dexycb")
+def test_real_sequences():
+    sequences = dexycb_files.find(DATA / "dexycb")
+    recordings = [sequence.read() for sequence in sequences]
+    assert len(recordings) == 162
+    assert {r.side for r in recordings} == {"left"}
+    for n in (0, 24):
+        (grasp,) = dexycb.grasps(sequences[n], DATA / "ycb")
+        made = dexycb.clip(grasp, DATA / "ycb")
+        assert made is not None
+        clip, masks = made
+        assert len(clip) >= 20
+        assert masks.object.any(axis=(1, 2)).all()
+        assert np.sqrt(np.mean(grasp.hand.residuals**2)) < 0.003
+        assert 0.5 < grasp.stable_area < 1.0
+        true = recordings[n].joints[[int(f) for f in clip.frames]]
+        fitted = se3.transform(clip.hand.T_cam_hand, clip.hand.joints)
+        assert np.median(np.linalg.norm(fitted - true, axis=-1)) < 0.003

@@ -1,0 +1,189 @@
+"""The HO-3D reader: on small files of its layout, with known answers, and on broken ones; it has met no real file."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from getagrip.batch.imports import Given, import_clips
+from getagrip.clip import read_clip, read_masks
+from getagrip.datasets import ho3d, tracks
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.hands import generic
+from getagrip.hands.fit import ORDERS
+from getagrip.hands.mano import load
+from helpers.held_ball import AT, BETAS, FRAMES, TAKEN, Hostile, ball, bent, global_motion, motion, write_mano
+
+HELD = "025_mug"
+LOST = 29
+"""In this frame nothing is known."""
+K = np.array([[614.6, 0.0, 320.1], [0.0, 614.5, 241.4], [0.0, 0.0, 1.0]])
+FLIP = np.diag([1.0, -1.0, -1.0])
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def mano(tmp_path: Path) -> Path:
+    return write_mano(tmp_path / "mano")
+
+
+def save(path: Path, content: Any) -> None:
+    """As HO-3D's files are: a pickle of Python 2."""
+    path.write_bytes(pickle.dumps(content, protocol=2).replace(b"cnumpy._core.", b"cnumpy.core."))
+
+
+@pytest.fixture
+def root(tmp_path: Path, mano: Path) -> Path:
+    """HO-3D's folder, with one sequence of the train split and one of the evaluation split."""
+    root = tmp_path / "HO3D"
+    T_cam_hand, T_cam_obj = motion()
+    joints = se3.transform(T_cam_hand, generic.load("right").with_shape().with_pose(bent()).joints)
+    hand = load(mano / "MANO_RIGHT.pkl", "right")
+    F = se3.rigid(FLIP)
+    rot, trans = global_motion(F @ T_cam_hand, hand.model.with_shape(BETAS).joints[0])
+    T_gl_obj = F @ T_cam_obj
+    for split, sequence in (("train", "ABF12"), ("evaluation", "SM1")):
+        meta = root / split / sequence / "meta"
+        meta.mkdir(parents=True)
+        for n in range(FRAMES):
+            in_order = np.empty((21, 3))
+            in_order[ORDERS["ho3d"]] = joints[n]
+            content: dict[str, Any] = {
+                "objRot": se3.log_so3(T_gl_obj[n, :3, :3]).reshape(3, 1),
+                "objTrans": T_gl_obj[n, :3, 3],
+                "objName": HELD,
+                "objLabel": 1,
+                "objCorners3DRest": np.zeros((8, 3)),
+                "camMat": K,
+                "camIDList": ["0", "1"],
+            }
+            if split == "train":
+                content |= {
+                    "handPose": np.concatenate([rot[n], bent()]),
+                    "handTrans": trans[n],
+                    "handBeta": BETAS,
+                    "handJoints3D": in_order @ FLIP,
+                }
+            else:
+                content |= {"handJoints3D": joints[n, 0] @ FLIP, "handBoundingBox": [0, 0, 100, 100]}
+            if n == LOST:
+                content |= dict.fromkeys(("objRot", "objTrans", "handPose", "handTrans", "handJoints3D"))
+            save(meta / f"{n:04d}.pkl", content)
+    (root / "models" / HELD).mkdir(parents=True)
+    ball(0.03).export(root / "models" / HELD / "textured_simple.obj")
+    return root
+
+
+def read(root: Path, mano: Path | None) -> list[tracks.Track]:
+    """The tracks of both sequences."""
+    return [track for source in ho3d.find(root, None, mano) for track in source.read(lambda _: None)]
+
+
+def test_axes_of_opengl_are_turned(root: Path, mano: Path) -> None:
+    _, T_cam_obj = motion()
+    known = np.arange(FRAMES) != LOST
+    for folder in (None, mano):
+        (track,) = read(root, folder)
+        assert (track.name, track.side) == (f"ABF--ABF12--{HELD}--right", "right")
+        np.testing.assert_allclose(track.T_cam_obj, T_cam_obj[known], atol=1e-9)
+        np.testing.assert_allclose(track.K, [[614.6, 0.0, 320.6], [0.0, 614.5, 241.9], [0.0, 0.0, 1.0]])
+        np.testing.assert_array_equal(track.numbers, np.flatnonzero(known))
+
+
+def test_hands_are_mano_s_or_fitted_to_the_joints(root: Path, mano: Path) -> None:
+    T_cam_hand, _ = motion()
+    known = np.arange(FRAMES) != LOST
+    (by_mano,) = read(root, mano)
+    np.testing.assert_allclose(by_mano.hand.T_cam_hand, T_cam_hand[known], atol=1e-9)
+    true = load(mano / "MANO_RIGHT.pkl", "right").model.with_shape(BETAS).with_pose(bent())
+    np.testing.assert_allclose(by_mano.hand.vertices[0], true.vertices, atol=1e-9)
+    (fitted,) = read(root, None)
+    joints = generic.load("right").with_shape().with_pose(bent()).joints
+    seen = se3.transform(fitted.hand.T_cam_hand, fitted.hand.joints)
+    assert np.linalg.norm(seen - se3.transform(T_cam_hand[known], joints), axis=-1).max() < 0.003
+
+
+def test_a_grasp_ends_where_nothing_is_known(root: Path) -> None:
+    notes: list[str] = []
+    (piece,) = tracks.pieces(read(root, None), notes.append, ho3d.DEFINITION, False)
+    np.testing.assert_array_equal(piece.track.numbers, np.arange(TAKEN, LOST))
+    clip, masks = tracks.clip(piece, 20, notes.append)
+    assert clip.frames[0] == f"{TAKEN:04d}"
+    assert clip.truth.articulation is None
+    assert "0.9" in clip.provenance["clip"] or "1.000" in clip.provenance["clip"]
+    hand = se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
+    np.testing.assert_allclose(hand[:, :3, 3], np.tile(AT, (len(clip), 1)), atol=0.01)
+    assert masks.object.any(axis=(1, 2)).all()
+
+
+def test_hands_of_the_evaluation_split_are_not_known(root: Path) -> None:
+    notes: list[str] = []
+    for source in ho3d.find(root, None, None):
+        list(source.read(notes.append))
+    assert notes == [
+        f"evaluation/SM1: {FRAMES} frames without the pose of the hand or of the object: left out",
+        "train/ABF12: 1 frames without the pose of the hand or of the object: left out",
+    ]
+
+
+def test_import_writes_clips(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert import_clips("ho3d", root, tmp_path / "out", Given(None, None, None, False), debug=False) == 0
+    clip = read_clip(tmp_path / "out" / f"ABF--ABF12--{HELD}--right")
+    assert clip.provenance["subject"] == "ABF"
+    assert read_masks(clip).object.any()
+    assert import_clips("ho3d", root, tmp_path / "whole", Given(None, None, None, True), debug=False) == 0
+    assert len(read_clip(tmp_path / "whole" / f"ABF--ABF12--{HELD}--right")) == LOST
+    save(root / "train" / "ABF12" / "meta" / "0003.pkl", {})
+    assert import_clips("ho3d", root, tmp_path / "again", Given(None, None, None, False), debug=False) == 1
+    assert "0003.pkl: objName" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "named"),
+    [
+        ("objName", "../../etc", "objName"),
+        ("objName", 3, "objName"),
+        ("objName", "003_cracker_box", "another"),
+        ("objRot", np.full(3, np.nan), "objRot"),
+        ("objRot", np.zeros(4), "objRot"),
+        ("objTrans", "here", "objTrans"),
+        ("camMat", np.eye(3)[:2], "camMat"),
+        ("camMat", np.zeros((3, 3)), "camMat"),
+        ("handJoints3D", np.zeros((20, 3)), "handJoints3D"),
+        ("handJoints3D", np.zeros((21, 3)), "handJoints3D"),
+        ("handJoints3D", Hostile(), "nothing in it was run"),
+        ("handPose", np.zeros(45), "handPose"),
+        ("handBeta", None, "handBeta"),
+    ],
+)
+def test_broken_labels_are_named(root: Path, mano: Path, key: str, value: Any, named: str) -> None:
+    path = root / "train" / "ABF12" / "meta" / "0007.pkl"
+    save(path, pickle.loads(path.read_bytes()) | {key: value})
+    with pytest.raises(InputError, match=named):
+        read(root, mano if key in ("handPose", "handBeta") else None)
+
+
+def test_damaged_and_missing_files_are_named(root: Path, tmp_path: Path) -> None:
+    path = root / "train" / "ABF12" / "meta" / "0007.pkl"
+    content = path.read_bytes()
+    for damaged in (b"", content[: len(content) // 2], b"\x80\x02]."):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"0007\.pkl"):
+            read(root, None)
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match="--meshes"):
+        ho3d.find(root, root / "nowhere", None)
+    with pytest.raises(InputError, match="no <split>"):
+        ho3d.find(tmp_path / "mano", root / "models", None)
+    next((root / "models" / HELD).iterdir()).unlink()
+    with pytest.raises(InputError, match=HELD):
+        read(root, None)

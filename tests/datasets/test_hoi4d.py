@@ -1,0 +1,216 @@
+"""The HOI4D reader: on small files of its layout, with known answers, and on broken ones; it has met no real file."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from getagrip.batch.imports import Given, import_clips
+from getagrip.clip import read_clip, read_masks
+from getagrip.datasets import hoi4d, tracks
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from helpers.held_ball import (
+    BETAS,
+    FRAMES,
+    TAKEN,
+    Hostile,
+    ball,
+    bent,
+    global_motion,
+    motion,
+    posed,
+    same_points,
+    write_mano,
+)
+
+INDEX = "ZY20210800001/H1/C5/N11/S125/s03/T1"
+NAME = f"H1--{INDEX.replace('/', '-')}--Bottle--right"
+K = np.array([[1000.0, 0.0, 959.5], [0.0, 1010.0, 539.5], [0.0, 0.0, 1.0]])
+RED, GREEN, BROWN = (128, 0, 0), (0, 128, 0), (128, 128, 0)
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def mano(tmp_path: Path) -> Path:
+    return write_mano(tmp_path / "mano")
+
+
+@pytest.fixture
+def root(tmp_path: Path, mano: Path) -> Path:
+    """HOI4D's folder, with one sequence, of the right hand."""
+    root = tmp_path / "HOI4D"
+    T_cam_hand, T_cam_obj = motion()
+    notes = root / "HOI4D_annotations" / INDEX
+    (notes / "objpose").mkdir(parents=True)
+    hands = root / "handpose" / "refinehandpose_right" / INDEX
+    hands.mkdir(parents=True)
+    _, at_rest = posed(mano, "right")
+    rot, trans = global_motion(T_cam_hand, at_rest.joints[0])
+    for n in range(FRAMES):
+        angles = Rotation.from_matrix(T_cam_obj[n, :3, :3]).as_euler("XYZ")
+        entry = {
+            "label": "bottle",
+            "center": dict(zip("xyz", T_cam_obj[n, :3, 3].tolist(), strict=True)),
+            "rotation": dict(zip("xyz", angles.tolist(), strict=True)),
+            "dimensions": {"length": 0.06, "width": 0.06, "height": 0.07},
+        }
+        key = "dataList" if n % 2 else "objects"  # both occur
+        (notes / "objpose" / f"{n}.json").write_text(json.dumps({"info": "x", key: [entry, {}]}))
+        hand = {
+            "poseCoeff": np.concatenate([rot[n], bent()]).astype(np.float32),
+            "beta": BETAS.astype(np.float32),
+            "trans": trans[n].astype(np.float32),
+            "kps2D": np.zeros((21, 2)),
+        }
+        (hands / f"{n}.pickle").write_bytes(pickle.dumps(hand, protocol=3))
+    cads = root / "HOI4D_CAD_Model_for_release" / "rigid" / "Bottle"
+    cads.mkdir(parents=True)
+    ball(0.03).export(cads / "011.obj")
+    camera = root / "camera_params" / "ZY20210800001"
+    camera.mkdir(parents=True)
+    np.save(camera / "intrin.npy", K)
+    return root
+
+
+def write_labels(root: Path, kind: str = "mask") -> None:
+    """Labels of three rectangles: the object, the right hand, another object."""
+    folder = root / "HOI4D_annotations" / INDEX / "2Dseg" / kind
+    folder.mkdir(parents=True)
+    image = np.zeros((1080, 1920, 3), np.uint8)
+    image[100:201, 300:400] = RED
+    image[300:400, 300:400] = GREEN
+    image[500:600, 300:401] = BROWN
+    content = cv2.imencode(".png", image[..., ::-1])[1].tobytes()
+    for n in range(FRAMES):
+        (folder / f"{n:05d}.png").write_bytes(content)
+
+
+def read(root: Path, mano: Path) -> list[tracks.Track]:
+    """The tracks of the one sequence."""
+    (source,) = hoi4d.find(root, mano)
+    return list(source.read(lambda _: None))
+
+
+def test_poses_and_hands_are_those_that_were_written(root: Path, mano: Path) -> None:
+    (track,) = read(root, mano)
+    T_cam_hand, T_cam_obj = motion()
+    assert track.name == NAME
+    assert (track.size, track.fps) == ((960, 540), 15.0)
+    np.testing.assert_allclose(track.K, [[500.0, 0.0, 480.0], [0.0, 505.0, 270.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(track.T_cam_obj, T_cam_obj, atol=1e-9)
+    np.testing.assert_allclose(track.hand.T_cam_hand, T_cam_hand, atol=1e-6)
+    np.testing.assert_allclose(track.hand.vertices[3], posed(mano, "right")[1].vertices, atol=1e-6)
+    assert same_points(track.surface(7)[0], se3.transform(T_cam_obj[7], np.asarray(ball(0.03).vertices)), 1e-6)
+
+
+def test_left_hands_are_those_of_the_published_file(root: Path, mano: Path) -> None:
+    left = root / "handpose" / "refinehandpose_left" / INDEX
+    left.mkdir(parents=True)
+    for file in (root / "handpose" / "refinehandpose_right" / INDEX).iterdir():
+        given = pickle.loads(file.read_bytes())
+        given["poseCoeff"][3:] = bent("left")
+        (left / file.name).write_bytes(pickle.dumps(given))
+    track, _ = read(root, mano)
+    assert track.side == "left"
+    np.testing.assert_allclose(track.hand.vertices[3], posed(mano, "left")[1].vertices, atol=1e-6)
+
+
+def test_frames_without_a_hand_are_gaps(root: Path, mano: Path) -> None:
+    (root / "handpose" / "refinehandpose_right" / INDEX / "28.pickle").unlink()
+    notes: list[str] = []
+    (piece,) = tracks.pieces(read(root, mano), notes.append, hoi4d.DEFINITION, False)
+    np.testing.assert_array_equal(piece.track.numbers, np.arange(TAKEN, 28))
+    (whole,) = tracks.pieces(read(root, mano), notes.append, hoi4d.DEFINITION, True)
+    np.testing.assert_array_equal(whole.track.numbers, np.arange(28))
+
+
+@pytest.mark.parametrize("kind", ["mask", "shift_mask"])
+def test_labels_are_masks(root: Path, mano: Path, kind: str) -> None:
+    write_labels(root, kind)
+    (piece,) = tracks.pieces(read(root, mano), print, hoi4d.DEFINITION, False)
+    clip, masks = tracks.clip(piece, 20, print)
+    assert "drawn by people" in clip.provenance["masks"]
+    seen, ignore = masks.object[0], masks.ignore[0]
+    assert seen.shape == (540, 960)
+    assert seen[50:101, 150:200].all()  # half of the last row's pixels are the object's
+    assert seen.sum() == 51 * 50
+    assert ignore[150:200, 150:200].all()
+    assert ignore.sum() == 50 * 50 + 50 * 51
+
+
+def test_masks_are_rendered_where_there_are_none(root: Path, mano: Path, tmp_path: Path) -> None:
+    given = Given(None, mano, None, False)
+    assert import_clips("hoi4d", root, tmp_path / "out", given, debug=False) == 0
+    clip = read_clip(tmp_path / "out" / NAME)
+    assert "rendered" in clip.provenance["masks"]
+    assert read_masks(clip).object.any(axis=(1, 2)).all()
+
+
+def test_objects_with_joints_are_left_out(root: Path, mano: Path) -> None:
+    notes: list[str] = []
+    (root / "HOI4D_CAD_Model_for_release" / "rigid" / "Bottle" / "011.obj").unlink()
+    (source,) = hoi4d.find(root, mano)
+    assert list(source.read(notes.append)) == []
+    assert "Bottle/011.obj" in notes[0]
+
+
+OBJPOSE = f"HOI4D_annotations/{INDEX}/objpose/7.json"
+HAND = f"handpose/refinehandpose_right/{INDEX}/7.pickle"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "named"),
+    [
+        (OBJPOSE, b"{}", "objects"),
+        (OBJPOSE, b"[1", "no JSON"),
+        (OBJPOSE, b'{"objects": []}', "objects"),
+        (OBJPOSE, b'{"objects": [{"center": {"x": 0, "y": 0, "z": 1}}]}', r"objects\[0\].rotation"),
+        (OBJPOSE, b'{"objects": [{"rotation": {"x": 0, "y": 0, "z": NaN}}]}', "NaN"),
+        (OBJPOSE, b'{"dataList": [{"rotation": {"x": 0, "y": 0, "z": true}}]}', r"dataList\[0\].rotation"),
+        (HAND, b"", "does not load"),
+        (HAND, pickle.dumps({"poseCoeff": np.zeros(48)}), "trans: got no such key"),
+        (HAND, pickle.dumps({"poseCoeff": np.zeros(47)}), "poseCoeff"),
+        (HAND, pickle.dumps({"poseCoeff": np.full(48, np.inf)}), "poseCoeff"),
+        (HAND, pickle.dumps({"poseCoeff": Hostile()}), "nothing in it was run"),
+        (HAND, pickle.dumps([1]), "dictionary"),
+        ("camera_params/ZY20210800001/intrin.npy", b"\x93NUMPY", "header"),
+        ("HOI4D_CAD_Model_for_release/rigid/Bottle/011.obj", b"f 1 2 3", "vertex 3"),
+    ],
+)
+def test_broken_files_are_named(root: Path, mano: Path, name: str, content: bytes, named: str) -> None:
+    (root / name).write_bytes(content)
+    with pytest.raises(InputError, match=rf"{Path(name).name}.*{named}"):
+        read(root, mano)
+
+
+def test_broken_labels_are_named(root: Path, mano: Path) -> None:
+    write_labels(root)
+    path = root / "HOI4D_annotations" / INDEX / "2Dseg" / "mask" / "00007.png"
+    content = path.read_bytes()
+    cv2.imwrite(str(path), np.zeros((540, 960, 3), np.uint8))
+    small = path.read_bytes()
+    for damaged in (content[: len(content) // 2], b"", small):
+        path.write_bytes(damaged)
+        (piece,) = tracks.pieces(read(root, mano), print, hoi4d.DEFINITION, False)
+        with pytest.raises(InputError, match=r"00007\.png"):
+            tracks.clip(piece, 20, print)
+
+
+def test_wrong_calls_are_refused(root: Path, mano: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="--mano: HOI4D"):
+        hoi4d.find(root, None)
+    with pytest.raises(InputError, match="objpose"):
+        hoi4d.find(tmp_path / "mano", mano)
+    with pytest.raises(UsageError, match="--view: got 1, expected none: hoi4d takes --mano, --whole"):
+        import_clips("hoi4d", root, tmp_path, Given(None, mano, 1, False), debug=False)

@@ -1,0 +1,312 @@
+"""The HOT3D reader: on a made-up recording, on broken ones, and on HOT3D's own samples where they are."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+from getagrip.clip import FINGERS
+from getagrip.datasets import tracks
+from getagrip.datasets.hot3d import clips as hot3d
+from getagrip.datasets.hot3d import files as hot3d_files
+from getagrip.datasets.hot3d import timelines as hot3d_timelines
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.geometry.depth import depth_and_face
+from getagrip.grasps.stable import Definition, segment
+from helpers.paths import DATA, needs
+from helpers.umetrack_profile import profile
+
+HOT3D = DATA / "hot3d"
+NAME = "P0000_0123abcd"
+FRAMES = 16
+STEP = 33_333_333
+
+
+@pytest.fixture
+def root(tmp_path):
+    """A right hand (a ball) that touches a box in frames 2 to 13, seen by a Quest; a second object has no mesh."""
+    sequence = tmp_path / "sequences" / NAME
+    sequence.mkdir(parents=True)
+    times = 10**12 + STEP * np.arange(FRAMES)
+
+    def poses(uid, offsets):
+        return [
+            [uid, t + 90_000, *x, 1, 0, 0, 0] for t, x in zip(times, np.broadcast_to(offsets, (FRAMES, 3)), strict=True)
+        ]
+
+    header = ["object_uid", "timestamp[ns]", "t_wo_x[m]", "t_wo_y[m]", "t_wo_z[m]", "q_wo_w", "q_wo_x", "q_wo_y"]
+    header += ["q_wo_z"]
+    # The hand's ball reaches from its wrist 12 cm to -x; the box begins there, but for the first and last frames.
+    apart = np.where((np.arange(FRAMES) < 2) | (np.arange(FRAMES) > 13), 0.02, 0.0)
+    box = np.stack([-0.122 - 0.04 - apart, np.zeros(FRAMES), np.full(FRAMES, 0.6)], axis=1)
+    tables = {
+        "headset_trajectory.csv": [[1, t, 0, 0, 0, 1, 0, 0, 0] for t in sorted([*times, *(times + 90_000)])],
+        "dynamic_objects.csv": [*poses("111", box), *poses("222", [1.0, 0.0, 1.0])],
+    }
+    for name, rows in tables.items():
+        with (sequence / name).open("w", newline="") as file:
+            csv.writer(file).writerows([header, *rows])
+    wrist = {"q_wxyz": [1, 0, 0, 0], "t_xyz": [0.0, 0.0, 0.6]}
+    hands = {"1": {"wrist_xform": wrist, "joint_angles": [0.0] * 22}}
+    lines = [json.dumps({"timestamp_ns": int(t), "hand_poses": hands}) for t in times]
+    (sequence / "umetrack_hand_pose_trajectory.jsonl").write_text("\n".join(lines))
+    (sequence / "umetrack_hand_user_profile.json").write_text(json.dumps(profile()))
+    small, large = (
+        {
+            "T_Device_Camera": {"quaternion_wxyz": [1, 0, 0, 0], "translation_xyz": [0, 0, 0]},
+            "imageHeight": height,
+            "imageWidth": 640,
+            "label": "camera-slam-left",
+            "projectionParams": [300.0, 300.0, 319.5, height / 2 - 0.5, *[0.0] * 12],
+        }
+        for height in (480, 640)
+    )
+    (sequence / "camera_models.json").write_text(json.dumps([small, large]))
+    assets = tmp_path / "assets"
+    assets.mkdir()
+    instances = {"111": {"instance_name": "red_box"}, "222": {"instance_name": "ghost"}}
+    (assets / "instance.json").write_text(json.dumps(instances))
+    trimesh.creation.box(extents=[0.08, 0.1, 0.12]).export(assets / "111.glb")
+    return tmp_path
+
+
+def test_a_hold_becomes_a_clip(root):
+    notes = []
+    ((clip, masks),) = hot3d.read(root, notes.append)
+    assert clip.name == f"{NAME}-red_box-right"
+    assert (clip.category, clip.side, clip.size, clip.scale) == ("red_box", "right", (640, 640), "known")
+    assert clip.fps == pytest.approx(30.0, abs=0.01)
+    assert clip.frames == tuple(f"{n:06d}" for n in range(2, 14))
+    assert any("ghost" in note for note in notes)
+    # One quarter turn: the world's x, right in the lens's picture, points down in ours.
+    np.testing.assert_allclose(clip.truth.T_cam_obj[0, :3, 3], [0.0, -0.162, 0.6], atol=1e-12)
+    # The hand is the mirrored ball, 12 cm to the world's -x.
+    hand = se3.transform(clip.truth.T_cam_hand[0], clip.truth.hand_vertices[0])
+    np.testing.assert_allclose(hand[:, 1].min(), -0.12, atol=1e-3)
+    np.testing.assert_array_equal(clip.hand.T_cam_hand, clip.truth.T_cam_hand)
+    # Object and hand do not overlap here, so the mask is the whole object.
+    box = se3.transform(clip.truth.T_cam_obj[3], clip.mesh.vertices)
+    seen = depth_and_face(box, clip.mesh.faces, clip.K[3], clip.size)[1] >= 0
+    assert np.count_nonzero(seen) > 1000
+    np.testing.assert_array_equal(masks.object[3] | masks.ignore[3], seen | masks.ignore[3])
+    assert not np.any(masks.object & masks.ignore)
+    assert masks.object.shape == masks.ignore.shape == (12, 640, 640)
+    json.dumps(clip.provenance)
+
+
+def test_files_may_lie_apart(root):
+    apart = root / "hands" / NAME
+    apart.mkdir(parents=True)
+    for path in root.glob(f"sequences/{NAME}/umetrack*"):
+        path.rename(apart / path.name)
+    ((clip, _),) = hot3d.read(root)
+    assert len(clip) == 12
+
+
+def test_short_touches_are_no_holds(root):
+    path = root / "sequences" / NAME / "umetrack_hand_pose_trajectory.jsonl"
+    path.write_text("\n".join(path.read_text().splitlines()[:10]))  # contact in 8 frames; no hand after them
+    assert list(hot3d.read(root)) == []
+
+
+def test_the_other_recordings_are_read_before_an_error_is_raised(root):
+    broken = root / "sequences" / "P0000_bad"
+    broken.mkdir()
+    (broken / "dynamic_objects.csv").write_text("object_uid\n")
+    clips = hot3d.read(root)
+    assert next(clips)[0].name.startswith(NAME)
+    with pytest.raises(InputError, match="P0000_bad"):
+        list(clips)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("dynamic_objects.csv", "t_wo_y[m]", "t_wo_y[mm]"),
+        ("dynamic_objects.csv", "0.6", "nan"),
+        ("dynamic_objects.csv", ",1,0,0,0", ",2,0,0,0"),
+        ("headset_trajectory.csv", None, "object_uid\n"),
+        ("umetrack_hand_pose_trajectory.jsonl", '"timestamp_ns"', '"time"'),
+        ("umetrack_hand_pose_trajectory.jsonl", '"1"', '"2"'),
+        ("umetrack_hand_pose_trajectory.jsonl", "[1, 0, 0, 0]", "[1, 0, 0]"),
+        ("umetrack_hand_pose_trajectory.jsonl", "1000000000000", "1e999"),
+        ("umetrack_hand_pose_trajectory.jsonl", None, "{"),
+        ("umetrack_hand_pose_trajectory.jsonl", None, "[" * 100_000),
+        ("umetrack_hand_user_profile.json", None, "{}"),
+        ("camera_models.json", None, "[]"),
+        ("camera_models.json", "640", "64000000"),
+        ("camera_models.json", "300.0", "-300.0"),
+    ],
+)
+def test_broken_files_are_named(root, name, old, new):
+    path = root / "sequences" / NAME / name
+    path.write_text(new if old is None else path.read_text().replace(old, new))
+    with pytest.raises(InputError, match=name.replace(".", r"\.")):
+        list(hot3d.read(root))
+
+
+def test_recordings_of_absurd_lengths_are_refused(root, monkeypatch):
+    monkeypatch.setattr(hot3d_files, "MOST_FRAMES", FRAMES - 1)
+    with pytest.raises(InputError, match=r"headset_trajectory\.csv: got 16 frames, expected 2 to 15"):
+        list(hot3d.read(root))
+    monkeypatch.setattr(hot3d_files, "LARGEST_TABLE", 1000)
+    with pytest.raises(InputError, match=r"bytes, expected at most 1000"):
+        list(hot3d.read(root))
+
+
+def test_missing_files_are_named(root):
+    (root / "sequences" / NAME / "camera_models.json").unlink()
+    with pytest.raises(InputError, match=r"camera_models\.json"):
+        list(hot3d.read(root))
+    (root / "assets" / "instance.json").unlink()
+    with pytest.raises(InputError, match=r"instance\.json"):
+        list(hot3d.read(root))
+    with pytest.raises(InputError, match="no dynamic_objects"):
+        list(hot3d.read(root / "assets"))
+    with pytest.raises(InputError, match="no such folder"):
+        list(hot3d.read(root / "nowhere"))
+
+
+@pytest.mark.parametrize("name", ["../escape", "a/b", "", 3])
+def test_object_names_that_could_be_paths_are_refused(root, name):
+    (root / "assets" / "instance.json").write_text(json.dumps({"111": {"instance_name": name}}))
+    with pytest.raises(InputError, match=r"instance\.json: 111"):
+        list(hot3d.read(root))
+
+
+def test_an_import_goes_on_where_it_stopped(root, tmp_path, run):
+    call = ("import", "hot3d", root, "--out", tmp_path / "out")
+    status, said, _ = run(*call)
+    assert (status, said.splitlines()[-1]) == (0, "1 clips, 0 already there, 0 sequences failed")
+    made = tmp_path / "out" / f"{NAME}-red_box-right"
+    stamp = (made / "hand.npz").stat().st_mtime_ns
+    broken = root / "sequences" / "P0000_bad"
+    broken.mkdir()
+    (broken / "dynamic_objects.csv").write_text("object_uid\n")
+    status, said, err = run(*call)
+    assert (status, said.splitlines()[-1]) == (1, "0 clips, 1 already there, 1 sequences failed")
+    assert "P0000_bad" in err
+    assert (made / "hand.npz").stat().st_mtime_ns == stamp
+    assert json.loads((made / "clip.json").read_text())["provenance"]["subject"] == "P0000"
+
+
+def test_whole_recordings_show_what_is_outside_of_the_holds(root, tmp_path, run):
+    assert run("import", "hot3d", root, "--out", tmp_path / "out", "--whole")[0] == 0
+    name = "P0000--0123abcd--red_box--right"
+    assert [folder.name for folder in (tmp_path / "out").iterdir()] == [name]
+    assert not (tmp_path / "out" / name / "masks").exists()
+    (source,) = hot3d.sources(root)
+    (piece,) = hot3d.whole(source.read(print), print)
+    clip, _ = tracks.clip(piece, hot3d.SHORTEST, print)
+    assert (clip.name, clip.frames) == (name, frames(tmp_path / "out" / name))
+    assert clip.frames == tuple(f"{n:06d}" for n in range(FRAMES))
+    assert segment(clip, Definition(contact=0.005, points="area", shortest=5))[1] == [(2, 13)]
+
+
+def frames(clip):
+    """The frames that a clip's folder tells of."""
+    return tuple(json.loads((clip / "clip.json").read_text())["frames"])
+
+
+def timelines(path, **changes):
+    """A list in which the right hand has the box from frame 3 to 6, then from 8 to 40; and what is not to be read."""
+    segments = [(3, 6, "right", "inhand"), (6, 8, None, "scene_dynamic"), (8, 40, "right", "inhand")]
+    segments += [(9, 9, "right", "inhand"), (50, 2, "right", "inhand"), (0, 15, "left", "inhand")]
+    entry = {
+        "timeline_name": f"{NAME}_red_box_00000_00016", "seq_name": NAME, "cat": "red_box", "total_start": 0,
+        "total_end": FRAMES, "segments": [dict(zip(("st", "ed", "side", "ref"), s, strict=True)) for s in segments],
+    }  # fmt: skip
+    path.write_text(json.dumps([entry | changes]))
+    return path
+
+
+def test_grasps_of_a_list(root, tmp_path, run):
+    listed = timelines(tmp_path / "hit.json")
+    status, _, err = run("import", "hot3d", root, "--out", tmp_path / "out", "--timelines", listed)
+    assert status == 0
+    assert "hit.json: 1 grasps end before they start: left out" in err
+    assert f"{NAME}-red_box-right-00009-00009: hand and object are known in 1 of its frames: left out" in err
+    found = {folder.name: frames(folder) for folder in (tmp_path / "out").iterdir()}
+    assert found == {
+        f"{NAME}-red_box-right-00003-00006": tuple(f"{n:06d}" for n in range(3, 7)),  # both ends included
+        f"{NAME}-red_box-right-00008-00040": tuple(f"{n:06d}" for n in range(8, FRAMES)),
+    }
+
+
+def test_a_list_that_counts_other_frames_is_refused_unless_its_first_number_is_given(root, tmp_path, run):
+    listed = timelines(tmp_path / "hit.json", total_end=FRAMES + 4)
+    call = ("import", "hot3d", root, "--out", tmp_path / "out", "--timelines", listed)
+    status, _, err = run(*call)
+    assert status == 1
+    assert "got 16 frames, expected 20, as the list counts them: say with --first-frame" in err
+    assert run(*call, "--first-frame", 4)[0] == 0
+    found = {folder.name: frames(folder) for folder in (tmp_path / "out").iterdir()}
+    assert found[f"{NAME}-red_box-right-00003-00006"] == ("000000", "000001", "000002")
+    assert found[f"{NAME}-red_box-right-00008-00040"][0] == "000004"
+
+
+def test_wrong_calls_with_lists(root, tmp_path, run):
+    listed = timelines(tmp_path / "hit.json", seq_name="P0001_other")
+    call = ("import", "hot3d", root, "--out", tmp_path / "out")
+    assert run(*call, "--timelines", listed)[0] == 1
+    assert run(*call, "--timelines", listed, "--whole")[0] == 2
+    assert run(*call, "--first-frame", 3)[0] == 2
+    status, _, err = run("import", "ho3d", root, "--out", tmp_path / "out", "--timelines", listed)
+    assert (status, "--timelines" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"seq_name": "../x"}, r"\[0\].seq_name"),
+        ({"seq_name": None}, r"\[0\].seq_name"),
+        ({"cat": 3}, r"\[0\].cat"),
+        ({"total_end": "16"}, r"\[0\].total_end"),
+        ({"total_end": -1}, r"\[0\].total_end"),
+        ({"segments": None}, r"\[0\].segments"),
+        ({"segments": [3]}, r"\[0\].segments"),
+        ({"segments": [{"ed": 3}]}, r"segments\[0\].st"),
+        ({"segments": [{"st": 1.5, "ed": 3}]}, r"segments\[0\].st"),
+        ({"segments": [{"st": 1, "ed": 10**30}]}, r"segments\[0\].ed"),
+        ({"segments": [{"st": 1, "ed": 3, "ref": "thrown"}]}, r"segments\[0\].ref"),
+        ({"segments": [{"st": 1, "ed": 3, "ref": []}]}, r"segments\[0\].ref"),
+        ({"segments": [{"st": 1, "ed": 3, "ref": "inhand", "side": None}]}, r"segments\[0\].side"),
+    ],
+)
+def test_broken_lists_are_named(tmp_path, changes, named):
+    with pytest.raises(InputError, match=named):
+        hot3d_timelines.read(timelines(tmp_path / "hit.json", **changes))
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"[" * 100_000, b"\xff", b"[3]", b"null"])
+def test_what_is_no_list_is_refused(tmp_path, content):
+    (tmp_path / "hit.json").write_bytes(content)
+    with pytest.raises(InputError, match=r"hit\.json"):
+        hot3d_timelines.read(tmp_path / "hit.json")
+
+
+@needs(HOT3D)
+def test_the_three_holds_of_the_samples():
+    from scipy.spatial import cKDTree
+
+    notes = []
+    found = {}
+    for clip, masks in hot3d.read(HOT3D, notes.append):
+        found[clip.name] = len(clip)
+        assert masks.object.any(axis=(1, 2)).all()
+        assert clip.truth.scale == 1.0
+        hand = se3.transform(clip.truth.T_cam_hand, clip.truth.hand_vertices)
+        corners = se3.transform(clip.truth.T_cam_obj, clip.mesh.vertices[clip.mesh.faces].mean(axis=1))
+        for n in (0, len(clip) - 1):
+            distance, _ = cKDTree(corners[n]).query(hand[n])
+            pads = [distance[clip.hand.regions[finger]].min() for finger in FINGERS]
+            assert sorted(pads)[2] < 0.008  # three fingertips and more are at the object
+    assert found == {
+        "P0002_273c2819-mouse-right": 15,
+        "P0003_c701bd11-coffee_pot-left": 34,
+        "P0003_c701bd11-mug_white-right": 34,
+    }
+    assert notes == []

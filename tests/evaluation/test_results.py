@@ -1,0 +1,168 @@
+"""Results against clips: the laws of all metrics together, and clear errors."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from getagrip import evaluation as ev
+from getagrip.clip import Clip, Masks, input_sha256, write_clip
+from getagrip.datasets.synthetic import shapes
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import write_mesh
+from getagrip.io import files
+from getagrip.metrics.contact import SIDES
+from getagrip.result import write_result
+from helpers.egg_and_mug import FRAMES, perfect, same, written
+
+
+def test_a_perfect_result(scene: tuple[Clip, Masks]) -> None:
+    out = ev.evaluate(perfect(scene[0]), *scene)
+    metrics = out["metrics"]
+    assert metrics["iou_full"] == 1.0
+    assert metrics["iou"] > 0.96
+    assert metrics["add_mm"] == pytest.approx(0.0, abs=1e-9)
+    assert metrics["add_success"] == metrics["add_sym_success"] == metrics["add_frame_success"] == 1.0
+    for side in SIDES:
+        for mm in (0, 5, 10):
+            key = f"{side}_{mm}mm"
+            assert 0.0 < metrics[f"sca_{key}"] < 1.0
+            for other in ("truth_sca", "sca_add", "sca_add_sym", "sca_iou_80", "sca_iou_60"):
+                assert metrics[f"{other}_{key}"] == pytest.approx(metrics[f"sca_{key}"], abs=1e-12)
+            assert metrics[f"sca_diagonal_{key}"] > metrics[f"sca_{key}"]
+    assert metrics["truth_penetration_hand_mm"] == metrics["penetration_hand_mm"] > 0.0
+    assert out["symmetry"] == "none"
+    assert all(len(values) == FRAMES for values in out["per_frame"].values())
+
+
+def test_means_are_means_of_the_frames(scene: tuple[Clip, Masks]) -> None:
+    result = perfect(scene[0])
+    off = se3.rigid(t=np.linspace(0.0, 0.03, FRAMES)[:, None] * [1.0, 0.0, 0.0])
+    out = ev.evaluate(replace(result, T_hand_obj=off @ result.T_hand_obj), *scene)
+    for key in ("iou", "iou_full", "iou_soft", "add_mm", "rotation_deg", "translation_mm", "penetration_object_mm"):
+        assert out["metrics"][key] == pytest.approx(np.mean(out["per_frame"][key]))
+    assert out["metrics"]["add_mm"] == pytest.approx(15.0)
+    assert out["metrics"]["add_success"] == 0.0
+    assert out["metrics"]["add_frame_success"] == pytest.approx(2 / 5)
+    assert out["metrics"]["sca_add_object_5mm"] == 0.0
+
+
+def test_nothing_but_masks_depends_on_where_the_camera_stands(scene: tuple[Clip, Masks]) -> None:
+    clip, _ = scene
+    assert clip.truth is not None
+    G = se3.rigid(se3.exp_so3(np.array([0.3, -1.0, 2.0])), np.array([0.1, 0.2, 0.3]))
+    hand = replace(clip.hand, T_cam_hand=G @ clip.hand.T_cam_hand)
+    truth = replace(clip.truth, T_cam_hand=G @ clip.truth.T_cam_hand, T_cam_obj=G @ clip.truth.T_cam_obj)
+    off = replace(perfect(clip), T_hand_obj=perfect(clip).T_hand_obj @ se3.rigid(t=np.array([0.0, 0.01, 0.0])))
+    here, there = ev.evaluate(off, clip, None), ev.evaluate(off, replace(clip, hand=hand, truth=truth), None)
+    same(here["metrics"], there["metrics"])
+    assert "iou" not in here["metrics"]
+
+
+def test_the_hand_that_was_given_and_the_true_one_are_kept_apart(scene: tuple[Clip, Masks]) -> None:
+    """The object is judged in the frame of the hand that was given, the truth in that of the true hand."""
+    clip, _ = scene
+    off = replace(clip.hand, T_cam_hand=clip.hand.T_cam_hand @ se3.rigid(t=np.array([0.01, 0.0, 0.0])))
+    metrics = ev.evaluate(perfect(clip), replace(clip, hand=off), None)["metrics"]
+    same(metrics, ev.evaluate(perfect(clip), clip, None)["metrics"])
+
+
+def test_scale_is_judged_where_it_is_free(scene: tuple[Clip, Masks]) -> None:
+    clip, masks = scene
+    assert "scale_error" not in ev.evaluate(perfect(clip), clip, masks)["metrics"]
+    large = replace(perfect(clip), scale=1.1)
+    metrics = ev.evaluate(large, replace(clip, scale="free"), masks)["metrics"]
+    assert metrics["scale_error"] == pytest.approx(0.1)
+    assert metrics["iou_full"] < 0.95
+
+
+def test_folders_give_what_memory_gives(scene: tuple[Clip, Masks], tmp_path: Path) -> None:
+    clip, result = written(scene, tmp_path)
+    expected = ev.evaluate(perfect(scene[0]), *scene)["metrics"]
+    for clips in (None, clip, clip.parent):
+        same(ev.evaluate_result(result, clips)["metrics"], expected, 1e-4)
+
+
+def test_a_moved_clip_is_found_beside_its_result(scene: tuple[Clip, Masks], tmp_path: Path) -> None:
+    clip, result = written(scene, tmp_path)
+    clip.rename(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="--clips"):
+        ev.evaluate_result(result)
+    assert ev.evaluate_result(result, tmp_path / "elsewhere")["metrics"]["iou_full"] == 1.0
+    result = result.rename(tmp_path / "result")
+    (tmp_path / "elsewhere").rename(tmp_path / scene[0].name)
+    assert ev.evaluate_result(result)["metrics"]["iou_full"] == 1.0
+
+
+def test_some_frames_of_a_clip(scene: tuple[Clip, Masks], tmp_path: Path) -> None:
+    clip = write_clip(*scene, tmp_path / scene[0].name)
+    some = perfect(scene[0].take(np.array([1, 3])))
+    folder = write_result(some, tmp_path / "result", input_sha256(clip))
+    out = ev.evaluate_result(folder)
+    assert out["frames"] == ["000001", "000003"]
+    assert out["metrics"]["iou_full"] == 1.0
+    assert out["metrics"]["add_mm"] == pytest.approx(0.0, abs=1e-3)
+    one = write_result(perfect(scene[0].take(np.array([2]))), tmp_path / "one", input_sha256(clip))
+    assert np.isnan(ev.evaluate_result(one)["metrics"]["sca_object_0mm"])
+
+
+def test_without_truth_or_masks(scene: tuple[Clip, Masks], tmp_path: Path) -> None:
+    clip, masks = scene
+    bare = write_clip(replace(clip, truth=None), masks, tmp_path / clip.name)
+    result = write_result(perfect(clip), tmp_path / "result", input_sha256(bare))
+    metrics = ev.evaluate_result(result)["metrics"]
+    assert {"iou", "iou_full", "sca_object_0mm", "sca_iou_80_hand_5mm"} <= metrics.keys()
+    assert not any("add" in key or "truth" in key for key in metrics)
+    unseen = write_clip(clip, None, tmp_path / "unseen" / clip.name)
+    result = write_result(perfect(clip), tmp_path / "unseen" / "result", input_sha256(unseen))
+    metrics = ev.evaluate_result(result)["metrics"]
+    assert {"add_mm", "truth_sca_object_0mm"} <= metrics.keys()
+    assert not any("iou" in key for key in metrics)
+
+
+def test_errors_name_what_does_not_fit(scene: tuple[Clip, Masks], tmp_path: Path) -> None:
+    clip, result = written(scene, tmp_path)
+    with pytest.raises(InputError, match="no such folder"):
+        ev.evaluate_result(tmp_path / "nothing")
+    unknown = replace(perfect(scene[0]), frames=(*scene[0].frames[:-1], "000099"))
+    folder = write_result(unknown, tmp_path / "unknown", input_sha256(clip), clip_folder=clip)
+    with pytest.raises(InputError, match=r"frames: got the frame '000099', expected frames of the clip"):
+        ev.evaluate_result(folder)
+    folder = write_result(perfect(scene[0], "other"), tmp_path / "other", input_sha256(clip), clip_folder=clip)
+    with pytest.raises(InputError, match="name: got 'egg-and-mug', expected 'other'"):
+        ev.evaluate_result(folder)
+    write_mesh(clip / "object.obj", shapes.cup())
+    with pytest.raises(InputError, match=r"input_sha256: .*reconstruct it again"):
+        ev.evaluate_result(result)
+
+
+def test_summary_means_over_the_clips_that_have_a_number() -> None:
+    metrics = [{"iou": 0.5, "add_mm": 3.0}, {"iou": 1.0}, {"iou": np.nan}]
+    evaluations = [{"method": m, "metrics": k} for m, k in zip(("a", "b", "a"), metrics, strict=True)]
+    out = ev.summary(evaluations)
+    assert out["mean"] == {"iou": 0.75, "add_mm": 3.0}
+    assert out["clips"] == {"iou": 2, "add_mm": 1}
+    assert out["samples"] == evaluations
+    assert out["methods"]["a"] == {"mean": {"iou": 0.5, "add_mm": 3.0}, "clips": {"iou": 1, "add_mm": 1}}
+
+
+def test_tables_fit_a_terminal_and_json_holds_what_they_show(scene: tuple[Clip, Masks], tmp_path: Path) -> None:
+    from rich.console import Console
+
+    clip, masks = scene
+    samples = [ev.evaluate(perfect(clip), clip, masks), ev.evaluate(perfect(clip), replace(clip, truth=None), masks)]
+    console = Console(width=80, record=True, file=io.StringIO())
+    for table in ev.tables(samples):
+        console.print(table)
+    text = console.export_text()
+    assert "mean of 2" in text
+    assert "…" not in text
+    assert f"{100 * samples[0]['metrics']['sca_object_10mm']:.1f}" in text
+    files.write_json(tmp_path / "out.json", ev.summary(samples))
+    assert json.loads((tmp_path / "out.json").read_text())["samples"][0]["metrics"]["iou_full"] == 1.0

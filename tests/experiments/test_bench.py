@@ -1,0 +1,343 @@
+"""Benchmarks: what is run on which clips, means and intervals, tables, and runs that are interrupted."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from getagrip.cli import main
+from getagrip.clip import read_clip, write_clip
+from getagrip.datasets.synthetic.scene import Options as ClipOptions
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.errors import GetagripError, UsageError
+from getagrip.experiments import trials
+from getagrip.experiments.comparison import compare, groups
+from getagrip.experiments.settings import ABLATIONS, AS_GIVEN, ScaleFree, ScaleKnown, ablation_arms, method_arms
+from getagrip.experiments.sources import Source, samples
+from getagrip.experiments.statistics import estimate, resamples
+from getagrip.experiments.tables import LATEX, latex, markdown
+from getagrip.experiments.trials import Score, Scores
+from getagrip.fitting.options import Method, Options
+from getagrip.result import read_result
+from helpers.command_line import Run
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: Any) -> Path:
+    """A folder of two clips; nothing in it is changed by tests."""
+    folder: Path = tmp_path_factory.mktemp("made") / "clips"
+    for category in ("can", "box"):
+        write_clip(*synthesise(category, 0, ClipOptions(frames=4)), folder / category)
+    return folder
+
+
+def score(arm: str, value: float, failed: bool = False) -> Score:
+    """A score of which every metric in the tables has the same value."""
+    kinds = ("sca", "truth_sca", "sca_add", "sca_add_sym", "sca_iou_80", "sca_iou_60")
+    keys = ["iou", "add_success", "add_sym_success", *(f"{kind}_object_10mm" for kind in kinds)]
+    return Score(arm, {} if failed else dict.fromkeys(keys, value), 1.0, 2.0, False, "stopped", failed)
+
+
+# ---------------------------------------------------------------- statistics
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=5, max_size=20), st.integers(0, 5))
+def test_an_interval_holds_its_mean_and_stays_among_the_values(values: list[float], seed: int) -> None:
+    x = np.array(values)
+    found = estimate(x, resamples([str(n) for n in range(len(x))], seed))
+    assert found.mean == pytest.approx(x.mean())
+    assert found.clips == len(x)
+    if np.ptp(x) > 0.0:
+        assert x.min() - 1e-12 <= found.low <= found.high <= x.max() + 1e-12
+
+
+def test_the_interval_is_that_of_the_normal_law() -> None:
+    x = np.random.default_rng(0).normal(size=400)
+    found = estimate(x, resamples([str(n) for n in range(400)]))
+    wide = 1.96 * x.std() / np.sqrt(400)
+    np.testing.assert_allclose([found.low, found.high], [x.mean() - wide, x.mean() + wide], atol=0.015)
+
+
+def test_clips_of_a_subject_are_drawn_together() -> None:
+    weights = resamples([name for name in "abcdef" for _ in range(2)])
+    np.testing.assert_array_equal(weights[:, ::2], weights[:, 1::2])
+    np.testing.assert_array_equal(weights.sum(axis=1), 12)
+    # Each clip twice says no more than each once.
+    x = np.repeat([0.0, 1.0, 0.0, 0.5, 0.2, 0.9], 2)
+    assert estimate(x, weights).high == estimate(x[::2], weights[:, ::2]).high
+
+
+def test_no_interval_where_clips_are_few_alike_or_drawn_together() -> None:
+    assert np.isnan(estimate(np.ones(5), resamples(list("abcde"))).low)
+    assert np.isnan(estimate(np.arange(4.0), resamples(list("abcd"))).low)
+    assert np.isnan(estimate(np.arange(6.0), resamples(list("aaaaaa"))).low)
+    nothing = estimate(np.full(3, np.nan), resamples(list("abc")))
+    assert np.isnan(nothing.mean)
+    assert nothing.clips == 0
+
+
+# ---------------------------------------------------------------- comparisons
+
+
+def test_best_second_and_paired_differences() -> None:
+    arms = method_arms(["one-dof", "soft-hinge", "static"], Options())
+    hinge = [0.5, 0.7, 0.6, 0.4, 0.5]
+    values = {
+        "one-dof": hinge,
+        "soft-hinge": [x + 0.1 + 0.01 * n for n, x in enumerate(hinge)],
+        "static": [0.1, 0.2, 0.9, 0.3, 0.2],
+    }
+    scores = [Scores(f"c{n}", "can", "", True, tuple(score(m, v[n]) for m, v in values.items())) for n in range(5)]
+    (table,) = compare(scores, arms)
+    iou = table.columns[0]
+    assert table.ranks(iou) == [2, 1, 0]
+    difference = table.rows[1].differences["IOU"]
+    assert difference.mean == pytest.approx(0.12)  # about ten points on every clip: certain, though the values spread
+    assert 0.1 < difference.low < difference.high < 0.14
+    assert table.rows[0].values["IOU"].high > table.rows[1].values["IOU"].low
+    assert table.rows[0].differences == {}
+    truth = next(column for column in table.columns if column.heading == "truth's SCA")
+    assert table.ranks(truth) == [0, 0, 0]
+
+
+def test_a_failed_method_scores_zero_and_a_failed_clip_nothing() -> None:
+    arms = method_arms(["one-dof", "static"], Options())
+    scores = [
+        Scores("a", "can", "", True, (score("one-dof", 1.0), score("static", 0.0, failed=True))),
+        Scores("b", "can", "", True, (score("one-dof", 1.0), score("static", 1.0))),
+        Scores("c", failure="no masks"),
+    ]
+    (table,) = compare(scores, arms)
+    assert table.clips == 2
+    assert [row.values["ADD"].mean for row in table.rows] == [1.0, 0.5]
+    assert [row.failed for row in table.rows] == [0, 1]
+    assert "static (1 failed)" in markdown([table], "Methods", [])
+
+
+def test_a_table_for_each_category() -> None:
+    arms = method_arms(["one-dof"], Options())
+    scores = [Scores(f"{c}{n}", c, "", True, (score("one-dof", n / 2),)) for c in ("can", "mug") for n in range(3)]
+    tables = compare(scores, arms)
+    assert [(table.title, table.clips) for table in tables] == [("all", 6), ("can", 3), ("mug", 3)]
+
+
+def test_subjects_are_the_groups_where_every_clip_has_one() -> None:
+    two = [Scores("a", subject="s1"), Scores("b", subject="s2"), Scores("c", subject="s2")]
+    assert groups(two) == ["s1", "s2", "s2"]
+    assert groups([*two, Scores("d")]) == ["a", "b", "c", "d"]
+    assert groups([Scores("a", subject="s"), Scores("b", subject="s")]) == ["a", "b"]
+
+
+def test_columns_without_truth_are_left_out() -> None:
+    metrics = {"iou": 0.9, "sca_object_10mm": 0.5}
+    scores = [Scores("a", "can", "", False, (Score("one-dof", metrics, 1.0, 2.0, False, "stopped"),))]
+    (table,) = compare(scores, method_arms(["one-dof"], Options()))
+    assert [column.heading for column in table.columns] == ["IOU", "SCA"]
+
+
+def test_latex_braces_match_and_symbols_are_spelt() -> None:
+    arms = ablation_arms("physical", ["one-dof"], Options())
+    scores = [Scores(f"c{n}", "a_b", "", True, tuple(score(arm.folder, n / 7) for arm in arms)) for n in range(7)]
+    text = latex(compare(scores, arms), ABLATIONS["physical"].title, [])
+    tables = text[text.index(r"\begin{table}") :]
+    assert tables.count("{") == tables.count("}")
+    assert tables.count(r"\begin") == tables.count(r"\end")
+    assert tables.isascii()
+    assert LATEX.text("a_b 5 %") == r"a\_b 5 \%"
+
+
+# ---------------------------------------------------------------- settings
+
+
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_settings_have_folders_of_their_own_and_something_to_compare_with(name: str) -> None:
+    ablation = ABLATIONS[name]
+    arms = ablation_arms(name, [], Options())
+    labels = [arm.label for arm in arms]
+    assert len(set(labels)) == len(labels)
+    assert all(arm.against in labels for arm in arms)
+    assert all(re.fullmatch(r"[a-z0-9.+-]+", arm.folder) for arm in arms)
+    kinds = {(arm.folder, repr(arm.options), repr(arm.change)) for arm in arms}
+    assert len(kinds) == len({arm.folder for arm in arms})
+    assert {arm.group for arm in arms} == set(ablation.methods)
+
+
+def test_a_setting_that_changes_nothing_shares_the_methods_results() -> None:
+    folders = {arm.step: arm.folder for arm in ablation_arms("inits", ["one-dof"], Options())}
+    assert folders["50"] == "one-dof"
+    assert folders["10"] == "one-dof+inits-10"
+    folders = {arm.step: arm.folder for arm in ablation_arms("inits", ["one-dof"], Options(inits=100))}
+    assert folders["100"] == "one-dof"
+    assert folders["50"] != "one-dof"
+    assert {arm.folder for arm in ablation_arms("sca", ["static"], Options())} == {"static"}
+
+
+def test_all_methods_where_none_is_named() -> None:
+    assert [arm.folder for arm in method_arms([], Options())] == list(get_args(Method))
+
+
+def test_scale_made_free_and_known_again() -> None:
+    clip, masks = synthesise("can", 0, ClipOptions(frames=2))
+    free, _ = ScaleFree()(clip, masks, 0)
+    assert free.scale == "free"
+    assert free.truth is not None
+    assert 0.8 <= free.truth.scale <= 1.25
+    known, _ = ScaleKnown()(free, masks, 0)
+    np.testing.assert_allclose(known.mesh.vertices, clip.mesh.vertices, atol=1e-12)
+    assert AS_GIVEN(clip, masks, 0) == (clip, masks)
+
+
+# ---------------------------------------------------------------- runs
+
+
+def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
+    out, told = tmp_path / "out", tmp_path / "all.json"
+    call = ("bench", made, "--out", out, "--workers", "1", "--inits", "8", "--json", told)
+    status, text, err = run(*call, "--methods", "static")
+    assert (status, err) == (0, "")
+    assert "1 done, 0 already done" in text
+    status, text, _ = run(*call, "--methods", "one-dof", "static")
+    assert status == 0
+    assert text.count("1 done, 1 already done") == 2
+    with monkeypatch.context() as patch:  # all is there: nothing is reconstructed, no mask is read
+        patch.setattr(trials, "read_masks", lambda _: pytest.fail("masks were read"))
+        status, text, _ = run(*call, "--methods", "one-dof", "static")
+    assert text.count("0 done, 2 already done") == 2
+
+    rows = list(csv.DictReader((out / "methods-clips.csv").open()))
+    names = ["box-right-0000", "can-right-0000"]
+    assert [(row["clip"], row["method"]) for row in rows] == [(n, m) for n in names for m in ("one-dof", "static")]
+    result, record = read_result(out / "results" / "one-dof" / names[0])
+    assert float(rows[0]["iou"]) == record["metrics"]["iou"]
+    assert float(rows[0]["energy"]) == result.energy["total"]
+    content = json.loads(told.read_text())
+    mean = content["tables"][0]["rows"][0]["values"]["IOU"]["mean"]
+    assert mean == pytest.approx(np.mean([float(row["iou"]) for row in rows if row["method"] == "one-dof"]))
+    page = (out / "methods.md").read_text()
+    assert f"{100 * mean:.1f}" in page
+    assert "Box: 1 clip" in page
+    assert run("evaluate", out / "results" / "static")[0] == 0  # they are results like any other
+
+
+def test_an_ablation_changes_clips_and_draws_a_plot(made: Path, tmp_path: Path, run: Run) -> None:
+    call = ("bench", made, "--out", tmp_path, "--workers", "1", "--inits", "8", "--clips", "1")
+    status, _, _ = run(*call, "--ablation", "mask-noise", "--methods", "static")
+    assert status == 0
+    assert (tmp_path / "mask-noise.png").stat().st_size > 10_000
+    rows = list(csv.DictReader((tmp_path / "mask-noise-clips.csv").open()))
+    assert [row["setting"] for row in rows] == ["none", "0.5 px", "1 px", "2 px", "4 px"]
+    assert len({row["add_mm"] for row in rows}) == 5
+    noisy = tmp_path / "results" / "static+mask-noise-4-px"
+    status, _, err = run("evaluate", noisy)  # its clip is no longer the one in the folder
+    assert status == 1
+    assert "input_sha256" in err
+
+
+def test_results_of_other_options_are_made_again(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
+    call = ("bench", made, "--out", tmp_path, "--workers", "1", "--methods", "static", "--clips", "1")
+    assert "1 done" in run(*call, "--inits", "8")[1]
+    assert "1 done" in run(*call, "--inits", "9")[1]
+    monkeypatch.setattr(trials, "_code_changed", lambda: 1.0)
+    _, out, err = run(*call, "--inits", "9")
+    assert "0 done, 1 already" in out
+    assert err == ""
+    record = next(tmp_path.glob("results/static/*/result.json"))
+    os.utime(record, (0.0, 0.0))
+    assert "1 results are older" in run(*call, "--inits", "9")[2]
+    assert "1 done" in run(*call, "--inits", "9", "--overwrite")[1]
+
+
+def test_what_fails_is_named_and_the_rest_done(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
+    folder = tmp_path / "clips"
+    for name in ("can", "box"):
+        clip = read_clip(made / name)
+        write_clip(clip, trials.read_masks(clip), folder / name)
+    for mask in (folder / "can" / "masks" / "object").iterdir():
+        mask.write_bytes(b"")
+    from getagrip.fitting import reconstruct as module
+
+    exact = module.reconstruct
+
+    def sometimes(clip: Any, masks: Any, options: Options) -> Any:
+        if options.method == "static":
+            raise GetagripError("nothing is seen")
+        return exact(clip, masks, options)
+
+    monkeypatch.setattr(module, "reconstruct", sometimes)
+    call = ("bench", folder, "--out", tmp_path / "out", "--workers", "1", "--inits", "8")
+    status, out, err = run(*call, "--methods", "one-dof", "static")
+    assert status == 1
+    assert "failed: can-right-0000" in err
+    assert "failed: box-right-0000: static: nothing is seen" in err
+    assert "1 done, 0 already done, 1 failed" in out
+    rows = list(csv.DictReader((tmp_path / "out" / "methods-clips.csv").open()))
+    assert [row["status"].startswith("failed") for row in rows] == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("args", "word"),
+    [
+        (("--init", "clusters"), "--init"),
+        (("--workers", "0"), "--workers"),
+        (("--clips", "0"), "--clips"),
+        (("--split", "train"), "--split"),
+        (("--root", "x"), "--root"),
+        (("--preset", "wild"), "--preset"),
+        (("--json", "nowhere/x.json"), "--json"),
+        (("--inits", "0"), "inits"),
+    ],
+)
+def test_wrong_calls_are_refused(made: Path, tmp_path: Path, run: Run, args: tuple[str, ...], word: str) -> None:
+    status, _, err = run("bench", made, "--out", tmp_path / "out", *args)
+    assert status == 2
+    assert word in err
+
+
+def test_folders_that_are_no_clips_are_refused(tmp_path: Path, run: Run) -> None:
+    status, _, err = run("bench", tmp_path / "nowhere", "--out", tmp_path / "out")
+    assert status != 0
+    assert "nowhere" in err
+    assert main(["bench", "dexycb", "--out", str(tmp_path / "out")]) == 2
+
+
+def test_a_folder_of_made_up_clips_belongs_to_one_preset(tmp_path: Path) -> None:
+    clean = Source("synthetic", tmp_path / "clips")
+    found, _ = samples(clean, debug=False)
+    assert len({sample.name for sample in found}) == len(found) > 100
+    assert not list((tmp_path / "clips").glob("*/"))  # clips are made when they are needed
+    assert len(samples(replace(clean, count=7), debug=False)[0]) == 7
+    both = {sample.name for sample in samples(replace(clean, split="all"), debug=False)[0]}
+    train = {sample.name for sample in samples(replace(clean, split="train"), debug=False)[0]}
+    assert both - train == {sample.name for sample in found}
+    with pytest.raises(UsageError, match="another dataset"):
+        samples(replace(clean, preset="wild"), debug=False)
+
+
+def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
+    folder = tmp_path / "clips"
+    clip, masks = synthesise("can", 0, ClipOptions(frames=2))
+    for n in range(7):
+        name = f"subject-{n}--sequence--can"
+        write_clip(replace(clip, name=name), masks, folder / name)
+    source = Source("dexycb", folder, root=tmp_path)
+    (folder / "imported").touch()  # as if from somewhere
+    part = {
+        which: [sample.name[8] for sample in samples(replace(source, split=which), debug=False)[0]]
+        for which in ("train", "test", "all")
+    }
+    assert part == {"train": list("036"), "test": list("1245"), "all": list("0123456")}
+
+
+def test_the_commands_ablations_are_those_that_exist(run: Run) -> None:
+    _, out, _ = run("bench", "--help")
+    assert all(name in out.replace(" ", "").replace("\n", "").replace("│", "") for name in ABLATIONS)

@@ -1,0 +1,99 @@
+"""Clips on disk and clips in memory are prepared alike, and of long ones only what is used is kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from getagrip.clip import Clip, Masks, read_clip, read_masks, write_clip
+from getagrip.clip import masks as clip_masks
+from getagrip.errors import InputError
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import Problem, prepare, read_sampled
+from helpers.clips import small_clip
+
+FRAMES = 9
+
+
+def written(folder: Path, unseen: list[int], hidden: list[int]) -> Clip:
+    """A clip on disk: in some frames no pixel of the object is there, in others all are ignored."""
+    clip, masks = small_clip(FRAMES)
+    for n in range(FRAMES):
+        masks.object[n] = np.roll(masks.object[n], n, axis=1)
+    masks.object[unseen] = False
+    masks.ignore[hidden] = True
+    return read_clip(write_clip(clip, masks, folder))
+
+
+def prepared(clip: Clip, options: Options, sampled: bool) -> Problem | str:
+    """The problem, or what it is refused with."""
+    try:
+        return prepare(*(read_sampled(clip, options.frames) if sampled else (clip, read_masks(clip))), options)
+    except InputError as error:
+        return str(error)
+
+
+frame_numbers = st.lists(st.integers(0, FRAMES - 1), max_size=FRAMES)
+
+
+@given(unseen=frame_numbers, hidden=frame_numbers, frames=st.integers(2, FRAMES + 3))
+def test_what_is_read_in_part_is_what_is_read_whole(
+    tmp_path_factory: Any, unseen: list[int], hidden: list[int], frames: int
+) -> None:
+    clip = written(tmp_path_factory.mktemp("clip") / "small", unseen, hidden)
+    a, b = (prepared(clip, Options(frames=frames), sampled) for sampled in (True, False))
+    if isinstance(a, str) or isinstance(b, str):
+        assert a == b
+        return
+    assert a.clip.frames == b.clip.frames
+    assert a.notes == b.notes
+    gone = sorted({*unseen, *hidden})
+    assert a.clip.left_out == tuple(clip.frames[n] for n in gone)
+    np.testing.assert_array_equal(a.masks.object, b.masks.object)
+    np.testing.assert_array_equal(a.masks.ignore, b.masks.ignore)
+    np.testing.assert_array_equal(a.clip.hand.T_cam_hand, b.clip.hand.T_cam_hand)
+
+
+def test_no_more_masks_are_in_memory_than_are_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clip = written(tmp_path / "small", [4], [])
+    kept: list[int] = []
+
+    def counted(object: np.ndarray, ignore: np.ndarray) -> Masks:
+        kept.append(len(object))
+        return Masks(object, ignore)
+
+    monkeypatch.setattr(clip_masks, "Masks", counted)
+    short, _ = read_sampled(clip, 3)
+    assert kept == [3]
+    assert short.frames == (
+        "0000",
+        "0005",
+        "0008",
+    )
+
+
+def test_every_mask_is_checked_also_those_that_are_not_used(tmp_path: Path) -> None:
+    clip = written(tmp_path / "small", [], [])
+    for kind in ("object", "ignore"):
+        path = clip.folder / "masks" / kind / "0001.png"
+        whole = path.read_bytes()
+        path.write_bytes(whole[:60])
+        with pytest.raises(InputError, match=r"0001.png: "):
+            read_sampled(clip, 2)
+        path.write_bytes(whole)
+    read_sampled(clip, 2)
+
+
+def test_frames_left_out_are_told_once(tmp_path: Path) -> None:
+    clip = replace(written(tmp_path / "small", [4], []), provenance={"scale": "a guess"})
+    problem = prepared(clip, Options(frames=3), sampled=True)
+    assert not isinstance(problem, str)
+    assert [note for note in problem.notes if "left out" in note] == [
+        "1 frames without a visible object were left out: 0004"
+    ]

@@ -1,0 +1,322 @@
+"""Laws of whole reconstructions, on small made-up clips: what is recovered, what does not matter, what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy import ndarray
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from getagrip.clip import Clip, Masks
+from getagrip.datasets.synthetic.scene import Options as ClipOptions
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.evaluation import evaluate
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import AMBIGUOUS, mask_iou
+from getagrip.fitting.reconstruct import reconstruct
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.result import Reconstruction
+from helpers.clips import small_clip
+
+SMALL = ClipOptions(frames=8, size=(320, 240), focal=300.0)
+STILL = replace(SMALL, turn_deg=(0.0, 0.0), residual_deg=0.0, residual_mm=0.0)
+
+
+@cache
+def made(category: str, seed: int, options: ClipOptions = SMALL) -> tuple[Clip, Masks]:
+    return synthesise(category, seed, options)
+
+
+DEFAULT = Options()
+
+
+@cache
+def found(category: str, seed: int, clip_options: ClipOptions = SMALL, options: Options = DEFAULT) -> Reconstruction:
+    return reconstruct(*made(category, seed, clip_options), options)
+
+
+def scores(result: Reconstruction, clip: Clip, masks: Masks) -> dict[str, Any]:
+    metrics = evaluate(result, clip, masks)["metrics"]
+    assert isinstance(metrics, dict)
+    return metrics
+
+
+def posed(result: Reconstruction, mesh: Mesh) -> ndarray:
+    """Vertices (T, V, 3) in the hand frame."""
+    return se3.transform(result.T_hand_obj, result.scale * mesh.vertices)
+
+
+def apart(a: ndarray, b: ndarray) -> float:
+    """Mean distance of corresponding vertices [m]."""
+    return float(np.linalg.norm(a - b, axis=-1).mean())
+
+
+# What is recovered
+
+
+@pytest.mark.parametrize(("category", "seed"), [("mug", 2), ("box", 1), ("spoon", 1), ("kettle", 1)])
+def test_a_hinged_object_is_recovered(category: str, seed: int) -> None:
+    clip, masks = made(category, seed)
+    result = found(category, seed)
+    metrics = scores(result, clip, masks)
+    assert metrics["add_sym_success"] == 1.0
+    assert metrics["add_sym_mm"] < 0.05e3 * clip.mesh.diameter
+    assert result.iou.mean() > 0.85
+    assert result.scale == 1.0
+
+
+@pytest.mark.parametrize(("category", "seed"), [("mug", 2), ("box", 1), ("kettle", 1)])
+def test_an_unknown_scale_is_recovered(category: str, seed: int) -> None:
+    options = replace(SMALL, scale="free")
+    metrics = scores(found(category, seed, options), *made(category, seed, options))
+    assert metrics["add_sym_success"] == 1.0
+    assert abs(metrics["scale_error"]) < 0.05
+
+
+@pytest.mark.parametrize(("category", "seed"), [("mug", 2), ("box", 1)])
+def test_the_dynamic_method_recovers_a_free_motion(category: str, seed: int) -> None:
+    result = found(category, seed, SMALL, Options(method="dynamic"))
+    assert scores(result, *made(category, seed))["add_sym_success"] == 1.0
+    assert result.axis is None
+
+
+def test_the_static_method_recovers_a_still_object() -> None:
+    result = found("mug", 2, STILL, Options(method="static"))
+    metrics = scores(result, *made("mug", 2, STILL))
+    assert metrics["add_success"] == 1.0
+    assert metrics["add_mm"] < 5.0
+    assert result.axis is None
+    np.testing.assert_array_equal(result.T_hand_obj, np.broadcast_to(result.T_hand_obj[0], (8, 4, 4)))
+
+
+def test_a_still_object_is_found_still() -> None:
+    result = found("mug", 2, STILL)
+    assert scores(result, *made("mug", 2, STILL))["add_success"] == 1.0
+    assert np.ptp(np.degrees(se3.angle_between(result.T_hand_obj[:1, :3, :3], result.T_hand_obj[:, :3, :3]))) < 5.0
+
+
+def test_noise_on_hands_and_masks_is_borne() -> None:
+    noisy = replace(SMALL, hand_jitter_deg=1.0, hand_jitter_mm=2.0, mask_ragged_px=0.7)
+    assert scores(found("kettle", 1, noisy), *made("kettle", 1, noisy))["add_sym_success"] == 1.0
+
+
+# What a result holds
+
+
+@pytest.mark.parametrize("method", ["soft-hinge", "one-dof", "static", "dynamic"])
+def test_what_a_result_holds(method: Any) -> None:
+    clip, _ = made("mug", 2)
+    result = found("mug", 2, SMALL, Options(method=method))
+    assert result.clip == clip.name
+    assert result.method == method
+    assert result.frames == clip.frames
+    assert se3.is_rigid(result.T_hand_obj).all()
+    assert ((result.iou >= 0.0) & (result.iou <= 1.0)).all()
+    c = result.candidates
+    np.testing.assert_array_equal(c.T_hand_obj[0], result.T_hand_obj)
+    assert c.scale[0] == result.scale
+    assert (np.diff(c.energy) >= 0.0).all()
+    assert result.energy["total"] == pytest.approx(c.energy[0])
+    assert sum(v for k, v in result.energy.items() if k != "total") == pytest.approx(result.energy["total"])
+    assert result.ambiguous == (len(c.energy) > 1 and bool(c.energy[1] < AMBIGUOUS * c.energy[0]))
+    stages = {k: v for k, v in result.seconds.items() if k != "total"}
+    assert sum(stages.values()) == pytest.approx(result.seconds["total"])
+    assert result.options["method"] == method
+    assert result.notes == ()
+
+
+def test_the_axis_tells_the_motion() -> None:
+    """Eq. 3: from frame to frame the object turns about the axis by the difference of the angles."""
+    result = found("mug", 2, SMALL, Options(method="one-dof"))
+    axis = result.axis
+    assert axis is not None
+    assert np.linalg.norm(axis.direction) == pytest.approx(1.0)
+    assert axis.angle.mean() == pytest.approx(0.0, abs=1e-9)
+    turn = se3.rotation_about_line(axis.point[None], axis.direction[None], axis.angle - axis.angle[0])
+    np.testing.assert_allclose(turn @ result.T_hand_obj[0], result.T_hand_obj, atol=1e-9)
+
+
+def test_an_axis_through_the_hand() -> None:
+    axis = found("mug", 2, SMALL, Options(axis="hand")).axis
+    assert axis is not None
+    np.testing.assert_array_equal(axis.point, np.zeros(3))
+
+
+def test_progress_is_told_from_stage_to_stage() -> None:
+    told: list[tuple[str, float]] = []
+    result = reconstruct(*made("spoon", 1), Options(inits=8), lambda stage, part: told.append((stage, part)))
+    assert [stage for stage, _ in told] == [k for k in result.seconds if k != "total"]
+    assert told[-1][1] == pytest.approx(1.0)
+    assert (np.diff([part for _, part in told]) > 0).all()
+
+
+def test_frames_are_sampled_linearly() -> None:
+    clip, masks = made("spoon", 1)
+    result = reconstruct(clip, masks, Options(inits=8, frames=3))
+    assert result.frames == (clip.frames[0], clip.frames[4], clip.frames[7])
+    assert result.T_hand_obj.shape == (3, 4, 4)
+
+
+def test_the_truth_explains_clean_masks() -> None:
+    clip, masks = made("kettle", 1)
+    assert clip.truth is not None
+    T_hand_obj = se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
+    assert mask_iou(clip, masks, T_hand_obj, clip.truth.scale).min() > 0.999  # two rasterisers, one or two pixels
+
+
+# What does not matter
+
+
+def test_the_same_seed_gives_the_same_result_to_the_bit() -> None:
+    a, b = (reconstruct(*made("spoon", 1), Options(seed=4)) for _ in range(2))
+    np.testing.assert_array_equal(a.T_hand_obj, b.T_hand_obj)
+    np.testing.assert_array_equal(a.candidates.energy, b.candidates.energy)
+    assert a.energy == b.energy
+
+
+def test_another_seed_finds_the_same() -> None:
+    a, b = (reconstruct(*made("kettle", 1), Options(seed=seed)) for seed in (0, 1))
+    mesh = made("kettle", 1)[0].mesh
+    assert 0.0 < apart(posed(a, mesh), posed(b, mesh)) < 0.02 * mesh.diameter
+
+
+def _reframed(clip: Clip, T_new_old: ndarray) -> Clip:
+    """The same object, its CAD drawn in another frame."""
+    return replace(clip, mesh=Mesh(se3.transform(T_new_old, clip.mesh.vertices), clip.mesh.faces), truth=None)
+
+
+@pytest.mark.parametrize(
+    ("T", "tolerance"),
+    [
+        (se3.rigid(None, np.array([0.1, -0.2, 0.05])), 1e-3),
+        (se3.rigid(se3.exp_so3(np.array([0.0, 0.0, np.pi / 2])), np.zeros(3)), 0.02),
+    ],
+    ids=["shifted", "turned"],
+)
+def test_the_frame_of_the_cad_does_not_matter(T: ndarray, tolerance: float) -> None:
+    """Turned, the search starts from other poses of the object, and ends where it did."""
+    clip, masks = made("kettle", 1)
+    other = _reframed(clip, T)
+    a, b = found("kettle", 1), reconstruct(other, masks)
+    assert apart(posed(a, clip.mesh), posed(b, other.mesh)) < tolerance * clip.mesh.diameter
+
+
+def test_turning_the_camera_about_its_axis_does_not_matter() -> None:
+    """A quarter turn: pixel (u, v) of a picture of width W becomes (v, W - u)."""
+    clip, masks = made("kettle", 1)
+    width, height = clip.size
+    (fx, fy), (cx, cy) = clip.K[0, [0, 1], [0, 1]], clip.K[0, :2, 2]
+    K = np.tile([[fy, 0.0, cy], [0.0, fx, width - cx], [0.0, 0.0, 1.0]], (len(clip), 1, 1))
+    turn = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    hand = replace(clip.hand, T_cam_hand=turn @ clip.hand.T_cam_hand)
+    turned = replace(clip, K=K, size=(height, width), hand=hand, truth=None)
+    quarter = Masks(*(np.ascontiguousarray(np.rot90(m, axes=(1, 2))) for m in (masks.object, masks.ignore)))
+    a, b = found("kettle", 1), reconstruct(turned, quarter)
+    assert apart(posed(a, clip.mesh), posed(b, clip.mesh)) < 0.02 * clip.mesh.diameter
+
+
+def test_a_left_hand_is_a_right_hand_in_a_mirror() -> None:
+    left = replace(SMALL, side="left")
+    a, b = found("kettle", 1), found("kettle", 1, left)
+    mesh, mirrored = made("kettle", 1)[0].mesh, made("kettle", 1, left)[0].mesh
+    assert apart(posed(a, mesh), posed(b, mirrored) * [-1.0, 1.0, 1.0]) < 0.02 * mesh.diameter
+
+
+def test_the_size_of_the_pixels_does_not_matter() -> None:
+    """Masks of twice the resolution give the same object."""
+    clip, masks = made("kettle", 1)
+    double = np.diag([2.0, 2.0, 1.0])
+    width, height = clip.size
+    finer = replace(clip, K=double @ clip.K, size=(2 * width, 2 * height), truth=None)
+    grown = Masks(*(m.repeat(2, axis=1).repeat(2, axis=2) for m in (masks.object, masks.ignore)))
+    a, b = found("kettle", 1), reconstruct(finer, grown)
+    assert apart(posed(a, clip.mesh), posed(b, clip.mesh)) < 0.01 * clip.mesh.diameter
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    "options", [{"inits": 0}, {"frames": 1}, {"push": -0.1}, {"pull": float("nan")}, {"push": float("inf")}]
+)
+def test_impossible_options_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match="expected"):
+        Options(**options)
+
+
+def test_a_clip_without_a_visible_object_is_refused(refused: Callable[..., str]) -> None:
+    clip, masks = small_clip()
+    nothing = Masks(np.zeros_like(masks.object), masks.ignore)
+    refused(lambda: reconstruct(clip, nothing), "0 of 3", "at least 2")
+
+
+def test_one_visible_frame_is_refused(refused: Callable[..., str]) -> None:
+    clip, masks = small_clip()
+    seen = masks.object.copy()
+    seen[1:] = False
+    with pytest.raises(InputError):
+        reconstruct(clip, Masks(seen, masks.ignore))
+    refused(lambda: reconstruct(clip, Masks(seen, masks.ignore)), "1 of 3")
+
+
+def test_frames_without_a_visible_object_are_left_out_and_told() -> None:
+    clip, masks = made("spoon", 1)
+    seen = masks.object.copy()
+    seen[[2, 5]] = False
+    result = reconstruct(clip, Masks(seen, masks.ignore), Options(inits=8))
+    assert result.frames == tuple(name for n, name in enumerate(clip.frames) if n not in (2, 5))
+    assert any("2 frames" in note and clip.frames[2] in note for note in result.notes)
+
+
+def test_an_object_behind_the_camera_is_told() -> None:
+    clip, masks = made("spoon", 1)
+    behind = clip.hand.T_cam_hand.copy()
+    behind[:, 2, 3] -= 10.0
+    with pytest.raises(GetagripError, match="behind the camera"):
+        reconstruct(replace(clip, hand=replace(clip.hand, T_cam_hand=behind)), masks, Options(inits=8))
+
+
+@pytest.mark.parametrize("inits", [1, 2])
+def test_few_starts_and_two_frames_will_do(inits: int) -> None:
+    clip, masks = made("spoon", 1)
+    index = np.array([0, 7])
+    result = reconstruct(clip.take(index), Masks(masks.object[index], masks.ignore[index]), Options(inits=inits))
+    assert np.isfinite(result.T_hand_obj).all()
+    assert len(result.candidates.energy) >= 1
+
+
+def test_a_single_visible_pixel_will_do() -> None:
+    clip, masks = small_clip()
+    seen = np.zeros_like(masks.object)
+    seen[:, 12, 16] = True
+    result = reconstruct(clip, Masks(seen, np.zeros_like(seen)), Options(inits=4))
+    assert np.isfinite(result.T_hand_obj).all()
+
+
+def test_hidden_pixels_may_be_counted_for_an_ablation() -> None:
+    with_ignore = found("kettle", 1)
+    without = found("kettle", 1, SMALL, Options(occlusion=False))
+    assert without.options["occlusion"] is False
+    assert without.energy["mask"] > with_ignore.energy["mask"]
+
+
+# What it asks of the machine
+
+
+def test_blas_runs_on_one_thread_and_has_its_own_again_after_that() -> None:
+    def threads() -> set[int]:
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    during = set[int]()
+    clip, masks = made("box", 1)
+    with threadpool_limits(2, user_api="blas"):
+        reconstruct(clip, masks, Options(inits=1), lambda *_: during.update(threads()))
+        assert threads() == {2}
+    assert during == {1}

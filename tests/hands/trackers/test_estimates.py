@@ -1,0 +1,554 @@
+"""Hands from estimators' files: written by the estimators' own formulas from a known hand, they come back as it was."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import pickle
+import re
+import struct
+import sys
+import types
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy import ndarray
+
+from getagrip.clip import FINGERS
+from getagrip.clip.naming import frame_of
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.geometry.camera import project
+from getagrip.hands import generic, mano
+from getagrip.hands.fit import ORDERS
+from getagrip.hands.model import MIRROR, Side, mirrored, mirrored_pose
+from getagrip.hands.trackers import Hands, Reading, read
+from getagrip.hands.trackers.estimates import Camera, mirror_rotation
+from getagrip.hands.trackers.weak_perspective import WeakPerspective, vitdet_side
+from getagrip.io import arrays
+from helpers.mano_files import fake_mano, python2
+from helpers.paths import ROOT
+
+SIZE = (640, 480)
+K = np.array([[612.0, 0.0, 311.0], [0.0, 612.0, 247.0], [0.0, 0.0, 1.0]])
+FRAMES = ("000007", "000008", "000009")
+SCRIPTS = ROOT / "scripts" / "estimators"
+SIDES: list[Side] = ["right", "left"]
+
+
+@pytest.fixture
+def mano_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """MANO files of the published layout, the left hand the right one's mirror image, its fault included."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    folder = tmp_path / "mano"
+    folder.mkdir()
+    right = fake_mano(monkeypatch)
+    right["f"] = np.stack([np.arange(1538) % 700, np.arange(1538) % 700 + 1, np.arange(1538) % 700 + 3], axis=1)
+    for values in (right["v_template"], right["weights"], right["posedirs"], right["shapedirs"].a.x):
+        values[445] = values[444]  # the tip of a left middle finger, and of a right one
+    (folder / "MANO_RIGHT.pkl").write_bytes(python2(right))
+    left = dict(right) | {"v_template": mirrored(right["v_template"]), "J": mirrored(right["J"])}
+    m = np.tile(np.outer(MIRROR, MIRROR).ravel(), 15)
+    left["posedirs"] = right["posedirs"] * MIRROR[:, None] * m
+    left["hands_mean"], left["hands_components"] = (mirrored_pose(right[k]) for k in ("hands_mean", "hands_components"))
+    left["shapedirs"] = right["shapedirs"]  # of the published left hand, y and z are right, and x is not mirrored
+    (folder / "MANO_LEFT.pkl").write_bytes(python2(left))
+    return folder
+
+
+class Known:
+    """A hand in a few frames, by MANO's equations: what an estimator that makes no mistake sees."""
+
+    def __init__(self, side: Side, folder: Path | None, frames: int = 3, seed: int = 0) -> None:
+        rng = np.random.default_rng(seed)
+        self.side = side
+        self.R = se3.exp_so3(rng.normal(scale=0.8, size=(frames, 3)))
+        self.pose = rng.normal(scale=0.25, size=(frames, 45))
+        self.betas = rng.normal(scale=0.5, size=(frames, 10)) if folder else np.zeros((frames, 10))
+        self.t = np.array([0.03, -0.02, 0.55]) + rng.normal(scale=0.02, size=(frames, 3))
+        model = generic.load(side)
+        if folder:
+            model = mano.load(folder / f"MANO_{side.upper()}.pkl", side).model
+        shaped = model.with_shape(self.betas if folder else None)
+        root = shaped.joints[..., 0, :]
+        T = se3.rigid(self.R, root - (self.R @ root[..., None])[..., 0] + self.t)
+        posed = shaped.with_pose(self.pose)
+        self.joints, self.vertices = se3.transform(T, posed.joints), se3.transform(T, posed.vertices)
+
+    def raw(self, n: int) -> tuple[ndarray, ndarray]:
+        """Rotations as a network has them that sees left hands mirrored: of the whole hand, of the fingers."""
+        R, fingers = self.R[n], se3.exp_so3(self.pose[n].reshape(15, 3))
+        return (mirror_rotation(R), mirror_rotation(fingers)) if self.side == "left" else (R, fingers)
+
+
+def cam_crop_to_full(cam: ndarray, centre: ndarray, side: float, size: tuple[int, int], focal: float) -> ndarray:
+    """HaMeR's own function, for one hand (renderer.py)."""
+    bs = side * cam[0] + 1e-9
+    tx, ty = (2.0 * (centre - np.array(size) / 2.0) / bs) + cam[1:]
+    return np.array([tx, ty, 2.0 * focal / bs])
+
+
+def crop_camera(t: ndarray, centre: ndarray, side: float) -> ndarray:
+    """The (s, tx, ty) with which a crop shows a translation before the true camera."""
+    s = 2.0 * K[0, 0] / (side * t[2])
+    u = K[:2, 2] + K[0, 0] * t[:2] / t[2]
+    return np.array([s, *(2.0 * (u - centre) / (side * s))])
+
+
+def hamer_record(known: Known, n: int, kind: str) -> dict[str, Any]:
+    """What HaMeR's demo holds of one hand."""
+    R, fingers = known.raw(n)
+    centre, side = np.array([300.0 + 9 * n, 220.0]), 210.0
+    cam = crop_camera(known.t[n], centre, side)
+    record: dict[str, Any] = {
+        "global_orient": R[None], "hand_pose": fingers, "betas": known.betas[n], "right": float(known.side == "right"),
+        "img_size": np.array(SIZE, float),
+    }  # fmt: skip
+    if kind == "crop":
+        return record | {"pred_cam": cam, "box_center": centre, "box_size": side}
+    if kind == "full":
+        focal = 5000.0 / 256.0 * max(SIZE)
+        full = cam_crop_to_full(cam, centre, side, SIZE, focal)
+        return record | {"pred_cam_t_full": full, "scaled_focal_length": focal}
+    if kind == "assumed":
+        return record | {"pred_cam_t_full": cam_crop_to_full(cam, centre, side, SIZE, 12500.0)}
+    width, height = 70.0, 105.0
+    half = np.array([width, height]) / 2.0
+    box = np.concatenate([centre - half, centre + half])
+    assert vitdet_side(np.array([width, height]), 2.0) == side
+    return record | {"pred_cam": cam, "box_xyxy": box}
+
+
+def reading(side: Side, folder: Path | None = None, **more: Any) -> Reading:
+    return Reading(side, FRAMES, np.tile(K, (3, 1, 1)), SIZE, folder, **more)
+
+
+def write_npz(path: Path, content: dict[str, Any]) -> Path:
+    arrays.write(path, {key: np.asarray(value) for key, value in content.items()})
+    return path
+
+
+def joints_of(hands: Hands) -> ndarray:
+    assert hands.track.joints is not None
+    return se3.transform(hands.track.T_cam_hand, hands.track.joints)
+
+
+@pytest.mark.parametrize("with_mano", [True, False])
+@pytest.mark.parametrize("kind", ["crop", "full", "assumed", "box"])
+@pytest.mark.parametrize("side", SIDES)
+def test_hamer(tmp_path: Path, mano_folder: Path, side: Side, kind: str, with_mano: bool) -> None:
+    folder = mano_folder if with_mano else None
+    known = Known(side, folder)
+    paths = [write_npz(tmp_path / f"{name}_0.npz", hamer_record(known, n, kind)) for n, name in enumerate(FRAMES)]
+    hands = read(paths, "hamer", reading(side, folder))
+    np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
+    seen = se3.transform(hands.track.T_cam_hand, hands.track.vertices)
+    np.testing.assert_allclose(seen, known.vertices, atol=1e-6)
+    assert hands.found == (0, 1, 2)
+    assert "focal" in hands.provenance["hands_focal"]
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_later_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, side: Side) -> None:
+    """The ``.pt`` files of the authors' later code: both hands, boxes in 456 x 256 images; read by torch's safe way."""
+    other: Side = "left" if side == "right" else "right"
+    both = {side: Known(side, None), other: Known(other, None, seed=1)}
+    size = (912, 512)
+    K2 = np.array([[700.0, 0.0, 450.0], [0.0, 700.0, 260.0], [0.0, 0.0, 1.0]])
+    contents = {}
+    for n, name in enumerate(FRAMES):
+        record = {}
+        for which, known in both.items():
+            R, fingers = known.raw(n)
+            box = np.array([200.0, 100.0, 260.0, 190.0])
+            side_px = max(2 * 90.0, 2 * 60.0 * 256 / 192)
+            s = 2.0 * 350.0 / (side_px * known.t[n][2])  # a 456 x 256 image has half the focal length
+            u = (K2[:2, 2] + 700.0 * known.t[n][:2] / known.t[n][2]) / 2.0
+            cam = np.array([s, *(2.0 * (u - [230.0, 145.0]) / (side_px * s))])
+            record[which] = {"pred_cam": cam, "global_orient": R[None], "hand_pose": fingers, "betas": np.zeros(10),
+                             "box_xyxy_456x256": box}  # fmt: skip
+        path = tmp_path / f"frame_{int(name):010d}.pt"
+        with __import__("zipfile").ZipFile(path, "w") as archive:
+            archive.writestr("x/data.pkl", str(n))
+        contents[path.read_bytes()] = record
+    fake_torch(monkeypatch, contents)
+    paths = sorted(tmp_path.glob("*.pt"))
+    hands = read(paths, "hamer", Reading(side, FRAMES, np.tile(K2, (3, 1, 1)), size))
+    np.testing.assert_allclose(joints_of(hands), both[side].joints, atol=1e-6)
+
+
+def fake_torch(monkeypatch: pytest.MonkeyPatch, contents: dict[bytes, Any]) -> None:
+    """A torch whose ``load`` gives known content, and only in the safe way."""
+
+    class Tensor:
+        pass
+
+    def load(stream: Any, map_location: str, weights_only: bool) -> Any:
+        assert weights_only is True
+        assert map_location == "cpu"
+        return contents[stream.read()]
+
+    torch = types.ModuleType("torch")
+    torch.Tensor, torch.load = Tensor, load  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "torch", torch)
+
+
+def test_torch_is_named_where_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    path = tmp_path / "000007.pt"
+    path.write_bytes(b"PK")
+    with pytest.raises(UsageError, match=r"getagrip\[torch\]"):
+        read([path], "hamer", reading("right"))
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_wilor_mini(tmp_path: Path, mano_folder: Path, side: Side) -> None:
+    """Rotations are vectors, of left hands turned back already."""
+    known = Known(side, mano_folder)
+    paths = []
+    for n, name in enumerate(FRAMES):
+        full = hamer_record(known, n, "full")
+        inner = {
+            "global_orient": se3.log_so3(known.R[n])[None, None],
+            "hand_pose": known.pose[n].reshape(1, 15, 3),
+            "betas": known.betas[n][None],
+            "pred_cam_t_full": full["pred_cam_t_full"][None],
+            "scaled_focal_length": full["scaled_focal_length"],
+        }
+        path = tmp_path / f"{name}.pkl"
+        path.write_bytes(pickle.dumps({"is_right": float(side == "right"), "wilor_preds": inner}))
+        paths.append(path)
+    hands = read(paths, "wilor", reading(side, mano_folder))
+    np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_hawor(tmp_path: Path, mano_folder: Path, side: Side) -> None:
+    """A focal length other than the clip's is divided out: the hand is seen where it was, at the clip's own depth."""
+    known = Known(side, mano_folder)
+    focal, centre = 900.0, np.array(SIZE) / 2.0
+    u = K[:2, 2] + K[0, 0] * known.t[:, :2] / known.t[:, 2:]
+    z = known.t[:, 2] * focal / K[0, 0]
+    record = {
+        "init_root_orient": known.R[None],
+        "init_hand_pose": se3.exp_so3(known.pose.reshape(3, 15, 3))[None],
+        "init_betas": known.betas[None],
+        "init_trans": np.column_stack([z[:, None] * (u - centre) / focal, z])[None],
+    }
+    for name, more in (("6_8.json", {}), ("0_2.json", {"first": 7})):  # it counts from 0
+        path = tmp_path / name
+        path.write_text(json.dumps({key: value.tolist() for key, value in record.items()}))
+        hands = read([path], "hawor", reading(side, mano_folder, focal=focal, **more))
+        np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
+    with pytest.raises(UsageError, match="--estimator-focal"):
+        read([path], "hawor", reading(side, mano_folder, first=7))
+
+
+def frankmocap_record(known: Known, n: int, mean: ndarray | float = 0.0) -> dict[str, Any]:
+    """What FrankMocap's ``save_pred_to_pkl`` writes: fingers relative to a mean pose, vertices about an origin of its
+    own, in a crop whose pixels the image's are scaled to, an empty dictionary for the hand that was not seen."""
+    origin = known.t[n] + [0.08, 0.01, 0.0]
+    ratio, corner = 0.9, np.array([180.0, 110.0])
+    s = K[0, 0] / origin[2] * ratio / 112.0
+    u = K[:2, 2] + K[0, 0] * origin[:2] / origin[2]
+    shift = ((u - corner) * ratio / 112.0 - 1.0) / s
+    hand = {
+        "pred_camera": np.array([s, *shift]),
+        "bbox_scale_ratio": np.float64(ratio),
+        "bbox_top_left": tuple(np.int64(corner)),
+        "pred_hand_pose": np.array([[*se3.log_so3(known.R[n]), *(known.pose[n] - mean)]]),
+        "pred_hand_betas": np.ones((1, 10)),
+        "pred_vertices_smpl": (known.vertices[n] - origin).astype(np.float64),
+    }
+    seen = corner + 112.0 / ratio * (1.0 + s * shift)  # convert_smpl_to_bbox, convert_bbox_to_oriIm at X = 0
+    np.testing.assert_allclose(seen, u)
+    hands = {"left_hand": {}, "right_hand": {}} | {f"{known.side}_hand": hand}
+    boxes = [{"left_hand": None, "right_hand": np.zeros(4)}, None]
+    return OrderedDict(image_path="x.jpg", demo_type="hand", hand_bbox_list=boxes, pred_output_list=[hands, None])
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_frankmocap(tmp_path: Path, mano_folder: Path, side: Side) -> None:
+    known = Known(side, mano_folder)
+    known.betas[:] = 0.0
+    flat = Known.__new__(Known)
+    flat.__dict__ |= known.__dict__
+    model = mano.load(mano_folder / f"MANO_{side.upper()}.pkl", side).model.with_shape()
+    T = se3.rigid(known.R, model.joints[0] - known.R @ model.joints[0] + known.t)
+    posed = model.with_pose(known.pose)
+    flat.vertices, flat.joints = se3.transform(T, posed.vertices), se3.transform(T, posed.joints)
+    mean = mano.load(mano_folder / "MANO_RIGHT.pkl", "right").mean
+    mean = mirrored_pose(mean) if side == "left" else mean
+    paths = []
+    for n, name in enumerate(FRAMES):
+        paths.append(tmp_path / f"{name}_prediction_result.pkl")
+        paths[-1].write_bytes(pickle.dumps(frankmocap_record(flat, n, mean)))
+    hands = read(paths, "frankmocap", reading(side, mano_folder))
+    np.testing.assert_allclose(joints_of(hands), flat.joints, atol=1e-6)
+    with pytest.raises(UsageError, match="--mano"):
+        read(paths, "frankmocap", reading(side))
+    with pytest.raises(InputError, match=f"no {'left' if side == 'right' else 'right'} hand"):
+        read(paths, "frankmocap", reading("left" if side == "right" else "right", mano_folder))
+    other = frankmocap_record(flat, 0)
+    del other["pred_output_list"][0][f"{side}_hand"]["pred_vertices_smpl"]
+    paths[0].write_bytes(pickle.dumps(other))
+    with pytest.raises(InputError, match="--save_mesh"):
+        read(paths, "frankmocap", reading(side, mano_folder))
+    other = frankmocap_record(flat, 0)
+    other["pred_output_list"][0][f"{side}_hand"]["pred_hand_pose"] = np.full((1, 48), 1.0)
+    paths[0].write_bytes(pickle.dumps(other))
+    with pytest.raises(InputError, match="pred_vertices_smpl"):
+        read(paths, "frankmocap", reading(side, mano_folder))
+
+
+@pytest.mark.parametrize("mean", ["flat", "mean"])
+@pytest.mark.parametrize("pose", ["axis-angle", "pca", "matrix"])
+@pytest.mark.parametrize("side", SIDES)
+def test_plain_parameters(tmp_path: Path, mano_folder: Path, side: Side, pose: Any, mean: Any) -> None:
+    known = Known(side, mano_folder)
+    hand = mano.load(mano_folder / f"MANO_{side.upper()}.pkl", side)
+    values = known.pose - (hand.mean if mean == "mean" else 0.0)
+    if pose == "pca":
+        values = values @ np.linalg.inv(hand.components)
+    if pose == "matrix":
+        values = se3.exp_so3(values.reshape(3, 15, 3))
+    content = {"global_orient": se3.log_so3(known.R), "hand_pose": values, "betas": known.betas, "transl": known.t}
+    path = write_npz(tmp_path / "hands.npz", content)
+    hands = read([path], "mano", reading(side, mano_folder, pose=pose, mean=mean))
+    np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
+    assert "guess" in hands.provenance["hands_focal"]
+
+
+def test_what_no_file_tells_is_asked_for(tmp_path: Path) -> None:
+    path = write_npz(tmp_path / "hands.npz", {"transl": np.zeros((3, 3))})
+    for source, more, word in [
+        ("mano", {"mean": "flat"}, "--pose"),
+        ("mano", {"pose": "pca"}, "--mean"),
+        ("joints", {}, "--order"),
+    ]:
+        with pytest.raises(UsageError, match=word):
+            read([path], source, reading("right", **more))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_joints(tmp_path: Path, side: Side) -> None:
+    """Joints of a generic hand, in either order, give that hand back but for what the prior takes."""
+    known = Known(side, None)
+    given_joints = np.empty_like(known.joints)
+    given_joints[:, ORDERS["ho3d"]] = known.joints
+    content = {"joints": given_joints[[2, 0]], "frames": np.array(["000009", "frame_7"])}
+    hands = read([write_npz(tmp_path / "j.npz", content)], "joints", reading(side, order="ho3d"))
+    assert hands.found == (2, 0)
+    assert np.abs(joints_of(hands) - known.joints[[2, 0]]).max() < 0.01
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("side", SIDES)
+def test_keypoints_serve_where_there_is_no_mano(tmp_path: Path, side: Side, flipped: bool) -> None:
+    """The generic hand is fitted to HaMeR's keypoints; those of a left hand may or may not have been mirrored."""
+    known = Known(side, None)
+    paths = []
+    for n, name in enumerate(FRAMES):
+        joints = known.joints[n] - known.t[n]
+        if side == "left" and flipped:
+            joints = joints * MIRROR
+        record = hamer_record(known, n, "crop") | {"pred_keypoints_3d": joints}
+        paths.append(write_npz(tmp_path / f"{name}.npz", record))
+    hands = read(paths, "hamer", reading(side))
+    assert np.abs(joints_of(hands) - known.joints).max() < 0.01
+    assert "fitted" in hands.provenance["hands"]
+
+
+def test_several_hands_in_one_record(tmp_path: Path) -> None:
+    """Rows are hands; the other side's are passed over, two of one side are refused."""
+    right, left = Known("right", None), Known("left", None, seed=3)
+    records = [hamer_record(right, 0, "crop"), hamer_record(left, 0, "crop")]
+    both = {key: np.stack([r[key] for r in records]) for key in records[0]}
+    path = write_npz(tmp_path / "000007.npz", both)
+    for side, known in (("right", right), ("left", left)):
+        hands = read([path], "hamer", reading(side))  # type: ignore[arg-type]
+        np.testing.assert_allclose(joints_of(hands), known.joints[:1], atol=1e-6)
+    write_npz(path, both | {"right": np.ones(2)})
+    with pytest.raises(InputError, match="2 right hands"):
+        read([path], "hamer", reading("right"))
+
+
+def test_weak_perspective_keeps_what_is_seen() -> None:
+    """Whatever the focal lengths, the hand's origin stays in its pixel, and its size in pixels the same."""
+    rng = np.random.default_rng(0)
+    K2 = np.array([[500.0, 0.0, 300.0], [0.0, 505.0, 260.0], [0.0, 0.0, 1.0]])
+    for _ in range(20):
+        centre, side = rng.uniform(100, 500, 2), rng.uniform(50, 400)
+        cam = np.array([rng.uniform(0.5, 10), *rng.normal(scale=0.1, size=2)])
+        weak = WeakPerspective.of_crop(centre, side, cam)
+        t = weak.before(Camera(K2, SIZE))
+        np.testing.assert_allclose(project(K2, t[None])[0], centre + side * cam[0] / 2 * cam[1:])
+        np.testing.assert_allclose(K2[0, 0] / t[2], side * cam[0] / 2)
+        full = cam_crop_to_full(cam, centre, side, SIZE, 1234.0)
+        other = WeakPerspective.of_translation(full, 1234.0, np.array(SIZE) / 2.0)
+        np.testing.assert_allclose(other.origin, weak.origin, rtol=1e-6)
+        np.testing.assert_allclose(other.pixels_per_metre, weak.pixels_per_metre, rtol=1e-6)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_scripts_write_what_the_importer_makes(tmp_path: Path, mano_folder: Path, side: Side) -> None:
+    """The hand file that the estimators' scripts write, in plain numpy, is that of ``import hands``."""
+    known = Known(side, mano_folder)
+    spec = importlib.util.spec_from_file_location("hand_file", SCRIPTS / "hand_file.py")
+    assert spec is not None
+    assert spec.loader is not None
+    hand_file = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hand_file)
+    records = [hamer_record(known, n, "crop") for n in range(3)]
+    paths = [write_npz(tmp_path / f"{name}.npz", r) for name, r in zip(FRAMES, records, strict=True)]
+    expected = read(paths, "hamer", reading(side, mano_folder)).track
+    right = mano.load(mano_folder / "MANO_RIGHT.pkl", "right").model
+    vertices, joints, poses = [], [], []
+    for n, record in enumerate(records):
+        R, fingers = known.raw(n)
+        shaped = right.with_shape(known.betas[n])
+        posed = shaped.with_pose(se3.log_so3(fingers).reshape(45))
+        root = shaped.joints[0]
+        t = hand_file.translation(record["pred_cam"], record["box_center"], record["box_size"], K)
+        seen = [(x - root) @ R.T + root for x in (posed.vertices, posed.joints)]
+        flat, T = hand_file.hand_frame(seen[0], root, R, t, side)
+        vertices.append(flat)
+        joints.append(hand_file.hand_frame(seen[1], root, R, t, side)[0])
+        poses.append(T)
+    pads = hand_file.fingertip_pads(right.template, right.joints, right.faces, right.weights)
+    path = tmp_path / "hand.npz"
+    hand_file.write(path, vertices, joints, poses, right.faces, pads, side, [7, 8, 9], K, "known")
+    written = arrays.read(path, lambda _: True)  # the made-up faces are no surface's, so not by read_hand
+    for field in ("vertices", "T_cam_hand", "joints", "faces"):
+        np.testing.assert_allclose(written[field], getattr(expected, field), atol=1e-6)
+    hand = generic.load("right")  # a surface, on which normals weighted by area and by angle agree
+    regions = mano.regions(hand.template, hand.faces, hand.joints, hand.weights)
+    pads = hand_file.fingertip_pads(hand.template, hand.joints, hand.faces, hand.weights)
+    for finger in FINGERS:
+        assert f"region_{finger}" in written
+        both = np.intersect1d(pads[finger], regions[finger])
+        assert len(both) > 0.9 * max(len(pads[finger]), len(regions[finger]))
+
+
+def test_names_of_frames() -> None:
+    frames = ("000743", "000744", "7_1")
+    assert frame_of("000743", frames) == 0
+    assert frame_of("000744_0", frames) == 1
+    assert frame_of("000744_prediction_result", frames) == 1
+    assert frame_of("frame_0000000743", frames) == 0
+    assert frame_of("7_1", frames) == 2
+    assert frame_of("000745", frames) is None
+    assert frame_of("nothing", frames) is None
+
+
+# ---------------------------------------------------------------------------------------------- files from strangers
+
+BROKEN: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    "global_orient": lambda r: r | {"global_orient": np.full((1, 3, 3), np.nan)},
+    "hand_pose": lambda r: r | {"hand_pose": np.zeros((14, 3, 3))},
+    "betas": lambda r: r | {"betas": np.full(10, np.inf)},
+    "pred_cam": lambda r: r | {"pred_cam": np.array([-1.0, 0.0, 0.0])},
+    "box_size": lambda r: r | {"box_size": np.nan},
+    "box_center": lambda r: {key: value for key, value in r.items() if key != "box_center"},
+    "img_size": lambda r: r | {"img_size": np.zeros(2)},
+    "right": lambda r: {key: value for key, value in r.items() if key != "right"},
+}
+
+
+@pytest.mark.parametrize("key", BROKEN)
+def test_what_is_wrong_is_named(tmp_path: Path, refused: Callable[..., str], key: str) -> None:
+    record = BROKEN[key](hamer_record(Known("right", None), 0, "crop"))
+    path = write_npz(tmp_path / "000007.npz", record)
+    refused(lambda: read([path], "hamer", reading("right")), str(path), key)
+
+
+def test_no_code_is_run(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
+    class Hostile:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return Path.touch, (tmp_path / "was-run",)
+
+    path = tmp_path / "000007_prediction_result.pkl"
+    for content in (Hostile(), {"pred_output_list": [Hostile()]}):
+        path.write_bytes(pickle.dumps(content))
+        refused(lambda: read([path], "frankmocap", reading("right", mano_folder)), str(path), "nothing in it was run")
+    np.save(tmp_path / "j.npy", np.array([Hostile()], dtype=object), allow_pickle=True)
+    refused(lambda: read([tmp_path / "j.npy"], "joints", reading("right", order="openpose")), "j.npy")
+    assert not (tmp_path / "was-run").exists()
+
+
+def test_nested_and_lying_files(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
+    bomb = tmp_path / "6_8.json"
+    bomb.write_text('{"init_trans":' + "[" * 100_000 + "]" * 100_000 + "}")
+    refused(lambda: read([bomb], "hawor", reading("right", focal=600.0)), str(bomb))
+    itself: dict[str, Any] = {}
+    itself["pred_output_list"] = [itself]
+    path = tmp_path / "000007.pkl"
+    path.write_bytes(pickle.dumps(itself))
+    refused(lambda: read([path], "frankmocap", reading("right", mano_folder)), str(path))
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999, 21, 3), }".ljust(117) + b"\n"
+    lying = tmp_path / "j.npy"
+    lying.write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + b"\0" * 64)
+    refused(lambda: read([lying], "joints", reading("right", order="openpose")), str(lying))
+
+
+@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damaged_files_are_refused_or_read(tmp_path: Path, mano_folder: Path, data: st.DataObject) -> None:
+    """Truncated files and swapped bytes: an error of this package's that names the file, or plausible numbers."""
+    known = Known("right", None)
+    source, name = data.draw(
+        st.sampled_from([("hamer", "000007.npz"), ("hawor", "6_8.json"), ("frankmocap", "000007.pkl")])
+    )
+    path = tmp_path / name
+    if source == "hamer":
+        write_npz(path, hamer_record(known, 0, "crop"))
+    elif source == "hawor":
+        path.write_text(json.dumps({"init_root_orient": known.R.tolist(), "init_hand_pose": known.pose.tolist(),
+                                    "init_betas": known.betas.tolist(), "init_trans": known.t.tolist()}))  # fmt: skip
+    else:
+        known.vertices = known.vertices[:, :778]
+        path.write_bytes(pickle.dumps(frankmocap_record(known, 0)))
+    content = bytearray(path.read_bytes())
+    if data.draw(st.booleans()):
+        content = content[: data.draw(st.integers(0, len(content) - 1))]
+    else:
+        for _ in range(data.draw(st.integers(1, 8))):
+            a, b = (data.draw(st.integers(0, len(content) - 1)) for _ in range(2))
+            content[a], content[b] = content[b], content[a]
+    path.write_bytes(bytes(content))
+    try:
+        hands = read([path], source, reading("right", mano_folder if source == "frankmocap" else None, focal=600.0))
+    except InputError as error:
+        assert path.name in str(error)  # noqa: PT017
+    else:
+        assert np.isfinite(hands.track.vertices).all()
+        assert se3.is_rigid(hands.track.T_cam_hand).all()
+
+
+def test_small_pickles_that_are_large_in_memory(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
+    """A list that holds another twice, which holds ...; an array that has a size and no contents."""
+
+    class Vast:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return np.zeros(0).__reduce__()[0], (np.ndarray, (10**10,), b"d")
+
+    twice: list[Any] = [1.0, 1.0]
+    for _ in range(28):
+        twice = [twice, twice]
+    path = tmp_path / "000007.pkl"
+    for value, words in (
+        (twice, "5.37e\\+08 values"),
+        (Vast(), "_reconstruct with other arguments"),
+        ([[[twice] * 2] * 2], ""),
+    ):
+        hand = frankmocap_record(Known("right", mano_folder), 0)
+        hand["pred_output_list"][0]["right_hand"]["pred_camera"] = value
+        path.write_bytes(pickle.dumps(hand))
+        said = refused(lambda: read([path], "frankmocap", reading("right", mano_folder)), str(path))
+        assert re.search(words, said)

@@ -1,0 +1,84 @@
+"""The annotation page: a server that can be stopped and started again, requests to it, and a browser."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from getagrip.annotate.project import Project
+from getagrip.annotate.server import Server
+from getagrip.annotate.store import Store
+from getagrip.annotate.tasks import Task
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+class Served:
+    """A server that can be stopped and started again on the same port and file."""
+
+    def __init__(self, tasks: list[Task], database: Path) -> None:
+        self.tasks, self.database, self.port = tasks, database, 0
+        self.start()
+
+    def start(self) -> None:
+        self.project = Project(self.tasks, Store(self.database))
+        self.server = Server(self.project, self.port)
+        self.port = self.server.server_port
+        self.thread = threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.02})
+        self.thread.start()
+
+    def stop(self) -> None:
+        self.server.shutdown()
+        self.thread.join()
+        self.server.server_close()
+        self.project.close()
+
+    def grasps(self) -> list[tuple[Any, ...]]:
+        return [(mark.start, mark.end, mark.side, mark.category) for mark in self.project.store.marks.standing()]
+
+
+def ask(
+    server: Server, path: str, content: object = None, head: dict[str, str] | None = None
+) -> tuple[int, dict[str, str], bytes]:
+    """GET, or POST where there is content."""
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
+    body = content if content is None or isinstance(content, bytes) else json.dumps(content).encode()
+    kind = {"Content-Type": "application/json"} if body is not None else {}
+    connection.request("GET" if body is None else "POST", path, body, kind | (head or {}))
+    answer = connection.getresponse()
+    found = answer.status, dict(answer.getheaders()), answer.read()
+    connection.close()
+    return found
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """A browser without a window."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+def saved(page: Any) -> None:
+    """Wait until the server has everything."""
+    from playwright.sync_api import expect
+
+    expect(page.locator("#saved")).to_have_text("All saved")
+
+
+def until(page: Any, said: str) -> None:
+    """Wait for JavaScript that says true. (Playwright's own wait compiles it in the page, which the page forbids.)"""
+    for _ in range(200):
+        if page.evaluate(said):
+            return
+        page.wait_for_timeout(50)
+    raise AssertionError(f"never true: {said}")
