@@ -69,7 +69,7 @@ def minimise(
         mean, square = 0.9 * mean + 0.1 * g, 0.999 * square + 0.001 * g**2
         corrected = mean / (1.0 - 0.9 ** (k + 1)) / (np.sqrt(square / (1.0 - 0.999 ** (k + 1))) + 1e-12)
         step = -0.5 * rate * (1.0 + np.cos(np.pi * k / iterations)) * unit * corrected
-        hinge = hinge.moved(step[:, :10], step[:, 10:, None])
+        hinge = hinge.retract(step[:, :10], step[:, 10:, None])
     return Descent(best, least)
 
 

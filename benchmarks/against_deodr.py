@@ -15,7 +15,7 @@ from benchmarks.page import table
 from benchmarks.problem import CLIPS, Problem, make, reconstruction
 from benchmarks.timing import Timing, timed
 from getagrip.fitting.energy import Term
-from getagrip.fitting.initial_poses import starting_poses
+from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.motion import Hinge
 from getagrip.fitting.options import Options
 from getagrip.fitting.solve import in_camera
@@ -135,7 +135,7 @@ def _compare(problem: Problem) -> tuple[list[Run], str]:
 
 def _all_starts(problem: Problem) -> Hinge:
     """The starts of our own search."""
-    fixed = starting_poses(problem.clip, problem.masks, MASK_ONLY.inits)
+    fixed = initial_poses(problem.clip, problem.masks, MASK_ONLY.inits)
     return adam.start(fixed.R, fixed.centre, -problem.centre, len(problem.clip))
 
 

@@ -15,11 +15,10 @@ import numpy as np
 
 from benchmarks import page
 from getagrip.clip import read_clip
-from getagrip.fitting.methods.all_frames import terms_of
-from getagrip.fitting.motion import Fixed, Soft
+from getagrip.fitting.methods.all_frames import SOFT_RIDGE, coarse_energy, steady
+from getagrip.fitting.motion import Fixed, Hinge, PosesInHand, Soft
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import Problem, prepare, read_sampled
-from getagrip.fitting.search import COARSE_RIDGE, Schedule, soft_hinge
+from getagrip.fitting.problem import Problem, prepare
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -27,7 +26,7 @@ from getagrip.metrics.pose import SUCCESS, ObjectTrack, best_symmetry, pose_erro
 from getagrip.metrics.symmetry import find_symmetries
 from getagrip.result import read_result
 
-ITERATIONS = 40
+LEVEL, ITERATIONS = 256, 40
 ALIKE = 0.02
 """Energies that differ by less, as a share of the lower one, are alike."""
 
@@ -40,8 +39,9 @@ def settled(problem: Problem, start: ObjectTrack) -> tuple[float, ObjectTrack]:
     centre = start.T_hand_obj[:, :3, 3] + start.scale * R @ clip.mesh.centre
     base = Fixed(R[middle][None], centre[middle][None], np.log([start.scale]), N, clip.scale == "free")
     deviation = np.concatenate([centre - centre[middle], se3.log_so3(R @ R[middle].T)], axis=-1)[None]
-    motion = soft_hinge(Soft(base, deviation, COARSE_RIDGE), free_location=True, anchor=np.zeros(3))
-    terms = terms_of(problem)(Schedule().stages[-1], np.arange(N))
+    hinge = Hinge.nearest(base, deviation, free_location=True, anchor=np.zeros(3))
+    motion = Soft.around(hinge, PosesInHand(R[None], centre[None], np.array([start.scale])), SOFT_RIDGE)
+    terms = steady(problem, coarse_energy(problem))(LEVEL, np.arange(N))
     solution = minimise(motion, terms, clip.hand.T_cam_hand, ITERATIONS)
     held = solution.motion.poses()
     R, scale = held.R[0], float(held.scale[0])
@@ -66,9 +66,9 @@ def main(folder: Path) -> None:
     rows: list[list[str]] = []
     for place in sorted((folder / "results" / "soft-hinge").iterdir()):
         result, _ = read_result(place)
-        clip, masks = read_sampled(read_clip(folder / "clips" / result.clip), Options().frames)
-        problem = prepare(clip, masks, Options())
-        truth = problem.clip.truth
+        problem = prepare(read_clip(folder / "clips" / result.clip), None, Options())
+        clip = problem.clip
+        truth = clip.truth
         assert truth is not None
         true = ObjectTrack(se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj, truth.scale)
         found = ObjectTrack(result.T_hand_obj, result.scale)

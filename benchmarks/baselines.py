@@ -17,19 +17,18 @@ from unittest.mock import patch
 
 from benchmarks import page
 from benchmarks.problem import Problem
+from getagrip.clip.sampling import frame_indices
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.noise import NOISE
 from getagrip.datasets.synthetic.scene import Options as ClipOptions
 from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.fitting.methods import all_frames as joint
-from getagrip.fitting.methods import homan, single_frame
-from getagrip.fitting.methods import homan_refine as homan_joint
+from getagrip.fitting.methods import all_frames, homan, homan_refine, single_frame
 from getagrip.fitting.observation import observe
-from getagrip.fitting.options import Method, Options
+from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
-from getagrip.fitting.search import Schedule, Stage, spread
+from getagrip.fitting.schedule import Schedule, Stage
 
-METHODS: tuple[Method, ...] = (
+METHODS = (
     "soft-hinge",
     "one-dof",
     "static",
@@ -64,20 +63,21 @@ def longer(factor: int) -> Iterator[None]:
         return replace(of, iterations=factor * of.iterations)
 
     def schedule(of: Schedule) -> Schedule:
-        static, loose = factor * of.static_iterations, factor * of.loose_iterations
-        stages = tuple(stage(s) for s in of.stages)
-        return replace(of, static_iterations=static, loose_iterations=loose, stages=stages)
+        static, relaxed = factor * of.static_iterations, factor * of.relaxed_iterations
+        coarse, fine = (tuple(stage(s) for s in stages) for stages in (of.coarse, of.fine))
+        return Schedule(static, relaxed, coarse, fine)
 
+    refine = tuple((level, factor * iterations) for level, iterations in homan_refine.STAGES)
     with ExitStack() as stack:
-        stack.enter_context(patch.object(joint, "Schedule", lambda: schedule(Schedule())))
+        stack.enter_context(patch.object(all_frames, "USUAL", schedule(all_frames.USUAL)))
         stack.enter_context(patch.object(single_frame, "SCHEDULE", schedule(single_frame.SCHEDULE)))
-        stack.enter_context(patch.object(homan, "FIRST", stage(homan.FIRST)))
-        stack.enter_context(patch.object(homan, "LATER", stage(homan.LATER)))
-        stack.enter_context(patch.object(homan_joint, "STAGES", tuple(stage(s) for s in homan_joint.STAGES)))
+        stack.enter_context(patch.object(homan, "FIRST", factor * homan.FIRST))
+        stack.enter_context(patch.object(homan, "LATER", factor * homan.LATER))
+        stack.enter_context(patch.object(homan_refine, "STAGES", refine))
         yield
 
 
-def score(problem: Problem, method: Method, starts: int, iterations: int) -> Score:
+def score(problem: Problem, method: str, starts: int, iterations: int) -> Score:
     """Reconstruct with so many times the starts and iterations."""
     with longer(iterations):
         result = reconstruct(problem.clip, problem.masks, Options(method=method, inits=starts * Options().inits))
@@ -88,7 +88,7 @@ def score(problem: Problem, method: Method, starts: int, iterations: int) -> Sco
 def main(clips: int) -> None:
     """Write the table, for so many clips: categories spread evenly, every second one with noise."""
     problems = []
-    for k, c in enumerate(spread(len(CATEGORIES), clips)):
+    for k, c in enumerate(frame_indices(len(CATEGORIES), clips)):
         clip, masks = synthesise(sorted(CATEGORIES)[c], 0, tuple(CONDITIONS.values())[k % 2])
         problems.append(Problem(clip, masks, observe(masks, clip.K)))
     said = f"{len(problems)} clips of as many categories, half of them {', half '.join(CONDITIONS)}."

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from benchmarks.problem import Problem
-from getagrip.fitting.energy import Local, Poses
+from getagrip.fitting.energy import PosesInCamera, Quadratic
 from getagrip.fitting.observation import CROP
 from getagrip.geometry import se3
 from getagrip.kernels.silhouette import unpack
@@ -31,8 +31,8 @@ class DeodrTerm:
         mesh, observation = problem.clip.mesh, problem.observation
         self.vertices = mesh.vertices - problem.centre
         self.K = observation.K
-        self.seen = unpack(observation.seen[CROP], CROP).astype(float)
-        self.care = unpack(observation.care[CROP], CROP).astype(float)
+        self.seen = unpack(observation.observed[CROP], CROP).astype(float)
+        self.valid = unpack(observation.valid[CROP], CROP).astype(float)
         self.topology = TriMesh(mesh.faces, self.vertices)  # outward faces, seen in an image whose y points down
         V, F = len(mesh.vertices), len(mesh.faces)
         faces = mesh.faces.astype(np.uint32)
@@ -43,14 +43,14 @@ class DeodrTerm:
             background_color=np.zeros(1), backface_culling=True, integer_pixel_centers=False,
         )  # fmt: skip
 
-    def __call__(self, poses: Poses, bound: Float[ndarray, "B"]) -> Local:
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
         B, N = poses.centre.shape[:2]
         value, g = np.zeros((B, N)), np.zeros((B, N, 7))
         for b in range(B):
             for n in range(N):
                 arm = poses.scale[b] * self.vertices @ poses.R[b, n].T
                 value[b, n], g[b, n] = self._frame(n, arm, poses.centre[b, n])
-        return Local(value, g, np.zeros((B, N, 7, 7)))
+        return Quadratic(value, g, np.zeros((B, N, 7, 7)))
 
     def _frame(
         self, n: int, arm: Float[ndarray, "V 3"], centre: Float[ndarray, "3"]
@@ -63,7 +63,7 @@ class DeodrTerm:
         scene.edgeflags = np.asarray(self.topology.edge_on_silhouette(scene.ij))
         scene.clear_gradients()
         renderScene(scene, SOFT, image, depth, check_valid=False)
-        wrong = self.care[n] * (image[..., 0] - self.seen[n])
+        wrong = self.valid[n] * (image[..., 0] - self.observed[n])
         value = float(np.vdot(wrong, wrong))
         renderSceneB(scene, SOFT, image, depth, 2.0 * wrong[..., None], check_valid=False)
         u, v = scene.ij_b.T
@@ -72,7 +72,7 @@ class DeodrTerm:
         return value, np.concatenate([by_vertex.sum(axis=0), turn, [np.vdot(arm, by_vertex)]])
 
 
-def agreement(term: DeodrTerm, poses: Poses) -> float:
+def agreement(term: DeodrTerm, poses: PosesInCamera) -> float:
     """Cosine between the term's gradient and central differences of its own value, all frames together.
 
     Edge flags of the wrong orientation leave a gradient near zero and nobody is told; this notices.
@@ -83,7 +83,7 @@ def agreement(term: DeodrTerm, poses: Poses) -> float:
     for k in range(7):
         d = unit[k] * np.eye(7)[k]
         ahead, behind = (
-            Poses(se3.exp_so3(s * d[3:6]) @ poses.R, poses.centre + s * d[:3], poses.scale * np.exp(s * d[6]))
+            PosesInCamera(se3.exp_so3(s * d[3:6]) @ poses.R, poses.centre + s * d[:3], poses.scale * np.exp(s * d[6]))
             for s in (1.0, -1.0)
         )
         differences[:, k] = (term(ahead, bound).value - term(behind, bound).value)[0] / 2.0

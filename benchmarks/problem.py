@@ -13,8 +13,8 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.fitting.energy import Poses, no_bound
-from getagrip.fitting.energy.mask import MaskTerm, Surface
+from getagrip.fitting.energy import PosesInCamera, no_bound
+from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
 from getagrip.fitting.observation import Observation, observe
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
@@ -45,12 +45,12 @@ class Problem:
 
     def mask_term(self, level: int, step: float = 2.0) -> MaskTerm:
         """E_mask of the whole mesh, not decimated."""
-        return MaskTerm(Surface.of(self.clip.mesh, self.centre), self.observation, level, step=step)
+        return MaskTerm(SilhouetteMesh.of(self.clip.mesh, self.centre), self.observation, level, step=step)
 
-    def in_camera(self, T_hand_obj: Float[ndarray, "T 4 4"]) -> Poses:
+    def in_camera(self, T_hand_obj: Float[ndarray, "T 4 4"]) -> PosesInCamera:
         """A sequence of poses as the terms read it."""
         T = self.clip.hand.T_cam_hand @ T_hand_obj
-        return Poses(T[None, :, :3, :3], se3.transform(T, self.centre[None])[None, :, 0], np.ones(1))
+        return PosesInCamera(T[None, :, :3, :3], se3.transform(T, self.centre[None])[None, :, 0], np.ones(1))
 
     def energy(self, T_hand_obj: Float[ndarray, "T 4 4"]) -> float:
         """Exact E_mask at 256 pixels [px per frame]."""

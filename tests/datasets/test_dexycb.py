@@ -271,7 +271,7 @@ def test_fingers_are_as_thick_as_the_hand_is_long(size):
     T_cam_hand, T_cam_obj, _ = scene()
     joints = se3.transform(T_cam_hand, posed.joints)
     known = np.ones(FRAMES, dtype=bool)
-    poses = {HELD: dexycb_files.Poses(T_cam_obj, known)}
+    poses = {HELD: dexycb_files.PosesInCamera(T_cam_obj, known)}
     recording = dexycb_files.Recording(
         Path("x"), "s", "q", "", "right", HELD, poses, joints, known, dexycb_files.PACKED_K
     )

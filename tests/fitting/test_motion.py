@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.fitting.motion import Fixed, Free, Hinge, InHand, Motion, Soft, left_jacobian, tangents
+from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, PosesInHand, Soft, tangents
 from getagrip.geometry import se3
 
 B, N = 3, 4
@@ -67,7 +67,7 @@ def sizes(motion: Motion) -> tuple[int, int]:
     return shared.shape[-1], local.shape[-1]
 
 
-def local_vectors(here: InHand, there: InHand) -> ndarray:
+def local_vectors(here: PosesInHand, there: PosesInHand) -> ndarray:
     """The local 7-vectors (B, N, 7) that take one motion's poses to another's (``se3``)."""
     v = there.centre - here.centre
     w = se3.log_so3(there.R @ np.swapaxes(here.R, -1, -2))
@@ -86,7 +86,7 @@ def test_jacobians_are_finite_differences_of_moved(make: Callable[[np.random.Gen
     here = motion.poses()
 
     def difference(shared: ndarray, local: ndarray) -> ndarray:
-        ahead, behind = (motion.moved(s * shared, s * local).poses() for s in (h, -h))
+        ahead, behind = (motion.retract(s * shared, s * local).poses() for s in (h, -h))
         return (local_vectors(here, ahead) - local_vectors(here, behind)) / (2.0 * h)
 
     for k in range(S):
@@ -106,7 +106,7 @@ def test_a_frames_own_parameters_move_no_other_frame(make: Callable[[np.random.G
     S, L = sizes(motion)
     local = np.zeros((B, N, L))
     local[:, 1] = 0.1 * rng.normal(size=(B, L))
-    change = local_vectors(motion.poses(), motion.moved(np.zeros((B, S)), local).poses())
+    change = local_vectors(motion.poses(), motion.retract(np.zeros((B, S)), local).poses())
     np.testing.assert_allclose(change[:, [0, 2, 3]], 0.0, atol=1e-12)
 
 
@@ -120,7 +120,7 @@ def test_steps_are_taken_to_first_order(make: Callable[[np.random.Generator], Mo
     linear = (J_shared @ shared[:, None, :, None] + J_local @ local[..., None])[..., 0]
     errors = []
     for h in (1e-2, 1e-3):
-        change = local_vectors(motion.poses(), motion.moved(h * shared, h * local).poses())
+        change = local_vectors(motion.poses(), motion.retract(h * shared, h * local).poses())
         errors.append(np.abs(change - h * linear).max())
     assert errors[1] < 0.02 * errors[0] + 1e-12  # the rest shrinks with the square of the step
 
@@ -144,7 +144,7 @@ def test_poses_are_rigid_and_hypotheses_side_by_side(make: Callable[[np.random.G
 def test_turned_objects_stay_where_they_are(make: Callable[[np.random.Generator], Motion]) -> None:
     rng = np.random.default_rng(5)
     motion, R = make(rng), se3.exp_so3(rng.normal(size=(B, 3)))
-    before, after = motion.poses(), motion.turned(R).poses()
+    before, after = motion.poses(), motion.rotated(R).poses()
     np.testing.assert_allclose(after.R, before.R @ R[:, None], atol=1e-12)
     np.testing.assert_array_equal(after.centre, before.centre)
     np.testing.assert_array_equal(after.scale, before.scale)
@@ -154,7 +154,7 @@ def test_turned_objects_stay_where_they_are(make: Callable[[np.random.Generator]
 def test_hypotheses_are_joined_in_order(make: Callable[[np.random.Generator], Motion]) -> None:
     rng = np.random.default_rng(6)
     one, other = make(rng), make(rng)
-    both = one.joined(other).poses()
+    both = one.concatenate(other).poses()
     np.testing.assert_array_equal(both.R, np.concatenate([one.poses().R, other.poses().R]))
     np.testing.assert_array_equal(both.centre, np.concatenate([one.poses().centre, other.poses().centre]))
 
@@ -166,7 +166,7 @@ def test_priors_are_quadratic(make: Callable[[np.random.Generator], Motion]) -> 
     prior = motion.prior()
     assert (prior.value >= 0).all()
     step = np.random.default_rng(7).normal(0.0, 0.1, (B, N, L))
-    moved = motion.moved(np.zeros((B, S)), step).prior().value
+    moved = motion.retract(np.zeros((B, S)), step).prior().value
     expected = prior.value + np.sum(prior.g * step + 0.5 * prior.diagonal * step**2, axis=(1, 2))
     np.testing.assert_allclose(moved, expected, atol=1e-10)
 
@@ -176,7 +176,7 @@ def test_a_scale_that_is_known_stays() -> None:
     for make in (fixed, hinge, free):
         motion = make(rng)
         S, L = sizes(motion)
-        moved = motion.moved(rng.normal(size=(B, S)), rng.normal(size=(B, N, L)))
+        moved = motion.retract(rng.normal(size=(B, S)), rng.normal(size=(B, N, L)))
         np.testing.assert_array_equal(moved.poses().scale, motion.poses().scale)
 
 
@@ -212,7 +212,7 @@ def test_the_direction_of_a_hinge_keeps_its_length() -> None:
     rng = np.random.default_rng(10)
     motion = hinge(rng)
     for _ in range(20):
-        motion = motion.moved(rng.normal(size=(B, 10)), rng.normal(size=(B, N, 1)))
+        motion = motion.retract(rng.normal(size=(B, 10)), rng.normal(size=(B, N, 1)))
     np.testing.assert_allclose(np.linalg.norm(motion.direction, axis=1), 1.0, atol=1e-12)
 
 
@@ -229,7 +229,7 @@ def test_left_jacobian(seed: int, length: float) -> None:
     rng = np.random.default_rng(seed)
     w, dw = length * unit(rng.normal(size=3)), 1e-6 * rng.normal(size=3)
     both = se3.log_so3(se3.exp_so3(w + dw) @ se3.exp_so3(w - dw).T)
-    np.testing.assert_allclose(both, 2.0 * left_jacobian(w) @ dw, atol=1e-12)
+    np.testing.assert_allclose(both, 2.0 * se3.left_jacobian(w) @ dw, atol=1e-12)
 
 
 def test_a_soft_motion_without_deviation_is_its_core() -> None:

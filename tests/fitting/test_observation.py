@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.clip import Masks
-from getagrip.fitting.energy.mask import Surface
+from getagrip.fitting.energy.mask import SilhouetteMesh
 from getagrip.fitting.observation import CROP, FIELD, LEVELS, TARGETS, Observation, observe
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
@@ -36,12 +36,12 @@ def at_level(bits: dict[int, ndarray], level: int = CROP) -> ndarray:
 
 def test_what_an_observation_holds() -> None:
     o = observed(discs([(60.0, 50.0), (90.0, 70.0)]))
-    assert sorted(o.seen) == sorted(o.care) == sorted(LEVELS)
+    assert sorted(o.observed) == sorted(o.valid) == sorted(LEVELS)
     for level in LEVELS:
-        assert at_level(o.seen, level).shape == at_level(o.care, level).shape == (2, level, level)
-        share = at_level(o.seen, level).mean(axis=(1, 2))
+        assert at_level(o.observed, level).shape == at_level(o.valid, level).shape == (2, level, level)
+        share = at_level(o.observed, level).mean(axis=(1, 2))
         np.testing.assert_allclose(share, np.pi / 4 / 1.8**2, rtol=0.05)
-    np.testing.assert_array_equal(o.area, at_level(o.seen).sum(axis=(1, 2)))
+    np.testing.assert_array_equal(o.area, at_level(o.observed).sum(axis=(1, 2)))
     assert o.field.shape == (2, FIELD, FIELD)
     assert o.targets.shape == (2, TARGETS, 5)
     one = o.take(np.array([1]))
@@ -62,7 +62,7 @@ def test_the_cameras_of_the_crops_see_the_same(seed: int) -> None:
 
 def test_rendering_with_the_cameras_of_the_crops_gives_the_observed_mask() -> None:
     mesh = box(0.1, 0.06, 0.04)
-    t = Surface.of(mesh, np.zeros(3))
+    t = SilhouetteMesh.of(mesh, np.zeros(3))
     R, centre = se3.exp_so3(np.array([[0.3, 0.5, 0.2]])), np.array([[0.01, -0.02, 0.4]])
 
     def drawn(K4: ndarray, height: int, width: int) -> ndarray:
@@ -75,8 +75,8 @@ def test_rendering_with_the_cameras_of_the_crops_gives_the_observed_mask() -> No
     again = drawn(o.K, CROP, CROP)
     pixel = o.crops.zoom  # crop pixels per image pixel: the observed outline is known to half of one
     outline = (np.abs(o.field) < pixel).sum() * (CROP / FIELD) ** 2
-    assert (again ^ at_level(o.seen)).sum() < 0.5 * outline
-    sides = again.sum() / at_level(o.seen).sum()
+    assert (again ^ at_level(o.observed)).sum() < 0.5 * outline
+    sides = again.sum() / at_level(o.observed).sum()
     assert sides == pytest.approx(1.0, abs=0.02)
 
 
@@ -84,7 +84,7 @@ def test_nothing_is_known_beyond_the_image() -> None:
     o = observed(discs([(10.0, 60.0)]))
     u = (np.arange(CROP) + 0.5) / o.crops.zoom + o.crops.corner[0, 0]
     assert u[0] < 0.0
-    np.testing.assert_array_equal(at_level(o.care)[0], np.broadcast_to(u >= 0.0, (CROP, CROP)))
+    np.testing.assert_array_equal(at_level(o.valid)[0], np.broadcast_to(u >= 0.0, (CROP, CROP)))
 
 
 def test_hidden_pixels_do_not_count_unless_asked_to() -> None:
@@ -93,10 +93,10 @@ def test_hidden_pixels_do_not_count_unless_asked_to() -> None:
     ignore[:, :, 85:] = True
     visible = seen & ~ignore
     o, blind = observed(visible, ignore), observed(visible, ignore, use_ignore=False)
-    hidden = ~at_level(o.care)[0]
+    hidden = ~at_level(o.valid)[0]
     assert hidden.any()
-    assert not (hidden & at_level(o.seen)[0]).any()
-    assert at_level(blind.care).all()
+    assert not (hidden & at_level(o.observed)[0]).any()
+    assert at_level(blind.valid).all()
     # No boundary point lies on the border with the occluder.
     image_u = o.targets[0, :, 0] / o.crops.zoom + o.crops.corner[0, 0]
     used = o.targets[0, :, 4] > 0
@@ -110,15 +110,15 @@ def test_nothing_is_the_object_where_all_is_hidden() -> None:
     ignore[:, 40:80, 80:120] = True
     o = observed(seen & ~ignore, ignore)
     for level in LEVELS:
-        hidden = ~at_level(o.care, level)
+        hidden = ~at_level(o.valid, level)
         assert hidden.any()
-        assert not (hidden & at_level(o.seen, level)).any()
+        assert not (hidden & at_level(o.observed, level)).any()
 
 
 def test_where_object_and_ignored_overlap_the_object_wins() -> None:
     seen = discs([(80.0, 60.0)])
     o = observed(seen, np.ones_like(seen))
-    np.testing.assert_array_equal(at_level(o.care), at_level(o.seen))
+    np.testing.assert_array_equal(at_level(o.valid), at_level(o.observed))
 
 
 @settings(max_examples=10)
@@ -129,7 +129,7 @@ def test_fields_and_targets_of_a_disc(x: float, y: float, radius: float) -> None
     centre, r = (np.array([x, y]) - o.crops.corner[0]) * zoom, radius * zoom
     v, u = (np.indices((FIELD, FIELD)) + 0.5) * (CROP / FIELD)
     expected = np.hypot(u - centre[0], v - centre[1]) - r
-    known = at_level(o.care, 128)[0]
+    known = at_level(o.valid, 128)[0]
     tolerance = 1.5 * zoom + 2.0  # a pixel of the image, and one of the field
     assert np.abs(field - expected)[known].max() < tolerance
     points = o.targets[0][o.targets[0, :, 4] > 0]

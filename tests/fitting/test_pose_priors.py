@@ -18,7 +18,7 @@ from getagrip.clip import Clip, read_clip, write_clip
 from getagrip.errors import InputError, UsageError
 from getagrip.fitting import learn_priors as clusters
 from getagrip.fitting import pose_priors as priors
-from getagrip.fitting.initial_poses import starting_poses
+from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.learn_priors import clustered, hold, karcher_mean, learn
 from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.fitting.pose_priors import Priors, poses_for, read_folder, read_learnt
@@ -148,21 +148,21 @@ def test_an_object_without_poses_starts_from_even_rotations_and_the_result_says_
     clip, masks = replace(held("b", "Bob"), side="left"), small_clip()[1]
     problem = prepare(clip, masks, options)
     assert "poses.npz has no poses of box in a left hand: 12 rotations spread evenly" in problem.notes
-    starts = starting_poses(clip, masks, 12, 0, problem.poses)
-    assert np.array_equal(starts.R, starting_poses(clip, masks, 12).R)
+    starts = initial_poses(clip, masks, 12, 0, problem.poses)
+    assert np.array_equal(starts.R, initial_poses(clip, masks, 12).R)
 
 
 def test_given_poses_come_first_then_even_rotations() -> None:
     clip, masks = small_clip()
     clip = replace(clip, mesh=Mesh(clip.mesh.vertices + np.array([0.0, 0.1, 0.0]), clip.mesh.faces))
     poses = se3.rigid(rotations(3), np.array([0.01, 0.02, 0.03]))
-    starts = starting_poses(clip, masks, 8, 5, poses)
-    even = starting_poses(clip, masks, 5, 5)
+    starts = initial_poses(clip, masks, 8, 5, poses)
+    even = initial_poses(clip, masks, 5, 5)
     assert np.array_equal(starts.R[:3], poses[:, :3, :3])
     assert np.allclose(starts.centre[:3], se3.transform(poses, clip.mesh.centre[None])[:, 0])
     assert np.array_equal(starts.R[3:], even.R)
     assert np.array_equal(starts.centre[3:], even.centre)
-    assert np.array_equal(starting_poses(clip, masks, 2, 5, poses).R, poses[:2, :3, :3])
+    assert np.array_equal(initial_poses(clip, masks, 2, 5, poses).R, poses[:2, :3, :3])
 
 
 def test_a_file_that_has_changed_since_it_was_named_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:

@@ -15,7 +15,7 @@ from getagrip.clip import Clip, Masks, read_clip, read_masks, write_clip
 from getagrip.clip import masks as clip_masks
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import Problem, prepare, read_sampled
+from getagrip.fitting.problem import Problem, prepare
 from helpers.clips import small_clip
 
 FRAMES = 9
@@ -34,7 +34,7 @@ def written(folder: Path, unseen: list[int], hidden: list[int]) -> Clip:
 def prepared(clip: Clip, options: Options, sampled: bool) -> Problem | str:
     """The problem, or what it is refused with."""
     try:
-        return prepare(*(read_sampled(clip, options.frames) if sampled else (clip, read_masks(clip))), options)
+        return prepare(clip, None if sampled else read_masks(clip), options)
     except InputError as error:
         return str(error)
 
@@ -69,9 +69,9 @@ def test_no_more_masks_are_in_memory_than_are_used(tmp_path: Path, monkeypatch: 
         return Masks(object, ignore)
 
     monkeypatch.setattr(clip_masks, "Masks", counted)
-    short, _ = read_sampled(clip, 3)
+    problem = prepare(clip, None, Options(frames=3))
     assert kept == [3]
-    assert short.frames == (
+    assert problem.clip.frames == (
         "0000",
         "0005",
         "0008",
@@ -85,9 +85,9 @@ def test_every_mask_is_checked_also_those_that_are_not_used(tmp_path: Path) -> N
         whole = path.read_bytes()
         path.write_bytes(whole[:60])
         with pytest.raises(InputError, match=r"0001.png: "):
-            read_sampled(clip, 2)
+            prepare(clip, None, Options(frames=2))
         path.write_bytes(whole)
-    read_sampled(clip, 2)
+    prepare(clip, None, Options(frames=2))
 
 
 def test_frames_left_out_are_told_once(tmp_path: Path) -> None:

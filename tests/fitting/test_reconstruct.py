@@ -18,8 +18,7 @@ from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.evaluation import evaluate
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import AMBIGUOUS, mask_iou
-from getagrip.fitting.reconstruct import reconstruct
+from getagrip.fitting.reconstruct import AMBIGUOUS, image_iou, reconstruct
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.result import Reconstruction
@@ -168,7 +167,7 @@ def test_the_truth_explains_clean_masks() -> None:
     clip, masks = made("kettle", 1)
     assert clip.truth is not None
     T_hand_obj = se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
-    assert mask_iou(clip, masks, T_hand_obj, clip.truth.scale).min() > 0.999  # two rasterisers, one or two pixels
+    assert image_iou(clip, masks, T_hand_obj, clip.truth.scale).min() > 0.999  # two rasterisers, one or two pixels
 
 
 # What does not matter

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.fitting.energy import Local, Poses
+from getagrip.fitting.energy import PosesInCamera, Quadratic
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
-from getagrip.fitting.solve import _FLOOR, Status, evaluate, in_camera, minimise
+from getagrip.fitting.solve import FLOOR, Status, evaluate, in_camera, minimise
 from getagrip.geometry import se3
+from getagrip.least_squares import Rules
 
 N = 5
 STIFF = 1e6
@@ -29,7 +30,7 @@ class Match:
     name: str = "match"
     calls: list[ndarray] | None = None
 
-    def __call__(self, poses: Poses, bound: ndarray) -> Local:
+    def __call__(self, poses: PosesInCamera, bound: ndarray) -> Quadratic:
         arm = poses.scale[:, None, None, None] * POINTS @ np.swapaxes(poses.R, -1, -2)
         r = poses.centre[:, :, None] + arm - self.target
         eye = np.broadcast_to(np.eye(3), (*arm.shape, 3))
@@ -38,14 +39,14 @@ class Match:
         g, H = np.einsum("bnpki,bnpk->bni", J, r), np.einsum("bnpki,bnpkj->bnij", J, J)
         if self.calls is not None:
             self.calls.append(bound)
-        return Local(self.stiffness * value, self.stiffness * g, self.stiffness * H)
+        return Quadratic(self.stiffness * value, self.stiffness * g, self.stiffness * H)
 
 
 @dataclass(frozen=True)
 class Lazy(Match):
     """The same, with nonsense for derivatives where the bound allows it."""
 
-    def __call__(self, poses: Poses, bound: ndarray) -> Local:
+    def __call__(self, poses: PosesInCamera, bound: ndarray) -> Quadratic:
         local = super().__call__(poses, bound)
         beyond = local.value.sum(axis=1) > bound
         local.g[beyond], local.H[beyond] = np.nan, np.nan
@@ -56,7 +57,7 @@ class Lazy(Match):
 class Blind(Match):
     """The same, infinite for an object behind the camera."""
 
-    def __call__(self, poses: Poses, bound: ndarray) -> Local:
+    def __call__(self, poses: PosesInCamera, bound: ndarray) -> Quadratic:
         local = super().__call__(poses, bound)
         local.value[poses.centre[..., 2] < 0.0] = np.inf
         return local
@@ -92,7 +93,7 @@ def nudged(motion: Any, rng: np.random.Generator, size: float) -> Any:
     S, L = (J.shape[-1] for J in motion.jacobian())
     B = len(motion.poses().scale)
     length = size * np.array([0.1, 0.1, 0.1, 1.0, 1.0, 1.0, *[0.3] * 20])
-    return motion.moved(rng.normal(size=(B, S)) * length[:S], rng.normal(size=(B, N, L)) * length[6 : 6 + L])
+    return motion.retract(rng.normal(size=(B, S)) * length[:S], rng.normal(size=(B, N, L)) * length[6 : 6 + L])
 
 
 def at_hinge(at: Hinge) -> Hinge:
@@ -135,7 +136,7 @@ def problem(
 @pytest.mark.parametrize("free_scale", [False, True])
 def test_every_motion_finds_a_known_minimum(kind: Callable[[Hinge], Motion], free_scale: bool) -> None:
     true, start, T, target = problem(kind, free_scale)
-    solution = minimise(start, [Match(target)], T, iterations=40, tolerance=1e-12)
+    solution = minimise(start, [Match(target)], T, iterations=40, rules=Rules(tolerance=1e-12))
     np.testing.assert_allclose(solution.energy, 0.0, atol=1e-6)
     found, expected = solution.motion.poses(), true.poses()
     np.testing.assert_allclose(found.R, expected.R, atol=1e-4)
@@ -148,7 +149,7 @@ def test_a_step_is_that_of_the_dense_system(kind: Callable[[Hinge], Motion]) -> 
     """Eliminating the frames changes nothing: S + N L equations, damped as the solver damps them."""
     damping = 1e-2
     _, start, T, target = problem(kind, True, hypotheses=1, size=0.02)
-    solution = minimise(start, [Match(target)], T, iterations=1, damping=damping)
+    solution = minimise(start, [Match(target)], T, iterations=1, rules=Rules(damping=damping))
     J_shared, J_local = start.jacobian()
     S, L = J_shared.shape[-1], J_local.shape[-1]
     prior, local = start.prior(), Match(target)(in_camera(start, T), np.full(1, np.inf))
@@ -163,9 +164,9 @@ def test_a_step_is_that_of_the_dense_system(kind: Callable[[Hinge], Motion]) -> 
         g += J.T @ local.g[0, n]
     H[S:, S:] += np.diag(np.tile(prior.diagonal, N))
     g[S:] += prior.g[0].ravel()
-    H += damping * np.diag(np.diag(H) + _FLOOR)
+    H += damping * np.diag(np.diag(H) + FLOOR)
     step = -np.linalg.solve(H, g)
-    expected = start.moved(step[None, :S], step[S:].reshape(1, N, L)).poses()
+    expected = start.retract(step[None, :S], step[S:].reshape(1, N, L)).poses()
     found = solution.motion.poses()
     np.testing.assert_allclose(found.R, expected.R, atol=1e-9)
     np.testing.assert_allclose(found.centre, expected.centre, atol=1e-9)
@@ -227,8 +228,8 @@ def test_statuses_say_what_happened() -> None:
     assert minimise(start, [Match(target)], T, iterations=1).status == [Status.LIMIT]
     floor = Match(target + 0.01 * np.random.default_rng(3).normal(size=target.shape))
     assert minimise(start, [floor], T, iterations=60).status == [Status.CONVERGED]
-    at_minimum = minimise(start, [floor], T, iterations=60, tolerance=0.0).motion
-    assert minimise(at_minimum, [floor], T, iterations=60, tolerance=0.0).status == [Status.STUCK]
+    at_minimum = minimise(start, [floor], T, iterations=60, rules=Rules(tolerance=0.0)).motion
+    assert minimise(at_minimum, [floor], T, iterations=60, rules=Rules(tolerance=0.0)).status == [Status.STUCK]
     for status in Status:
         assert ":" in status or ";" in status
     assert true is not start
@@ -256,8 +257,8 @@ def test_a_softer_ridge_lets_frames_go_their_way() -> None:
     energies = []
     for ridge in (1e-3, 1e3, 1e12):
         start = Soft(core, np.zeros((1, N, 6)), (ridge, ridge))
-        energies.append(minimise(start, [Match(target)], T, iterations=60, tolerance=1e-9).energy[0])
-    rigid = minimise(core, [Match(target)], T, iterations=60, tolerance=1e-9).energy[0]
+        energies.append(minimise(start, [Match(target)], T, iterations=60, rules=Rules(tolerance=1e-9)).energy[0])
+    rigid = minimise(core, [Match(target)], T, iterations=60, rules=Rules(tolerance=1e-9)).energy[0]
     assert energies[0] < energies[1] < energies[2]
     assert energies[0] < 1e-2 * rigid
     assert energies[2] == pytest.approx(rigid, rel=1e-3)

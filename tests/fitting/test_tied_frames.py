@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.fitting.energy import Local, Poses, Term
+from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
 from getagrip.fitting.energy.interaction import InteractionTerm
 from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.fitting.motion import Free
 from getagrip.fitting.solve import minimise
+from getagrip.least_squares import Rules
 from helpers.terms import N, random_poses, some_term
 
 
@@ -24,9 +25,9 @@ class Tied:
     def __init__(self, inner: Term) -> None:
         self.inner = inner
 
-    def __call__(self, poses: Poses, bound: ndarray) -> Local:
+    def __call__(self, poses: PosesInCamera, bound: ndarray) -> Quadratic:
         local = self.inner(poses, bound)
-        return replace(local, across=np.zeros((*local.g.shape, *local.g.shape[1:])))
+        return replace(local, cross=np.zeros((*local.g.shape, *local.g.shape[1:])))
 
 
 @pytest.mark.parametrize("free_scale", [False, True])
@@ -51,5 +52,7 @@ def test_steps_of_tied_frames_are_newton_steps() -> None:
     chain = 2.0 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1)
     chain[0, 0] = chain[-1, -1] = 1.0
     expected = np.linalg.solve(1e5 * np.eye(N) + 2e5 * chain, 1e5 * centre[0])
-    found = minimise(start, [smooth, fixed], np.tile(np.eye(4), (N, 1, 1)), 12, tolerance=1e-12).motion.centre[0]
+    found = minimise(
+        start, [smooth, fixed], np.tile(np.eye(4), (N, 1, 1)), 12, rules=Rules(tolerance=1e-12)
+    ).motion.centre[0]
     np.testing.assert_allclose(found, expected, atol=1e-6)

@@ -27,7 +27,7 @@ from helpers.clips import small_clip
 from helpers.paths import DATA, needs
 
 Run = Callable[..., tuple[int, str, str]]
-Poses = tuple[np.ndarray, np.ndarray]
+PosesInCamera = tuple[np.ndarray, np.ndarray]
 SIZE = 0.05
 AT_HAND = np.zeros(3)
 seeds = st.integers(0, 10_000)
@@ -38,14 +38,14 @@ def unit(rng: np.random.Generator) -> np.ndarray:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def exact(rng: np.random.Generator, through: np.ndarray | None = None, frames: int = 20) -> tuple[Hinge, Poses]:
+def exact(rng: np.random.Generator, through: np.ndarray | None = None, frames: int = 20) -> tuple[Hinge, PosesInCamera]:
     """A random hinge and poses on it, less than a full turn apart."""
     point = 0.1 * rng.normal(size=3) if through is None else through
     hinge = Hinge(se3.exp_so3(2.0 * rng.normal(size=3)), unit(rng), point, 0.1 * rng.normal(size=3), SIZE)
     return hinge, hinge.at(rng.uniform(-1.2, 1.2, frames))
 
 
-def noisy(rng: np.random.Generator, noise: float) -> Poses:
+def noisy(rng: np.random.Generator, noise: float) -> PosesInCamera:
     R, c = exact(rng)[1]
     return se3.exp_so3(noise * rng.normal(size=(len(R), 3))) @ R, c + noise * SIZE * rng.normal(size=c.shape)
 
@@ -54,7 +54,7 @@ def static_energy(R: np.ndarray, c: np.ndarray, size: float = SIZE) -> float:
     return float(np.sum((R - mean_rotation(R)) ** 2) + np.sum((c - c.mean(axis=0)) ** 2) / size**2)
 
 
-def each_energy(found: Poses, true: Poses, size: float) -> np.ndarray:
+def each_energy(found: PosesInCamera, true: PosesInCamera, size: float) -> np.ndarray:
     """E of each frame."""
     return np.asarray(
         np.sum((found[0] - true[0]) ** 2, axis=(1, 2)) + np.sum((found[1] - true[1]) ** 2, axis=1) / size**2

@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray
 
 from getagrip.datasets.synthetic import shapes
-from getagrip.fitting.energy import Local, Poses, Term, no_bound
+from getagrip.fitting.energy import PosesInCamera, Quadratic, Term, no_bound
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.interaction import InteractionTerm
 from getagrip.fitting.energy.reprojection import ReprojectionTerm
@@ -22,17 +22,17 @@ K4 = np.tile([560.0, 570.0, 128.0, 120.0], (N, 1))
 MESHES = {"box": box(0.1, 0.06, 0.04), "mug": shapes.mug(), "spoon": shapes.spoon()}
 
 
-def random_poses(rng: np.random.Generator, hypotheses: int = B, frames: int = N) -> Poses:
+def random_poses(rng: np.random.Generator, hypotheses: int = B, frames: int = N) -> PosesInCamera:
     """Objects turned at random, about half a metre before the camera."""
     R = se3.exp_so3(rng.normal(size=(hypotheses, frames, 3)))
     centre = np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.01, (hypotheses, frames, 3))
-    return Poses(R, centre, rng.uniform(0.8, 1.2, hypotheses))
+    return PosesInCamera(R, centre, rng.uniform(0.8, 1.2, hypotheses))
 
 
-def moved(poses: Poses, step: ndarray) -> Poses:
+def moved(poses: PosesInCamera, step: ndarray) -> PosesInCamera:
     """Poses after a local 7-vector of all frames (7,) or of each (N, 7); the scale, which is shared, by the mean."""
     scale = poses.scale * np.exp(np.mean(step[..., 6]))
-    return Poses(se3.exp_so3(step[..., 3:6]) @ poses.R, poses.centre + step[..., :3], scale)
+    return PosesInCamera(se3.exp_so3(step[..., 3:6]) @ poses.R, poses.centre + step[..., :3], scale)
 
 
 def some_term(kind: str, rng: np.random.Generator) -> Term:
@@ -50,15 +50,15 @@ def some_term(kind: str, rng: np.random.Generator) -> Term:
             return InteractionTerm(np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.02, (N, 3)), 1e4)
 
 
-def total_hessian(local: Local) -> ndarray:
+def total_hessian(local: Quadratic) -> ndarray:
     """The whole Hessian (B, 7 N, 7 N), frames tied to each other."""
-    H = np.zeros((B, N, 7, N, 7)) if local.across is None else local.across.copy()
+    H = np.zeros((B, N, 7, N, 7)) if local.cross is None else local.cross.copy()
     for n in range(N):
         H[:, n, :, n] += local.H[:, n]
     return H.reshape(B, 7 * N, 7 * N)
 
 
-def differences(energy: Callable[[Poses], ndarray], poses: Poses, steps: ndarray) -> ndarray:
+def differences(energy: Callable[[PosesInCamera], ndarray], poses: PosesInCamera, steps: ndarray) -> ndarray:
     """Central differences (B, N, 7) of per-frame energies (B, N) by the local 7-vector, step by step."""
     out = []
     for k, step in enumerate(steps):
@@ -67,18 +67,18 @@ def differences(energy: Callable[[Poses], ndarray], poses: Poses, steps: ndarray
     return np.stack(out, axis=-1)
 
 
-def is_trustworthy(local: Local) -> None:
+def is_trustworthy(local: Quadratic) -> None:
     """Every Hessian is symmetric and positive semi-definite."""
     np.testing.assert_array_equal(local.H, np.swapaxes(local.H, -1, -2))
     eigenvalues = np.linalg.eigvalsh(local.H)
     assert (eigenvalues >= -1e-9 * np.abs(eigenvalues).max(initial=1.0)).all()
 
 
-def hypotheses_are_independent(term: Term, poses: Poses) -> None:
+def hypotheses_are_independent(term: Term, poses: PosesInCamera) -> None:
     """Each hypothesis alone gives what it gives among the others."""
     together = term(poses, no_bound(poses))
     for b in range(len(poses.scale)):
-        one = Poses(poses.R[[b]], poses.centre[[b]], poses.scale[[b]])
+        one = PosesInCamera(poses.R[[b]], poses.centre[[b]], poses.scale[[b]])
         alone = term(one, no_bound(one))
         np.testing.assert_array_equal(alone.value[0], together.value[b])
         np.testing.assert_array_equal(alone.g[0], together.g[b])

@@ -10,13 +10,23 @@ from hypothesis.extra import numpy as hnp
 from numpy import ndarray
 
 from getagrip.datasets.synthetic import shapes
-from getagrip.fitting.energy.mask import Surface
+from getagrip.fitting.energy.mask import SilhouetteMesh
 from getagrip.fitting.observation import _boundary, _reduce, _signed_distance
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels import contour, reference
 from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
-from getagrip.kernels.silhouette import NEAR, PLANES, fill, mismatch, outline, pack, project, silhouettes, unpack
+from getagrip.kernels.silhouette import (
+    NEAR,
+    PLANES,
+    mismatch,
+    pack,
+    project,
+    rasterise,
+    silhouette_edges,
+    silhouettes,
+    unpack,
+)
 from helpers.clips import box
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -66,7 +76,7 @@ def _pose(seed: int, away: float = 0.4) -> tuple[ndarray, ndarray, float, ndarra
 
 
 def _tables(mesh: Mesh) -> Surface:
-    return Surface.of(mesh, np.zeros(3))
+    return SilhouetteMesh.of(mesh, np.zeros(3))
 
 
 def _outlined(mesh: Mesh, seed: int) -> tuple[ndarray, ndarray, ndarray]:
@@ -75,9 +85,9 @@ def _outlined(mesh: Mesh, seed: int) -> tuple[ndarray, ndarray, ndarray]:
     t = _tables(mesh)
     uvz, edge = np.empty_like(t.vertices), np.empty((3, t.edges.shape[1] + 1), np.int64)
     project(t.vertices, R, centre, scale, K, uvz)
-    n = outline(t.planes, t.edges, R, centre, scale, np.empty(len(mesh.faces) + 1, np.int64), edge)
+    n = silhouette_edges(t.planes, t.edges, R, centre, scale, np.empty(len(mesh.faces) + 1, np.int64), edge)
     bits = np.empty((SIZE, 1), np.uint64)
-    fill(uvz, edge, n, t.closed, 1.0, np.empty((PLANES, SIZE, 1), np.uint64), bits)
+    rasterise(uvz, edge, n, t.closed, 1.0, np.empty((PLANES, SIZE, 1), np.uint64), bits)
     return uvz, edge[:, :n], bits
 
 
@@ -112,7 +122,7 @@ def test_projection(which: str, seed: int) -> None:
 def test_outline(which: str, seed: int) -> None:
     mesh = MESHES[which]
     uvz, edges, _ = _outlined(mesh, seed)
-    np.testing.assert_array_equal(edges.T, reference.outline(uvz.T, mesh.edges, mesh.faces))
+    np.testing.assert_array_equal(edges.T, reference.silhouette_edges(uvz.T, mesh.edges, mesh.faces))
 
 
 @given(WHICH, SEEDS)
@@ -176,10 +186,10 @@ def test_mismatch_counts_pixels(masks: ndarray) -> None:
 def test_contour_points(which: str, seed: int, step: float, zoom: float) -> None:
     uvz, edges, bits = _outlined(MESHES[which], seed)
     uvz[:2] /= zoom  # positions are those of the crop, the mask is that of the level
-    _, care = _blobs(seed)
+    _, valid = _blobs(seed)
     points = np.zeros((7, 1500))
-    n = contour.walk(uvz, edges, edges.shape[1], zoom, step, bits, pack(care), points)
-    expected = reference.contour_points(uvz.T, edges.T, zoom, step, unpack(bits, SIZE), care)
+    n = contour.sample_contour(uvz, edges, edges.shape[1], zoom, step, bits, pack(valid), points)
+    expected = reference.sample_contour(uvz.T, edges.T, zoom, step, unpack(bits, SIZE), valid)
     assert n == expected.shape[1]
     np.testing.assert_allclose(points[:5, :n], expected[:5], rtol=1e-9, atol=1e-9)
 
@@ -189,7 +199,7 @@ def test_contour_points(which: str, seed: int, step: float, zoom: float) -> None
 def test_contour_points_lie_on_the_outline_and_face_outward(seed: int) -> None:
     uvz, edges, bits = _outlined(MESHES["mug"], seed)
     points = np.zeros((7, 1500))
-    n = contour.walk(uvz, edges, edges.shape[1], 1.0, 1.0, bits, pack(np.ones((SIZE, SIZE), bool)), points)
+    n = contour.sample_contour(uvz, edges, edges.shape[1], 1.0, 1.0, bits, pack(np.ones((SIZE, SIZE), bool)), points)
     within = np.all((points[:2, :n] > 1.0) & (points[:2, :n] < SIZE - 1.0), axis=0)
     at, normal = points[:2, :n][:, within], points[3:5, :n][:, within]
     np.testing.assert_allclose(np.linalg.norm(normal, axis=0), 1.0)
@@ -213,8 +223,8 @@ def _points(rng: np.random.Generator, n: int) -> ndarray:
 def test_distances_are_looked_up_between_pixels(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     points, field = _points(rng, n), rng.normal(size=(128, 128)).astype(np.float32)
-    expected = reference.look_up(points[:, :n], field, 0.5, 2.0, 0.3)
-    contour.look_up(points, n, field, 0.5, 2.0, 0.3)
+    expected = reference.sample_field(points[:, :n], field, 0.5, 2.0, 0.3)
+    contour.sample_field(points, n, field, 0.5, 2.0, 0.3)
     # The kernel stops short of the last row and column by a millionth of a pixel.
     np.testing.assert_allclose(points[:, :n], expected, rtol=1e-4, atol=1e-4)
 
@@ -225,8 +235,8 @@ def test_observed_points_take_hold_of_the_contour(seed: int, n: int) -> None:
     points = _points(rng, n)
     targets = np.column_stack([rng.uniform(0, 256, (20, 2)), _points(rng, 20)[3:5, :20].T, rng.uniform(1, 4, 20)])
     matched = np.empty((7, 20))
-    value = contour.cover(points, n, targets, 6400.0, 0.7, 2.0, matched)
-    expected, expected_value = reference.cover(points[:, :n], targets, 6400.0, 0.7, 2.0)
+    value = contour.match_boundary(points, n, targets, 6400.0, 0.7, 2.0, matched)
+    expected, expected_value = reference.match_boundary(points[:, :n], targets, 6400.0, 0.7, 2.0)
     np.testing.assert_allclose(matched, expected, rtol=1e-9, atol=1e-9)
     assert value == pytest.approx(expected_value)
 
@@ -267,42 +277,42 @@ def test_a_contour_point_moves_as_its_derivative_says() -> None:
 
 @given(SEEDS)
 def test_distance_fields(seed: int) -> None:
-    seen, care = _blobs(seed)
-    np.testing.assert_allclose(_signed_distance(seen, care), reference.distance_field(seen, care), atol=1e-4)
+    seen, valid = _blobs(seed)
+    np.testing.assert_allclose(_signed_distance(seen, valid), reference.distance_field(seen, valid), atol=1e-4)
 
 
 def test_a_distance_field_of_nothing_is_far_away() -> None:
     nothing, everything = np.zeros((16, 16), bool), np.ones((16, 16), bool)
-    for seen, care in ((nothing, everything), (everything, everything), (nothing, nothing)):
-        np.testing.assert_allclose(_signed_distance(seen, care), reference.distance_field(seen, care), atol=1e-4)
+    for seen, valid in ((nothing, everything), (everything, everything), (nothing, nothing)):
+        np.testing.assert_allclose(_signed_distance(seen, valid), reference.distance_field(seen, valid), atol=1e-4)
 
 
 @given(SEEDS)
 def test_borders_with_an_occluder_do_not_attract(seed: int) -> None:
-    seen, care = _blobs(seed)
-    field = reference.distance_field(seen, care)
+    seen, valid = _blobs(seed)
+    field = reference.distance_field(seen, valid)
     from scipy.ndimage import distance_transform_edt
 
-    assert (field[seen] <= 0.5 - distance_transform_edt(~(care & ~seen))[seen] + 1e-6).all()
+    assert (field[seen] <= 0.5 - distance_transform_edt(~(valid & ~seen))[seen] + 1e-6).all()
 
 
 @given(SEEDS)
 def test_observed_boundary_points(seed: int) -> None:
-    seen, care = _blobs(seed)
-    field = _signed_distance(seen, care)
+    seen, valid = _blobs(seed)
+    field = _signed_distance(seen, valid)
     targets = np.empty((28, 5))
-    _boundary(seen, care, field, 2.0, targets)
-    expected = reference.boundary_targets(seen, care, field, 2.0, 28)
+    _boundary(seen, valid, field, 2.0, targets)
+    expected = reference.boundary_targets(seen, valid, field, 2.0, 28)
     np.testing.assert_allclose(targets, expected, atol=1e-4)
     assert (targets[:, 4] > 0).any()
 
 
 @given(SEEDS, st.sampled_from([64, 128]))
 def test_masks_shrink_by_majority(seed: int, size: int) -> None:
-    seen, care = _blobs(seed, 256)
+    seen, valid = _blobs(seed, 256)
     k = 256 // size
-    small_seen, small_care = _reduce(seen[None], care[None], size)
-    n_seen, n_care = (m.reshape(size, k, size, k).sum(axis=(1, 3)) for m in (seen, care))
+    small_seen, small_care = _reduce(seen[None], valid[None], size)
+    n_seen, n_care = (m.reshape(size, k, size, k).sum(axis=(1, 3)) for m in (seen, valid))
     clear = 2 * n_seen != n_care
     np.testing.assert_array_equal(small_seen[0][clear], (2 * n_seen > n_care)[clear])
     assert small_care[0][2 * n_care > k * k].all()

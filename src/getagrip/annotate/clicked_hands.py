@@ -30,7 +30,8 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
-from getagrip.hands.fit import Chains, arrow_step, joints_and_jacobian, stepped
+from getagrip.hands.descent import Equations, descend
+from getagrip.hands.fit import Chains, joints_and_jacobian, stepped
 from getagrip.hands.model import KNUCKLES, HandModel, Side, hand_track
 from getagrip.hands.pose_prior import PosePrior
 
@@ -48,7 +49,7 @@ ROUNDS = 4
 """Of placing hands and fitting them."""
 STEPS = 60
 TOLERANCE = 1e-5
-"""Stop when a step lowers the cost by less than this share of it."""
+"""Stop when a round lowers the cost by less than this share of it."""
 SHARED = 45
 """Numbers of the grasp, after the frames' 51 and before the shape."""
 
@@ -129,13 +130,16 @@ class Guess(NamedTuple):
     """What all q are near to."""
     shape: Float[ndarray, "S"]
 
-    def moved(self, frames: Float[ndarray, "n 51"], shared: Float[ndarray, "s"], wrist: Float[ndarray, "3"]) -> Guess:
+    wrist: Float[ndarray, "3"]
+    """Of the mean hand, which rotations are about."""
+
+    def retract(self, frames: Float[ndarray, "n 51"], shared: Float[ndarray, "s"]) -> Guess:
         """After a step: each hand shifts in its own axes and turns about the wrist, the rest adds up."""
-        return Guess(
-            stepped(self.T, frames[:, :6], wrist),
-            self.q + frames[:, 6:].reshape(self.q.shape),
-            self.grasp + shared[:SHARED].reshape(self.grasp.shape),
-            self.shape + shared[SHARED:],
+        return self._replace(
+            T=stepped(self.T, frames[:, :6], self.wrist),
+            q=self.q + frames[:, 6:].reshape(self.q.shape),
+            grasp=self.grasp + shared[:SHARED].reshape(self.grasp.shape),
+            shape=self.shape + shared[SHARED:],
         )
 
 
@@ -150,8 +154,8 @@ def _fit(model: HandModel, chains: Chains, prior: PosePrior, clicks: Clicks, cur
     best, cost = None, np.inf
     for _ in range(ROUNDS):
         T = place(chains, clicks, grasp, shape)
-        start = Guess(T, np.tile(grasp, (len(T), 1, 1, 1)), grasp[None], shape)
-        found, new_cost = _descend(model, chains, prior, clicks, start)
+        start = Guess(T, np.tile(grasp, (len(T), 1, 1, 1)), grasp[None], shape, chains.wrist)
+        found, new_cost, _ = descend(start, lambda at: _normal_equations(model, chains, prior, at, clicks), STEPS)
         new_cost += float(turning(found.T[:-1, :3, :3], found.T[1:, :3, :3]).sum())
         if best is not None and new_cost > (1.0 - TOLERANCE) * cost:
             break
@@ -160,27 +164,7 @@ def _fit(model: HandModel, chains: Chains, prior: PosePrior, clicks: Clicks, cur
     return best, cost
 
 
-def _descend(model: HandModel, chains: Chains, prior: PosePrior, clicks: Clicks, guess: Guess) -> tuple[Guess, float]:
-    """The minimum near a guess, and its cost."""
-    cost, H, g = _normal_equations(model, chains, prior, guess, clicks)
-    damping = 1e-3
-    for _ in range(STEPS):
-        new = guess.moved(*arrow_step(H, g, damping), chains.wrist)
-        new_cost, new_H, new_g = _normal_equations(model, chains, prior, new, clicks)
-        done = damping > 1e8
-        if new_cost > cost:
-            damping *= 10.0
-        else:
-            done = cost - new_cost < TOLERANCE * cost
-            guess, cost, H, g, damping = new, new_cost, new_H, new_g, max(damping / 10.0, 1e-9)
-        if done:
-            break
-    return guess, cost
-
-
-def _normal_equations(
-    model: HandModel, chains: Chains, prior: PosePrior, guess: Guess, clicks: Clicks
-) -> tuple[float, Float[ndarray, "n D D"], Float[ndarray, "n D"]]:
+def _normal_equations(model: HandModel, chains: Chains, prior: PosePrior, guess: Guess, clicks: Clicks) -> Equations:
     """The cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, grasp, shape)."""
     n, S = len(clicks.y), len(guess.shape)
     X, J_hand = joints_and_jacobian(chains, guess.q, guess.shape)

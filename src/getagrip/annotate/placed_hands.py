@@ -16,6 +16,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import backproject, project
 from getagrip.hands import generic
 from getagrip.hands.fit import JOINT_NOISE, Chains, joints_and_jacobian, stepped
+from getagrip.least_squares import Rules, damped, minimise
 
 CLICK_NOISE = 0.005
 """Standard deviation of a click beside that of the joints themselves, at the hand [m]."""
@@ -25,6 +26,8 @@ ROTATIONS = 48
 """Rotations that are tried, spread evenly."""
 STEPS = 12
 """Of each of them."""
+RULES = Rules(success=0.1, failure=10.0, least=0.0, most=np.inf, rejections=np.inf, tolerance=0.0)
+"""No hand is done before the others."""
 TURN = 0.7
 """A hand turns about so much from one clicked frame to the next [rad]."""
 
@@ -89,18 +92,43 @@ def place(
         middle = backproject(clicks.K, clicks.y[k, there].mean(axis=0)[None])[0] * distance
         T[k] = se3.rigid(R, middle - R @ X[0, there].mean(axis=0))
     many = Clicks(clicks.K, *(np.repeat(each, m, axis=0) for each in clicks[1:]))
-    T, X, J = T.reshape(n * m, 4, 4), np.repeat(X, n * m, axis=0), np.repeat(J[..., :6], n * m, axis=0)
-    cost, H, g = equations(many, T, X, J)
-    damping = np.full(n * m, 1e-2)
-    for _ in range(STEPS):
-        A = H + (damping[:, None] * np.einsum("nii->ni", H) + 1e-9)[:, None] * np.eye(6)
-        new = stepped(T, -np.linalg.solve(A, g[..., None])[..., 0], chains.wrist)
-        new_cost, new_H, new_g = equations(many, new, X, J)
-        better = new_cost < cost
-        T[better], cost[better], H[better], g[better] = new[better], new_cost[better], new_H[better], new_g[better]
-        damping = np.where(better, damping / 10.0, damping * 10.0)
-    T = T.reshape(n, m, 4, 4)
-    return T[np.arange(n), _smoothest(cost.reshape(n, m), T[..., :3, :3])]
+    stiff = _Stiff(np.repeat(X, n * m, axis=0), np.repeat(J[..., :6], n * m, axis=0), many, chains.wrist)
+    found = minimise(stiff.at(T.reshape(n * m, 4, 4)), STEPS, RULES).state
+    T = found.T.reshape(n, m, 4, 4)
+    return T[np.arange(n), _smoothest(found.cost.reshape(n, m), T[..., :3, :3])]
+
+
+class _Stiff(NamedTuple):
+    """Hands that cannot bend, each with its clicks."""
+
+    X: Float[ndarray, "k 21 3"]
+    J: Float[ndarray, "k 21 3 6"]
+    clicks: Clicks
+    wrist: Float[ndarray, "3"]
+
+    def at(self, T: Float[ndarray, "k 4 4"]) -> _Placed:
+        return _Placed(self, T, *equations(self.clicks, T, self.X, self.J))
+
+
+class _Placed(NamedTuple):
+    """Stiff hands at their places (``least_squares.State``); all are tried in each step."""
+
+    stiff: _Stiff
+    T: Float[ndarray, "k 4 4"]
+    cost: Float[ndarray, "k"]
+    H: Float[ndarray, "k 6 6"]
+    g: Float[ndarray, "k 6"]
+
+    def trial(self, active: Int[ndarray, "k"], damping: Float[ndarray, "k"]) -> _Placed:
+        step = -np.linalg.solve(damped(self.H, damping, floor=1e-6), self.g[..., None])[..., 0]
+        return self.stiff.at(stepped(self.T, step, self.stiff.wrist))
+
+    def accept(self, trial: _Placed, active: Int[ndarray, "k"], better: Bool[ndarray, "k"]) -> _Placed:
+        kept = (
+            np.where(better.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+            for new, old in zip(trial[1:], self[1:], strict=True)
+        )
+        return _Placed(self.stiff, *kept)
 
 
 def turning(Ra: Float[ndarray, "*#batch 3 3"], Rb: Float[ndarray, "*#batch 3 3"]) -> Float[ndarray, "*batch"]:

@@ -1,6 +1,6 @@
 """The energy of Eq. 5 for a clip, at any of its resolutions and frames: E_mask, E_push and E_pull.
 
-A term is added to a method where the method builds its energy (``methods``): ``plus(energy_of(...), mine)``.
+A method adds a term where it builds its energy: ``plus(energy_of(...), mine)``.
 """
 
 from __future__ import annotations
@@ -96,3 +96,7 @@ def consistency_of(problem: Problem, weight: float) -> Energy:
 def plus(*energies: Energy) -> Energy:
     """The terms of all energies."""
     return lambda level, index: [term for energy in energies for term in energy(level, index)]
+
+
+NOTHING = plus()
+"""No term."""

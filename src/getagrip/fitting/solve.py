@@ -19,7 +19,7 @@ from numpy import ndarray
 from getagrip import least_squares
 from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
 from getagrip.fitting.motion import Motion
-from getagrip.least_squares import Ending, arrow_step, damped
+from getagrip.least_squares import DEFAULT, Ending, Rules, arrow_step, damped
 
 M = TypeVar("M", bound=Motion)
 
@@ -140,11 +140,13 @@ def evaluate(
     return _State(motion, total, values, terms, T_cam_hand)
 
 
-def minimise(motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], iterations: int) -> Solution[M]:
-    """Minimise the sum of terms from each of B hypotheses (``least_squares.Rules`` says when one stops)."""
+def minimise(
+    motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], iterations: int, rules: Rules = DEFAULT
+) -> Solution[M]:
+    """Minimise the sum of terms from each of B hypotheses; the rules say when one stops."""
     B, N = len(motion.poses().scale), len(T_cam_hand)
     start = evaluate(motion, terms, T_cam_hand, np.full(B, np.inf))
-    found = least_squares.minimise(start, iterations)
+    found = least_squares.minimise(start, iterations, rules)
     names = [*(t.name for t in terms), "prior"]
     values = dict(zip(names, found.state.values.T, strict=True))
     status = [STATUS[ending] for ending in found.endings]

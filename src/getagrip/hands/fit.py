@@ -20,6 +20,7 @@ from numpy import ndarray
 from getagrip.clip import HandTrack
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
+from getagrip.hands.descent import Equations, descend
 from getagrip.hands.model import KNUCKLES, HandModel, hand_track
 from getagrip.hands.pose_prior import PosePrior
 
@@ -37,8 +38,6 @@ JOINT_NOISE = np.array([0.003, 0.010, *[0.003] * 19])
 """Standard deviation of each joint's position [m]. Models disagree by a centimetre on the thumb's saddle joint."""
 
 STEPS = 40
-TOLERANCE = 1e-5
-"""Stop when a step lowers the cost by less than this share of it."""
 
 
 @dataclass(frozen=True)
@@ -62,21 +61,9 @@ def fit_joints(model: HandModel, joints_cam: Float[ndarray, "T 21 3"], order: Jo
     """
     Y = _checked(joints_cam, order)
     chains, prior = Chains.of(model), PosePrior.of(model)
-    state = State(_place(model, Y), np.zeros((len(Y), 5, 3, 3)), np.zeros(len(model.shape_names)))
-    state.q[..., :, :] = prior.mean
-    cost, H, g = _normal_equations(model, chains, prior, state, Y)
-    damping, converged = 1e-3, False
-    for _ in range(STEPS):
-        new = state.moved(*arrow_step(H, g, damping), chains.wrist)
-        new_cost, new_H, new_g = _normal_equations(model, chains, prior, new, Y)
-        if new_cost > cost:
-            damping *= 10.0
-            converged = damping > 1e8
-        else:
-            converged = cost - new_cost < TOLERANCE * cost
-            state, cost, H, g, damping = new, new_cost, new_H, new_g, max(damping / 10.0, 1e-9)
-        if converged:
-            break
+    start = State(_place(model, Y), np.zeros((len(Y), 5, 3, 3)), np.zeros(len(model.shape_names)), chains.wrist)
+    start.q[..., :, :] = prior.mean
+    state, _, converged = descend(start, lambda at: _normal_equations(model, chains, prior, at, Y), STEPS)
     pose = np.zeros((len(Y), 45))
     for n, knuckle in enumerate(KNUCKLES):
         pose[:, 3 * knuckle - 3 : 3 * knuckle + 6] = state.q[:, n].reshape(len(Y), 9)
@@ -94,10 +81,13 @@ class State(NamedTuple):
     """Rotation vectors of the three joints of each of the ``FINGERS``."""
     shape: Float[ndarray, "S"]
 
-    def moved(self, frames: Float[ndarray, "T 51"], shape: Float[ndarray, "S"], wrist: Float[ndarray, "3"]) -> State:
-        """After a step: the hand shifts in its own axes and turns about the mean hand's wrist, the rest adds up."""
-        T = stepped(self.T, frames[:, :6], wrist)
-        return State(T, self.q + frames[:, 6:].reshape(self.q.shape), self.shape + shape)
+    wrist: Float[ndarray, "3"]
+    """Of the mean hand, which rotations are about."""
+
+    def retract(self, frames: Float[ndarray, "T 51"], shared: Float[ndarray, "S"]) -> State:
+        """After a step: the hand shifts in its own axes and turns about the wrist, the rest adds up."""
+        T = stepped(self.T, frames[:, :6], self.wrist)
+        return self._replace(T=T, q=self.q + frames[:, 6:].reshape(self.q.shape), shape=self.shape + shared)
 
 
 def stepped(
@@ -165,7 +155,7 @@ def joints_and_jacobian(
 
 def _normal_equations(
     model: HandModel, chains: Chains, prior: PosePrior, state: State, Y: Float[ndarray, "T 21 3"]
-) -> tuple[float, Float[ndarray, "T D D"], Float[ndarray, "T D"]]:
+) -> Equations:
     """The cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, shape)."""
     X, J = joints_and_jacobian(chains, state.q, state.shape)
     R = state.T[:, :3, :3]
@@ -182,22 +172,6 @@ def _normal_equations(
     H[:, 51:, 51:] += np.diag(1.0 / model.shape_spread**2).reshape(S, S) / len(Y)
     g[:, 51:] += b / model.shape_spread / len(Y)
     return cost, H, g
-
-
-def arrow_step(
-    H: Float[ndarray, "T D D"], g: Float[ndarray, "T D"], damping: float
-) -> tuple[Float[ndarray, "T 51"], Float[ndarray, "S"]]:
-    """Solve the damped block-arrow normal equations for the frames' steps and that of what all frames share."""
-    A, B = H[:, :51, :51].copy(), H[:, :51, 51:]
-    i = np.arange(51)
-    A[:, i, i] *= 1.0 + damping
-    C = H[:, 51:, 51:].sum(axis=0)
-    C[np.diag_indices_from(C)] *= 1.0 + damping
-    solved = np.linalg.solve(A, np.concatenate([B, g[:, :51, None]], axis=2))
-    Bt = np.swapaxes(B, 1, 2)
-    reduced = np.sum(Bt @ solved, axis=0)
-    shape = np.linalg.solve(C - reduced[:, :-1], -g[:, 51:].sum(axis=0) + reduced[:, -1])
-    return -solved[..., -1] - solved[..., :-1] @ shape, shape
 
 
 def _place(model: HandModel, Y: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 4 4"]:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.fitting.energy import Poses, no_bound
+from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.geometry import se3
 from helpers.terms import B, N, moved, random_poses, some_term, total_hessian
@@ -28,12 +28,12 @@ def test_consistency_lies_below_the_quadratic_that_is_minimised(seed: int) -> No
     assert (term(after, no_bound(after)).value.sum(axis=1) <= model * (1.0 + 1e-6)).all()
 
 
-def in_rigid_hand(rng: np.random.Generator) -> tuple[Poses, ndarray]:
+def in_rigid_hand(rng: np.random.Generator) -> tuple[PosesInCamera, ndarray]:
     """An object that keeps still in a hand before a moving camera, and points of the hand."""
     T_cam_hand = se3.rigid(se3.exp_so3(rng.normal(size=(N, 3))), np.array([0.0, 0.0, 0.5]) + rng.normal(size=(N, 3)))
     T = T_cam_hand @ se3.rigid(se3.exp_so3(rng.normal(size=3)), rng.normal(0.0, 0.05, 3))
     hand = se3.transform(T_cam_hand, rng.normal(0.0, 0.04, (6, 3)))
-    poses = Poses(np.ascontiguousarray(T[None, :, :3, :3]), np.ascontiguousarray(T[None, :, :3, 3]), np.ones(1))
+    poses = PosesInCamera(np.ascontiguousarray(T[None, :, :3, :3]), np.ascontiguousarray(T[None, :, :3, 3]), np.ones(1))
     return poses, hand
 
 
@@ -51,11 +51,11 @@ def test_consistency_does_not_hold_back_what_all_frames_do_alike() -> None:
     poses, hand = in_rigid_hand(rng)
     term = ContactConsistencyTerm(rng.normal(0.0, 0.03, (5, 3)), hand, np.full(N, 1e6))
     local = term(poses, no_bound(poses))
-    assert local.across is not None
+    assert local.cross is not None
     # A shift in the object's frame, which keeps still in the hand's, and a change of the scale.
     shift = (poses.R[0] @ rng.normal(size=3)).reshape(N, 3)
     for common in (np.concatenate([shift, np.zeros((N, 4))], axis=1), np.tile(np.eye(7)[6], (N, 1))):
-        held_back = (local.H[0] @ common[..., None])[..., 0] + np.einsum("iajb,jb->ia", local.across[0], common)
+        held_back = (local.H[0] @ common[..., None])[..., 0] + np.einsum("iajb,jb->ia", local.cross[0], common)
         np.testing.assert_allclose(held_back, 0.0, atol=1e-9 * np.abs(local.H).max())
 
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.clip import Masks
-from getagrip.fitting.energy import Poses, no_bound
-from getagrip.fitting.energy.mask import MaskTerm, Surface
+from getagrip.fitting.energy import PosesInCamera, no_bound
+from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
 from getagrip.fitting.observation import CROP, LEVELS, Observation, observe
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -25,9 +25,9 @@ SIZE = 300
 CAMERA = np.array([[560.0, 0.0, 148.0], [0.0, 570.0, 152.0], [0.0, 0.0, 1.0]])
 
 
-def rendered(mesh: Mesh, poses: Poses, K: ndarray, shape: tuple[int, int]) -> ndarray:
+def rendered(mesh: Mesh, poses: PosesInCamera, K: ndarray, shape: tuple[int, int]) -> ndarray:
     """Masks (N, h, w) of the first hypothesis."""
-    t = Surface.of(mesh, mesh.centre)
+    t = SilhouetteMesh.of(mesh, mesh.centre)
     N = len(K)
     bits = np.empty((N, shape[0], -(-shape[1] // 64)), np.uint64)
     scale = np.full(N, poses.scale[0])
@@ -35,13 +35,13 @@ def rendered(mesh: Mesh, poses: Poses, K: ndarray, shape: tuple[int, int]) -> nd
     return unpack(bits, shape[1])
 
 
-def scene(which: str, seed: int = 0, frames: int = 2, occluded: bool = False) -> tuple[MaskTerm, Poses]:
+def scene(which: str, seed: int = 0, frames: int = 2, occluded: bool = False) -> tuple[MaskTerm, PosesInCamera]:
     """A term whose masks were drawn at the poses that come with it."""
     rng = np.random.default_rng([seed, *which.encode()])
     mesh = MESHES[which]
     R = se3.exp_so3(rng.normal(size=(frames, 3)))
     centre = np.array([0.0, 0.0, 0.5]) + rng.uniform(-0.02, 0.02, (frames, 3))
-    truth = Poses(R[None], centre[None], np.ones(1))
+    truth = PosesInCamera(R[None], centre[None], np.ones(1))
     K4 = np.tile(CAMERA[[0, 1, 0, 1], [0, 1, 2, 2]], (frames, 1))
     seen = rendered(mesh, truth, K4, (SIZE, SIZE))
     ignore = np.zeros_like(seen)
@@ -50,10 +50,10 @@ def scene(which: str, seed: int = 0, frames: int = 2, occluded: bool = False) ->
         ignore[:] = (i - 0.6 * j > 90.0) & (i - 0.6 * j < 125.0)
     observation = observe(Masks(seen & ~ignore, ignore), np.tile(CAMERA, (frames, 1, 1)))
     # Drawn again in the crops, so that no pixel differs at the truth.
-    care = unpack(observation.care[CROP], CROP)
-    exact = pack(rendered(mesh, truth, observation.K, (CROP, CROP)) & care)
-    observation = replace(observation, seen={**observation.seen, CROP: exact})
-    return MaskTerm(Surface.of(mesh, mesh.centre), observation), truth
+    valid = unpack(observation.valid[CROP], CROP)
+    exact = pack(rendered(mesh, truth, observation.K, (CROP, CROP)) & valid)
+    observation = replace(observation, observed={**observation.observed, CROP: exact})
+    return MaskTerm(SilhouetteMesh.of(mesh, mesh.centre), observation), truth
 
 
 @pytest.mark.parametrize("which", sorted(MESHES))
@@ -65,13 +65,13 @@ def test_e_mask_is_zero_at_the_truth_and_positive_elsewhere(which: str, occluded
     assert (term(off, no_bound(off)).value > 10.0).all()
 
 
-def smooth_energy(term: MaskTerm, mesh: Mesh, poses: Poses, finer: int = 8) -> ndarray:
+def smooth_energy(term: MaskTerm, mesh: Mesh, poses: PosesInCamera, finer: int = 8) -> ndarray:
     """E_mask (1, N) of silhouettes drawn finer than the masks, as ``reference.mask_energy`` says."""
     o = term.observation
     grow = np.ones((finer, finer), bool)
     drawn = pack(rendered(mesh, poses, o.K * finer, (CROP * finer, CROP * finer)))
     energy = [
-        mismatch(drawn[n], *(pack(np.kron(unpack(bits[CROP][n], CROP), grow)) for bits in (o.seen, o.care)))
+        mismatch(drawn[n], *(pack(np.kron(unpack(bits[CROP][n], CROP), grow)) for bits in (o.observed, o.valid)))
         for n in range(len(drawn))
     ]
     return np.array([energy]) / finer**2
@@ -82,8 +82,8 @@ def test_a_finer_energy_is_what_the_specification_says() -> None:
     mesh, o = MESHES["box"], term.observation
     off = moved(truth, np.array([0.004, -0.002, 0.01, 0.1, -0.05, 0.08, 0.03]))
     uvz = reference.project(mesh.vertices - mesh.centre, off.R[0, 0], off.centre[0, 0], off.scale[0], o.K[0])
-    seen, care = (unpack(bits[CROP][0], CROP) for bits in (o.seen, o.care))
-    assert smooth_energy(term, mesh, off, finer=3)[0, 0] == reference.mask_energy(uvz, mesh.faces, seen, care, finer=3)
+    seen, valid = (unpack(bits[CROP][0], CROP) for bits in (o.observed, o.valid))
+    assert smooth_energy(term, mesh, off, finer=3)[0, 0] == reference.mask_energy(uvz, mesh.faces, seen, valid, finer=3)
 
 
 @pytest.mark.parametrize("occluded", [False, True])
@@ -103,7 +103,7 @@ def test_the_contour_gives_the_gradient_of_e_mask(occluded: bool) -> None:
             local = replace(term, step=1.0, delta=1e-3)(off, no_bound(off))
             pixel = off.centre[..., 2].mean() / (term.observation.K[0, 0] * radius)
 
-            def energy(poses: Poses, term: MaskTerm = term, mesh: Mesh = mesh) -> ndarray:
+            def energy(poses: PosesInCamera, term: MaskTerm = term, mesh: Mesh = mesh) -> ndarray:
                 return smooth_energy(term, mesh, poses)
 
             expected = unit * differences(energy, off, 0.5 * pixel * unit)
@@ -135,8 +135,8 @@ def test_levels_agree_on_the_energy() -> None:
 def test_hidden_pixels_say_nothing() -> None:
     """An object that moves behind an occluder costs nothing and feels nothing."""
     term, truth = scene("box", frames=1)
-    seen, care = (unpack(bits[CROP], CROP) for bits in (term.observation.seen, term.observation.care))
-    hidden = replace(term.observation, care={**term.observation.care, CROP: pack(np.zeros_like(care))})
+    seen, valid = (unpack(bits[CROP], CROP) for bits in (term.observation.observed, term.observation.valid))
+    hidden = replace(term.observation, valid={**term.observation.valid, CROP: pack(np.zeros_like(valid))})
     off = moved(truth, np.array([0.01, 0.0, 0.0, 0.0, 0.2, 0.0, 0.0]))
     local = replace(term, observation=hidden)(off, no_bound(off))
     assert seen.any()
@@ -162,7 +162,7 @@ def test_an_object_at_the_camera_has_infinite_energy() -> None:
     for frames in ([0], [1], [0, 1]):
         centre = truth.centre.copy()
         centre[:, frames, 2] *= -1.0
-        near = Poses(truth.R, centre, truth.scale)
+        near = PosesInCamera(truth.R, centre, truth.scale)
         local = term(near, no_bound(near))
         assert np.isinf(local.value.sum())
         assert not local.g.any()
@@ -199,4 +199,4 @@ def test_observation_is_not_changed_by_its_reader() -> None:
 def leaves(observation: Observation) -> list[ndarray]:
     """All arrays of an observation."""
     o = observation
-    return [o.crops.corner, o.K, *o.seen.values(), *o.care.values(), o.field, o.targets, o.area]
+    return [o.crops.corner, o.K, *o.observed.values(), *o.valid.values(), o.field, o.targets, o.area]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy import ndarray
 
 from getagrip.fitting.contact import HandContacts, solid
-from getagrip.fitting.energy import Poses, no_bound
+from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.energy.pull import PullTerm
 from getagrip.fitting.energy.push import PushTerm
 from getagrip.geometry import se3
@@ -30,10 +30,10 @@ def physical_terms(mesh: Mesh, hand: HandContacts, delta: float = 0.002) -> tupl
     frames = len(hand.position)
     body, weight = solid(mesh, mesh.centre), 1000.0 * np.arange(1, frames + 1)
     # Half a millimetre, for the mug's wall is thin.
-    return PushTerm(body, hand, weight, give=5e-4, delta=delta), PullTerm(body, hand, weight, delta=delta)
+    return PushTerm(body, hand, weight, tolerance=5e-4, delta=delta), PullTerm(body, hand, weight, delta=delta)
 
 
-def heights(mesh: Mesh, hand: HandContacts, poses: Poses, b: int, n: int) -> ndarray:
+def heights(mesh: Mesh, hand: HandContacts, poses: PosesInCamera, b: int, n: int) -> ndarray:
     """Signed distances of the contact vertices to the posed object, by the specification [m]."""
     local = (hand.position[n] - poses.centre[b, n]) @ poses.R[b, n] / poses.scale[b]
     corners = mesh.vertices[mesh.faces] - mesh.centre
@@ -91,7 +91,7 @@ def test_nothing_pushes_outside() -> None:
     direction = rng.normal(size=(2, 26, 3))
     far = np.array([0.0, 0.0, 0.5]) + 0.065 * direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     hand = HandContacts(far, np.arange(0, 24, 4))
-    poses = Poses(np.tile(np.eye(3), (1, 2, 1, 1)), np.tile([0.0, 0.0, 0.5], (1, 2, 1)), np.ones(1))
+    poses = PosesInCamera(np.tile(np.eye(3), (1, 2, 1, 1)), np.tile([0.0, 0.0, 0.5], (1, 2, 1)), np.ones(1))
     local = physical_terms(mesh, hand)[0](poses, no_bound(poses))
     for array in (local.value, local.g, local.H):
         assert not array.any()
@@ -100,10 +100,10 @@ def test_nothing_pushes_outside() -> None:
 def test_a_little_depth_does_not_push() -> None:
     mesh, give = MESHES["box"], 0.004
     face, out = mesh.vertices[mesh.faces[0]].mean(axis=0) - mesh.centre, mesh.planes[0, :3]
-    poses = Poses(np.eye(3)[None, None], np.array([[[0.0, 0.0, 0.5]]]), np.ones(1))
+    poses = PosesInCamera(np.eye(3)[None, None], np.array([[[0.0, 0.0, 0.5]]]), np.ones(1))
     for depth in (0.0, 0.9 * give, 1.5 * give):
         hand = HandContacts(np.tile(poses.centre[0, 0] + face - depth * out, (1, 26, 1)), np.arange(0, 24, 4))
-        local = PushTerm(solid(mesh, mesh.centre), hand, np.ones(1), give=give)(poses, no_bound(poses))
+        local = PushTerm(solid(mesh, mesh.centre), hand, np.ones(1), tolerance=give)(poses, no_bound(poses))
         assert local.value[0, 0] == pytest.approx(max(0.0, depth - give), abs=1e-6)
         assert local.g.any() == (depth > give)
 
@@ -138,7 +138,7 @@ def test_contact_does_not_depend_on_where_it_is_seen_from(seed: int) -> None:
     hand, poses = contacts(rng, 2), random_poses(rng, 2, 2)
     T = se3.rigid(se3.exp_so3(rng.normal(size=3)), rng.normal(size=3))
     R, t = T[:3, :3], T[:3, 3]
-    turned = Poses(R @ poses.R, poses.centre @ R.T + t, poses.scale)
+    turned = PosesInCamera(R @ poses.R, poses.centre @ R.T + t, poses.scale)
     seen = replace(hand, position=se3.transform(T, hand.position.reshape(-1, 3)).reshape(hand.position.shape))
     for here, there in zip(physical_terms(MESHES["mug"], hand), physical_terms(MESHES["mug"], seen), strict=True):
         a, b = here(poses, no_bound(poses)), there(turned, no_bound(turned))

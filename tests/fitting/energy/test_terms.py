@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.fitting.energy import Poses, Term, no_bound
+from getagrip.fitting.energy import PosesInCamera, Term, no_bound
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.interaction import InteractionTerm
 from getagrip.fitting.energy.reprojection import ReprojectionTerm
@@ -26,7 +26,7 @@ def test_gradients_of_the_terms(kind: str) -> None:
     rng = np.random.default_rng(3)
     term, poses = some_term(kind, rng), random_poses(rng)
 
-    def energy(p: Poses) -> ndarray:
+    def energy(p: PosesInCamera) -> ndarray:
         return term(p, no_bound(p)).value.sum(axis=1)
 
     local, h = term(poses, no_bound(poses)), 1e-6
@@ -57,7 +57,7 @@ def test_hessians_of_the_terms_can_be_trusted(kind: str, seed: int) -> None:
 def test_a_still_body_is_smooth_and_at_its_image() -> None:
     rng = np.random.default_rng(6)
     R, centre = se3.exp_so3(rng.normal(size=3)), np.array([0.02, -0.01, 0.5])
-    poses = Poses(np.tile(R, (1, N, 1, 1)), np.tile(centre, (1, N, 1)), np.ones(1))
+    poses = PosesInCamera(np.tile(R, (1, N, 1, 1)), np.tile(centre, (1, N, 1)), np.ones(1))
     points = rng.normal(0.0, 0.03, (5, 3))
     K = np.array([[560.0, 0.0, 128.0], [0.0, 570.0, 120.0], [0.0, 0.0, 1.0]])
     seen = np.tile(camera.project(K, points @ R.T + centre), (N, 1, 1))
@@ -78,7 +78,7 @@ def test_where_the_camera_stands_does_not_matter(kind: str) -> None:
     term, poses = some_term(kind, rng), random_poses(rng)
     T = se3.rigid(se3.exp_so3(rng.normal(size=3)), rng.normal(size=3))
     R, t = T[:3, :3], T[:3, 3]
-    turned = Poses(R @ poses.R, poses.centre @ R.T + t, poses.scale)
+    turned = PosesInCamera(R @ poses.R, poses.centre @ R.T + t, poses.scale)
     if isinstance(term, ContactConsistencyTerm):
         there: Term = replace(term, hand=se3.transform(T, term.hand))
     else:

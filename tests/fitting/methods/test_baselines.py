@@ -14,12 +14,12 @@ from getagrip.datasets.synthetic.scene import Options as ClipOptions
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.errors import GetagripError
 from getagrip.evaluation import evaluate
-from getagrip.fitting.methods import all_frames as joint
+from getagrip.fitting.energy import Energy
+from getagrip.fitting.methods import all_frames
 from getagrip.fitting.objective import energy_of
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.reconstruct import reconstruct
-from getagrip.fitting.search import TermsAt
 from getagrip.geometry import se3
 from getagrip.result import Reconstruction
 from helpers.clips import small_clip
@@ -93,11 +93,11 @@ def test_contact_weighs_more_where_no_other_term_ties_the_object_to_the_hand(
 ) -> None:
     asked = {}
 
-    def asks(problem: Problem, push: float, pull: float) -> TermsAt:
+    def asks(problem: Problem, push: float, pull: float) -> Energy:
         asked.update(push=push, pull=pull)
         return energy_of(problem, push, pull)
 
-    monkeypatch.setattr(joint, "energy_of", asks)
+    monkeypatch.setattr(all_frames, "energy_of", asks)
     options = Options(method=method, inits=4)
     reconstruct(*small_clip(), options)
     heavy = 1.0 if method in ("soft-hinge", "contact-consistency") else 4.0

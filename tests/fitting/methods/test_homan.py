@@ -48,9 +48,9 @@ def joint_scene(seed: int = 0) -> tuple[JointEnergy, Bodies]:
     contacts, weight = HandContacts(points, np.arange(0, 24, 4)), np.full(N, 1e5)
     body = solid(BOX, BOX.centre)
     energy = JointEnergy(
-        seen_object=[SmoothnessTerm(moments(BOX.vertices), 1e5)],
-        seen_hand=[some_term("reprojection", rng), SmoothnessTerm(moments(points[0] - points[0].mean(0)), 1e5)],
-        held=[
+        object_in_camera=[SmoothnessTerm(moments(BOX.vertices), 1e5)],
+        hand_in_camera=[some_term("reprojection", rng), SmoothnessTerm(moments(points[0] - points[0].mean(0)), 1e5)],
+        object_in_hand=[
             PushTerm(body, contacts, weight, delta=1e-9),
             PullTerm(body, contacts, weight, delta=1e-9),
             some_term("interaction", rng),
@@ -71,7 +71,8 @@ def joint_scene(seed: int = 0) -> tuple[JointEnergy, Bodies]:
 
 def test_the_gradient_of_the_joint_energy() -> None:
     energy, bodies = joint_scene()
-    values, g, H = energy(bodies)
+    values, equations = energy(bodies)
+    g, cross = equations.g, equations.cross
     assert values["push"] > 0.0
     assert values["pull"] > 0.0
     h = 1e-7
@@ -79,12 +80,12 @@ def test_the_gradient_of_the_joint_energy() -> None:
         for k in range(12):
             step = np.zeros((N, 12))
             step[n, k] = h
-            ahead, behind = (sum(energy(bodies.moved(s * step, 0.0))[0].values()) for s in (1.0, -1.0))
+            ahead, behind = (sum(energy(bodies.retract(s * step, 0.0))[0].values()) for s in (1.0, -1.0))
             assert g[n, k] == pytest.approx((ahead - behind) / (2.0 * h), rel=1e-3, abs=1e-4 * np.abs(g).max())
     still = np.zeros((N, 12))
-    ahead, behind = (sum(energy(bodies.moved(still, s * h))[0].values()) for s in (1.0, -1.0))
+    ahead, behind = (sum(energy(bodies.retract(still, s * h))[0].values()) for s in (1.0, -1.0))
     assert g[:, 12].sum() == pytest.approx((ahead - behind) / (2.0 * h), rel=1e-3)
-    np.testing.assert_allclose(H, np.swapaxes(np.swapaxes(H, 0, 1), 2, 3), atol=1e-9 * np.abs(H).max())
+    np.testing.assert_allclose(cross, np.swapaxes(np.swapaxes(cross, 0, 1), 2, 3), atol=1e-9 * np.abs(cross).max())
 
 
 @pytest.mark.parametrize("free_scale", [False, True])
@@ -105,6 +106,7 @@ def test_an_unmoved_hand_holds_the_object_where_the_camera_sees_it() -> None:
         hand_centre=se3.transform(given_hand, bodies.grip[:, None])[:, 0],
     )
     np.testing.assert_allclose(same.T_cam_hand, given_hand, atol=1e-12)
-    centre = np.array([0.1, 0.2, 0.3])
-    middle = se3.transform(given_hand @ same.T_hand_obj(centre), same.scale * centre[None])[:, 0]
+    held = same.in_hand()
+    middle = se3.transform(given_hand, held.centre[0][:, None])[:, 0]
     np.testing.assert_allclose(middle, same.centre, atol=1e-12)
+    np.testing.assert_allclose(given_hand[:, :3, :3] @ held.R[0], same.R, atol=1e-12)

@@ -11,7 +11,7 @@ from getagrip.fitting.energy import Energy
 from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import OnStage
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
-from getagrip.fitting.objective import consistency_of, energy_of, plus
+from getagrip.fitting.objective import NOTHING, consistency_of, energy_of, plus
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.schedule import THOROUGH, USUAL
 from getagrip.fitting.search import Search
@@ -30,29 +30,22 @@ ALONE = 4.0
 """Push and pull count so much more where no other term ties the object to the hand."""
 
 
-def soft_hinge(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """A hinge, and a small deviation from it in each frame.
+def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> MethodResult:
+    """A hinge, and a small deviation from it in each frame; ``more`` terms count in all stages.
 
-    Contact that stays is what makes a grasp stable (Eq. 2). A hinge keeps it by itself; where frames may deviate from
-    the hinge, in depth above all, which silhouettes hardly show, a term keeps it. There is no axis in the coarse
-    stages: held to one too early, right poses lose whose motion is not quite a hinge.
+    There is no axis in the coarse stages: held to one too early, right poses lose whose motion is not quite a hinge.
     """
-    search, options = _search(problem, on_stage), problem.options
-    if options.pull:
-        coarse = contact_energy(problem, 1.0)
-        fine = plus(coarse, consistency_of(problem, STEADY * options.pull))
-    else:
-        coarse = fine = contact_energy(problem, ALONE)
+    search, coarse = _search(problem, on_stage), plus(coarse_energy(problem), more)
     relaxed = search.relax(_initial(problem), coarse)
     motion = search.at_all_frames(search.coarse(replace(relaxed, ridge=COARSE_RIDGE), coarse).motion)
-    hinge = _hinge(problem, motion)
-    found = search.fine(Soft.around(hinge, motion.poses(), SOFT_RIDGE), fine)
+    soft = Soft.around(_hinge(problem, motion), motion.poses(), SOFT_RIDGE)
+    found = search.fine(soft, steady(problem, coarse))
     return _result(found, found.motion.core)
 
 
 def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
     """A hinge (Eq. 3)."""
-    search, energy = _search(problem, on_stage), contact_energy(problem, ALONE)
+    search, energy = _search(problem, on_stage), total_energy(problem, ALONE)
     motion = _hinge(problem, search.relax(_initial(problem), energy))
     found = search.fine(search.at_all_frames(search.coarse(motion, energy).motion), energy)
     return _result(found, found.motion)
@@ -60,24 +53,38 @@ def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:
     """One pose for all frames (paper, Sec. 5.2)."""
-    search, energy = _search(problem, on_stage), contact_energy(problem, ALONE)
+    search, energy = _search(problem, on_stage), total_energy(problem, ALONE)
     motion = search.relax(_initial(problem), energy).core
     return _result(search.fine(search.at_all_frames(search.coarse(motion, energy).motion), energy))
 
 
-def dynamic(problem: Problem, on_stage: OnStage, more: Energy | None = None) -> MethodResult:
-    """A pose per frame (paper, Sec. 5.2), with more terms if given."""
-    search = _search(problem, on_stage)
-    energy = plus(contact_energy(problem, 1.0), more) if more else contact_energy(problem, ALONE)
+def dynamic(problem: Problem, on_stage: OnStage, energy: Energy | None = None) -> MethodResult:
+    """A pose per frame (paper, Sec. 5.2), by another energy if given."""
+    search, energy = _search(problem, on_stage), energy or total_energy(problem, ALONE)
     relaxed = search.relax(_initial(problem), energy)
     held = relaxed.poses()
     motion = Free(held.R, held.centre, relaxed.core.log_scale, relaxed.core.free_scale)
     return _result(search.fine(search.at_all_frames(search.coarse(motion, energy).motion), energy))
 
 
-def contact_energy(problem: Problem, weight: float) -> Energy:
+def total_energy(problem: Problem, contact: float) -> Energy:
     """Eq. 5, with so many times the push and pull that the options name."""
-    return energy_of(problem, weight * problem.options.push, weight * problem.options.pull)
+    return energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
+
+
+def coarse_energy(problem: Problem) -> Energy:
+    """The soft hinge's energy at some of the frames: Eq. 5."""
+    return total_energy(problem, 1.0 if problem.options.pull else ALONE)
+
+
+def steady(problem: Problem, energy: Energy) -> Energy:
+    """The soft hinge's energy at all frames: the one given, and contact that stays.
+
+    Contact that stays is what makes a grasp stable (Eq. 2). A hinge keeps it by itself; where frames may deviate from
+    the hinge, in depth above all, which silhouettes hardly show, a term keeps it.
+    """
+    pull = problem.options.pull
+    return plus(energy, consistency_of(problem, STEADY * pull)) if pull else energy
 
 
 def _search(problem: Problem, on_stage: OnStage) -> Search:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from getagrip.fitting.methods import OnStage, all_frames
-from getagrip.fitting.objective import consistency_of
+from getagrip.fitting.objective import consistency_of, plus
 from getagrip.fitting.problem import MethodResult, Problem
 
 WEIGHT = 0.1
@@ -12,4 +12,5 @@ WEIGHT = 0.1
 
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
     """Dynamic with one term more, in all stages. Raises ``GetagripError`` when nothing can be rendered."""
-    return all_frames.dynamic(problem, on_stage, consistency_of(problem, WEIGHT))
+    energy = plus(all_frames.total_energy(problem, contact=1.0), consistency_of(problem, WEIGHT))
+    return all_frames.dynamic(problem, on_stage, energy)

@@ -8,7 +8,7 @@ from getagrip.datasets.synthetic.scene import Options as ClipOptions
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
-from getagrip.fitting.search import THOROUGH, Schedule
+from getagrip.fitting.schedule import THOROUGH, USUAL
 
 
 def test_the_longer_search_finds_no_worse_and_says_what_it_was() -> None:
@@ -19,8 +19,9 @@ def test_the_longer_search_finds_no_worse_and_says_what_it_was() -> None:
 
 
 def test_the_longer_search_goes_through_the_same_stages_and_keeps_more() -> None:
-    for usual, longer in zip(Schedule().stages, THOROUGH.stages, strict=True):
+    short, long = ([*schedule.coarse, *schedule.fine] for schedule in (USUAL, THOROUGH))
+    for usual, longer in zip(short, long, strict=True):
         assert (usual.name, usual.level, usual.frames) == (longer.name, longer.level, longer.frames)
         assert longer.keep >= usual.keep
-    assert sum(s.rounds * s.parents for s in THOROUGH.stages) > sum(s.rounds * s.parents for s in Schedule().stages)
-    assert all(a.keep >= b.keep for a, b in pairwise(THOROUGH.stages))
+    assert sum(s.rounds * s.parents for s in long) > sum(s.rounds * s.parents for s in short)
+    assert all(a.keep >= b.keep for a, b in pairwise(long))
