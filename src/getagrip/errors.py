@@ -1,4 +1,4 @@
-"""Every error that getagrip raises on purpose; the command line turns each into one line."""
+"""Every error that the package raises on purpose; the command line turns each into one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A reconstruction: the object in the hand, in every frame. The folder format is fixed (see docs/formats.md)."""
+"""A reconstruction: the object in the hand in every frame, and its folder (docs/formats.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A local web page on which people mark where stable grasps start and end, and label the frames of a grasp.
+"""A local web page on which people mark stable grasps and label frames.
 
 ``tasks`` says what to look through; ``footage``, ``video`` and ``decoding`` show its frames. What is said are ``marks``
 (where a grasp is) and ``keyframes`` (joints and outlines on some of its frames): ``versions`` keeps every change that

@@ -1,1 +1,1 @@
-"""Many clips, over processes: one clip's trouble ends no other."""
+"""Many clips over processes: one clip's failure ends no other."""

@@ -1,4 +1,4 @@
-"""The command line: what each command takes. What it does stands elsewhere, and is imported when it runs."""
+"""The command line: what each command takes."""
 
 from __future__ import annotations
 

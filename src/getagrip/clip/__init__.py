@@ -1,4 +1,4 @@
-"""Clips: what they hold, and their folders, whose format is fixed (docs/formats.md)."""
+"""Clips: what they hold, and their folders (docs/formats.md)."""
 
 from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth, seen_frames
 from getagrip.clip.masks import read_masks, read_seen

@@ -1,1 +1,1 @@
-"""Many clips, many results: what the commands do."""
+"""What each command does."""

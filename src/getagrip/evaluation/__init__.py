@@ -1,4 +1,4 @@
-"""Reconstructions against their clips: all of docs/metrics.md.
+"""Results against ground truth (docs/metrics.md).
 
 - ``results``: a result folder of ours;
 - ``meshes``: a mesh for each frame, as systems give them that know no CAD;

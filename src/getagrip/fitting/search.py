@@ -6,8 +6,8 @@ by less in the middle, for a mug whose handle is in the hand has minima all arou
 the data: after a static fit, a relaxed fit with a small deviation per frame, whose rotation vectors' principal
 direction is the axis. (Angle zero about any axis is a dead start: the energy does not depend on the axis there.)
 
-A method takes the steps in turn, and says in between which motion model goes on: ``relax``, ``coarse``,
-``at_all_frames``, ``fine`` (``methods.all_frames``).
+A method takes the steps in turn, and says in between which motion model goes on (``methods.all_frames``): ``relax``, then
+``run``, which is ``coarse``, ``at_all_frames`` and ``fine``.
 """
 
 from __future__ import annotations
@@ -56,9 +56,13 @@ class Search:
         relaxed = Soft(static, np.zeros((len(static.R), len(index), 6)), RIDGE)
         return minimise(relaxed, terms, T, self.schedule.relaxed_iterations).motion
 
+    def run(self, motion: M, energy: Energy) -> Solution[M]:
+        """All stages, by one motion model and one energy, from a motion at the frames of the first."""
+        return self.fine(self.at_all_frames(self.coarse(motion, energy).motion), energy)
+
     def coarse(self, motion: M, energy: Energy) -> Solution[M]:
         """The stages that see some of the frames, from a motion at those of the first."""
-        return self._run(motion, self.schedule.coarse, energy)
+        return self._stages(motion, self.schedule.coarse, energy)
 
     def at_all_frames(self, motion: M) -> M:
         """A motion at the frames of the last coarse stage, taken to those of the fine ones."""
@@ -66,12 +70,12 @@ class Search:
 
     def fine(self, motion: M, energy: Energy) -> Solution[M]:
         """The stages that see all frames; distinct solutions, best first."""
-        return self._run(motion, self.schedule.fine, energy)
+        return self._stages(motion, self.schedule.fine, energy)
 
     def _frames(self, stage: Stage) -> Int[ndarray, "n"]:
         return frame_indices(len(self.T_cam_hand), stage.frames)
 
-    def _run(self, motion: M, stages: Sequence[Stage], energy: Energy) -> Solution[M]:
+    def _stages(self, motion: M, stages: Sequence[Stage], energy: Energy) -> Solution[M]:
         """Fit, rotate, fit again and prune, stage after stage."""
         index = self._frames(stages[0])
         for k, stage in enumerate(stages):

@@ -1,1 +1,1 @@
-"""Stable grasps of labelled motion: finding them, their best hinge, the study of them."""
+"""Stable grasps of labelled motion (Eq. 2): finding them, their best hinge, the paper's study."""

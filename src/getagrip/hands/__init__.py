@@ -1,1 +1,1 @@
-"""Hand models: ``generic`` (ours), ``mano`` (the user's file), ``umetrack`` (HOT3D). All end in ``PosedHand``."""
+"""Hand models, all ending in ``PosedHand``; ``trackers`` reads the files of hand estimators."""

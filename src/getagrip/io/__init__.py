@@ -1,1 +1,1 @@
-"""Files and arrays from strangers, read with limits; complete files or none written."""
+"""Untrusted files and arrays, read within limits; files written whole or not at all."""

@@ -1,0 +1,1 @@
+"""Compiled loops of the fit: silhouettes, contours, nearest points. ``reference`` is their specification in numpy."""

@@ -1,1 +1,1 @@
-"""How good a reconstruction is: masks, pose and contact. Nothing here knows the energy that was minimised."""
+"""How good a reconstruction is: masks, pose and contact. It cannot see the energy that was minimised."""

@@ -1,0 +1,1 @@
+"""Pictures of results, of contact matrices and of the study."""

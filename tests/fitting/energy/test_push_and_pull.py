@@ -51,9 +51,9 @@ def test_push_and_pull_are_what_the_specification_says(which: str) -> None:
         for n in range(3):
             d = heights(mesh, hand, poses, b, n)
             # A distance grid knows the nearest face but for a few points, most of them halfway between two.
-            expected = reference.push(d, push.weight[n], push.give)
+            expected = reference.push(d, push.weight[n], push.tolerance)
             assert pushed[b, n] == pytest.approx(expected, abs=1e-4 * push.weight[n])
-            expected = reference.pull(d, hand.region, pull.weight[n], pull.reach)
+            expected = reference.pull(d, hand.region, pull.weight[n], pull.max_distance)
             assert pulled[b, n] == pytest.approx(expected, abs=1e-4 * pull.weight[n])
 
 
@@ -126,7 +126,7 @@ def test_a_far_finger_holds_nothing() -> None:
     hand.position[:] = poses.centre[0] + [0.5, 0.0, 0.0]
     push, pull = physical_terms(MESHES["mug"], hand)
     local = pull(poses, no_bound(poses))
-    np.testing.assert_allclose(local.value, pull.weight[0] * pull.reach)
+    np.testing.assert_allclose(local.value, pull.weight[0] * pull.max_distance)
     assert not local.g.any()
     assert not push(poses, no_bound(poses)).value.any()
 

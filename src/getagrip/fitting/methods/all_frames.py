@@ -47,7 +47,7 @@ def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
     """A hinge (Eq. 3)."""
     search, energy = _search(problem, on_stage), total_energy(problem, ALONE)
     motion = _hinge(problem, search.relax(_initial(problem), energy))
-    found = search.fine(search.at_all_frames(search.coarse(motion, energy).motion), energy)
+    found = search.run(motion, energy)
     return _result(found, found.motion)
 
 
@@ -55,7 +55,7 @@ def static(problem: Problem, on_stage: OnStage) -> MethodResult:
     """One pose for all frames (paper, Sec. 5.2)."""
     search, energy = _search(problem, on_stage), total_energy(problem, ALONE)
     motion = search.relax(_initial(problem), energy).core
-    return _result(search.fine(search.at_all_frames(search.coarse(motion, energy).motion), energy))
+    return _result(search.run(motion, energy))
 
 
 def dynamic(problem: Problem, on_stage: OnStage, energy: Energy | None = None) -> MethodResult:
@@ -64,7 +64,7 @@ def dynamic(problem: Problem, on_stage: OnStage, energy: Energy | None = None) -
     relaxed = search.relax(_initial(problem), energy)
     held = relaxed.poses()
     motion = Free(held.R, held.centre, relaxed.core.log_scale, relaxed.core.free_scale)
-    return _result(search.fine(search.at_all_frames(search.coarse(motion, energy).motion), energy))
+    return _result(search.run(motion, energy))
 
 
 def total_energy(problem: Problem, contact: float) -> Energy:

@@ -72,7 +72,7 @@ def _best_of_frame(problem: Problem, n: int, energy: Energy) -> Solution[Fixed]:
     search = Search(clip.hand.T_cam_hand[here], problem.surface, SCHEDULE, lambda _: None)
     try:
         motion = search.relax(initial, of_frame).core
-        return search.fine(search.at_all_frames(search.coarse(motion, of_frame).motion), of_frame)
+        return search.run(motion, of_frame)
     except GetagripError as error:
         raise GetagripError(f"frame {clip.frames[n]}: {error}") from error
 
