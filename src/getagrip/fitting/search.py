@@ -6,8 +6,8 @@ by less in the middle, for a mug whose handle is in the hand has minima all arou
 the data: after a static fit, a relaxed fit with a small deviation per frame, whose rotation vectors' principal
 direction is the axis. (Angle zero about any axis is a dead start: the energy does not depend on the axis there.)
 
-A method takes the steps in turn, and says in between which motion model goes on (``methods.all_frames``): ``relax``, then
-``run``, which is ``coarse``, ``at_all_frames`` and ``fine``.
+A method takes the steps in turn, and says in between which motion model goes on (``methods.all_frames``): ``relax``,
+then ``run``, which is ``coarse``, ``at_all_frames`` and ``fine``.
 """
 
 from __future__ import annotations
