@@ -1,4 +1,4 @@
-"""Draw docs/images/contact_iou.png: a made-up can that is taken, shifted in the hand, let go and taken again."""
+"""Draw docs/images/contact_iou.png: a synthetic can is grasped, shifted, released and grasped again."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def main() -> None:
     away = np.interp(n, [20, 35, 185, 200, 220, 235, 280, 295], [1, 0, 0, 1, 1, 0, 0, 1])
     slid = np.interp(n, [100, 115, 200, 210], [0, 1, 1, 0])
     along = se3.inverse(clip.truth.T_cam_hand)[:, :3, :3] @ clip.truth.T_cam_obj[:, :3, 2:3]  # the can's axis
-    towards = np.array([0.0, -0.15, 0.0])  # where the palm looks
+    towards = np.array([0.0, -0.15, 0.0])  # the direction the palm faces
     shift = away[:, None] * towards + 0.035 * slid[:, None] * along[:, :, 0]
     T_cam_obj = clip.truth.T_cam_hand @ se3.rigid(t=shift) @ se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
     clip = replace(clip, truth=replace(clip.truth, T_cam_obj=T_cam_obj))

@@ -21,9 +21,9 @@ def main(path: str) -> None:
         joints, valid, offset = data["joints"].astype(float), data["hand_valid"], data["offset"]
     model, residuals, seconds, converged = generic.load("left"), [], [], 0
     for start, end in pairwise(offset):
-        seen = joints[start:end][valid[start:end]]
+        observed = joints[start:end][valid[start:end]]
         began = time.perf_counter()
-        fit = fit_joints(model, seen, "ho3d")
+        fit = fit_joints(model, observed, "ho3d")
         seconds.append(time.perf_counter() - began)
         residuals.append(1e3 * fit.residuals)
         converged += fit.converged

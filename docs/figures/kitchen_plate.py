@@ -1,7 +1,7 @@
-"""What docs/kitchen.md says: python docs/figures/kitchen_plate.py VIDEO LABELS CLIP RESULT
+"""The measurements of docs/kitchen.md: python docs/figures/kitchen_plate.py VIDEO LABELS CLIP RESULT
 
-Each labelled frame but the first and last is left out in turn, and found again from the others. The picture is drawn
-from the clip and its result: masks, hand and mesh, and nothing of the footage.
+Each labelled frame but the first and last is left out in turn, and estimated from the others. The picture shows the
+clip and its result, masks, hand and mesh, but no pixel of the footage.
 """
 
 from __future__ import annotations
@@ -31,30 +31,32 @@ OUT = Path(__file__).parent.parent / "images" / "kitchen-plate.png"
 SHOWN = 6
 SIDE = 300
 HAND, PLATE = (0.91, 0.72, 0.60), (0.45, 0.62, 0.78)
-SEEN, HIDDEN = (214, 210, 200), (238, 236, 230)
-"""Colours of the masks under the meshes' outlines."""
+VISIBLE, HIDDEN = (214, 210, 200), (238, 236, 230)
+"""Colours of the masks under the silhouettes."""
 
 
 def main(video: str, labelled: str, clip_folder: str, result_folder: str) -> None:
     picture(read_clip(clip_folder), read_result(result_folder)[0])
-    said, footage = labels.read(labelled), Video(Path(video))
-    joints_left_out(said, footage.image)
-    outlines_left_out(said, footage.image)
+    annotation, footage = labels.read(labelled), Video(Path(video))
+    joints_left_out(annotation, footage.image)
+    polygons_left_out(annotation, footage.image)
     footage.close()
 
 
-def joints_left_out(said: Labels, image: Images) -> None:
-    """How far fitted joints are from the clicks on frames that were left out."""
-    K, _ = intrinsics(Lens(guess_focal=True), said.size)
-    fit = hands_from_clicks(said.clicks, K, said.side, said.first, said.last)
+def joints_left_out(annotation: Labels, image: Images) -> None:
+    """Distance of the fitted joints from the clicks on frames that were left out."""
+    K, _ = intrinsics(Lens(guess_focal=True), annotation.size)
+    fit = hands_from_clicks(annotation.clicks, K, annotation.side, annotation.first, annotation.last)
     print(f"clicks on {len(fit.keys)} frames: {np.sqrt(np.nanmean(fit.residuals**2)):.1f} px off, root mean square")
-    for n in list(said.clicks)[1:-1]:
-        others = {key: points for key, points in said.clicks.items() if key != n}
-        smooth = hands_from_clicks(others, K, said.side, said.first, said.last)
-        followed = steadied(smooth, said.first, K, said.size, image)
-        off = [_off(hands, n - said.first, K, said.clicks[n]) for hands in (smooth, followed)]
+    for n in list(annotation.clicks)[1:-1]:
+        others = {key: points for key, points in annotation.clicks.items() if key != n}
+        smooth = hands_from_clicks(others, K, annotation.side, annotation.first, annotation.last)
+        tracked = steadied(smooth, annotation.first, K, annotation.size, image)
+        off = [_off(hands, n - annotation.first, K, annotation.clicks[n]) for hands in (smooth, tracked)]
         gap = min(key for key in others if key > n) - max(key for key in others if key < n)
-        print(f"frame {n} of a gap of {gap}: joints {off[0]:.0f} px off when only smooth, {off[1]:.0f} when followed")
+        print(
+            f"frame {n} of a gap of {gap}: joints {off[0]:.0f} px off with smoothing only, {off[1]:.0f} with tracking"
+        )
 
 
 def _off(hands: ClickedHands, row: int, K: Float[ndarray, "3 3"], clicks: Float[ndarray, "21 2"]) -> float:
@@ -63,9 +65,9 @@ def _off(hands: ClickedHands, row: int, K: Float[ndarray, "3 3"], clicks: Float[
     return float(np.nanmean(np.linalg.norm(uv - clicks, axis=1)))
 
 
-def outlines_left_out(said: Labels, image: Images) -> None:
-    """How far propagated masks agree with the outlines of frames that were left out."""
-    keys = said.label_maps()
+def polygons_left_out(annotation: Labels, image: Images) -> None:
+    """IOU of the propagated masks with the polygons of frames that were left out."""
+    keys = annotation.label_maps()
     frames = sorted(keys)
     for start, n, end in zip(frames, frames[1:], frames[2:], strict=False):
         for frame, drawn, sure in propagate(image, {start: keys[start], end: keys[end]}, start, end):
@@ -76,12 +78,12 @@ def outlines_left_out(said: Labels, image: Images) -> None:
 
 
 def picture(clip: Clip, result: Reconstruction) -> None:
-    """Above the masks with the outlines of what was found, below the hand and the plate."""
+    """Top: the masks with the silhouettes of the result; bottom: the hand and the plate."""
     rows = [clip.frames.index(name) for name in result.frames]
     masks = read_masks(clip.take(np.array(rows)))
     crops = crops_around(masks.object, 1.45, 2 * SIDE)
     K = crops.intrinsics(clip.K[rows])
-    seen, hidden = crops.resample(masks.object, False), crops.resample(masks.ignore, False)
+    visible, hidden = crops.resample(masks.object, False), crops.resample(masks.ignore, False)
     columns = []
     for k in np.linspace(0, len(rows) - 1, SHOWN).round().astype(int):
         n = rows[k]
@@ -90,11 +92,11 @@ def picture(clip: Clip, result: Reconstruction) -> None:
         plate = se3.transform(T_cam_obj, result.scale * clip.mesh.vertices)
         size = (crops.size, crops.size)
         ground = np.full((*size, 3), 255, np.uint8)
-        ground[hidden[k]], ground[seen[k]] = HIDDEN, SEEN
+        ground[hidden[k]], ground[visible[k]] = HIDDEN, VISIBLE
         for vertices, faces, colour in ((hand, clip.hand.faces, HAND), (plate, clip.mesh.faces, PLATE)):
             alone = render_rgb([(vertices, faces, (0.0, 0.0, 0.0))], K[k], size) < 128
-            borders, _ = cv2.findContours(alone.any(-1).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-            cv2.drawContours(ground, borders, -1, tuple(200.0 * c for c in colour), 3, cv2.LINE_AA)
+            contours, _ = cv2.findContours(alone.any(-1).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            cv2.drawContours(ground, contours, -1, tuple(200.0 * c for c in colour), 3, cv2.LINE_AA)
         both = render_rgb([(hand, clip.hand.faces, HAND), (plate, clip.mesh.faces, PLATE)], K[k], size)
         column = cv2.resize(np.vstack([ground, both]), (SIDE, 2 * SIDE), interpolation=cv2.INTER_AREA)
         words = f"frame {int(clip.frames[n])}, IOU {result.iou[k]:.2f}"

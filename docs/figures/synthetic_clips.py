@@ -1,4 +1,4 @@
-"""Draw docs/images/synthetic-clips.png: one frame of a made-up clip of every category."""
+"""Draw docs/images/synthetic-clips.png: one frame of a synthetic clip of every category."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.scene import Options, make_scene, pictures
 
 OUT = Path(__file__).resolve().parents[1] / "images" / "synthetic-clips.png"
-OPTIONS = Options(frames=10, size=(360, 300), focal=420.0)
-COLUMNS = 4
+OPTIONS = Options(frames=10, size=(240, 200), focal=280.0)
+COLUMNS = 6
 
 
 def main() -> None:
@@ -23,6 +23,7 @@ def main() -> None:
         image = pictures(replace(scene, clip=scene.clip.take(np.array([6]))))[0]
         cv2.putText(image, category, (10, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (60, 60, 60), 1, cv2.LINE_AA)
         tiles.append(np.pad(image, ((0, 4), (0, 4), (0, 0)), constant_values=255))
+    tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % COLUMNS)
     rows = [np.concatenate(tiles[k : k + COLUMNS], axis=1) for k in range(0, len(tiles), COLUMNS)]
     cv2.imwrite(str(OUT), cv2.cvtColor(np.concatenate(rows), cv2.COLOR_RGB2BGR))
 
