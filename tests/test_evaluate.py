@@ -16,10 +16,10 @@ from getagrip.clip import FINGERS, Clip, HandTrack, Masks, Truth, input_sha256, 
 from getagrip.datasets.synthetic import shapes
 from getagrip.errors import InputError
 from getagrip.geometry import se3
+from getagrip.geometry.depth import covered
 from getagrip.geometry.mesh import write_mesh
 from getagrip.io import files
 from getagrip.metrics.contact import SIDES
-from getagrip.metrics.mask import object_mask
 from getagrip.result import Candidates, Reconstruction, write_result
 
 FRAMES = 5
@@ -50,7 +50,8 @@ def scene() -> tuple[Clip, Masks]:
         truth=Truth(T_cam_hand @ T_hand_obj, 1.0, T_cam_hand, vertices),
     )
     assert clip.truth is not None
-    drawn = [object_mask(clip.mesh, 1.0, T, K, clip.size) for T, K in zip(clip.truth.T_cam_obj, clip.K, strict=True)]
+    posed = se3.transform(clip.truth.T_cam_obj, clip.mesh.vertices)
+    drawn = [covered(vertices, clip.mesh.faces, K, clip.size) for vertices, K in zip(posed, clip.K, strict=True)]
     return clip, Masks(np.stack(drawn), np.zeros((FRAMES, 240, 320), dtype=bool))
 
 

@@ -20,8 +20,6 @@ from getagrip.grasps.study import MEASURES, TIMES, Spread, Studied, mean_curves,
 from getagrip.io import files
 
 ALL = "All"
-SUMMARY = ("static_rotation", "one_dof_rotation", "free_rotation", "free_place", "at_hand_rotation", "at_hand_place")
-"""Measures of the table by category, inside the grasps."""
 
 
 def study_clips(

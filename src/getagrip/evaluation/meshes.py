@@ -23,7 +23,7 @@ from getagrip.evaluation.results import add, add_iou, contact_metrics, judged, p
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import SUFFIXES, Mesh, checked_mesh, parse_mesh, with_area
 from getagrip.metrics.contact import ContactDistances, contact_distances_of
-from getagrip.metrics.mask import meshes_iou
+from getagrip.metrics.mask import iou_of_meshes
 from getagrip.metrics.meshes import mesh_distances
 
 MeshFrame = Literal["camera", "hand"]
@@ -56,7 +56,7 @@ def evaluate_meshes(meshes: Sequence[Mesh | None], clip: Clip, masks: Masks | No
         add(metrics, per_frame, "truth_", contact_metrics(of_truth))
     if masks is not None:
         seen = [None if mesh is None else _moved(mesh, T) for mesh, T in zip(meshes, clip.hand.T_cam_hand, strict=True)]
-        add_iou(metrics, per_frame, meshes_iou(seen, clip.K, judged(clip, masks)))
+        add_iou(metrics, per_frame, iou_of_meshes(seen, clip.K, judged(clip, masks)))
     return {
         "clip": clip.name,
         "category": clip.category,

@@ -26,7 +26,7 @@ from getagrip.metrics.contact import (
     pairwise_iou,
     stable_contact_area,
 )
-from getagrip.metrics.mask import MaskIou, mask_iou
+from getagrip.metrics.mask import MaskIou, iou_of_poses
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
 from getagrip.result import Reconstruction, read_result
@@ -83,7 +83,7 @@ def evaluate(result: Reconstruction, clip: Clip, masks: Masks | None) -> dict[st
             metrics[f"sca_add_sym{key}"] = value * metrics["add_sym_success"]
     if masks is not None:
         masks = judged(clip, masks)
-        ious = mask_iou(clip.mesh, result.scale, clip.hand.T_cam_hand @ result.T_hand_obj, clip.K, masks)
+        ious = iou_of_poses(clip.mesh, result.scale, clip.hand.T_cam_hand @ result.T_hand_obj, clip.K, masks)
         add_iou(metrics, per_frame, ious)
     return {
         "clip": clip.name,
