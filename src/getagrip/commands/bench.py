@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from getagrip.batch.clips import tell
 from getagrip.batch.job import Outcome
-from getagrip.batch.pool import cores, in_processes
+from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.errors import UsageError
 from getagrip.experiments.comparison import Table, compare, groups
 from getagrip.experiments.settings import ABLATIONS, CONTACT, Arm, ablation_arms, method_arms
@@ -21,10 +19,8 @@ from getagrip.experiments.tables import as_json, latex, markdown, terminal, writ
 from getagrip.experiments.trials import Scores, Task, run
 from getagrip.fitting.options import Method, Options
 from getagrip.io import files
+from getagrip.io.terminal import console, progress_bar
 from getagrip.result import software
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
 
 
 @dataclass(frozen=True)
@@ -76,7 +72,7 @@ def bench(plan: Plan, debug: bool) -> int:
     failures = len(bad)
     for outcome in bad:
         tell(outcome, debug)
-    with _progress() as bar:
+    with progress_bar(counted=True) as bar:
         shown = bar.add_task("clips", total=len(tasks))
         for clip in _outcomes(tasks, plan.workers or cores()):
             failures += _tell(clip, arms, debug)
@@ -85,7 +81,7 @@ def bench(plan: Plan, debug: bool) -> int:
     scores.sort(key=lambda clip: clip.clip)
     tables = compare(scores, arms)
     if tables:
-        _print(tables[0])
+        console().print(terminal(tables[0]))
     _write(plan, tables, scores, arms)
     return 1 if failures else 0
 
@@ -96,7 +92,7 @@ def _outcomes(tasks: Sequence[Task], workers: int) -> Iterator[Scores]:
         yield from map(run, tasks)
         return
     for task, scores in in_processes(run, tasks, workers):
-        yield scores or Scores(task.sample.name, failure="its process died twice; out of memory?")
+        yield scores or Scores(task.sample.name, failure=DIED)
 
 
 def _tell(clip: Scores, arms: Sequence[Arm], debug: bool) -> int:
@@ -111,13 +107,6 @@ def _tell(clip: Scores, arms: Sequence[Arm], debug: bool) -> int:
     done = f"{clip.made - len(failed)} done, {len(clip.scores) - clip.made} already done"
     print(f"{clip.clip}: {done}{f', {len(failed)} failed' if failed else ''}")
     return len(failed)
-
-
-def _print(table: Table) -> None:
-    from rich.console import Console
-
-    console = Console() if sys.stdout.isatty() else Console(width=200)  # a pipe has no width
-    console.print(terminal(table))
 
 
 def _write(plan: Plan, tables: Sequence[Table], scores: Sequence[Scores], arms: Sequence[Arm]) -> None:
@@ -184,32 +173,3 @@ def _named(source: Source) -> str:
         return "a folder of clips"
     preset = f", {source.preset}" if source.dataset == "synthetic" else ""
     return f"{source.dataset}{preset}, {'both splits' if source.part == 'all' else f'{source.part} split'}"
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    """A bar on stderr that estimates when it will be full, where stderr is a terminal."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TextColumn("left"), TimeRemainingColumn(),
-    )  # fmt: skip
-    with Progress(
-        *columns,
-        console=console,
-        disable=not console.is_terminal,
-        transient=True,
-        redirect_stdout=sys.stdout.isatty(),
-        speed_estimate_period=600.0,  # clips take seconds each: the default half minute sees only a few
-    ) as bar:
-        yield bar

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from getagrip.evaluation.results import IOU_THRESHOLDS, Metrics, mean_of
+from getagrip.io.terminal import plain_table
 from getagrip.metrics.contact import SIDES, THRESHOLDS
 
 if TYPE_CHECKING:
@@ -110,11 +111,9 @@ def _contact(method: str, mean: Metrics) -> Table:
 
 
 def _table(first: str, headings: list[str]) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table = plain_table()
     table.add_column(Text(first), overflow="fold", vertical="bottom")
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)

@@ -13,6 +13,7 @@ from getagrip.experiments.comparison import Table
 from getagrip.experiments.settings import Arm
 from getagrip.experiments.statistics import LEVEL, Estimate
 from getagrip.experiments.trials import Scores
+from getagrip.io.terminal import plain_table
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
@@ -196,10 +197,7 @@ def write_clips_csv(scores: Sequence[Scores], arms: Sequence[Arm], path: Path) -
 
 def terminal(table: Table) -> RichTable:
     """The table over all clips for a screen."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table as RichTable
-
-    out = RichTable(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=_heading(table), title_justify="left")
+    out = plain_table(title=_heading(table), title_justify="left")
     out.add_column("")
     for heading in _headings(table)[1:]:
         out.add_column(heading.replace(" ", "\n").replace("SCA-", "SCA-\n", 1), justify="right", no_wrap=True)
