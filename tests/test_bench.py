@@ -106,7 +106,7 @@ def test_best_second_and_paired_differences() -> None:
     assert 0.1 < difference.low < difference.high < 0.14
     assert table.rows[0].values["IOU"].high > table.rows[1].values["IOU"].low
     assert table.rows[0].differences == {}
-    truth = next(column for column in table.columns if column.heading == "truth's SCA")
+    truth = next(column for column in table.columns if column.label == "truth's SCA")
     assert table.ranks(truth) == [0, 0, 0]
 
 
@@ -142,7 +142,7 @@ def test_columns_without_truth_are_left_out() -> None:
     metrics = {"iou": 0.9, "sca_object_10mm": 0.5}
     scores = [Scores("a", "can", "", False, (Score("one-dof", metrics, 1.0, 2.0, False, "stopped"),))]
     (table,) = compare(scores, method_arms(["one-dof"], Options()))
-    assert [column.heading for column in table.columns] == ["IOU", "SCA"]
+    assert [column.label for column in table.columns] == ["IOU", "SCA"]
 
 
 def test_latex_braces_match_and_symbols_are_spelt() -> None:

@@ -136,7 +136,6 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     together = len(set(drawn)) < len(drawn)
     units = f"the {len(set(drawn))} subjects, all clips of one together" if together else f"the {len(drawn)} clips"
     versions = ", ".join(f"{key} {version}" for key, version in software().items())
-    contact = CONTACT.replace("_", " vertices within ").replace("mm", " mm")
     return [
         f"{_named(source)}: {len(good)} clips"
         + (f", {len(scores) - len(good)} failed and left out" if len(good) < len(scores) else ""),
@@ -144,7 +143,7 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
         f"seed {plan.options.seed}; the same frames, masks and evaluation for all",
         "per cent, means over clips, the best bold, the second best underlined; s: median seconds for a clip",
         f"in brackets: 95 % intervals from {RESAMPLES} bootstrap resamples of {units}",
-        f"contact: {contact}, unless the row says otherwise; a method that fails on a clip scores 0 there",
+        f"contact: {CONTACT.description}, unless the row says otherwise; a method that fails on a clip scores 0 there",
         versions,
     ]
 

@@ -14,11 +14,11 @@ from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
 from getagrip.errors import InputError
 from getagrip.fitting.options import Method, Options
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.contact import SIDES, THRESHOLDS
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 
 REFERENCE: Method = "one-dof"
 """The paper's method: what the others are compared with."""
-CONTACT = "object_10mm"
+CONTACT = ContactDefinition("object", 0.010)
 """Of the definitions of contact (docs/metrics.md) the one in use, unless a setting says otherwise."""
 
 
@@ -82,7 +82,7 @@ class Setting:
     options: Mapping[str, Any] = field(default_factory=dict)
     """``Options`` that differ from those of the run."""
     change: Change = AS_GIVEN
-    contact: str = CONTACT
+    contact: ContactDefinition = CONTACT
     """What counts as contact in the metrics."""
 
 
@@ -107,7 +107,7 @@ class Arm:
     """Arms with the same folder share their results."""
     options: Options
     change: Change
-    contact: str
+    contact: ContactDefinition
     against: str
     """Label of the arm that this one is compared with."""
     group: str
@@ -132,11 +132,6 @@ def _tracker(name: str) -> Setting:
 
 def _mask_noise(px: float) -> Setting:
     return Setting(f"{px:g} px", change=Noisy(Noise(mask_ragged_px=px)))
-
-
-def _contact(side: str, threshold: float) -> Setting:
-    key = f"{side}_{threshold * 1e3:.0f}mm"
-    return Setting(f"{side}, {threshold * 1e3:.0f} mm", contact=key)
 
 
 ABLATIONS: dict[str, Ablation] = {
@@ -181,7 +176,7 @@ ABLATIONS: dict[str, Ablation] = {
     "sca": Ablation(
         "What counts as contact: whose points, and how near",
         None,
-        tuple(_contact(side, threshold) for side in SIDES for threshold in THRESHOLDS),
+        tuple(Setting(f"{d.side}, {d.distance}", contact=d) for d in CONTACT_DEFINITIONS),
         get_args(Method),
     ),
 }

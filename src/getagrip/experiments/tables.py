@@ -73,30 +73,30 @@ def _seconds(value: float) -> str:
 
 def _body(table: Table, style: Style) -> list[list[str]]:
     """The rows of a table as texts: label, columns, seconds."""
-    ranks = {column.heading: table.ranks(column) for column in table.columns}
+    ranks = {column.label: table.ranks(column) for column in table.columns}
     rows = []
     for n, row in enumerate(table.rows):
         cells = [style.text(row.arm.label + (f" ({row.failed} failed)" if row.failed else ""))]
         for column in table.columns:
-            value = row.values[column.heading]
-            cells.append(style.cell(_number(value.mean), ranks[column.heading][n], _interval(value)))
+            value = row.values[column.label]
+            cells.append(style.cell(_number(value.mean), ranks[column.label][n], _interval(value)))
         rows.append([*cells, _seconds(row.seconds)])
     return rows
 
 
 def _headings(table: Table) -> list[str]:
-    return ["", *(column.heading for column in table.columns), "s"]
+    return ["", *(column.label for column in table.columns), "s"]
 
 
 def _differences(table: Table, style: Style) -> list[list[str]]:
     """Headings and rows of the differences in pairs; those whose interval leaves out zero are marked as best."""
     columns = [column for column in table.columns if column.ranked]
-    rows = [["", *(column.heading for column in columns)]]
+    rows = [["", *(column.label for column in columns)]]
     for row in table.rows:
         if row.differences:
             cells = [style.text(f"{row.arm.label} − {row.arm.against}")]
             for column in columns:
-                value = row.differences[column.heading]
+                value = row.differences[column.label]
                 sure = value.low > 0.0 or value.high < 0.0
                 cells.append(style.cell(_difference(value.mean), int(sure), _differences_interval(value)))
             rows.append(cells)
@@ -162,11 +162,9 @@ def write_csv(tables: Sequence[Table], path: Path) -> None:
         for table in tables:
             for column in table.columns:
                 for row, rank in zip(table.rows, table.ranks(column), strict=True):
-                    value, difference = row.values[column.heading], row.differences.get(column.heading)
+                    value, difference = row.values[column.label], row.differences.get(column.label)
                     compared = ["", *[""] * 4] if difference is None else [row.arm.against, *_numbers(difference)]
-                    writer.writerow(
-                        [table.title, row.arm.label, column.heading, *_numbers(value), rank or "", *compared]
-                    )
+                    writer.writerow([table.title, row.arm.label, column.label, *_numbers(value), rank or "", *compared])
             for row in table.rows:
                 writer.writerow([table.title, row.arm.label, "seconds (median)", row.seconds, *[""] * 9])
 
