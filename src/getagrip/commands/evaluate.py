@@ -22,7 +22,7 @@ Evaluated = tuple[dict[str, Any] | None, list[Outcome]]
 
 
 @dataclass(frozen=True)
-class Job:
+class ResultJob:
     """A result to evaluate."""
 
     folder: Path
@@ -40,11 +40,11 @@ def evaluate_results(
     """
     if not paths and meshes is None:
         raise UsageError("RESULT: name at least one result, or --meshes")
-    jobs: list[Job] = []
+    jobs: list[ResultJob] = []
     told: list[Outcome] = []
     for path in paths:
         try:
-            jobs += [Job(folder, clips) for folder in results_in(path)]
+            jobs += [ResultJob(folder, clips) for folder in results_in(path)]
         except (InputError, OSError) as error:
             told.append(failure("", error))
     evaluations: list[dict[str, Any]] = []
@@ -73,7 +73,7 @@ def evaluate_results(
     return 1 if told else 0
 
 
-J = TypeVar("J", Job, MeshJob)
+J = TypeVar("J", ResultJob, MeshJob)
 
 
 def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callable[[], None]) -> list[Evaluated]:
@@ -93,7 +93,7 @@ def _done(work: Callable[[J], Evaluated], jobs: Sequence[J]) -> Iterator[tuple[J
     return in_processes(work, jobs, min(len(jobs), cores()))
 
 
-def evaluate_one(job: Job) -> Evaluated:
+def evaluate_one(job: ResultJob) -> Evaluated:
     """The metrics of a result, or why there are none. Raises nothing."""
     try:
         return evaluate_result(job.folder, job.clips), []

@@ -29,7 +29,7 @@ COLUMNS = ("sequence", "side", "object", "start", "end", "duration")
 
 
 @dataclass(frozen=True)
-class Job:
+class SegmentJob:
     """A clip to find grasps in."""
 
     clip: Path
@@ -38,7 +38,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Found:
+class SegmentedClip:
     """The grasps of a clip."""
 
     clip: str
@@ -85,13 +85,14 @@ def segment_clips(
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     jobs = {
-        folder: Job(folder, definition, None if out is None else out / f"{name}.png") for name, folder in clips.items()
+        folder: SegmentJob(folder, definition, None if out is None else out / f"{name}.png")
+        for name, folder in clips.items()
     }
-    found: dict[Path, Found] = {}
+    found: dict[Path, SegmentedClip] = {}
     failures = len(failed)
     with progress_bar() as bar:
         for job, result in outcomes(segment_one, list(jobs.values()), workers, bar):
-            if isinstance(result, Found):
+            if isinstance(result, SegmentedClip):
                 found[job.clip] = result
             else:
                 tell(result, debug)
@@ -107,7 +108,7 @@ def segment_clips(
     return 1 if failures else 0
 
 
-def segment_one(job: Job, progress: Progress = lambda *_: None) -> Found | Outcome:
+def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip | Outcome:
     """The grasps of one clip, drawn where a picture is wanted; or how it failed. Raises nothing."""
     try:
         clip = read_clip(job.clip)
@@ -117,14 +118,14 @@ def segment_one(job: Job, progress: Progress = lambda *_: None) -> Found | Outco
 
             subtitle = f"{clip.side} hand, {clip.category}  ·  {in_words(job.definition)}"
             write_matrix(job.picture, iou, grasps, clip.fps, job.definition.tau, clip.name, subtitle)
-        return Found(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps))
+        return SegmentedClip(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps))
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)
 
 
 def outcomes(
-    work: Callable[..., R | Outcome], jobs: Sequence[Job], workers: int | None, bar: Bar
-) -> Iterator[tuple[Job, R | Outcome]]:
+    work: Callable[..., R | Outcome], jobs: Sequence[SegmentJob], workers: int | None, bar: Bar
+) -> Iterator[tuple[SegmentJob, R | Outcome]]:
     """What becomes of each job, as they finish, while the bar shows it.
 
     ``work`` takes a job and, where it is done in this process, whom to tell of its progress.
@@ -152,7 +153,7 @@ def in_words(definition: Definition) -> str:
     )
 
 
-def _print(found: Sequence[Found], out: Path | None) -> None:
+def _print(found: Sequence[SegmentedClip], out: Path | None) -> None:
     """A table of all grasps, and their sum in a line."""
     console().print(_table(found))
     grasps = [end + 1 - start for one in found for start, end in one.grasps]
@@ -163,7 +164,7 @@ def _print(found: Sequence[Found], out: Path | None) -> None:
         print(out / "segments.csv")
 
 
-def _table(found: Sequence[Found]) -> Table:
+def _table(found: Sequence[SegmentedClip]) -> Table:
     from rich.text import Text
 
     table = plain_table()

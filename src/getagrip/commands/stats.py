@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from getagrip.errors import UsageError
-from getagrip.experiments.durations import ALL, Fps, Row, durations, read_epic, read_list
+from getagrip.experiments.durations import ALL, CategoryDurations, Fps, durations, read_epic, read_list
 from getagrip.io import files
 from getagrip.io.terminal import console, plain_table
 
@@ -51,13 +51,13 @@ def print_stats(
     return 0
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: CategoryDurations) -> list[str]:
     """A row as people read it."""
     seconds = [f"{value:.2f}" for value in (row.mean, row.std, row.longest)]
     return [row.category, *seconds, str(row.clips), str(row.left), str(row.right)]
 
 
-def _print(rows: Sequence[Row]) -> None:
+def _print(rows: Sequence[CategoryDurations]) -> None:
     from rich.text import Text
 
     shown = plain_table()
@@ -70,7 +70,7 @@ def _print(rows: Sequence[Row]) -> None:
     console().print(shown)
 
 
-def _write(rows: Sequence[Row], out: Path) -> None:
+def _write(rows: Sequence[CategoryDurations], out: Path) -> None:
     """The same as Markdown, and unrounded as CSV."""
     out.mkdir(parents=True, exist_ok=True)
     lines: list[Sequence[Any]] = [HEADINGS, ["---", *["---:"] * (len(HEADINGS) - 1)], *map(_cells, rows)]

@@ -12,7 +12,7 @@ from typing import Any
 from getagrip.batch.clips import tell
 from getagrip.batch.job import Outcome, Progress, by_name, failure
 from getagrip.clip import read_clip
-from getagrip.commands.segment import Job, in_words, outcomes
+from getagrip.commands.segment import SegmentJob, in_words, outcomes
 from getagrip.errors import UsageError
 from getagrip.grasps.stable import Definition
 from getagrip.grasps.study import MEASURES, TIMES, Spread, Studied, mean_curves, study
@@ -37,7 +37,7 @@ def study_clips(
     clips, failed = by_name(paths)
     for outcome in failed:
         tell(outcome, debug)
-    jobs = [Job(folder, definition) for folder in clips.values()]
+    jobs = [SegmentJob(folder, definition) for folder in clips.values()]
     done: dict[Path, list[Studied]] = {}
     failures = len(failed)
     with progress_bar() as bar:
@@ -57,7 +57,7 @@ def study_clips(
     return 1 if failures else 0
 
 
-def study_one(job: Job, progress: Progress = lambda *_: None) -> list[Studied] | Outcome:
+def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[Studied] | Outcome:
     """The grasps of one clip, measured; or how it failed. Raises nothing."""
     try:
         return study(read_clip(job.clip), job.definition, partial(progress, "contact"))

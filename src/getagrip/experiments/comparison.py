@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.evaluation.metric import METRICS, Metric
-from getagrip.experiments.settings import Arm
+from getagrip.experiments.settings import Variant
 from getagrip.experiments.statistics import Estimate, estimate, resamples
 from getagrip.experiments.trials import Score, Scores
 
@@ -20,13 +20,13 @@ COLUMNS = tuple(metric for metric in METRICS if metric.label)
 
 @dataclass(frozen=True)
 class Row:
-    """An arm over some clips."""
+    """A variant over some clips."""
 
-    arm: Arm
+    variant: Variant
     values: dict[str, Estimate]
     """Means by label of the metric, 0 to 1."""
     differences: dict[str, Estimate]
-    """Mean differences in pairs from the arm that it is compared with; empty for that arm itself."""
+    """Mean differences in pairs from the variant that it is compared with; empty for that variant itself."""
     seconds: float
     """Median for a clip."""
     failed: int
@@ -34,7 +34,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """All arms over the same clips: all of them, or those of a category."""
+    """All variants over the same clips: all of them, or those of a category."""
 
     title: str
     clips: int
@@ -50,23 +50,25 @@ class Table:
         shown = [round(100.0 * row.values[column.label].mean, 1) for row in self.rows]
         ranks = []
         for row, value in zip(self.rows, shown, strict=True):
-            rivals = {v for v, other in zip(shown, self.rows, strict=True) if other.arm.contact == row.arm.contact}
+            alike = [other.variant.contact == row.variant.contact for other in self.rows]
+            rivals = {v for v, rival in zip(shown, alike, strict=True) if rival}
             best = sorted(rivals - {np.nan}, reverse=True)[:2]
             ranks.append(best.index(value) + 1 if column.ranked and len(best) > 1 and value in best else 0)
         return ranks
 
 
-def compare(scores: Sequence[Scores], arms: Sequence[Arm]) -> list[Table]:
+def compare(scores: Sequence[Scores], variants: Sequence[Variant]) -> list[Table]:
     """A table over all clips, and one for each category where there are several."""
     scores = [clip for clip in scores if clip.scores]
     if not scores:
         return []
     weights = resamples(groups(scores))
-    tables = [_table("all", scores, arms, weights)]
+    tables = [_table("all", scores, variants, weights)]
     categories = sorted({clip.category for clip in scores})
     for category in categories if len(categories) > 1 else []:
         own = np.array([clip.category == category for clip in scores])
-        tables.append(_table(category, [c for c, mine in zip(scores, own, strict=True) if mine], arms, weights[:, own]))
+        theirs = [clip for clip in scores if clip.category == category]
+        tables.append(_table(category, theirs, variants, weights[:, own]))
     return tables
 
 
@@ -76,36 +78,36 @@ def groups(scores: Sequence[Scores]) -> list[str]:
     return subjects if all(subjects) and len(set(subjects)) > 1 else [clip.clip for clip in scores]
 
 
-def _table(title: str, scores: Sequence[Scores], arms: Sequence[Arm], weights: Float[ndarray, "B n"]) -> Table:
-    cells = {arm.label: {column.label: _values(scores, arm, column) for column in COLUMNS} for arm in arms}
+def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], weights: Float[ndarray, "B n"]) -> Table:
+    cells = {v.label: {column.label: _values(scores, v, column) for column in COLUMNS} for v in variants}
     there = tuple(c for c in COLUMNS if any(not np.isnan(values[c.label]).all() for values in cells.values()))
     rows = []
-    for arm in arms:
-        own, other = cells[arm.label], cells.get(arm.against)
-        compared = other is not None and arm.label != arm.against
+    for variant in variants:
+        own, other = cells[variant.label], cells.get(variant.against)
+        compared = other is not None and variant.label != variant.against
         rows.append(
             Row(
-                arm,
+                variant,
                 {c.label: estimate(own[c.label], weights) for c in there},
                 {c.label: estimate(own[c.label] - other[c.label], weights) for c in there}
                 if other is not None and compared
                 else {},
-                _median([score.seconds for clip in scores if (score := _score(clip, arm)) and not score.failed]),
-                sum(score.failed for clip in scores if (score := _score(clip, arm))),
+                _median([score.seconds for clip in scores if (score := _score(clip, variant)) and not score.failed]),
+                sum(score.failed for clip in scores if (score := _score(clip, variant))),
             )
         )
     return Table(title, len(scores), there, tuple(rows))
 
 
-def _score(clip: Scores, arm: Arm) -> Score | None:
-    return next((score for score in clip.scores if score.arm == arm.folder), None)
+def _score(clip: Scores, variant: Variant) -> Score | None:
+    return next((score for score in clip.scores if score.variant == variant.folder), None)
 
 
-def _values(scores: Sequence[Scores], arm: Arm, column: Metric) -> Float[ndarray, "n"]:
+def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float[ndarray, "n"]:
     """A column's value for each clip; where the method failed it is zero, the worst, so that no failure flatters."""
-    key, values = column.key(arm.contact), np.full(len(scores), np.nan)
+    key, values = column.key(variant.contact), np.full(len(scores), np.nan)
     for n, clip in enumerate(scores):
-        score = _score(clip, arm)
+        score = _score(clip, variant)
         if score is None:
             continue
         if score.failed and column.ranked and (clip.true or not column.needs_truth):

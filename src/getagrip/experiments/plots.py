@@ -27,8 +27,8 @@ def plot(table: Table, title: str, path: Path) -> None:
     import matplotlib.pyplot as plt
 
     columns = [column for column in table.columns if column.name in SHOWN]
-    methods = list(dict.fromkeys(row.arm.group for row in table.rows))
-    steps = list(dict.fromkeys(row.arm.step for row in table.rows))
+    methods = list(dict.fromkeys(row.variant.group for row in table.rows))
+    steps = list(dict.fromkeys(row.variant.step for row in table.rows))
     down = -(-(len(columns) + 1) // ACROSS)  # one panel is the legend's
     width = max(3.0, 0.35 * len(steps) + 1.2)
     figure, grid = plt.subplots(down, ACROSS, figsize=(width * ACROSS, 2.9 * down), layout="constrained")
@@ -37,14 +37,14 @@ def plot(table: Table, title: str, path: Path) -> None:
     turn = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if slanted else {}
     for panel, column in zip(panels, columns, strict=False):
         for n, method in enumerate(methods):
-            rows = [row for row in table.rows if row.arm.group == method]
+            rows = [row for row in table.rows if row.variant.group == method]
             mean, low, high = _percent(rows, column)
-            x = np.array([steps.index(row.arm.step) for row in rows]) + 0.12 * (n - (len(methods) - 1) / 2)
+            x = np.array([steps.index(row.variant.step) for row in rows]) + 0.12 * (n - (len(methods) - 1) / 2)
             bars = np.nan_to_num([mean - low, high - mean])  # no interval, no bar
             dots = panel.errorbar(x, mean, bars, fmt="o", markersize=4, elinewidth=1.2, capsize=2, label=method)
             panel.plot(x, mean, linewidth=1, alpha=0.5, color=dots[0].get_color())
         if column is SCA and TRUE_SCA in table.columns:
-            rows = [row for row in table.rows if row.arm.group == methods[0]]
+            rows = [row for row in table.rows if row.variant.group == methods[0]]
             panel.plot(range(len(rows)), _percent(rows, TRUE_SCA)[0], "k:", linewidth=1, label="the truth's SCA")
             panel.legend(handles=panel.lines[-1:], fontsize=8, frameon=False)
         bottom, top = panel.get_ylim()

@@ -99,7 +99,7 @@ class Ablation:
 
 
 @dataclass(frozen=True)
-class Arm:
+class Variant:
     """One row of a table: what is done with every clip, and where the results go."""
 
     label: str
@@ -109,7 +109,7 @@ class Arm:
     change: Change
     contact: ContactDefinition
     against: str
-    """Label of the arm that this one is compared with."""
+    """Label of the variant that this one is compared with."""
     group: str
     """What a plot draws as one line: the method."""
     step: str
@@ -182,15 +182,15 @@ ABLATIONS: dict[str, Ablation] = {
 }
 
 
-def method_arms(methods: Sequence[Method], base: Options) -> list[Arm]:
+def method_variants(methods: Sequence[Method], base: Options) -> list[Variant]:
     """Each method as it is; all of them where none is named."""
     named: Sequence[Method] = methods or get_args(Method)
-    return [Arm(m, m, replace(base, method=m), AS_GIVEN, CONTACT, REFERENCE, m, m) for m in named]
+    return [Variant(m, m, replace(base, method=m), AS_GIVEN, CONTACT, REFERENCE, m, m) for m in named]
 
 
-def ablation_arms(name: str, methods: Sequence[Method], base: Options) -> list[Arm]:
+def ablation_variants(name: str, methods: Sequence[Method], base: Options) -> list[Variant]:
     """Each method in each setting of an ablation. A setting that changes nothing shares the method's own results."""
-    ablation, arms = ABLATIONS[name], []
+    ablation, variants = ABLATIONS[name], []
     for method in methods or ablation.methods:
         usual = replace(base, method=method)
         for setting in ablation.settings:
@@ -198,9 +198,9 @@ def ablation_arms(name: str, methods: Sequence[Method], base: Options) -> list[A
             same = options == usual and setting.change == AS_GIVEN
             folder = method if same else f"{method}+{name}-{_slug(setting.label)}"
             against = f"{REFERENCE}, {setting.label}" if ablation.usual is None else f"{method}, {ablation.usual}"
-            label = f"{method}, {setting.label}"
-            arms.append(Arm(label, folder, options, setting.change, setting.contact, against, method, setting.label))
-    return arms
+            label, group, step = f"{method}, {setting.label}", method, setting.label
+            variants.append(Variant(label, folder, options, setting.change, setting.contact, against, group, step))
+    return variants
 
 
 def _slug(label: str) -> str:
