@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.experiments.durations import Grasp, durations, read_epic, read_list
+from getagrip.experiments.durations import ListedGrasp, durations, read_epic, read_list
 from helpers.paths import DATA, needs
 
 Run = Callable[..., tuple[int, str, str]]
@@ -77,7 +77,7 @@ def test_true_rates_make_the_first_videos_shorter_only() -> None:
 
 def test_durations_with_known_answers(tmp_path: Path) -> None:
     assert read_epic(epic_table(tmp_path)) == [
-        Grasp("cup", "left", 2.4), Grasp("cup", "right", 4.0), Grasp("pan", "right", 6.0)
+        ListedGrasp("cup", "left", 2.4), ListedGrasp("cup", "right", 4.0), ListedGrasp("pan", "right", 6.0)
     ]  # fmt: skip
     assert [grasp.duration for grasp in read_epic(epic_table(tmp_path), "true")] == [2.0, 4.0, 5.0]
     cup, pan, all_ = durations(read_epic(epic_table(tmp_path), "true"))

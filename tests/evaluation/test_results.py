@@ -14,10 +14,11 @@ from getagrip import evaluation as ev
 from getagrip.clip import Clip, Masks, input_sha256, write_clip
 from getagrip.datasets.synthetic import shapes
 from getagrip.errors import InputError
+from getagrip.evaluation.metric import METRICS
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import write_mesh
 from getagrip.io import files
-from getagrip.metrics.contact import SIDES
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, SIDES
 from getagrip.result import write_result
 from helpers.egg_and_mug import FRAMES, perfect, same, written
 
@@ -166,3 +167,21 @@ def test_tables_fit_a_terminal_and_json_holds_what_they_show(scene: tuple[Clip, 
     assert f"{100 * samples[0]['metrics']['sca_object_10mm']:.1f}" in text
     files.write_json(tmp_path / "out.json", ev.summary(samples))
     assert json.loads((tmp_path / "out.json").read_text())["samples"][0]["metrics"]["iou_full"] == 1.0
+
+
+def test_every_number_stands_in_the_table_once(scene: tuple[Clip, Masks]) -> None:
+    keys = [metric.key(d) for metric in METRICS for d in CONTACT_DEFINITIONS[: None if metric.by_contact else 1]]
+    assert len(set(keys)) == len(keys)
+    out = ev.evaluate(perfect(scene[0]), *scene)
+    assert {*out["metrics"], *out["per_frame"]} <= {*keys}
+
+
+def test_the_table_says_which_numbers_need_ground_truth(scene: tuple[Clip, Masks]) -> None:
+    clip, masks = scene
+    known, blind = (
+        {key for numbers in ("metrics", "per_frame") for key in ev.evaluate(perfect(clip), of, masks)[numbers]}
+        for of in (clip, replace(clip, truth=None))
+    )
+    needing = {metric.key(d) for metric in METRICS for d in CONTACT_DEFINITIONS if metric.needs_truth}
+    assert known - blind == known & needing
+    assert blind == known - needing

@@ -22,7 +22,7 @@ from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.errors import GetagripError, UsageError
 from getagrip.experiments import trials
 from getagrip.experiments.comparison import compare, groups
-from getagrip.experiments.settings import ABLATIONS, AS_GIVEN, ScaleFree, ScaleKnown, ablation_arms, method_arms
+from getagrip.experiments.settings import ABLATIONS, AS_GIVEN, ScaleFree, ScaleKnown, ablation_variants, method_variants
 from getagrip.experiments.sources import Source, samples
 from getagrip.experiments.statistics import estimate, resamples
 from getagrip.experiments.tables import LATEX, latex, markdown
@@ -41,11 +41,11 @@ def made(tmp_path_factory: Any) -> Path:
     return folder
 
 
-def score(arm: str, value: float, failed: bool = False) -> Score:
+def score(variant: str, value: float, failed: bool = False) -> Score:
     """A score of which every metric in the tables has the same value."""
     kinds = ("sca", "truth_sca", "sca_add", "sca_add_sym", "sca_iou_80", "sca_iou_60")
     keys = ["iou", "add_success", "add_sym_success", *(f"{kind}_object_10mm" for kind in kinds)]
-    return Score(arm, {} if failed else dict.fromkeys(keys, value), 1.0, 2.0, False, "stopped", failed)
+    return Score(variant, {} if failed else dict.fromkeys(keys, value), 1.0, 2.0, False, "stopped", failed)
 
 
 # ---------------------------------------------------------------- statistics
@@ -90,7 +90,7 @@ def test_no_interval_where_clips_are_few_alike_or_drawn_together() -> None:
 
 
 def test_best_second_and_paired_differences() -> None:
-    arms = method_arms(["one-dof", "soft-hinge", "static"], Options())
+    variants = method_variants(["one-dof", "soft-hinge", "static"], Options())
     hinge = [0.5, 0.7, 0.6, 0.4, 0.5]
     values = {
         "one-dof": hinge,
@@ -98,7 +98,7 @@ def test_best_second_and_paired_differences() -> None:
         "static": [0.1, 0.2, 0.9, 0.3, 0.2],
     }
     scores = [Scores(f"c{n}", "can", "", True, tuple(score(m, v[n]) for m, v in values.items())) for n in range(5)]
-    (table,) = compare(scores, arms)
+    (table,) = compare(scores, variants)
     iou = table.columns[0]
     assert table.ranks(iou) == [2, 1, 0]
     difference = table.rows[1].differences["IOU"]
@@ -106,18 +106,18 @@ def test_best_second_and_paired_differences() -> None:
     assert 0.1 < difference.low < difference.high < 0.14
     assert table.rows[0].values["IOU"].high > table.rows[1].values["IOU"].low
     assert table.rows[0].differences == {}
-    truth = next(column for column in table.columns if column.heading == "truth's SCA")
+    truth = next(column for column in table.columns if column.label == "truth's SCA")
     assert table.ranks(truth) == [0, 0, 0]
 
 
 def test_a_failed_method_scores_zero_and_a_failed_clip_nothing() -> None:
-    arms = method_arms(["one-dof", "static"], Options())
+    variants = method_variants(["one-dof", "static"], Options())
     scores = [
         Scores("a", "can", "", True, (score("one-dof", 1.0), score("static", 0.0, failed=True))),
         Scores("b", "can", "", True, (score("one-dof", 1.0), score("static", 1.0))),
         Scores("c", failure="no masks"),
     ]
-    (table,) = compare(scores, arms)
+    (table,) = compare(scores, variants)
     assert table.clips == 2
     assert [row.values["ADD"].mean for row in table.rows] == [1.0, 0.5]
     assert [row.failed for row in table.rows] == [0, 1]
@@ -125,9 +125,9 @@ def test_a_failed_method_scores_zero_and_a_failed_clip_nothing() -> None:
 
 
 def test_a_table_for_each_category() -> None:
-    arms = method_arms(["one-dof"], Options())
+    variants = method_variants(["one-dof"], Options())
     scores = [Scores(f"{c}{n}", c, "", True, (score("one-dof", n / 2),)) for c in ("can", "mug") for n in range(3)]
-    tables = compare(scores, arms)
+    tables = compare(scores, variants)
     assert [(table.title, table.clips) for table in tables] == [("all", 6), ("can", 3), ("mug", 3)]
 
 
@@ -141,14 +141,16 @@ def test_subjects_are_the_groups_where_every_clip_has_one() -> None:
 def test_columns_without_truth_are_left_out() -> None:
     metrics = {"iou": 0.9, "sca_object_10mm": 0.5}
     scores = [Scores("a", "can", "", False, (Score("one-dof", metrics, 1.0, 2.0, False, "stopped"),))]
-    (table,) = compare(scores, method_arms(["one-dof"], Options()))
-    assert [column.heading for column in table.columns] == ["IOU", "SCA"]
+    (table,) = compare(scores, method_variants(["one-dof"], Options()))
+    assert [column.label for column in table.columns] == ["IOU", "SCA"]
 
 
 def test_latex_braces_match_and_symbols_are_spelt() -> None:
-    arms = ablation_arms("physical", ["one-dof"], Options())
-    scores = [Scores(f"c{n}", "a_b", "", True, tuple(score(arm.folder, n / 7) for arm in arms)) for n in range(7)]
-    text = latex(compare(scores, arms), ABLATIONS["physical"].title, [])
+    variants = ablation_variants("physical", ["one-dof"], Options())
+    scores = [
+        Scores(f"c{n}", "a_b", "", True, tuple(score(variant.folder, n / 7) for variant in variants)) for n in range(7)
+    ]
+    text = latex(compare(scores, variants), ABLATIONS["physical"].title, [])
     tables = text[text.index(r"\begin{table}") :]
     assert tables.count("{") == tables.count("}")
     assert tables.count(r"\begin") == tables.count(r"\end")
@@ -162,28 +164,28 @@ def test_latex_braces_match_and_symbols_are_spelt() -> None:
 @pytest.mark.parametrize("name", ABLATIONS)
 def test_settings_have_folders_of_their_own_and_something_to_compare_with(name: str) -> None:
     ablation = ABLATIONS[name]
-    arms = ablation_arms(name, [], Options())
-    labels = [arm.label for arm in arms]
+    variants = ablation_variants(name, [], Options())
+    labels = [variant.label for variant in variants]
     assert len(set(labels)) == len(labels)
-    assert all(arm.against in labels for arm in arms)
-    assert all(re.fullmatch(r"[a-z0-9.+-]+", arm.folder) for arm in arms)
-    kinds = {(arm.folder, repr(arm.options), repr(arm.change)) for arm in arms}
-    assert len(kinds) == len({arm.folder for arm in arms})
-    assert {arm.group for arm in arms} == set(ablation.methods)
+    assert all(variant.against in labels for variant in variants)
+    assert all(re.fullmatch(r"[a-z0-9.+-]+", variant.folder) for variant in variants)
+    kinds = {(variant.folder, repr(variant.options), repr(variant.change)) for variant in variants}
+    assert len(kinds) == len({variant.folder for variant in variants})
+    assert {variant.group for variant in variants} == set(ablation.methods)
 
 
 def test_a_setting_that_changes_nothing_shares_the_methods_results() -> None:
-    folders = {arm.step: arm.folder for arm in ablation_arms("inits", ["one-dof"], Options())}
+    folders = {variant.step: variant.folder for variant in ablation_variants("inits", ["one-dof"], Options())}
     assert folders["50"] == "one-dof"
     assert folders["10"] == "one-dof+inits-10"
-    folders = {arm.step: arm.folder for arm in ablation_arms("inits", ["one-dof"], Options(inits=100))}
+    folders = {variant.step: variant.folder for variant in ablation_variants("inits", ["one-dof"], Options(inits=100))}
     assert folders["100"] == "one-dof"
     assert folders["50"] != "one-dof"
-    assert {arm.folder for arm in ablation_arms("sca", ["static"], Options())} == {"static"}
+    assert {variant.folder for variant in ablation_variants("sca", ["static"], Options())} == {"static"}
 
 
 def test_all_methods_where_none_is_named() -> None:
-    assert [arm.folder for arm in method_arms([], Options())] == list(get_args(Method))
+    assert [variant.folder for variant in method_variants([], Options())] == list(get_args(Method))
 
 
 def test_scale_made_free_and_known_again() -> None:

@@ -9,9 +9,10 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.hands import generic, umetrack
 from getagrip.hands.fit import ORDERS, Chains, State, fit_joints, joints_and_jacobian
-from getagrip.hands.model import Side, mirrored
+from getagrip.hands.generic_skeleton import WRIST
+from getagrip.hands.model import KNUCKLES, HandModel, Side, mirrored, mirrored_model
 from getagrip.hands.pose_prior import PosePrior
-from getagrip.hands.umetrack_skinned import skinned
+from getagrip.hands.umetrack import T_world_hand, UmeTrackHand
 from helpers.paths import DATA, needs
 
 DEXYCB = DATA / "dexycb" / "left_hand_sequences.npz"
@@ -28,6 +29,37 @@ def likely_hands(side: Side, T: int, seed: int) -> tuple[np.ndarray, np.ndarray]
     X, _ = joints_and_jacobian(Chains.of(model), q, shape)
     T_cam_hand = se3.rigid(se3.exp_so3(rng.normal(size=(T, 3))), rng.normal([0.0, 0.0, 0.6], 0.1, size=(T, 3)))
     return T_cam_hand, se3.transform(T_cam_hand, X)
+
+
+def skinned(hand: UmeTrackHand, side: Side) -> HandModel:
+    """A UmeTrack hand with MANO's joint tree, in the package's hand frame; ``size`` is its only shape parameter.
+
+    The two hinges at the root of a finger, a few millimetres apart, become one ball joint at the second.
+    """
+    if side == "right":
+        return mirrored_model(skinned(hand, "left"))
+    T_hand_wrist = se3.inverse(T_world_hand("left", np.eye(4)))
+    vertices, tips = (se3.transform(T_hand_wrist, X) for X in (hand.rest.vertices, hand.tips))
+    pivots = se3.transform(T_hand_wrist, hand.pivots).reshape(5, 4, 3)
+    joints, weights = np.zeros((16, 3)), np.zeros((len(vertices), 16))
+    joints[0], weights[:, 0] = mirrored(WRIST), hand.weights[:, :2].sum(axis=1)
+    for n, knuckle in enumerate(KNUCKLES):
+        joints[knuckle : knuckle + 3] = pivots[n, 1:]
+        weights[:, knuckle : knuckle + 3] = hand.weights[:, 2 + 3 * n : 5 + 3 * n]
+    return HandModel(
+        name="umetrack",
+        side="left",
+        template=vertices,
+        faces=hand.rest.faces,
+        joints=joints,
+        weights=weights,
+        tips=np.argmin(np.linalg.norm(vertices - tips[:, None], axis=2), axis=1),
+        regions=hand.regions,
+        shape_names=("size",),
+        shape_directions=(vertices - joints[0])[..., None],
+        joint_directions=(joints - joints[0])[..., None],
+        shape_spread=np.array([0.1]),
+    )
 
 
 def test_jacobian_against_differences() -> None:

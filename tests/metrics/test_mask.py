@@ -11,7 +11,8 @@ from hypothesis.extra.numpy import arrays
 from getagrip.clip import Masks
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
-from getagrip.metrics.mask import iou, mask_iou, object_mask
+from getagrip.geometry.depth import covered
+from getagrip.metrics.mask import iou, iou_of_poses
 
 MUG = shapes.mug()
 SIZE = (320, 240)
@@ -25,7 +26,7 @@ def poses(frames: int = 3) -> np.ndarray:
 
 
 def seen(T: np.ndarray, ignore: np.ndarray | None = None) -> Masks:
-    drawn = np.stack([object_mask(MUG, 1.0, T_cam_obj, K, SIZE) for T_cam_obj in T])
+    drawn = np.stack([covered(se3.transform(T_cam_obj, MUG.vertices), MUG.faces, K, SIZE) for T_cam_obj in T])
     return Masks(drawn, np.zeros_like(drawn) if ignore is None else ignore)
 
 
@@ -46,7 +47,7 @@ def test_iou_of_a_mask_with_itself_is_one(mask: np.ndarray, row: int) -> None:
 
 def test_the_truth_fits_its_own_masks() -> None:
     T = poses()
-    found = mask_iou(MUG, 1.0, T, np.stack([K] * 3), seen(T))
+    found = iou_of_poses(MUG, 1.0, T, np.stack([K] * 3), seen(T))
     np.testing.assert_array_equal(found.full, 1.0)
     assert found.crop.min() > 0.96  # the crop draws finer than the mask is
     assert found.soft.min() > 0.96
@@ -55,7 +56,7 @@ def test_the_truth_fits_its_own_masks() -> None:
 def test_soft_and_hard_iou_agree_but_for_border_pixels() -> None:
     T = poses()
     off = se3.rigid(t=np.array([0.01, 0.0, 0.0])) @ T
-    found = mask_iou(MUG, 1.0, off, np.stack([K] * 3), seen(T))
+    found = iou_of_poses(MUG, 1.0, off, np.stack([K] * 3), seen(T))
     np.testing.assert_allclose(found.soft, found.crop, atol=0.01)
     np.testing.assert_allclose(found.full, found.crop, atol=0.02)
     assert found.full.max() < 0.95
@@ -68,15 +69,15 @@ def test_ignored_pixels_do_not_count() -> None:
     half[:, :, 160:] = True
     masks = seen(T, half)
     hidden = Masks(masks.object & ~half, half)
-    whole = mask_iou(MUG, 1.0, T, np.stack([K] * 3), masks)
+    whole = iou_of_poses(MUG, 1.0, T, np.stack([K] * 3), masks)
     np.testing.assert_array_equal(whole.full, 1.0)
-    np.testing.assert_array_equal(mask_iou(MUG, 1.0, T, np.stack([K] * 3), hidden).full, 1.0)
+    np.testing.assert_array_equal(iou_of_poses(MUG, 1.0, T, np.stack([K] * 3), hidden).full, 1.0)
 
 
 def test_a_prediction_outside_the_crop_scores_zero() -> None:
     T = poses()
     far = se3.rigid(t=np.array([10.0, 0.0, 0.0])) @ T
-    found = mask_iou(MUG, 1.0, far, np.stack([K] * 3), seen(T))
+    found = iou_of_poses(MUG, 1.0, far, np.stack([K] * 3), seen(T))
     for values in (found.full, found.crop, found.soft):
         np.testing.assert_array_equal(values, 0.0)
 
@@ -86,9 +87,9 @@ def test_frames_in_which_nothing_is_seen_are_left_out() -> None:
     masks = seen(T)
     masks.object[1] = False
     masks.ignore[2] = masks.object[2]
-    found = mask_iou(MUG, 1.0, T, np.stack([K] * 3), masks)
+    found = iou_of_poses(MUG, 1.0, T, np.stack([K] * 3), masks)
     np.testing.assert_array_equal(np.isnan(found.full), [False, True, True])
-    nothing = mask_iou(MUG, 1.0, T, np.stack([K] * 3), Masks(masks.object & False, masks.ignore))
+    nothing = iou_of_poses(MUG, 1.0, T, np.stack([K] * 3), Masks(masks.object & False, masks.ignore))
     assert np.isnan(nothing.crop).all()
 
 
@@ -98,5 +99,6 @@ def test_scale_and_depth_cannot_be_told_apart_in_one_view(scale: float, focal: f
     camera = np.diag([focal, focal, 1.0]) @ K
     far = T.copy()
     far[:3, 3] *= scale
-    near, away = (object_mask(MUG, s, pose, camera, SIZE) for s, pose in ((1.0, T), (scale, far)))
+    posed = (se3.transform(pose, s * MUG.vertices) for s, pose in ((1.0, T), (scale, far)))
+    near, away = (covered(vertices, MUG.faces, camera, SIZE) for vertices in posed)
     assert np.count_nonzero(near ^ away) <= 2

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from getagrip.batch.job import Job, Outcome, plan, reconstruct_one, settled
-from getagrip.batch.pool import cores, in_processes
+from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.errors import UsageError
+from getagrip.io.terminal import progress_bar, show_stage
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    from rich.progress import Progress
 
     from getagrip.fitting.options import Options
 
@@ -68,18 +68,13 @@ def _in_turn(jobs: Sequence[Job], bar: Progress) -> Iterator[Outcome]:
     """The outcomes of jobs done in this process, with a bar for the one at work."""
     stage = bar.add_task("", total=1.0, visible=bool(jobs))
     for job in jobs:
-        yield reconstruct_one(job, partial(_show, bar, stage, job.name))
+        yield reconstruct_one(job, partial(show_stage, bar, stage, job.name))
 
 
 def _side_by_side(jobs: Sequence[Job], workers: int) -> Iterator[Outcome]:
     """The outcomes of jobs done in processes, as they finish."""
     for job, outcome in in_processes(reconstruct_one, jobs, workers):
-        yield outcome or Outcome(job.name, "failed", "its process died twice; out of memory?")
-
-
-def _show(bar: Progress, task: TaskID, name: str, stage: str, part: float) -> None:
-    """Move the bar of the clip at work."""
-    bar.update(task, description=f"{name}: {stage}", completed=part)
+        yield outcome or Outcome(job.name, "failed", DIED)
 
 
 def tell(outcome: Outcome, debug: bool) -> None:
@@ -89,21 +84,3 @@ def tell(outcome: Outcome, debug: bool) -> None:
     print(": ".join(parts), file=sys.stderr if failed else sys.stdout)
     if failed and debug:
         print(outcome.trace, file=sys.stderr)
-
-
-@contextmanager
-def progress_bar() -> Iterator[Progress]:
-    """A bar on stderr, where that is a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
-    with Progress(
-        *columns,
-        console=console,
-        disable=not console.is_terminal,
-        transient=True,
-        redirect_stdout=sys.stdout.isatty(),  # else what is printed would leave a pipe for the terminal
-    ) as bar:
-        yield bar

@@ -9,14 +9,15 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from getagrip.batch.clips import FEW, progress_bar
+from getagrip.batch.clips import FEW
 from getagrip.batch.job import Outcome, failure
-from getagrip.batch.pool import cores, in_processes
+from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.clip import write_clip
 from getagrip.datasets import arctic, ho3d, hoi4d, tracks
 from getagrip.datasets.dexycb import clips as dexycb
 from getagrip.datasets.dexycb import files as dexycb_files
 from getagrip.errors import InputError, UsageError
+from getagrip.io.terminal import progress_bar
 
 TAKES = {
     "hot3d": ("whole", "timelines", "first_frame"),
@@ -159,7 +160,7 @@ def _share_out(jobs: Sequence[J], work: Callable[[J], Imported], debug: bool) ->
     with progress_bar() as bar:
         task = bar.add_task("sequences", total=len(jobs))
         for job, imported in results:
-            dead = Outcome(job.name, "failed", "its process died twice; out of memory?")
+            dead = Outcome(job.name, "failed", DIED)
             for outcome in [dead] if imported is None else imported.clips:
                 counts[outcome.state] += 1
                 if outcome.state == "failed":

@@ -16,6 +16,8 @@ from typing import TypeVar
 J = TypeVar("J")
 R = TypeVar("R")
 
+DIED = "its process died twice; out of memory?"
+"""What is said of a job for which ``in_processes`` gives None."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 

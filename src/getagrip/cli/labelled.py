@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grasps(Command):
+class GraspCommand(Command):
     """What a command takes that finds stable grasps."""
 
     clips: Clips = ()
@@ -50,7 +50,7 @@ class Grasps(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Segment(Grasps):
+class Segment(GraspCommand):
     """Find the stable grasps in clips with true poses."""
 
     out: OptionalFolder = None
@@ -63,7 +63,7 @@ class Segment(Grasps):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study(Grasps):
+class Study(GraspCommand):
     """Measure what changes within the stable grasps of clips with true poses, and outside them: the paper's study."""
 
     out: Folder

@@ -1,30 +1,26 @@
-"""``getagrip bench``: clips x arms, then tables and, for an ablation, a plot."""
+"""``getagrip bench``: clips x variants, then tables and, for an ablation, a plot."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from getagrip.batch.clips import tell
 from getagrip.batch.job import Outcome
-from getagrip.batch.pool import cores, in_processes
+from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.errors import UsageError
 from getagrip.experiments.comparison import Table, compare, groups
-from getagrip.experiments.settings import ABLATIONS, CONTACT, Arm, ablation_arms, method_arms
+from getagrip.experiments.settings import ABLATIONS, CONTACT, Variant, ablation_variants, method_variants
 from getagrip.experiments.sources import Source, samples
 from getagrip.experiments.statistics import RESAMPLES
 from getagrip.experiments.tables import as_json, latex, markdown, terminal, write_clips_csv, write_csv
-from getagrip.experiments.trials import Scores, Task, run
+from getagrip.experiments.trials import Scores, Trial, run
 from getagrip.fitting.options import Options
 from getagrip.io import files
+from getagrip.io.terminal import console, progress_bar
 from getagrip.result import software
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
 
 
 @dataclass(frozen=True)
@@ -37,7 +33,7 @@ class Plan:
     """None: all of them, or those that the ablation is about."""
     ablation: str | None = None
     options: Options = field(default_factory=Options)
-    """What all arms have in common."""
+    """What all variants have in common."""
     workers: int | None = None
     """None: one for each core."""
     overwrite: bool = False
@@ -49,11 +45,11 @@ class Plan:
         if self.ablation is not None and self.ablation not in ABLATIONS:
             raise UsageError(f"--ablation: got {self.ablation!r}, expected one of {', '.join(ABLATIONS)}")
 
-    def arms(self) -> list[Arm]:
+    def variants(self) -> list[Variant]:
         """The rows of the tables."""
         if self.ablation is None:
-            return method_arms(self.methods, self.options)
-        return ablation_arms(self.ablation, self.methods, self.options)
+            return method_variants(self.methods, self.options)
+        return ablation_variants(self.ablation, self.methods, self.options)
 
     @property
     def title(self) -> str:
@@ -66,66 +62,59 @@ def bench(plan: Plan, debug: bool) -> int:
 
     Raises ``UsageError`` where the call is wrong or there are no clips.
     """
-    arms = plan.arms()
+    variants = plan.variants()
     plan.out.mkdir(parents=True, exist_ok=True)
     clips, bad = samples(plan.source, debug)
     scores = []
     results = plan.out / "results"
-    distinct = tuple({arm.folder: arm for arm in arms}.values())
-    tasks = [Task(sample, distinct, results, plan.overwrite) for sample in clips]
+    distinct = tuple({variant.folder: variant for variant in variants}.values())
+    trials = [Trial(sample, distinct, results, plan.overwrite) for sample in clips]
     failures = len(bad)
     for outcome in bad:
         tell(outcome, debug)
-    with _progress() as bar:
-        shown = bar.add_task("clips", total=len(tasks))
-        for clip in _outcomes(tasks, plan.workers or cores()):
-            failures += _tell(clip, arms, debug)
+    with progress_bar(counted=True) as bar:
+        shown = bar.add_task("clips", total=len(trials))
+        for clip in _outcomes(trials, plan.workers or cores()):
+            failures += _tell(clip, variants, debug)
             scores.append(clip)
             bar.advance(shown)
     scores.sort(key=lambda clip: clip.clip)
-    tables = compare(scores, arms)
+    tables = compare(scores, variants)
     if tables:
-        _print(tables[0])
-    _write(plan, tables, scores, arms)
+        console().print(terminal(tables[0]))
+    _write(plan, tables, scores, variants)
     return 1 if failures else 0
 
 
-def _outcomes(tasks: Sequence[Task], workers: int) -> Iterator[Scores]:
+def _outcomes(trials: Sequence[Trial], workers: int) -> Iterator[Scores]:
     """Each clip's scores, as they are ready."""
     if workers == 1:
-        yield from map(run, tasks)
+        yield from map(run, trials)
         return
-    for task, scores in in_processes(run, tasks, workers):
-        yield scores or Scores(task.sample.name, failure="its process died twice; out of memory?")
+    for trial, scores in in_processes(run, trials, workers):
+        yield scores or Scores(trial.sample.name, failure=DIED)
 
 
-def _tell(clip: Scores, arms: Sequence[Arm], debug: bool) -> int:
+def _tell(clip: Scores, variants: Sequence[Variant], debug: bool) -> int:
     """A line for the clip and one for each failure; how many those are."""
     if clip.failure:
         tell(Outcome(clip.clip, "failed", clip.failure, clip.trace), debug)
         return 1
     failed = [score for score in clip.scores if score.failed]
-    label = {arm.folder: arm.label for arm in arms}
+    label = {variant.folder: variant.label for variant in variants}
     for score in failed:
-        tell(Outcome(f"{clip.clip}: {label[score.arm]}", "failed", score.status), debug)
+        tell(Outcome(f"{clip.clip}: {label[score.variant]}", "failed", score.status), debug)
     done = f"{clip.made - len(failed)} done, {len(clip.scores) - clip.made} already done"
     print(f"{clip.clip}: {done}{f', {len(failed)} failed' if failed else ''}")
     return len(failed)
 
 
-def _print(table: Table) -> None:
-    from rich.console import Console
-
-    console = Console() if sys.stdout.isatty() else Console(width=200)  # a pipe has no width
-    console.print(terminal(table))
-
-
-def _write(plan: Plan, tables: Sequence[Table], scores: Sequence[Scores], arms: Sequence[Arm]) -> None:
+def _write(plan: Plan, tables: Sequence[Table], scores: Sequence[Scores], variants: Sequence[Variant]) -> None:
     """Tables, every clip's numbers and the plot, into the output folder."""
     name = plan.ablation or "methods"
     about = _about(plan, scores) + _outdated(scores)
     written = [plan.out / f"{name}{end}" for end in ("-clips.csv", ".csv", ".md", ".tex")]
-    write_clips_csv(scores, arms, written[0])
+    write_clips_csv(scores, variants, written[0])
     write_csv(tables, written[1])
     written[2].write_text(markdown(tables, plan.title, about), "utf-8")
     written[3].write_text(latex(tables, plan.title, about), "utf-8")
@@ -147,7 +136,6 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     together = len(set(drawn)) < len(drawn)
     units = f"the {len(set(drawn))} subjects, all clips of one together" if together else f"the {len(drawn)} clips"
     versions = ", ".join(f"{key} {version}" for key, version in software().items())
-    contact = CONTACT.replace("_", " vertices within ").replace("mm", " mm")
     return [
         f"{_named(source)}: {len(good)} clips"
         + (f", {len(scores) - len(good)} failed and left out" if len(good) < len(scores) else ""),
@@ -155,7 +143,7 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
         f"seed {plan.options.seed}; the same frames, masks and evaluation for all",
         "per cent, means over clips, the best bold, the second best underlined; s: median seconds for a clip",
         f"in brackets: 95 % intervals from {RESAMPLES} bootstrap resamples of {units}",
-        f"contact: {contact}, unless the row says otherwise; a method that fails on a clip scores 0 there",
+        f"contact: {CONTACT.description}, unless the row says otherwise; a method that fails on a clip scores 0 there",
         versions,
     ]
 
@@ -184,32 +172,3 @@ def _named(source: Source) -> str:
         return "a folder of clips"
     preset = f", {source.preset}" if source.dataset == "synthetic" else ""
     return f"{source.dataset}{preset}, {'both splits' if source.part == 'all' else f'{source.part} split'}"
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    """A bar on stderr that estimates when it will be full, where stderr is a terminal."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TextColumn("left"), TimeRemainingColumn(),
-    )  # fmt: skip
-    with Progress(
-        *columns,
-        console=console,
-        disable=not console.is_terminal,
-        transient=True,
-        redirect_stdout=sys.stdout.isatty(),
-        speed_estimate_period=600.0,  # clips take seconds each: the default half minute sees only a few
-    ) as bar:
-        yield bar

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from getagrip.batch.clips import progress_bar
 from getagrip.clip import Clip, input_sha256, read_clip, read_masks, write_clip
 from getagrip.datasets.synthetic.noise import perturbed
 from getagrip.datasets.synthetic.scene import Options as ClipOptions
 from getagrip.datasets.synthetic.scene import clip_name, make_scene, pictures, seen_masks
 from getagrip.evaluation import evaluate, tables
 from getagrip.fitting.reconstruct import reconstruct
+from getagrip.io.terminal import console, progress_bar
 from getagrip.result import write_result
 from getagrip.view.report import write_report
 
@@ -25,31 +25,29 @@ def run(out: Path) -> None:
     The clip goes to ``out/clips/``, the result to ``out/<clip name>/``. What an earlier demo left there is used again
     (the clip) or replaced (result and report). Raises ``UsageError`` where something else is in the way.
     """
-    from rich.console import Console
-
-    console = Console(highlight=False)
+    screen = console()
     with progress_bar() as bar:
         steps = bar.add_task("make a clip", total=4.0)
         clip = _clip(out / "clips")
         masks = read_masks(clip)
-        console.print(f"clip     {clip.folder}: a {clip.category} in a {clip.side} hand, {len(clip)} frames")
+        screen.print(f"clip     {clip.folder}: a {clip.category} in a {clip.side} hand, {len(clip)} frames")
 
         bar.update(steps, completed=1.0, description="reconstruct")
         result = reconstruct(
             clip, masks, progress=lambda stage, part: bar.update(steps, completed=1.0 + part, description=stage)
         )
-        console.print(f"found    in {result.seconds['total']:.2f} s; {result.status}")
+        screen.print(f"found    in {result.seconds['total']:.2f} s; {result.status}")
 
         bar.update(steps, completed=2.0, description="evaluate")
         evaluation = evaluate(result, clip, masks)
         folder = out / clip.name
         write_result(result, folder, input_sha256(clip.folder), evaluation["metrics"], clip.folder, overwrite=True)
-        console.print(f"result   {folder}")
+        screen.print(f"result   {folder}")
 
         bar.update(steps, completed=3.0, description="draw the report")
         report = write_report(clip, masks, result, out / "report.png", evaluation["metrics"])
-        console.print(f"report   {report}\n")
-    console.print(*tables([evaluation]), sep="\n")
+        screen.print(f"report   {report}\n")
+    screen.print(*tables([evaluation]), sep="\n")
 
 
 def _clip(folder: Path) -> Clip:

@@ -8,20 +8,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from getagrip.batch.clips import FEW, progress_bar, tell
+from getagrip.batch.clips import FEW, tell
 from getagrip.batch.job import Outcome, failure
-from getagrip.batch.pool import cores, in_processes
+from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.commands.evaluate_meshes import Meshes, MeshJob, evaluate_clip_meshes, mesh_jobs
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import evaluate, evaluate_result, read_evaluated, summary, tables
 from getagrip.io import files
+from getagrip.io.terminal import console, progress_bar
 
 Evaluated = tuple[dict[str, Any] | None, list[Outcome]]
 """All metrics, and what could not be read."""
 
 
 @dataclass(frozen=True)
-class Job:
+class ResultJob:
     """A result to evaluate."""
 
     folder: Path
@@ -39,11 +40,11 @@ def evaluate_results(
     """
     if not paths and meshes is None:
         raise UsageError("RESULT: name at least one result, or --meshes")
-    jobs: list[Job] = []
+    jobs: list[ResultJob] = []
     told: list[Outcome] = []
     for path in paths:
         try:
-            jobs += [Job(folder, clips) for folder in results_in(path)]
+            jobs += [ResultJob(folder, clips) for folder in results_in(path)]
         except (InputError, OSError) as error:
             told.append(failure("", error))
     evaluations: list[dict[str, Any]] = []
@@ -61,12 +62,8 @@ def evaluate_results(
     for outcome in told:
         tell(outcome, debug)
     if evaluations:
-        from rich.console import Console
-
-        # A pipe has no width: give tables the one they need there.
-        console = Console() if sys.stdout.isatty() else Console(width=200)
         for table in tables(evaluations):
-            console.print(table)
+            console().print(table)
     for made in evaluations:
         if missing := int(made["metrics"].get("frames_without_mesh", 0)):
             of = f"{made['method']}, {made['clip']}"
@@ -76,7 +73,7 @@ def evaluate_results(
     return 1 if told else 0
 
 
-J = TypeVar("J", Job, MeshJob)
+J = TypeVar("J", ResultJob, MeshJob)
 
 
 def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callable[[], None]) -> list[Evaluated]:
@@ -84,7 +81,7 @@ def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callab
     done: dict[int, Evaluated] = {}
     places = {id(job): place for place, job in enumerate(jobs)}
     for job, made in _done(work, jobs):
-        dead = None, [Outcome(str(job.folder), "failed", "its process died twice; out of memory?")]
+        dead = None, [Outcome(str(job.folder), "failed", DIED)]
         done[places[id(job)]] = made or dead
         advance()
     return [done[place] for place in sorted(done)]
@@ -96,7 +93,7 @@ def _done(work: Callable[[J], Evaluated], jobs: Sequence[J]) -> Iterator[tuple[J
     return in_processes(work, jobs, min(len(jobs), cores()))
 
 
-def evaluate_one(job: Job) -> Evaluated:
+def evaluate_one(job: ResultJob) -> Evaluated:
     """The metrics of a result, or why there are none. Raises nothing."""
     try:
         return evaluate_result(job.folder, job.clips), []

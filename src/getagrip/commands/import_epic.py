@@ -9,9 +9,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from getagrip.batch.clips import FEW, progress_bar
+from getagrip.batch.clips import FEW
 from getagrip.batch.job import Outcome, failure
-from getagrip.batch.pool import cores, in_processes
+from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.clip import write_clip
 from getagrip.datasets.epic import candidates as epic_candidates
 from getagrip.datasets.epic import clips as epic
@@ -21,6 +21,7 @@ from getagrip.datasets.epic.images import Frames, Images, Video
 from getagrip.errors import InputError, UsageError
 from getagrip.fitting import pose_priors as priors
 from getagrip.io import files
+from getagrip.io.terminal import progress_bar
 
 COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name", "mp4_name")
 """Of the table of candidates: EPIC-Grasps' own, those that an annotator has still to fill left out."""
@@ -127,7 +128,7 @@ def _done(jobs: Sequence[Job]) -> Iterator[tuple[Job, Imported]]:
         yield from ((job, import_video(job)) for job in jobs)
         return
     for job, imported in in_processes(import_video, jobs, cores()):
-        dead = Imported([Outcome(job.video, "failed", f"{job.video}: its process died twice; out of memory?")])
+        dead = Imported([Outcome(job.video, "failed", f"{job.video}: {DIED}")])
         yield job, imported or dead
 
 

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import csv
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from getagrip.batch.clips import FEW, progress_bar, tell
+from getagrip.batch.clips import FEW, tell
 from getagrip.batch.job import Outcome, Progress, by_name, failure
-from getagrip.batch.pool import cores, in_processes
+from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.clip import read_clip
 from getagrip.errors import UsageError
 from getagrip.grasps.stable import Definition, segment
 from getagrip.io import files
+from getagrip.io.terminal import console, plain_table, progress_bar, show_stage
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
-    from rich.progress import TaskID
     from rich.table import Table
 
 R = TypeVar("R")
@@ -30,7 +29,7 @@ COLUMNS = ("sequence", "side", "object", "start", "end", "duration")
 
 
 @dataclass(frozen=True)
-class Job:
+class SegmentJob:
     """A clip to find grasps in."""
 
     clip: Path
@@ -39,7 +38,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Found:
+class SegmentedClip:
     """The grasps of a clip."""
 
     clip: str
@@ -86,13 +85,14 @@ def segment_clips(
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     jobs = {
-        folder: Job(folder, definition, None if out is None else out / f"{name}.png") for name, folder in clips.items()
+        folder: SegmentJob(folder, definition, None if out is None else out / f"{name}.png")
+        for name, folder in clips.items()
     }
-    found: dict[Path, Found] = {}
+    found: dict[Path, SegmentedClip] = {}
     failures = len(failed)
     with progress_bar() as bar:
         for job, result in outcomes(segment_one, list(jobs.values()), workers, bar):
-            if isinstance(result, Found):
+            if isinstance(result, SegmentedClip):
                 found[job.clip] = result
             else:
                 tell(result, debug)
@@ -108,7 +108,7 @@ def segment_clips(
     return 1 if failures else 0
 
 
-def segment_one(job: Job, progress: Progress = lambda *_: None) -> Found | Outcome:
+def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip | Outcome:
     """The grasps of one clip, drawn where a picture is wanted; or how it failed. Raises nothing."""
     try:
         clip = read_clip(job.clip)
@@ -118,14 +118,14 @@ def segment_one(job: Job, progress: Progress = lambda *_: None) -> Found | Outco
 
             subtitle = f"{clip.side} hand, {clip.category}  ·  {in_words(job.definition)}"
             write_matrix(job.picture, iou, grasps, clip.fps, job.definition.tau, clip.name, subtitle)
-        return Found(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps))
+        return SegmentedClip(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps))
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)
 
 
 def outcomes(
-    work: Callable[..., R | Outcome], jobs: Sequence[Job], workers: int | None, bar: Bar
-) -> Iterator[tuple[Job, R | Outcome]]:
+    work: Callable[..., R | Outcome], jobs: Sequence[SegmentJob], workers: int | None, bar: Bar
+) -> Iterator[tuple[SegmentJob, R | Outcome]]:
     """What becomes of each job, as they finish, while the bar shows it.
 
     ``work`` takes a job and, where it is done in this process, whom to tell of its progress.
@@ -135,19 +135,14 @@ def outcomes(
     clips = bar.add_task("clips", total=len(jobs), visible=len(jobs) > 1)
     if workers > 1:
         for job, outcome in in_processes(work, jobs, workers):
-            died = Outcome(job.clip.name, "failed", "its process died twice; out of memory?")
+            died = Outcome(job.clip.name, "failed", DIED)
             yield job, died if outcome is None else outcome
             bar.advance(clips)
         return
     stage = bar.add_task("", total=1.0, visible=bool(jobs))
     for job in jobs:
-        yield job, work(job, partial(_show, bar, stage, job.clip.name))
+        yield job, work(job, partial(show_stage, bar, stage, job.clip.name))
         bar.advance(clips)
-
-
-def _show(bar: Bar, task: TaskID, name: str, stage: str, part: float) -> None:
-    """Move the bar of the clip at work."""
-    bar.update(task, description=f"{name}: {stage}", completed=part)
 
 
 def in_words(definition: Definition) -> str:
@@ -158,13 +153,9 @@ def in_words(definition: Definition) -> str:
     )
 
 
-def _print(found: Sequence[Found], out: Path | None) -> None:
+def _print(found: Sequence[SegmentedClip], out: Path | None) -> None:
     """A table of all grasps, and their sum in a line."""
-    from rich.console import Console
-
-    # A pipe has no width: give tables the one they need there.
-    console = Console() if sys.stdout.isatty() else Console(width=200)
-    console.print(_table(found))
+    console().print(_table(found))
     grasps = [end + 1 - start for one in found for start, end in one.grasps]
     held = sum(1 for one in found if one.grasps)
     share = 100.0 * sum(grasps) / sum(one.frames for one in found)
@@ -173,12 +164,10 @@ def _print(found: Sequence[Found], out: Path | None) -> None:
         print(out / "segments.csv")
 
 
-def _table(found: Sequence[Found]) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
+def _table(found: Sequence[SegmentedClip]) -> Table:
     from rich.text import Text
 
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table = plain_table()
     table.add_column("clip", overflow="fold")
     table.add_column("hand")
     table.add_column("object", overflow="fold")

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import csv
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from getagrip.errors import UsageError
-from getagrip.experiments.durations import ALL, Fps, Row, durations, read_epic, read_list
+from getagrip.experiments.durations import ALL, CategoryDurations, Fps, durations, read_epic, read_list
 from getagrip.io import files
+from getagrip.io.terminal import console, plain_table
 
 EPIC = "epic-grasps"
 HEADINGS = ("category", "avg [s]", "std [s]", "max [s]", "clips", "left", "right")
@@ -51,30 +51,26 @@ def print_stats(
     return 0
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: CategoryDurations) -> list[str]:
     """A row as people read it."""
     seconds = [f"{value:.2f}" for value in (row.mean, row.std, row.longest)]
     return [row.category, *seconds, str(row.clips), str(row.left), str(row.right)]
 
 
-def _print(rows: Sequence[Row]) -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
+def _print(rows: Sequence[CategoryDurations]) -> None:
     from rich.text import Text
 
-    shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    shown = plain_table()
     for n, heading in enumerate(HEADINGS):
         shown.add_column(Text(heading), justify="right" if n else "left", no_wrap=n > 0, overflow="fold")
     for row in rows:
         if row.category == ALL:
             shown.add_section()
         shown.add_row(*map(Text, _cells(row)))  # no markup: names may hold brackets
-    # A pipe has no width: give tables the one they need there.
-    (Console() if sys.stdout.isatty() else Console(width=200)).print(shown)
+    console().print(shown)
 
 
-def _write(rows: Sequence[Row], out: Path) -> None:
+def _write(rows: Sequence[CategoryDurations], out: Path) -> None:
     """The same as Markdown, and unrounded as CSV."""
     out.mkdir(parents=True, exist_ok=True)
     lines: list[Sequence[Any]] = [HEADINGS, ["---", *["---:"] * (len(HEADINGS) - 1)], *map(_cells, rows)]

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import csv
-import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from getagrip.batch.clips import progress_bar, tell
+from getagrip.batch.clips import tell
 from getagrip.batch.job import Outcome, Progress, by_name, failure
 from getagrip.clip import read_clip
-from getagrip.commands.segment import Job, in_words, outcomes
+from getagrip.commands.segment import SegmentJob, in_words, outcomes
 from getagrip.errors import UsageError
 from getagrip.grasps.stable import Definition
 from getagrip.grasps.study import MEASURES, TIMES, Spread, Studied, mean_curves, study
 from getagrip.io import files
+from getagrip.io.terminal import console, plain_table, progress_bar
 
 ALL = "All"
-SUMMARY = ("static_rotation", "one_dof_rotation", "free_rotation", "free_place", "at_hand_rotation", "at_hand_place")
-"""Measures of the table by category, inside the grasps."""
 
 
 def study_clips(
@@ -39,7 +37,7 @@ def study_clips(
     clips, failed = by_name(paths)
     for outcome in failed:
         tell(outcome, debug)
-    jobs = [Job(folder, definition) for folder in clips.values()]
+    jobs = [SegmentJob(folder, definition) for folder in clips.values()]
     done: dict[Path, list[Studied]] = {}
     failures = len(failed)
     with progress_bar() as bar:
@@ -59,7 +57,7 @@ def study_clips(
     return 1 if failures else 0
 
 
-def study_one(job: Job, progress: Progress = lambda *_: None) -> list[Studied] | Outcome:
+def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[Studied] | Outcome:
     """The grasps of one clip, measured; or how it failed. Raises nothing."""
     try:
         return study(read_clip(job.clip), job.definition, partial(progress, "contact"))
@@ -83,16 +81,9 @@ def _spreads(studied: Sequence[Studied], where: str) -> dict[str, Spread]:
 
 def _print(studied: Sequence[Studied]) -> None:
     """Two tables: the approximations by category, and every measure inside and outside."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
     from rich.text import Text
 
-    # A pipe has no width: give tables the one they need there.
-    console = Console() if sys.stdout.isatty() else Console(width=200)
-    table = Table(
-        box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title="off the true pose, within grasps", title_style=""
-    )
+    table = plain_table(title="off the true pose, within grasps", title_style="")
     table.add_column("object", overflow="fold")
     headings = ("grasps", "static", "1-DoF", "full pose, axis anywhere", "axis at the hand")
     for heading in headings:
@@ -104,18 +95,15 @@ def _print(studied: Sequence[Studied]) -> None:
         cells = [f"{means['static_rotation']:.1f}°", f"{means['one_dof_rotation']:.1f}°"]
         cells += [f"{means[f'{fit}_rotation']:.1f}°, {means[f'{fit}_place']:.1f} mm" for fit in ("free", "at_hand")]
         table.add_row(Text(category), str(len(grasps)), *cells)  # no markup: names may hold brackets
-    console.print(table)
+    console().print(table)
 
-    table = Table(
-        box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title="mean ± standard deviation over grasps",
-        title_style="",
-    )  # fmt: skip
+    table = plain_table(title="mean ± standard deviation over grasps", title_style="")
     for heading in ("measure", "within", "outside", "unit"):
         table.add_column(heading, justify="left" if heading in ("measure", "unit") else "right")
     inside, outside = _spreads(studied, "inside"), _spreads(studied, "outside")
     for name, measure in MEASURES.items():
         table.add_row(measure.words, _told(inside[name], name), _told(outside[name], name), measure.unit)
-    console.print(table)
+    console().print(table)
     print(f"{outside['static_rotation'].grasps} of the grasps have frames outside")
 
 

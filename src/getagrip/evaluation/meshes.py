@@ -1,4 +1,4 @@
-"""Meshes that another system made, one for each frame, against a clip: what can be told of them without a CAD.
+"""Meshes of another system, one for each frame, against a clip: what can be measured without a CAD model.
 
 No vertex of such a mesh is known to be a vertex of the true one, so there is no ADD. IOU is that of our own results.
 Penetration and SCA are those of the hand that the clip gives, which is not moved; SCA on the sides that can be compared
@@ -8,6 +8,8 @@ Penetration and SCA are those of the hand that the clip gives, which is not move
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,11 +21,12 @@ from getagrip.clip import Clip, Masks
 from getagrip.clip.naming import frame_of
 from getagrip.clip.plausible import FARTHEST, NEAREST
 from getagrip.errors import InputError
-from getagrip.evaluation.results import add, add_iou, contact_metrics, judged, penetration, sca_metrics, true_track
+from getagrip.evaluation.comparison import Comparison
+from getagrip.evaluation.results import evaluation
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import SUFFIXES, Mesh, checked_mesh, parse_mesh, with_area
-from getagrip.metrics.contact import ContactDistances, contact_distances_of
-from getagrip.metrics.mask import meshes_iou
+from getagrip.metrics.contact import ContactDistances, Side
+from getagrip.metrics.mask import MaskIou, iou_of_meshes
 from getagrip.metrics.meshes import mesh_distances
 
 MeshFrame = Literal["camera", "hand"]
@@ -40,39 +43,40 @@ def evaluate_meshes(meshes: Sequence[Mesh | None], clip: Clip, masks: Masks | No
     Besides, ``frames_without_mesh`` counts these, and ``closed`` is the share of meshes without holes: only of these is
     it certain what is inside.
     """
-    there = np.array([mesh is not None for mesh in meshes])
-    distances, sides = mesh_distances(meshes, clip.hand.vertices, clip.hand.faces)
-    metrics, per_frame = sca_metrics(distances, sides)
-    if there.any():
-        parts = ContactDistances(distances.object[there], distances.hand[there], distances.area[there])
-        depths, frames = penetration(parts)
-        add(metrics, per_frame, "", (depths, {key: _spread(values, there) for key, values in frames.items()}))
-    metrics["frames_without_mesh"] = float(np.count_nonzero(~there))
-    if there.any():
-        metrics["closed"] = float(np.mean([mesh.is_closed for mesh in meshes if mesh is not None]))
-    true = true_track(clip)
-    if clip.truth is not None and true is not None:
-        (of_truth,) = contact_distances_of(clip.mesh, [true], clip.truth.hand_vertices, clip.hand.faces)
-        add(metrics, per_frame, "truth_", contact_metrics(of_truth))
-    if masks is not None:
-        seen = [None if mesh is None else _moved(mesh, T) for mesh, T in zip(meshes, clip.hand.T_cam_hand, strict=True)]
-        add_iou(metrics, per_frame, meshes_iou(seen, clip.K, judged(clip, masks)))
-    return {
-        "clip": clip.name,
-        "category": clip.category,
-        "method": method,
-        "frames": list(clip.frames),
-        "symmetry": None,
-        "metrics": metrics,
-        "per_frame": {key: values.tolist() for key, values in per_frame.items()},
-    }
+    return evaluation(_MeshComparison(clip, masks, tuple(meshes)), method, symmetry=None)
 
 
-def _spread(values: Float[ndarray, "n"], there: Bool[ndarray, "T"]) -> Float[ndarray, "T"]:
-    """Values of some frames among all of them; not a number in the others."""
-    out = np.full(len(there), np.nan)
-    out[there] = values
-    return out
+@dataclass(frozen=True, eq=False)
+class _MeshComparison(Comparison):
+    """Of a mesh for each frame, in the hand frame [m]."""
+
+    frame_meshes: tuple[Mesh | None, ...]
+
+    @property
+    def meshes(self) -> tuple[Mesh | None, ...]:
+        return self.frame_meshes
+
+    @property
+    def has_object(self) -> Bool[ndarray, "T"]:
+        return np.array([mesh is not None for mesh in self.meshes])
+
+    @cached_property
+    def iou(self) -> MaskIou:
+        poses = zip(self.meshes, self.clip.hand.T_cam_hand, strict=True)
+        in_camera = [None if mesh is None else _moved(mesh, T_cam_hand) for mesh, T_cam_hand in poses]
+        return iou_of_meshes(in_camera, self.clip.K, self.judged_masks)
+
+    @property
+    def distances(self) -> ContactDistances:
+        return self._distances[0]
+
+    @property
+    def sides(self) -> Sequence[Side]:
+        return self._distances[1]
+
+    @cached_property
+    def _distances(self) -> tuple[ContactDistances, tuple[Side, ...]]:
+        return mesh_distances(self.meshes, self.clip.hand.vertices, self.clip.hand.faces)
 
 
 def read_meshes(folder: Path, clip: Clip, frame: MeshFrame) -> tuple[list[Mesh | None], list[InputError]]:

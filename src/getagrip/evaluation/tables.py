@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from getagrip.evaluation.results import IOU_THRESHOLDS, Metrics, mean_of
-from getagrip.metrics.contact import SIDES, THRESHOLDS
+from getagrip.evaluation.metric import METRICS, SCA, TRUE_SCA, mean_of
+from getagrip.io.terminal import plain_table
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+_PAPER, _OF_HAND = ContactDefinition("object", 0.0), ContactDefinition("hand", 0.0)
+"""Definitions of contact in the table of results: the paper's on ARCTIC, and the one that any mesh has."""
 
 
 def summary(evaluations: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -38,38 +43,6 @@ def _means(evaluations: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     }
 
 
-class _Column(NamedTuple):
-    heading: str
-    metric: str
-    factor: float
-    decimals: int
-
-    def cell(self, metrics: Metrics) -> str:
-        value = metrics.get(self.metric, float("nan"))
-        return "-" if np.isnan(value) else f"{self.factor * value:.{self.decimals}f}"
-
-
-_COLUMNS = (
-    _Column("IOU\n%", "iou", 100, 1),
-    _Column("full\n%", "iou_full", 100, 1),
-    _Column("ADD\nmm", "add_mm", 1, 1),
-    _Column("ADD\n%", "add_success", 100, 0),
-    _Column("sym\nmm", "add_sym_mm", 1, 1),
-    _Column("sym\n%", "add_sym_success", 100, 0),
-    _Column("rot\ndeg", "rotation_sym_deg", 1, 1),
-    _Column("trans\nmm", "translation_sym_mm", 1, 1),
-    _Column("scale\n%", "scale_error", 100, 1),
-    _Column("depth\nmm", "penetration_object_mm", 1, 1),
-    _Column("SCA\n%", "sca_object_0mm", 100, 1),
-    _Column("true\nSCA %", "truth_sca_object_0mm", 100, 1),
-)
-_OF_MESHES = _Column("hand\nSCA %", "sca_hand_0mm", 100, 1)
-"""Shown where a result has no SCA on the object: a mesh that is another one in each frame."""
-_KINDS = {"SCA": "sca", "truth's": "truth_sca", "SCA-ADD": "sca_add", "SCA-ADD\nsymmetric": "sca_add_sym"} | {
-    f"SCA-IOU\n> {threshold:g}": f"sca_iou_{threshold * 100:.0f}" for threshold in IOU_THRESHOLDS
-}
-
-
 def tables(evaluations: Sequence[dict[str, Any]]) -> list[Table]:
     """One row per result and the mean of each method; then, method by method, stable contact area by definition.
 
@@ -80,41 +53,47 @@ def tables(evaluations: Sequence[dict[str, Any]]) -> list[Table]:
     groups = by_method(evaluations)
     means = {method: _means(group)["mean"] for method, group in groups.items()}
     there = _means(evaluations)["mean"]
-    columns = [column for column in _COLUMNS if not np.isnan(there.get(column.metric, np.nan))]
-    if any("sca_object_0mm" not in e["metrics"] for e in evaluations):
-        columns.append(_OF_MESHES)
-    results = _table("clip", [column.heading for column in columns])
+    columns = [(f"{m.heading}\n{m.unit}", m, m.key(_PAPER)) for m in METRICS if m.heading and not m.by_contact]
+    columns += [("SCA\n%", SCA, SCA.key(_PAPER)), ("true\nSCA %", TRUE_SCA, TRUE_SCA.key(_PAPER))]
+    columns = [column for column in columns if not np.isnan(there.get(column[2], np.nan))]
+    if any(SCA.key(_PAPER) not in e["metrics"] for e in evaluations):  # a mesh that is another one in each frame
+        columns.append(("hand\nSCA %", SCA, SCA.key(_OF_HAND)))
+
+    def cells(metrics: Mapping[str, float]) -> list[str]:
+        return [metric.text(metrics.get(key, np.nan)) for _, metric, key in columns]
+
+    results = _table("clip", [heading for heading, _, _ in columns])
     for e in evaluations:
         name = f"{e['clip']}\n{e['method']}" if len(groups) > 1 else e["clip"]
-        results.add_row(Text(name), *(column.cell(e["metrics"]) for column in columns))
+        results.add_row(Text(name), *cells(e["metrics"]))
     if len(evaluations) > len(groups):
         results.add_section()
         for method, group in groups.items():
             of = f" ({method})" if len(groups) > 1 else ""
-            results.add_row(Text(f"mean of {len(group)}{of}"), *(column.cell(means[method]) for column in columns))
+            results.add_row(Text(f"mean of {len(group)}{of}"), *cells(means[method]))
     return [results, *(_contact(method if len(groups) > 1 else "", mean) for method, mean in means.items())]
 
 
-def _contact(method: str, mean: Metrics) -> Table:
-    """Stable contact area by definition."""
-    definitions = [f"{side}_{threshold * 1e3:.0f}mm" for side in SIDES for threshold in THRESHOLDS]
+def _contact(method: str, mean: Mapping[str, float]) -> Table:
+    """The metrics of stable contact by definition."""
     known = {key for key, value in mean.items() if not np.isnan(value)}
-    kinds = {h: kind for h, kind in _KINDS.items() if any(f"{kind}_{d}" in known for d in definitions)}
-    table = _table(f"contact\n{method}".strip(), list(kinds))
-    for side in SIDES:
-        for threshold in THRESHOLDS:
-            keys = [f"{kind}_{side}_{threshold * 1e3:.0f}mm" for kind in kinds.values()]
-            table.add_row(f"{side} {threshold * 1e3:.0f} mm", *(_Column("", key, 100, 1).cell(mean) for key in keys))
+    shown = [
+        metric
+        for metric in METRICS
+        if metric.by_contact and metric.heading and any(metric.key(d) in known for d in CONTACT_DEFINITIONS)
+    ]
+    table = _table(f"contact\n{method}".strip(), [metric.heading for metric in shown])
+    for side, definitions in groupby(CONTACT_DEFINITIONS, lambda d: d.side):
+        for d in definitions:
+            table.add_row(f"{side} {d.distance}", *(m.text(mean.get(m.key(d), np.nan)) for m in shown))
         table.add_section()
     return table
 
 
 def _table(first: str, headings: list[str]) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table = plain_table()
     table.add_column(Text(first), overflow="fold", vertical="bottom")
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)

@@ -9,47 +9,24 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.experiments.settings import Arm
+from getagrip.evaluation.metric import METRICS, Metric
+from getagrip.experiments.settings import Variant
 from getagrip.experiments.statistics import Estimate, estimate, resamples
 from getagrip.experiments.trials import Score, Scores
 
-
-@dataclass(frozen=True)
-class Column:
-    """A metric as tables show it: per cent, except seconds."""
-
-    heading: str
-    metric: str
-    """Its key in ``evaluate``, ``{contact}`` standing for the definition of contact."""
-    true: bool
-    """Whether it needs the truth."""
-    ranked: bool = True
-    """Whether more is better."""
-
-
-COLUMNS = (
-    Column("IOU", "iou", False),
-    Column("ADD", "add_success", True),
-    Column("ADD sym.", "add_sym_success", True),
-    Column("SCA", "sca_{contact}", False),
-    Column("truth's SCA", "truth_sca_{contact}", True, ranked=False),
-    Column("SCA-ADD", "sca_add_{contact}", True),
-    Column("SCA-ADD sym.", "sca_add_sym_{contact}", True),
-    Column("SCA-IOU 0.8", "sca_iou_80_{contact}", False),
-    Column("SCA-IOU 0.6", "sca_iou_60_{contact}", False),
-)
+COLUMNS = tuple(metric for metric in METRICS if metric.label)
 """The paper's metrics, and up to the object's symmetries."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """An arm over some clips."""
+    """A variant over some clips."""
 
-    arm: Arm
+    variant: Variant
     values: dict[str, Estimate]
-    """Means by column, 0 to 1."""
+    """Means by label of the metric, 0 to 1."""
     differences: dict[str, Estimate]
-    """Mean differences in pairs from the arm that it is compared with; empty for that arm itself."""
+    """Mean differences in pairs from the variant that it is compared with; empty for that variant itself."""
     seconds: float
     """Median for a clip."""
     failed: int
@@ -57,39 +34,41 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """All arms over the same clips: all of them, or those of a category."""
+    """All variants over the same clips: all of them, or those of a category."""
 
     title: str
     clips: int
-    columns: tuple[Column, ...]
+    columns: tuple[Metric, ...]
     """Those for which there are values."""
     rows: tuple[Row, ...]
 
-    def ranks(self, column: Column) -> list[int]:
+    def ranks(self, column: Metric) -> list[int]:
         """For each row 1 if its value, as it is printed, is the best of the column, 2 the second best, else 0.
 
         Rows are rivals only where they count contact alike; where all are alike, none is best.
         """
-        shown = [round(100.0 * row.values[column.heading].mean, 1) for row in self.rows]
+        shown = [round(100.0 * row.values[column.label].mean, 1) for row in self.rows]
         ranks = []
         for row, value in zip(self.rows, shown, strict=True):
-            rivals = {v for v, other in zip(shown, self.rows, strict=True) if other.arm.contact == row.arm.contact}
+            alike = [other.variant.contact == row.variant.contact for other in self.rows]
+            rivals = {v for v, rival in zip(shown, alike, strict=True) if rival}
             best = sorted(rivals - {np.nan}, reverse=True)[:2]
             ranks.append(best.index(value) + 1 if column.ranked and len(best) > 1 and value in best else 0)
         return ranks
 
 
-def compare(scores: Sequence[Scores], arms: Sequence[Arm]) -> list[Table]:
+def compare(scores: Sequence[Scores], variants: Sequence[Variant]) -> list[Table]:
     """A table over all clips, and one for each category where there are several."""
     scores = [clip for clip in scores if clip.scores]
     if not scores:
         return []
     weights = resamples(groups(scores))
-    tables = [_table("all", scores, arms, weights)]
+    tables = [_table("all", scores, variants, weights)]
     categories = sorted({clip.category for clip in scores})
     for category in categories if len(categories) > 1 else []:
         own = np.array([clip.category == category for clip in scores])
-        tables.append(_table(category, [c for c, mine in zip(scores, own, strict=True) if mine], arms, weights[:, own]))
+        theirs = [clip for clip in scores if clip.category == category]
+        tables.append(_table(category, theirs, variants, weights[:, own]))
     return tables
 
 
@@ -99,39 +78,39 @@ def groups(scores: Sequence[Scores]) -> list[str]:
     return subjects if all(subjects) and len(set(subjects)) > 1 else [clip.clip for clip in scores]
 
 
-def _table(title: str, scores: Sequence[Scores], arms: Sequence[Arm], weights: Float[ndarray, "B n"]) -> Table:
-    cells = {arm.label: {column.heading: _values(scores, arm, column) for column in COLUMNS} for arm in arms}
-    there = tuple(c for c in COLUMNS if any(not np.isnan(values[c.heading]).all() for values in cells.values()))
+def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], weights: Float[ndarray, "B n"]) -> Table:
+    cells = {v.label: {column.label: _values(scores, v, column) for column in COLUMNS} for v in variants}
+    there = tuple(c for c in COLUMNS if any(not np.isnan(values[c.label]).all() for values in cells.values()))
     rows = []
-    for arm in arms:
-        own, other = cells[arm.label], cells.get(arm.against)
-        compared = other is not None and arm.label != arm.against
+    for variant in variants:
+        own, other = cells[variant.label], cells.get(variant.against)
+        compared = other is not None and variant.label != variant.against
         rows.append(
             Row(
-                arm,
-                {c.heading: estimate(own[c.heading], weights) for c in there},
-                {c.heading: estimate(own[c.heading] - other[c.heading], weights) for c in there}
+                variant,
+                {c.label: estimate(own[c.label], weights) for c in there},
+                {c.label: estimate(own[c.label] - other[c.label], weights) for c in there}
                 if other is not None and compared
                 else {},
-                _median([score.seconds for clip in scores if (score := _score(clip, arm)) and not score.failed]),
-                sum(score.failed for clip in scores if (score := _score(clip, arm))),
+                _median([score.seconds for clip in scores if (score := _score(clip, variant)) and not score.failed]),
+                sum(score.failed for clip in scores if (score := _score(clip, variant))),
             )
         )
     return Table(title, len(scores), there, tuple(rows))
 
 
-def _score(clip: Scores, arm: Arm) -> Score | None:
-    return next((score for score in clip.scores if score.arm == arm.folder), None)
+def _score(clip: Scores, variant: Variant) -> Score | None:
+    return next((score for score in clip.scores if score.variant == variant.folder), None)
 
 
-def _values(scores: Sequence[Scores], arm: Arm, column: Column) -> Float[ndarray, "n"]:
+def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float[ndarray, "n"]:
     """A column's value for each clip; where the method failed it is zero, the worst, so that no failure flatters."""
-    key, values = column.metric.format(contact=arm.contact), np.full(len(scores), np.nan)
+    key, values = column.key(variant.contact), np.full(len(scores), np.nan)
     for n, clip in enumerate(scores):
-        score = _score(clip, arm)
+        score = _score(clip, variant)
         if score is None:
             continue
-        if score.failed and column.ranked and (clip.true or not column.true):
+        if score.failed and column.ranked and (clip.true or not column.needs_truth):
             values[n] = 0.0
         else:
             values[n] = score.metrics.get(key, np.nan)

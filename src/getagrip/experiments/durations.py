@@ -26,7 +26,7 @@ ALL = "All"
 
 
 @dataclass(frozen=True)
-class Grasp:
+class ListedGrasp:
     """A stable grasp of a list."""
 
     category: str
@@ -36,7 +36,7 @@ class Grasp:
 
 
 @dataclass(frozen=True)
-class Row:
+class CategoryDurations:
     """The grasps of one category, or of all of them."""
 
     category: str
@@ -49,32 +49,32 @@ class Row:
     right: int
 
 
-def durations(grasps: Sequence[Grasp]) -> list[Row]:
+def durations(grasps: Sequence[ListedGrasp]) -> list[CategoryDurations]:
     """A row for each category in the order of the alphabet, then one for all; none where there are no grasps."""
     categories = sorted({grasp.category for grasp in grasps})
     groups = {category: [grasp for grasp in grasps if grasp.category == category] for category in categories}
     return [_row(category, group) for category, group in [*groups.items(), (ALL, list(grasps))] if group]
 
 
-def _row(category: str, grasps: Sequence[Grasp]) -> Row:
+def _row(category: str, grasps: Sequence[ListedGrasp]) -> CategoryDurations:
     seconds = np.array([grasp.duration for grasp in grasps])
     sides = [grasp.side for grasp in grasps]
     counts = (len(grasps), sides.count("left"), sides.count("right"))
-    return Row(category, float(seconds.mean()), float(seconds.std()), float(seconds.max()), *counts)
+    return CategoryDurations(category, float(seconds.mean()), float(seconds.std()), float(seconds.max()), *counts)
 
 
-def read_epic(path: Path, fps: Fps = "paper", errata: Path | None = None) -> list[Grasp]:
+def read_epic(path: Path, fps: Fps = "paper", errata: Path | None = None) -> list[ListedGrasp]:
     """EPIC-Grasps' table, mended where errata are given. Raises ``InputError``, which names the line and the column.
 
     ``paper``: 50 frames per second in every video. ``true``: as EPIC numbers the frames of each video.
     """
     return [
-        Grasp(one.category, one.side, one.frames / (PAPER_FPS if fps == "paper" else numbering_rate(one.video)))
+        ListedGrasp(one.category, one.side, one.frames / (PAPER_FPS if fps == "paper" else numbering_rate(one.video)))
         for one in read_grasps(path, errata)
     ]
 
 
-def read_list(path: Path) -> list[Grasp]:
+def read_list(path: Path) -> list[ListedGrasp]:
     """A list that ``getagrip segment`` wrote, CSV or JSON. Raises ``InputError``, which names the row and the key."""
     content = read_bytes(path, LARGEST)
     is_json = content.lstrip()[:1] in (b"[", b"{")
@@ -106,7 +106,7 @@ def _csv_rows(path: Path, content: bytes) -> Sequence[tuple[str, dict[str, Any]]
     return rows
 
 
-def _grasp(path: Path, where: str, row: dict[str, Any]) -> Grasp:
+def _grasp(path: Path, where: str, row: dict[str, Any]) -> ListedGrasp:
     """A row, checked."""
     for key in ("object", "side", "duration"):
         if key not in row:
@@ -124,4 +124,4 @@ def _grasp(path: Path, where: str, row: dict[str, Any]) -> Grasp:
         raise InputError(
             path, f"{where}duration", plain(str(row["duration"])), f"seconds, above 0, {LONGEST:g} at most"
         )
-    return Grasp(category, side, duration)
+    return ListedGrasp(category, side, duration)

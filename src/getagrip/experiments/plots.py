@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.evaluation.metric import SCA, TRUE_SCA, Metric
 from getagrip.experiments.comparison import Row, Table
 from getagrip.experiments.statistics import LEVEL
 
-SHOWN = ("IOU", "ADD sym.", "SCA", "SCA-ADD sym.", "SCA-IOU 0.8")
-TRUTH = "truth's SCA"
+SHOWN = ("iou", "add_sym_success", "sca", "sca_add_sym", "sca_iou_80")
+"""Names of the metrics drawn."""
 ACROSS = 3
 """Panels side by side."""
 
@@ -25,9 +26,9 @@ def plot(table: Table, title: str, path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    columns = [column for column in table.columns if column.heading in SHOWN]
-    methods = list(dict.fromkeys(row.arm.group for row in table.rows))
-    steps = list(dict.fromkeys(row.arm.step for row in table.rows))
+    columns = [column for column in table.columns if column.name in SHOWN]
+    methods = list(dict.fromkeys(row.variant.group for row in table.rows))
+    steps = list(dict.fromkeys(row.variant.step for row in table.rows))
     down = -(-(len(columns) + 1) // ACROSS)  # one panel is the legend's
     width = max(3.0, 0.35 * len(steps) + 1.2)
     figure, grid = plt.subplots(down, ACROSS, figsize=(width * ACROSS, 2.9 * down), layout="constrained")
@@ -36,19 +37,19 @@ def plot(table: Table, title: str, path: Path) -> None:
     turn = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if slanted else {}
     for panel, column in zip(panels, columns, strict=False):
         for n, method in enumerate(methods):
-            rows = [row for row in table.rows if row.arm.group == method]
-            mean, low, high = _percent(rows, column.heading)
-            x = np.array([steps.index(row.arm.step) for row in rows]) + 0.12 * (n - (len(methods) - 1) / 2)
+            rows = [row for row in table.rows if row.variant.group == method]
+            mean, low, high = _percent(rows, column)
+            x = np.array([steps.index(row.variant.step) for row in rows]) + 0.12 * (n - (len(methods) - 1) / 2)
             bars = np.nan_to_num([mean - low, high - mean])  # no interval, no bar
             dots = panel.errorbar(x, mean, bars, fmt="o", markersize=4, elinewidth=1.2, capsize=2, label=method)
             panel.plot(x, mean, linewidth=1, alpha=0.5, color=dots[0].get_color())
-        if column.heading == "SCA" and any(c.heading == TRUTH for c in table.columns):
-            rows = [row for row in table.rows if row.arm.group == methods[0]]
-            panel.plot(range(len(rows)), _percent(rows, TRUTH)[0], "k:", linewidth=1, label="the truth's SCA")
+        if column is SCA and TRUE_SCA in table.columns:
+            rows = [row for row in table.rows if row.variant.group == methods[0]]
+            panel.plot(range(len(rows)), _percent(rows, TRUE_SCA)[0], "k:", linewidth=1, label="the truth's SCA")
             panel.legend(handles=panel.lines[-1:], fontsize=8, frameon=False)
         bottom, top = panel.get_ylim()
         panel.set_ylim(max(bottom, -2.0), min(top, 102.0))
-        panel.set_title(f"{column.heading}, %", fontsize=10)
+        panel.set_title(f"{column.label}, %", fontsize=10)
         panel.set_xticks(range(len(steps)), steps, fontsize=8, **turn)
         panel.tick_params(axis="y", labelsize=8)
         panel.grid(axis="y", alpha=0.3)
@@ -61,7 +62,7 @@ def plot(table: Table, title: str, path: Path) -> None:
     plt.close(figure)
 
 
-def _percent(rows: Sequence[Row], heading: str) -> Float[ndarray, "3 n"]:
+def _percent(rows: Sequence[Row], column: Metric) -> Float[ndarray, "3 n"]:
     """Means and ends of the intervals of a column."""
-    values = [row.values[heading] for row in rows]
+    values = [row.values[column.label] for row in rows]
     return 100.0 * np.array([(value.mean, value.low, value.high) for value in values]).T

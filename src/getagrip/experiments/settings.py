@@ -15,11 +15,11 @@ from getagrip.errors import InputError
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.contact import SIDES, THRESHOLDS
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 
 REFERENCE = "one-dof"
 """The paper's method: what the others are compared with."""
-CONTACT = "object_10mm"
+CONTACT = ContactDefinition("object", 0.010)
 """Of the definitions of contact (docs/metrics.md) the one in use, unless a setting says otherwise."""
 
 
@@ -83,7 +83,7 @@ class Setting:
     options: Mapping[str, Any] = field(default_factory=dict)
     """``Options`` that differ from those of the run."""
     change: Change = AS_GIVEN
-    contact: str = CONTACT
+    contact: ContactDefinition = CONTACT
     """What counts as contact in the metrics."""
 
 
@@ -100,7 +100,7 @@ class Ablation:
 
 
 @dataclass(frozen=True)
-class Arm:
+class Variant:
     """One row of a table: what is done with every clip, and where the results go."""
 
     label: str
@@ -108,9 +108,9 @@ class Arm:
     """Arms with the same folder share their results."""
     options: Options
     change: Change
-    contact: str
+    contact: ContactDefinition
     against: str
-    """Label of the arm that this one is compared with."""
+    """Label of the variant that this one is compared with."""
     group: str
     """What a plot draws as one line: the method."""
     step: str
@@ -133,11 +133,6 @@ def _tracker(name: str) -> Setting:
 
 def _mask_noise(px: float) -> Setting:
     return Setting(f"{px:g} px", change=Noisy(Noise(mask_ragged_px=px)))
-
-
-def _contact(side: str, threshold: float) -> Setting:
-    key = f"{side}_{threshold * 1e3:.0f}mm"
-    return Setting(f"{side}, {threshold * 1e3:.0f} mm", contact=key)
 
 
 ABLATIONS: dict[str, Ablation] = {
@@ -182,21 +177,21 @@ ABLATIONS: dict[str, Ablation] = {
     "sca": Ablation(
         "What counts as contact: whose points, and how near",
         None,
-        tuple(_contact(side, threshold) for side in SIDES for threshold in THRESHOLDS),
+        tuple(Setting(f"{d.side}, {d.distance}", contact=d) for d in CONTACT_DEFINITIONS),
         tuple(METHODS),
     ),
 }
 
 
-def method_arms(methods: Sequence[str], base: Options) -> list[Arm]:
+def method_variants(methods: Sequence[str], base: Options) -> list[Variant]:
     """Each method as it is; all of them where none is named."""
     named: Sequence[str] = methods or tuple(METHODS)
-    return [Arm(m, m, replace(base, method=m), AS_GIVEN, CONTACT, REFERENCE, m, m) for m in named]
+    return [Variant(m, m, replace(base, method=m), AS_GIVEN, CONTACT, REFERENCE, m, m) for m in named]
 
 
-def ablation_arms(name: str, methods: Sequence[str], base: Options) -> list[Arm]:
+def ablation_variants(name: str, methods: Sequence[str], base: Options) -> list[Variant]:
     """Each method in each setting of an ablation. A setting that changes nothing shares the method's own results."""
-    ablation, arms = ABLATIONS[name], []
+    ablation, variants = ABLATIONS[name], []
     for method in methods or ablation.methods:
         usual = replace(base, method=method)
         for setting in ablation.settings:
@@ -204,9 +199,9 @@ def ablation_arms(name: str, methods: Sequence[str], base: Options) -> list[Arm]
             same = options == usual and setting.change == AS_GIVEN
             folder = method if same else f"{method}+{name}-{_slug(setting.label)}"
             against = f"{REFERENCE}, {setting.label}" if ablation.usual is None else f"{method}, {ablation.usual}"
-            label = f"{method}, {setting.label}"
-            arms.append(Arm(label, folder, options, setting.change, setting.contact, against, method, setting.label))
-    return arms
+            label, group, step = f"{method}, {setting.label}", method, setting.label
+            variants.append(Variant(label, folder, options, setting.change, setting.contact, against, group, step))
+    return variants
 
 
 def _slug(label: str) -> str:

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from getagrip.experiments.comparison import Table
-from getagrip.experiments.settings import Arm
+from getagrip.experiments.settings import Variant
 from getagrip.experiments.statistics import LEVEL, Estimate
 from getagrip.experiments.trials import Scores
+from getagrip.io.terminal import plain_table
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
@@ -72,30 +73,30 @@ def _seconds(value: float) -> str:
 
 def _body(table: Table, style: Style) -> list[list[str]]:
     """The rows of a table as texts: label, columns, seconds."""
-    ranks = {column.heading: table.ranks(column) for column in table.columns}
+    ranks = {column.label: table.ranks(column) for column in table.columns}
     rows = []
     for n, row in enumerate(table.rows):
-        cells = [style.text(row.arm.label + (f" ({row.failed} failed)" if row.failed else ""))]
+        cells = [style.text(row.variant.label + (f" ({row.failed} failed)" if row.failed else ""))]
         for column in table.columns:
-            value = row.values[column.heading]
-            cells.append(style.cell(_number(value.mean), ranks[column.heading][n], _interval(value)))
+            value = row.values[column.label]
+            cells.append(style.cell(_number(value.mean), ranks[column.label][n], _interval(value)))
         rows.append([*cells, _seconds(row.seconds)])
     return rows
 
 
 def _headings(table: Table) -> list[str]:
-    return ["", *(column.heading for column in table.columns), "s"]
+    return ["", *(column.label for column in table.columns), "s"]
 
 
 def _differences(table: Table, style: Style) -> list[list[str]]:
     """Headings and rows of the differences in pairs; those whose interval leaves out zero are marked as best."""
     columns = [column for column in table.columns if column.ranked]
-    rows = [["", *(column.heading for column in columns)]]
+    rows = [["", *(column.label for column in columns)]]
     for row in table.rows:
         if row.differences:
-            cells = [style.text(f"{row.arm.label} − {row.arm.against}")]
+            cells = [style.text(f"{row.variant.label} − {row.variant.against}")]
             for column in columns:
-                value = row.differences[column.heading]
+                value = row.differences[column.label]
                 sure = value.low > 0.0 or value.high < 0.0
                 cells.append(style.cell(_difference(value.mean), int(sure), _differences_interval(value)))
             rows.append(cells)
@@ -161,22 +162,22 @@ def write_csv(tables: Sequence[Table], path: Path) -> None:
         for table in tables:
             for column in table.columns:
                 for row, rank in zip(table.rows, table.ranks(column), strict=True):
-                    value, difference = row.values[column.heading], row.differences.get(column.heading)
-                    compared = ["", *[""] * 4] if difference is None else [row.arm.against, *_numbers(difference)]
+                    value, difference = row.values[column.label], row.differences.get(column.label)
+                    compared = ["", *[""] * 4] if difference is None else [row.variant.against, *_numbers(difference)]
                     writer.writerow(
-                        [table.title, row.arm.label, column.heading, *_numbers(value), rank or "", *compared]
+                        [table.title, row.variant.label, column.label, *_numbers(value), rank or "", *compared]
                     )
             for row in table.rows:
-                writer.writerow([table.title, row.arm.label, "seconds (median)", row.seconds, *[""] * 9])
+                writer.writerow([table.title, row.variant.label, "seconds (median)", row.seconds, *[""] * 9])
 
 
 def _numbers(estimate: Estimate) -> list[float | int]:
     return [estimate.mean, estimate.low, estimate.high, estimate.clips]
 
 
-def write_clips_csv(scores: Sequence[Scores], arms: Sequence[Arm], path: Path) -> None:
-    """One line for each clip and arm: what it is, how it went, and every metric, unrounded."""
-    of = {arm.folder: arm for arm in arms}
+def write_clips_csv(scores: Sequence[Scores], variants: Sequence[Variant], path: Path) -> None:
+    """One line for each clip and variant: what it is, how it went, and every metric, unrounded."""
+    of = {variant.folder: variant for variant in variants}
     keys = list(dict.fromkeys(key for clip in scores for score in clip.scores for key in score.metrics))
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -186,20 +187,17 @@ def write_clips_csv(scores: Sequence[Scores], arms: Sequence[Arm], path: Path) -
             if clip.failure:
                 writer.writerow([clip.clip, *[""] * 7, f"failed: {clip.failure}", *[""] * len(keys)])
             for score in clip.scores:
-                arm = of[score.arm]
+                variant = of[score.variant]
                 status = f"failed: {score.status}" if score.failed else score.status
                 how = [score.seconds, score.energy, score.ambiguous, status]
                 metrics = [score.metrics.get(key, "") for key in keys]
-                what = [clip.clip, clip.category, clip.subject, arm.options.method, arm.step]
+                what = [clip.clip, clip.category, clip.subject, variant.options.method, variant.step]
                 writer.writerow([*what, *how, *metrics])
 
 
 def terminal(table: Table) -> RichTable:
     """The table over all clips for a screen."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table as RichTable
-
-    out = RichTable(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=_heading(table), title_justify="left")
+    out = plain_table(title=_heading(table), title_justify="left")
     out.add_column("")
     for heading in _headings(table)[1:]:
         out.add_column(heading.replace(" ", "\n").replace("SCA-", "SCA-\n", 1), justify="right", no_wrap=True)
@@ -218,12 +216,12 @@ def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, Any]
                 "clips": table.clips,
                 "rows": [
                     {
-                        "row": row.arm.label,
-                        "method": row.arm.options.method,
+                        "row": row.variant.label,
+                        "method": row.variant.options.method,
                         "seconds": row.seconds,
                         "failed": row.failed,
                         "values": {key: vars(value) for key, value in row.values.items()},
-                        "against": row.arm.against if row.differences else None,
+                        "against": row.variant.against if row.differences else None,
                         "differences": {key: vars(value) for key, value in row.differences.items()},
                     }
                     for row in table.rows

@@ -20,7 +20,7 @@ import getagrip
 from getagrip.batch.job import failure
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError, UsageError
-from getagrip.experiments.settings import AS_GIVEN, Arm
+from getagrip.experiments.settings import AS_GIVEN, Variant
 from getagrip.fitting.options import Options
 from getagrip.io import files
 from getagrip.result import Reconstruction, is_result, read_record, software, write_result
@@ -37,22 +37,22 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Task:
+class Trial:
     """A clip and all that is tried on it."""
 
     sample: Sample
-    arms: tuple[Arm, ...]
+    variants: tuple[Variant, ...]
     results: Path
-    """Results go to ``results/<arm's folder>/<clip>``."""
+    """Results go to ``results/<variant's folder>/<clip>``."""
     overwrite: bool
 
 
 @dataclass(frozen=True)
 class Score:
-    """What an arm made of a clip."""
+    """What a variant made of a clip."""
 
-    arm: str
-    """The arm's folder."""
+    variant: str
+    """The variant's folder."""
     metrics: dict[str, float]
     """Empty where it failed."""
     seconds: float
@@ -66,7 +66,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Scores:
-    """What all arms made of a clip."""
+    """What all variants made of a clip."""
 
     clip: str
     category: str = ""
@@ -82,23 +82,24 @@ class Scores:
     trace: str = ""
 
 
-def run(task: Task) -> Scores:
-    """Reconstruct and evaluate a clip with every arm. Raises nothing: what fails is told in the scores."""
-    sample = task.sample
+def run(trial: Trial) -> Scores:
+    """Reconstruct and evaluate a clip with every variant. Raises nothing: what fails is told in the scores."""
+    sample = trial.sample
     try:
         if sample.make is not None and not sample.folder.exists():
             sample.make(sample.folder)
         clip = read_clip(sample.folder)
         checksum = input_sha256(sample.folder)
-        scores, missing = dict[str, Score](), list[Arm]()
-        for arm in task.arms:
-            record = None if task.overwrite else _kept(_place(task, arm), _checksum(checksum, arm), arm.options)
+        scores, missing = dict[str, Score](), list[Variant]()
+        for variant in trial.variants:
+            place = _place(trial, variant)
+            record = None if trial.overwrite else _kept(place, _checksum(checksum, variant), variant.options)
             if record is None:
-                missing.append(arm)
+                missing.append(variant)
             else:
-                scores[arm.folder] = replace(_score(arm, record), outdated=_outdated(_place(task, arm)))
+                scores[variant.folder] = replace(_score(variant, record), outdated=_outdated(place))
         if missing:
-            scores |= _made(task, clip, missing, checksum)
+            scores |= _made(trial, clip, missing, checksum)
     except Exception as error:  # one clip's trouble must not end the others
         outcome = failure(sample.name, error)
         return Scores(sample.name, failure=outcome.message, trace=outcome.trace)
@@ -106,42 +107,46 @@ def run(task: Task) -> Scores:
     return Scores(clip.name, clip.category, subject, clip.truth is not None, tuple(scores.values()), len(missing))
 
 
-def _made(task: Task, clip: Clip, arms: list[Arm], checksum: str) -> dict[str, Score]:
-    """The scores of arms that have no result yet; the masks are read once, and each change of the clip made once."""
+def _made(trial: Trial, clip: Clip, variants: list[Variant], checksum: str) -> dict[str, Score]:
+    """The scores of variants without a result yet; masks are read once, and each change of the clip is made once."""
     masks, scores = read_masks(clip), dict[str, Score]()
-    for _, same in groupby(sorted(arms, key=lambda arm: repr(arm.change)), lambda arm: repr(arm.change)):
+
+    def change(variant: Variant) -> str:
+        return repr(variant.change)
+
+    for _, same in groupby(sorted(variants, key=change), change):
         alike = list(same)
         changed = alike[0].change(clip, masks, alike[0].options.seed)
-        for arm in alike:
-            scores[arm.folder] = _try(task, arm, changed, masks, _checksum(checksum, arm))
+        for variant in alike:
+            scores[variant.folder] = _try(trial, variant, changed, masks, _checksum(checksum, variant))
     return scores
 
 
-def _try(task: Task, arm: Arm, changed: tuple[Clip, Masks], masks: Masks, checksum: str) -> Score:
+def _try(trial: Trial, variant: Variant, changed: tuple[Clip, Masks], masks: Masks, checksum: str) -> Score:
     """Reconstruct, evaluate and write the result. What a method raises is its score, but for a fault of the files."""
     from getagrip.fitting.reconstruct import reconstruct
 
-    clip, place = changed[0], _place(task, arm)
+    clip, place = changed[0], _place(trial, variant)
     try:
-        result = reconstruct(*changed, arm.options)
+        result = reconstruct(*changed, variant.options)
         write_result(result, place, checksum, evaluated(result, clip, masks), clip_folder=clip.folder, overwrite=True)
     except InputError:
         raise
     except Exception as error:
-        return Score(arm.folder, {}, np.nan, np.nan, False, failure(clip.name, error).message, failed=True)
-    return _score(arm, read_record(place))
+        return Score(variant.folder, {}, np.nan, np.nan, False, failure(clip.name, error).message, failed=True)
+    return _score(variant, read_record(place))
 
 
-def _score(arm: Arm, record: dict[str, Any]) -> Score:
+def _score(variant: Variant, record: dict[str, Any]) -> Score:
     """The score that a result's record holds."""
     metrics = {key: np.nan if value is None else float(value) for key, value in record["metrics"].items()}
     seconds, energy = float(record["seconds"]["total"]), float(record["energy"]["total"])
-    return Score(arm.folder, metrics, seconds, energy, record["ambiguous"], record["status"])
+    return Score(variant.folder, metrics, seconds, energy, record["ambiguous"], record["status"])
 
 
-def _place(task: Task, arm: Arm) -> Path:
-    """The folder of an arm's result."""
-    return task.results / arm.folder / task.sample.name
+def _place(trial: Trial, variant: Variant) -> Path:
+    """The folder of a variant's result."""
+    return trial.results / variant.folder / trial.sample.name
 
 
 def evaluated(result: Reconstruction, clip: Clip, masks: Masks) -> dict[str, float]:
@@ -156,11 +161,11 @@ def evaluated(result: Reconstruction, clip: Clip, masks: Masks) -> dict[str, flo
     return metrics
 
 
-def _checksum(checksum: str, arm: Arm) -> str:
-    """The checksum of the clip as the arm sees it: ``evaluate`` must not take a changed one for that in the folder."""
-    if arm.change == AS_GIVEN:
+def _checksum(checksum: str, variant: Variant) -> str:
+    """The checksum of the clip as the variant has it: ``evaluate`` must not take a changed one for the folder's."""
+    if variant.change == AS_GIVEN:
         return checksum
-    return hashlib.sha256(f"{checksum} {arm.change} {arm.options.seed}".encode()).hexdigest()
+    return hashlib.sha256(f"{checksum} {variant.change} {variant.options.seed}".encode()).hexdigest()
 
 
 def _outdated(folder: Path) -> bool:

@@ -1,7 +1,7 @@
 """Where hand and object touch, how stable that stays (SCA), and how deep they sink into each other.
 
 Stable contact area: the mean, over pairs of frames i < j, of IOU(S_i, S_j), S_i the points in contact in frame i
-(paper, Sec. 5.1). A point is in contact where its signed distance to the other surface is at most a threshold; inside
+(paper, Sec. 5.2). A point is in contact where its signed distance to the other surface is at most a threshold; inside
 counts at any depth. Three sets of points are in use:
 
 - ``object``: the object's vertices, against the hand: the paper's;
@@ -34,6 +34,35 @@ THRESHOLDS = (0.0, 0.005, 0.010)
 REACH = 0.011
 """Signed distances are exact up to here [m]; further away they may read infinity."""
 AREA_POINTS = 2000
+_POINTS: dict[Side, str] = {"object": "object vertices", "hand": "hand vertices", "area": "object points by area"}
+
+
+@dataclass(frozen=True)
+class ContactDefinition:
+    """What counts as contact: whose points, and how near."""
+
+    side: Side
+    threshold: float
+    """Largest signed distance to the other surface [m]."""
+
+    @property
+    def distance(self) -> str:
+        """The threshold as people read it."""
+        return f"{1e3 * self.threshold:.0f} mm"
+
+    @property
+    def key(self) -> str:
+        """Its part of the key of a metric: ``object_10mm``."""
+        return f"{self.side}_{1e3 * self.threshold:.0f}mm"
+
+    @property
+    def description(self) -> str:
+        """In a sentence: "object vertices within 10 mm"."""
+        return f"{_POINTS[self.side]} within {self.distance}"
+
+
+CONTACT_DEFINITIONS = tuple(ContactDefinition(side, threshold) for side in SIDES for threshold in THRESHOLDS)
+"""All that are evaluated."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +183,27 @@ def close_holes(
     tips = np.stack([vertices[..., border[hole == h, 0], :].mean(axis=-2) for h in range(hole.max() + 1)], axis=-2)
     fan = np.stack([border[:, 1], border[:, 0], V + hole], axis=1)
     return np.concatenate([vertices, tips], axis=-2), np.concatenate([faces, fan])
+
+
+@dataclass(frozen=True)
+class StableContact:
+    """How stable contact is, by one definition of it."""
+
+    sca: float
+    """Stable contact area: mean over pairs of different frames."""
+    diagonal: float
+    """The same with each frame paired with itself, too."""
+    share: Float[ndarray, "T"]
+    """Share of the points in contact, in each frame."""
+
+
+def stable_contact(distances: ContactDistances, definition: ContactDefinition) -> StableContact:
+    """How stable the contact of a sequence is."""
+    contact = distances.contact(definition.side, definition.threshold)
+    overlap = pairwise_iou(contact)
+    return StableContact(
+        stable_contact_area(overlap), stable_contact_area(overlap, diagonal=True), contact.mean(axis=1)
+    )
 
 
 def pairwise_iou(contact: Bool[ndarray, "T P"]) -> Float[ndarray, "T T"]:

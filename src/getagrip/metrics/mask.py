@@ -34,17 +34,6 @@ class MaskIou:
     """On the whole image, so that a prediction outside the crop is punished."""
 
 
-def object_mask(
-    mesh: Mesh, scale: float, T_cam_obj: Float[ndarray, "4 4"], K: Float[ndarray, "3 3"], size: tuple[int, int]
-) -> Bool[ndarray, "H W"]:
-    """Pixels whose centre the posed object covers; ``size`` is (width, height)."""
-    return _drawn(_posed(mesh, scale, T_cam_obj), K, size)
-
-
-def _posed(mesh: Mesh, scale: float, T_cam_obj: Float[ndarray, "4 4"]) -> Mesh:
-    return Mesh(se3.transform(T_cam_obj, scale * mesh.vertices), mesh.faces)
-
-
 def _drawn(mesh: Mesh | None, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """Pixels whose centre a mesh in the camera frame covers; none where there is no mesh."""
     from getagrip.geometry.depth import covered
@@ -69,14 +58,15 @@ def soft_iou(fine: Bool[ndarray, "H2 W2"], observed: Bool[ndarray, "H W"], ignor
     return on_object / either if either else float("nan")
 
 
-def mask_iou(
+def iou_of_poses(
     mesh: Mesh, scale: float, T_cam_obj: Float[ndarray, "T 4 4"], K: Float[ndarray, "T 3 3"], masks: Masks
 ) -> MaskIou:
     """IOU of a posed object with the observed masks, frame by frame."""
-    return meshes_iou([_posed(mesh, scale, T) for T in T_cam_obj], K, masks)
+    posed = [Mesh(se3.transform(T, scale * mesh.vertices), mesh.faces) for T in T_cam_obj]
+    return iou_of_meshes(posed, K, masks)
 
 
-def meshes_iou(meshes: Sequence[Mesh | None], K: Float[ndarray, "T 3 3"], masks: Masks) -> MaskIou:
+def iou_of_meshes(meshes: Sequence[Mesh | None], K: Float[ndarray, "T 3 3"], masks: Masks) -> MaskIou:
     """IOU of a mesh for each frame, in the camera frame, with the observed masks; 0 where there is no mesh."""
     T, H, W = masks.object.shape
     out = MaskIou(*np.full((3, T), np.nan))

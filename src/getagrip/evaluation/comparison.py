@@ -1,0 +1,157 @@
+"""A reconstruction beside its clip, in the parts that metrics are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks
+from getagrip.clip.occlusion import hidden_by_hand
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.metrics.contact import (
+    CONTACT_DEFINITIONS,
+    SIDES,
+    ContactDefinition,
+    ContactDistances,
+    Side,
+    StableContact,
+    contact_distances_of,
+    stable_contact,
+)
+from getagrip.metrics.mask import MaskIou
+from getagrip.metrics.pose import ObjectTrack, PoseErrors, best_symmetry, pose_errors
+from getagrip.metrics.symmetry import Symmetries, find_symmetries
+
+
+class MissingPartError(Exception):
+    """A part of a comparison that cannot be known here: metrics that are made of it are left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A reconstruction and the clip it is judged against; what kind of reconstruction, subclasses say.
+
+    Each part is computed when a metric first reads it. Reading a part that cannot be known (there is no ground truth,
+    there are no masks, no vertices that correspond) raises ``MissingPartError``.
+    """
+
+    clip: Clip
+    """In the frames of the reconstruction."""
+    masks: Masks | None
+
+    @property
+    def iou(self) -> MaskIou:
+        """Overlap with the observed masks."""
+        raise NotImplementedError
+
+    @property
+    def distances(self) -> ContactDistances:
+        """Between the reconstructed object and the hand that the clip gives."""
+        raise NotImplementedError
+
+    @property
+    def sides(self) -> Sequence[Side]:
+        """Those whose points are the same ones in all frames."""
+        return SIDES
+
+    @property
+    def predicted(self) -> ObjectTrack:
+        """The poses of the clip's mesh."""
+        raise MissingPartError
+
+    @property
+    def meshes(self) -> Sequence[Mesh | None]:
+        """A mesh for each frame, in the hand frame [m]."""
+        raise MissingPartError
+
+    @property
+    def has_object(self) -> Bool[ndarray, "T"]:
+        """The frames that have been reconstructed."""
+        return np.ones(len(self.clip), dtype=bool)
+
+    @cached_property
+    def true(self) -> ObjectTrack:
+        """The true object in the true hand's frame."""
+        truth = self.clip.truth
+        if truth is None:
+            raise MissingPartError
+        return ObjectTrack(se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj, truth.scale)
+
+    @cached_property
+    def true_distances(self) -> ContactDistances:
+        """Between the true object and the true hand."""
+        if self.clip.truth is None:
+            raise MissingPartError
+        clip = self.clip
+        (distances,) = contact_distances_of(clip.mesh, [self.true], self.clip.truth.hand_vertices, clip.hand.faces)
+        return distances
+
+    @cached_property
+    def errors(self) -> PoseErrors:
+        """Of the object's pose in the hand."""
+        return pose_errors(self.clip.mesh, self.predicted, self.true)
+
+    @cached_property
+    def errors_sym(self) -> PoseErrors:
+        """The same up to the object's symmetries."""
+        symmetry = best_symmetry(self.clip.mesh, self.predicted, self.true, self.symmetries)
+        return pose_errors(self.clip.mesh, self.predicted, self.true, symmetry)
+
+    @property
+    def symmetries(self) -> Symmetries:
+        """Those of the clip's mesh."""
+        return _symmetries(self.clip.mesh.vertices.tobytes(), self.clip.mesh.faces.tobytes())
+
+    @property
+    def scale_error(self) -> float:
+        """Predicted by true scale, less 1; of clips of known scale there is none."""
+        if self.clip.scale == "known":
+            raise MissingPartError
+        return self.predicted.scale / self.true.scale - 1.0
+
+    def contact(self, definition: ContactDefinition) -> StableContact:
+        """How stable contact is in the reconstruction."""
+        if definition.side not in self.sides:
+            raise MissingPartError
+        return self._contact[definition]
+
+    def true_contact(self, definition: ContactDefinition) -> StableContact:
+        """How stable it truly is."""
+        return self._true_contact[definition]
+
+    def depth(self, side: Side) -> Float[ndarray, "T _"]:
+        """How deep [m] each point of a side lies inside the other body; not a number in frames without object."""
+        if not self.has_object.any():
+            raise MissingPartError
+        return np.where(self.has_object[:, None], self.distances.depth(side), np.nan)
+
+    def true_depth(self, side: Side) -> Float[ndarray, "T _"]:
+        """How deep [m] the points of the ground truth lie inside."""
+        return self.true_distances.depth(side)
+
+    @cached_property
+    def _contact(self) -> dict[ContactDefinition, StableContact]:
+        return {d: stable_contact(self.distances, d) for d in CONTACT_DEFINITIONS if d.side in self.sides}
+
+    @cached_property
+    def _true_contact(self) -> dict[ContactDefinition, StableContact]:
+        return {d: stable_contact(self.true_distances, d) for d in CONTACT_DEFINITIONS}
+
+    @cached_property
+    def judged_masks(self) -> Masks:
+        """The observed masks; the hand is ignored where nothing else is, as the methods take them."""
+        if self.masks is None:
+            raise MissingPartError
+        return self.masks if self.masks.ignore.any() else hidden_by_hand(self.clip, self.masks)
+
+
+@lru_cache(maxsize=32)
+def _symmetries(vertices: bytes, faces: bytes) -> Symmetries:
+    """The symmetries of a mesh, found once for all the clips that hold it."""
+    return find_symmetries(Mesh(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, np.int64).reshape(-1, 3)))

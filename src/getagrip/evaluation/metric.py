@@ -1,0 +1,167 @@
+"""The table of metrics (docs/metrics.md): JSON, printed tables and benchmarks are made from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.evaluation.comparison import Comparison, MissingPartError
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
+
+Value = float | Float[ndarray, "T"]
+IOU_THRESHOLDS = (0.8, 0.6)
+"""SCA-IOU counts the clips whose mean IOU is above these (paper, Sec. 5.2)."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number about a reconstruction. Shares are between 0 and 1 and shown in per cent."""
+
+    name: str
+    """Its key in JSON; that of the definition of contact follows, where there is one."""
+    of: Callable[[Comparison, ContactDefinition], Value]
+    """One number for the clip; or one for each frame (NaN: unknown), of which the clip's is the mean."""
+    unit: Literal["%", "mm", "deg", "frames"] = "%"
+    heading: str = ""
+    """Its column in the tables of ``evaluate``; empty: none."""
+    label: str = ""
+    """Its column in the tables of ``bench``; empty: none."""
+    decimals: int = 1
+    by_contact: bool = False
+    """Whether each definition of contact gives another value."""
+    needs_truth: bool = False
+    """Whether it is known only where there is ground truth."""
+    ranked: bool = True
+    """Whether more is better; else methods are not compared by it."""
+    averaged: bool = True
+    """Whether the mean over frames is given, too."""
+
+    def key(self, contact: ContactDefinition) -> str:
+        """Its key in JSON, by a definition of contact."""
+        return f"{self.name}_{contact.key}" if self.by_contact else self.name
+
+    def text(self, value: float) -> str:
+        """A value as people read it."""
+        factor = 100 if self.unit == "%" else 1
+        return "-" if np.isnan(value) else f"{factor * value:.{self.decimals}f}"
+
+
+def mean_of(values: Float[ndarray, "n"]) -> float:
+    """Mean of the values that are known (not NaN); NaN if none is."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else float("nan")
+
+
+def _penetration(name: str, depth: Callable[[Comparison], ndarray], heading: str = "") -> tuple[Metric, ...]:
+    """How deep points (T, P) of one body are inside the other: of the deepest in each frame, of all, and the mean."""
+
+    def mean_inside(it: Comparison) -> float:
+        millimetres = 1e3 * depth(it)
+        inside = millimetres[millimetres > 0.0]
+        return mean_of(inside) if inside.size else 0.0
+
+    truth = name.startswith("truth")
+    return (
+        Metric(f"{name}_mm", lambda it, _: 1e3 * depth(it).max(axis=1), "mm", heading, needs_truth=truth),
+        Metric(f"{name}_max_mm", lambda it, _: float(np.nanmax(1e3 * depth(it))), "mm", needs_truth=truth),
+        Metric(f"{name}_inside_mm", lambda it, _: mean_inside(it), "mm", needs_truth=truth),
+    )
+
+
+def _sca_iou(least: float) -> Metric:
+    """SCA where the mean IOU is above a threshold, else 0."""
+    return Metric(
+        f"sca_iou_{100 * least:.0f}",
+        lambda it, contact: it.contact(contact).sca * (mean_of(it.iou.crop) > least),
+        heading=f"SCA-IOU\n> {least:g}",
+        label=f"SCA-IOU {least:g}",
+        by_contact=True,
+    )
+
+
+def _closed(it: Comparison) -> float:
+    """Share of the meshes that have no holes."""
+    closed = [mesh.is_closed for mesh in it.meshes if mesh is not None]
+    if not closed:
+        raise MissingPartError
+    return float(np.mean(closed))
+
+
+SCA = Metric("sca", lambda it, contact: it.contact(contact).sca, heading="SCA", label="SCA", by_contact=True)
+TRUE_SCA = Metric(
+    "truth_sca", lambda it, contact: it.true_contact(contact).sca, heading="truth's", label="truth's SCA",
+    by_contact=True, needs_truth=True, ranked=False,
+)  # fmt: skip
+
+METRICS: tuple[Metric, ...] = (
+    Metric("iou", lambda it, _: it.iou.crop, heading="IOU", label="IOU"),
+    Metric("iou_soft", lambda it, _: it.iou.soft),
+    Metric("iou_full", lambda it, _: it.iou.full, heading="full"),
+    Metric("add_mm", lambda it, _: 1e3 * it.errors.add, "mm", "ADD", needs_truth=True),
+    Metric("add_success", lambda it, _: float(it.errors.success), "%", "ADD", "ADD", decimals=0, needs_truth=True),
+    Metric("add_frame_success", lambda it, _: mean_of(it.errors.frame_success), needs_truth=True),
+    Metric("rotation_deg", lambda it, _: np.degrees(it.errors.rotation), "deg", needs_truth=True),
+    Metric("translation_mm", lambda it, _: 1e3 * it.errors.translation, "mm", needs_truth=True),
+    Metric("add_sym_mm", lambda it, _: 1e3 * it.errors_sym.add, "mm", "sym", needs_truth=True),
+    Metric(
+        "add_sym_success", lambda it, _: float(it.errors_sym.success), "%", "sym", "ADD sym.", decimals=0,
+        needs_truth=True,
+    ),
+    Metric("add_sym_frame_success", lambda it, _: mean_of(it.errors_sym.frame_success), needs_truth=True),
+    Metric("rotation_sym_deg", lambda it, _: np.degrees(it.errors_sym.rotation), "deg", "rot", needs_truth=True),
+    Metric("translation_sym_mm", lambda it, _: 1e3 * it.errors_sym.translation, "mm", "trans", needs_truth=True),
+    Metric("scale_error", lambda it, _: it.scale_error, "%", "scale", needs_truth=True),
+    Metric("diameter_mm", lambda it, _: 1e3 * it.errors.diameter, "mm", needs_truth=True),
+    *_penetration("penetration_object", lambda it: it.depth("object"), "depth"),
+    *_penetration("penetration_hand", lambda it: it.depth("hand")),
+    *_penetration("truth_penetration_object", lambda it: it.true_depth("object")),
+    *_penetration("truth_penetration_hand", lambda it: it.true_depth("hand")),
+    SCA,
+    TRUE_SCA,
+    Metric(
+        "sca_add", lambda it, contact: it.contact(contact).sca * it.errors.success, "%", "SCA-ADD", "SCA-ADD",
+        by_contact=True, needs_truth=True,
+    ),
+    Metric(
+        "sca_add_sym", lambda it, contact: it.contact(contact).sca * it.errors_sym.success, "%",
+        "SCA-ADD\nsymmetric", "SCA-ADD sym.", by_contact=True, needs_truth=True,
+    ),
+    *(_sca_iou(least) for least in IOU_THRESHOLDS),
+    Metric("sca_diagonal", lambda it, contact: it.contact(contact).diagonal, by_contact=True),
+    Metric("contact_share", lambda it, contact: it.contact(contact).share, by_contact=True, averaged=False),
+    Metric(
+        "truth_sca_diagonal", lambda it, contact: it.true_contact(contact).diagonal, by_contact=True, needs_truth=True,
+    ),
+    Metric(
+        "truth_contact_share", lambda it, contact: it.true_contact(contact).share, by_contact=True, needs_truth=True,
+        averaged=False,
+    ),
+    Metric("frames_without_mesh", lambda it, _: float(sum(mesh is None for mesh in it.meshes)), "frames"),
+    Metric("closed", lambda it, _: _closed(it)),
+)  # fmt: skip
+"""All of them, in the order in which tables show them."""
+
+
+def measure(it: Comparison) -> tuple[dict[str, float], dict[str, list[float]]]:
+    """The metrics that can be known, one number for the clip each; and those that are numbers for each frame."""
+    metrics: dict[str, float] = {}
+    per_frame: dict[str, list[float]] = {}
+    for metric in METRICS:
+        for contact in CONTACT_DEFINITIONS if metric.by_contact else CONTACT_DEFINITIONS[:1]:
+            try:
+                value = metric.of(it, contact)
+            except MissingPartError:
+                continue
+            key = metric.key(contact)
+            if isinstance(value, ndarray):
+                per_frame[key] = value.tolist()
+                if not metric.averaged:
+                    continue
+                value = mean_of(value)
+            metrics[key] = float(value)
+    return metrics, per_frame

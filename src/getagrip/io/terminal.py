@@ -1,0 +1,65 @@
+"""Output on a terminal or into a pipe: tables, and a progress bar."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
+    from rich.table import Table
+
+PIPE_WIDTH = 200
+"""Columns of a pipe, which has no width of its own: enough for every table."""
+
+
+def console() -> Console:
+    """Where tables are printed."""
+    from rich.console import Console
+
+    return Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
+
+
+def plain_table(**options: Any) -> Table:
+    """An empty table, its only line below the headings. ``options`` are those of rich's ``Table``."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    return Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, **options)
+
+
+@contextmanager
+def progress_bar(counted: bool = False) -> Iterator[Progress]:
+    """A bar on stderr, where that is a terminal; ``counted`` adds how many are done of how many, and the time left."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        ProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns: list[ProgressColumn] = [TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn()]
+    if counted:
+        columns += [MofNCompleteColumn(), TextColumn("left"), TimeRemainingColumn()]
+    stderr = Console(stderr=True)
+    with Progress(
+        *columns,
+        console=stderr,
+        disable=not stderr.is_terminal,
+        transient=True,
+        redirect_stdout=sys.stdout.isatty(),  # else what is printed would leave a pipe for the terminal
+        speed_estimate_period=600.0,  # a clip takes seconds: the default of half a minute holds only a few
+    ) as bar:
+        yield bar
+
+
+def show_stage(bar: Progress, task: TaskID, name: str, stage: str, part: float) -> None:
+    """Show how far the clip at work is: its stage in words, and how much of that is done, 0 to 1."""
+    bar.update(task, description=f"{name}: {stage}", completed=part)
