@@ -125,6 +125,23 @@ def test_a_failed_method_scores_zero_and_a_failed_clip_nothing() -> None:
     assert "static (1 failed)" in markdown([table], "Methods", [])
 
 
+def test_medians_and_ambiguous_results_are_of_the_clips_that_were_done() -> None:
+    def result(n: int, mm: float, ambiguous: bool) -> Scores:
+        metrics = {"iou": 0.9, "add_sym_mm": mm, "add_sym_success": float(mm < 10.0)}
+        one = Score("one-dof", metrics, 1.0, 2.0, ambiguous, "stopped")
+        return Scores(f"c{n}", "can", "", True, (one, score("static", 0.0, failed=True)))
+
+    scores = [result(n, mm, mm > 15.0 or mm < 2.0) for n, mm in enumerate([1.0, 3.0, 12.0, 20.0, 30.0])]
+    (table,) = compare(scores, method_variants(["one-dof", "static"], Options()))
+    row, nothing = table.rows
+    assert row.medians["ADD sym., mm"] == 12.0
+    assert (row.ambiguous, row.wrong_ambiguous, row.wrong) == (3, 2, 3)
+    assert np.isnan(nothing.medians["ADD sym., mm"])
+    assert (nothing.ambiguous, nothing.wrong) == (0, 0)
+    page = markdown([table], "Methods", [])
+    assert "| one-dof | 12.0 | 3 of 5 | 2 of 3 |" in page  # no rotation is known, so there is no column of it
+
+
 def test_a_table_for_each_category() -> None:
     variants = method_variants(["one-dof"], Options())
     scores = [Scores(f"{c}{n}", c, "", True, (score("one-dof", n / 2),)) for c in ("can", "mug") for n in range(3)]
