@@ -19,11 +19,12 @@ from getagrip.cli import main
 from getagrip.clip import read_clip, write_clip
 from getagrip.datasets.synthetic.scene import Options as ClipOptions
 from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.splits import PRESETS
 from getagrip.errors import GetagripError, UsageError
 from getagrip.experiments import trials
 from getagrip.experiments.comparison import compare, groups
 from getagrip.experiments.settings import ABLATIONS, AS_GIVEN, ScaleFree, ScaleKnown, ablation_variants, method_variants
-from getagrip.experiments.sources import Source, samples
+from getagrip.experiments.sources import SOURCES, samples, source_of
 from getagrip.experiments.statistics import estimate, resamples
 from getagrip.experiments.tables import LATEX, latex, markdown
 from getagrip.experiments.trials import Score, Scores
@@ -122,6 +123,23 @@ def test_a_failed_method_scores_zero_and_a_failed_clip_nothing() -> None:
     assert [row.values["ADD"].mean for row in table.rows] == [1.0, 0.5]
     assert [row.failed for row in table.rows] == [0, 1]
     assert "static (1 failed)" in markdown([table], "Methods", [])
+
+
+def test_medians_and_ambiguous_results_are_of_the_clips_that_were_done() -> None:
+    def result(n: int, mm: float, ambiguous: bool) -> Scores:
+        metrics = {"iou": 0.9, "add_sym_mm": mm, "add_sym_success": float(mm < 10.0)}
+        one = Score("one-dof", metrics, 1.0, 2.0, ambiguous, "stopped")
+        return Scores(f"c{n}", "can", "", True, (one, score("static", 0.0, failed=True)))
+
+    scores = [result(n, mm, mm > 15.0 or mm < 2.0) for n, mm in enumerate([1.0, 3.0, 12.0, 20.0, 30.0])]
+    (table,) = compare(scores, method_variants(["one-dof", "static"], Options()))
+    row, nothing = table.rows
+    assert row.medians["ADD sym., mm"] == 12.0
+    assert (row.ambiguous, row.wrong_ambiguous, row.wrong) == (3, 2, 3)
+    assert np.isnan(nothing.medians["ADD sym., mm"])
+    assert (nothing.ambiguous, nothing.wrong) == (0, 0)
+    page = markdown([table], "Methods", [])
+    assert "| one-dof | 12.0 | 3 of 5 | 2 of 3 |" in page  # no rotation is known, so there is no column of it
 
 
 def test_a_table_for_each_category() -> None:
@@ -295,6 +313,7 @@ def test_what_fails_is_named_and_the_rest_done(made: Path, tmp_path: Path, run: 
         (("--split", "train"), "--split"),
         (("--root", "x"), "--root"),
         (("--preset", "wild"), "--preset"),
+        (("--ablation", "none"), "expected one of physical"),
         (("--json", "nowhere/x.json"), "--json"),
         (("--inits", "0"), "inits"),
     ],
@@ -312,17 +331,24 @@ def test_folders_that_are_no_clips_are_refused(tmp_path: Path, run: Run) -> None
     assert main(["bench", "dexycb", "--out", str(tmp_path / "out")]) == 2
 
 
+def test_an_unknown_preset_is_refused_before_a_folder_is_claimed(tmp_path: Path, run: Run) -> None:
+    status, _, err = run("bench", "synthetic", "--out", tmp_path / "out", "--preset", "tame")
+    assert status == 2
+    assert "preset: got 'tame', expected one of clean" in err
+    assert not (tmp_path / "out" / "clips").exists()
+
+
 def test_a_folder_of_made_up_clips_belongs_to_one_preset(tmp_path: Path) -> None:
-    clean = Source("synthetic", tmp_path / "clips")
-    found, _ = samples(clean, debug=False)
+    clean, clips = source_of("synthetic"), tmp_path / "clips"
+    found, _ = samples(clean, clips, None, debug=False)
     assert len({sample.name for sample in found}) == len(found) > 100
-    assert not list((tmp_path / "clips").glob("*/"))  # clips are made when they are needed
-    assert len(samples(replace(clean, count=7), debug=False)[0]) == 7
-    both = {sample.name for sample in samples(replace(clean, split="all"), debug=False)[0]}
-    train = {sample.name for sample in samples(replace(clean, split="train"), debug=False)[0]}
+    assert not list(clips.glob("*/"))  # clips are made when they are needed
+    assert len(samples(clean, clips, 7, debug=False)[0]) == 7
+    both = {sample.name for sample in samples(replace(clean, split="all"), clips, None, debug=False)[0]}
+    train = {sample.name for sample in samples(replace(clean, split="train"), clips, None, debug=False)[0]}
     assert both - train == {sample.name for sample in found}
     with pytest.raises(UsageError, match="another dataset"):
-        samples(replace(clean, preset="wild"), debug=False)
+        samples(source_of("synthetic", preset="wild"), clips, None, debug=False)
 
 
 def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
@@ -331,10 +357,10 @@ def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
     for n in range(7):
         name = f"subject-{n}--sequence--can"
         write_clip(replace(clip, name=name), masks, folder / name)
-    source = Source("dexycb", folder, root=tmp_path)
+    source = source_of("dexycb", root=tmp_path)
     (folder / "imported").touch()  # as if from somewhere
     part = {
-        which: [sample.name[8] for sample in samples(replace(source, split=which), debug=False)[0]]
+        which: [sample.name[8] for sample in samples(replace(source, split=which), folder, None, debug=False)[0]]
         for which in ("train", "test", "all")
     }
     assert part == {"train": list("036"), "test": list("1245"), "all": list("0123456")}
@@ -342,4 +368,6 @@ def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
 
 def test_the_commands_ablations_are_those_that_exist(run: Run) -> None:
     _, out, _ = run("bench", "--help")
-    assert all(name in out.replace(" ", "").replace("\n", "").replace("│", "") for name in ABLATIONS)
+    assert all(
+        name in out.replace(" ", "").replace("\n", "").replace("│", "") for name in (*ABLATIONS, *PRESETS, *SOURCES)
+    )

@@ -22,9 +22,24 @@ from getagrip.cli.command import (
     Workers,
 )
 from getagrip.errors import UsageError
+from getagrip.experiments.sources import SOURCES, source_of
 from getagrip.fitting.options import Init, Options, PriorsFile
 
 Inits = Annotated[int, arg(metavar="N")]
+
+
+def _ablations(_: str) -> str:
+    """The names that an option takes, loaded only to show its help."""
+    from getagrip.experiments.settings import ABLATIONS
+
+    return f"(one of {', '.join(ABLATIONS)}; default: none)"
+
+
+def _presets(_: str) -> str:
+    """As ``_ablations``."""
+    from getagrip.datasets.synthetic.splits import PRESETS
+
+    return f"(one of {', '.join(PRESETS)}; default: clean)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,16 +129,14 @@ class Evaluate(Command):
 class Bench(Command):
     """Compare methods on a dataset: the paper's tables, with intervals. What is done already is kept."""
 
-    dataset: Annotated[Positional[str], arg(metavar="DATASET")]
-    """synthetic, dexycb, or a folder of clips with their truth."""
+    dataset: Annotated[
+        Positional[str], arg(metavar="DATASET", help=f"{', '.join(SOURCES)}, or a folder of clips with ground truth.")
+    ]
     out: Folder
     """Where clips, results, tables and plots go. Called again with the same folder, it goes on where it stopped."""
     methods: Annotated[tuple[Method, ...], arg(help_behavior_hint="(default: all)")] = ()
     """What to compare. An ablation compares one-dof and soft-hinge, unless others are named."""
-    ablation: Annotated[
-        Literal["physical", "occlusion", "axis", "inits", "hand-noise", "mask-noise", "scale", "sca"] | None,
-        arg(help_behavior_hint="(default: none)"),
-    ] = None
+    ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_ablations)] = None
     """Instead of methods as they are, compare each in several settings."""
     split: Annotated[
         Literal["train", "test", "all"] | None, arg(help_behavior_hint="(default: test; all of a folder)")
@@ -131,7 +144,7 @@ class Bench(Command):
     """Which part of a dataset: train is for tuning."""
     clips: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """So many clips of it, spread evenly."""
-    preset: Literal["clean", "hamer", "frankmocap", "wild"] = "clean"
+    preset: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_presets)] = None
     """synthetic: everything as it is, with the errors of a hand tracker, or with little known, as in the wild."""
     root: OptionalFolder = None
     """dexycb: where it is, as for the command import."""
@@ -156,15 +169,16 @@ class Bench(Command):
 
     def run(self) -> int:
         from getagrip.commands.bench import Plan, bench
-        from getagrip.experiments.sources import Source
 
-        source = Source(self.dataset, self.out / "clips", self.split, self.clips, self.preset, self.root, self.meshes)
+        source = source_of(
+            self.dataset, split=self.split, preset=self.preset, root=self.root, meshes=self.meshes
+        )  # fmt: skip
         options = Options(
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
             priors=_priors(self.priors, self.init),
         )  # fmt: skip
         choice = (self.methods, self.ablation, options)
-        return bench(Plan(source, self.out, *choice, self.workers, self.overwrite, self.json), self.debug)
+        return bench(Plan(source, self.out, self.clips, *choice, self.workers, self.overwrite, self.json), self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.errors import UsageError
 from getagrip.experiments.comparison import Table, compare, groups
 from getagrip.experiments.settings import ABLATIONS, CONTACT, Variant, ablation_variants, method_variants
-from getagrip.experiments.sources import Source, samples
+from getagrip.experiments.sources import ClipSource, samples
 from getagrip.experiments.statistics import RESAMPLES
 from getagrip.experiments.tables import as_json, latex, markdown, terminal, write_clips_csv, write_csv
 from getagrip.experiments.trials import Scores, Trial, run
@@ -27,8 +27,10 @@ from getagrip.result import software
 class Plan:
     """What the user asks for."""
 
-    source: Source
+    source: ClipSource
     out: Path
+    count: int | None = None
+    """Use this many clips, evenly sampled; None: all."""
     methods: tuple[str, ...] = ()
     """None: all of them, or those that the ablation is about."""
     ablation: str | None = None
@@ -64,7 +66,7 @@ def bench(plan: Plan, debug: bool) -> int:
     """
     variants = plan.variants()
     plan.out.mkdir(parents=True, exist_ok=True)
-    clips, bad = samples(plan.source, debug)
+    clips, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
     scores = []
     results = plan.out / "results"
     distinct = tuple({variant.folder: variant for variant in variants}.values())
@@ -131,13 +133,13 @@ def _write(plan: Plan, tables: Sequence[Table], scores: Sequence[Scores], varian
 
 def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     """How the numbers came about, in sentences."""
-    source, good = plan.source, [clip for clip in scores if clip.scores]
+    good = [clip for clip in scores if clip.scores]
     drawn = groups(good) if good else []
     together = len(set(drawn)) < len(drawn)
     units = f"the {len(set(drawn))} subjects, all clips of one together" if together else f"the {len(drawn)} clips"
     versions = ", ".join(f"{key} {version}" for key, version in software().items())
     return [
-        f"{_named(source)}: {len(good)} clips"
+        f"{plan.source.title}: {len(good)} clips"
         + (f", {len(scores) - len(good)} failed and left out" if len(good) < len(scores) else ""),
         f"{plan.options.inits} starts ({_starts(plan.options)}), {plan.options.frames} frames, "
         f"seed {plan.options.seed}; the same frames, masks and evaluation for all",
@@ -164,11 +166,3 @@ def _outdated(scores: Sequence[Scores]) -> list[str]:
     warning = f"{count} results are older than the package's files; --overwrite makes them again"
     print(f"warning: {warning}", file=sys.stderr)
     return [warning]
-
-
-def _named(source: Source) -> str:
-    """The clips in words; of a folder not where it is, which is nobody else's business."""
-    if not source.named:
-        return "a folder of clips"
-    preset = f", {source.preset}" if source.dataset == "synthetic" else ""
-    return f"{source.dataset}{preset}, {'both splits' if source.part == 'all' else f'{source.part} split'}"

@@ -30,7 +30,7 @@ class Metric:
     heading: str = ""
     """Its column in the tables of ``evaluate``; empty: none."""
     label: str = ""
-    """Its column in the tables of ``bench``; empty: none."""
+    """Its column in the tables of ``bench``: of means if it is a share, else of medians; empty: none."""
     decimals: int = 1
     by_contact: bool = False
     """Whether each definition of contact gives another value."""
@@ -92,6 +92,9 @@ def _closed(it: Comparison) -> float:
     return float(np.mean(closed))
 
 
+ADD_SYM = Metric(
+    "add_sym_success", lambda it, _: float(it.errors_sym.success), "%", "sym", "ADD sym.", decimals=0, needs_truth=True
+)
 SCA = Metric("sca", lambda it, contact: it.contact(contact).sca, heading="SCA", label="SCA", by_contact=True)
 TRUE_SCA = Metric(
     "truth_sca", lambda it, contact: it.true_contact(contact).sca, heading="truth's", label="truth's SCA",
@@ -107,13 +110,13 @@ METRICS: tuple[Metric, ...] = (
     Metric("add_frame_success", lambda it, _: mean_of(it.errors.frame_success), needs_truth=True),
     Metric("rotation_deg", lambda it, _: np.degrees(it.errors.rotation), "deg", needs_truth=True),
     Metric("translation_mm", lambda it, _: 1e3 * it.errors.translation, "mm", needs_truth=True),
-    Metric("add_sym_mm", lambda it, _: 1e3 * it.errors_sym.add, "mm", "sym", needs_truth=True),
+    Metric("add_sym_mm", lambda it, _: 1e3 * it.errors_sym.add, "mm", "sym", "ADD sym., mm", needs_truth=True),
+    ADD_SYM,
+    Metric("add_sym_frame_success", lambda it, _: mean_of(it.errors_sym.frame_success), needs_truth=True),
     Metric(
-        "add_sym_success", lambda it, _: float(it.errors_sym.success), "%", "sym", "ADD sym.", decimals=0,
+        "rotation_sym_deg", lambda it, _: np.degrees(it.errors_sym.rotation), "deg", "rot", "rotation sym., °",
         needs_truth=True,
     ),
-    Metric("add_sym_frame_success", lambda it, _: mean_of(it.errors_sym.frame_success), needs_truth=True),
-    Metric("rotation_sym_deg", lambda it, _: np.degrees(it.errors_sym.rotation), "deg", "rot", needs_truth=True),
     Metric("translation_sym_mm", lambda it, _: 1e3 * it.errors_sym.translation, "mm", "trans", needs_truth=True),
     Metric("scale_error", lambda it, _: it.scale_error, "%", "scale", needs_truth=True),
     Metric("diameter_mm", lambda it, _: 1e3 * it.errors.diameter, "mm", needs_truth=True),

@@ -9,13 +9,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.evaluation.metric import METRICS, Metric
+from getagrip.evaluation.metric import ADD_SYM, METRICS, Metric
 from getagrip.experiments.settings import Variant
 from getagrip.experiments.statistics import Estimate, estimate, resamples
 from getagrip.experiments.trials import Score, Scores
 
-COLUMNS = tuple(metric for metric in METRICS if metric.label)
-"""The paper's metrics, and up to the object's symmetries."""
+COLUMNS = tuple(metric for metric in METRICS if metric.label and metric.unit == "%")
+"""Metrics of which there are means: the paper's, and up to the object's symmetries."""
+ERRORS = tuple(metric for metric in METRICS if metric.label and metric.unit != "%")
+"""Metrics of which there are medians."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,14 @@ class Row:
     """Means by label of the metric, 0 to 1."""
     differences: dict[str, Estimate]
     """Mean differences in pairs from the variant that it is compared with; empty for that variant itself."""
+    medians: dict[str, float]
+    """Of ``ERRORS``, by label; of clips on which the method did not fail."""
+    ambiguous: int
+    """Results marked ambiguous."""
+    wrong: int
+    """Results whose pose is wrong, up to symmetries."""
+    wrong_ambiguous: int
+    """Of these, how many are marked ambiguous."""
     seconds: float
     """Median for a clip."""
     failed: int
@@ -85,15 +95,23 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], we
     for variant in variants:
         own, other = cells[variant.label], cells.get(variant.against)
         compared = other is not None and variant.label != variant.against
+        tried = [score for clip in scores if (score := _score(clip, variant))]
+        done = [score for score in tried if not score.failed]
+        wrong = [score for score in done if score.metrics.get(ADD_SYM.key(variant.contact)) == 0.0]
+        errors = {e.label: [score.metrics.get(e.key(variant.contact), np.nan) for score in done] for e in ERRORS}
         rows.append(
             Row(
                 variant,
-                {c.label: estimate(own[c.label], weights) for c in there},
-                {c.label: estimate(own[c.label] - other[c.label], weights) for c in there}
+                values={c.label: estimate(own[c.label], weights) for c in there},
+                differences={c.label: estimate(own[c.label] - other[c.label], weights) for c in there}
                 if other is not None and compared
                 else {},
-                _median([score.seconds for clip in scores if (score := _score(clip, variant)) and not score.failed]),
-                sum(score.failed for clip in scores if (score := _score(clip, variant))),
+                medians={label: _median(values) for label, values in errors.items()},
+                ambiguous=sum(score.ambiguous for score in done),
+                wrong=len(wrong),
+                wrong_ambiguous=sum(score.ambiguous for score in wrong),
+                seconds=_median([score.seconds for score in done]),
+                failed=len(tried) - len(done),
             )
         )
     return Table(title, len(scores), there, tuple(rows))
@@ -118,4 +136,6 @@ def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float
 
 
 def _median(values: Sequence[float]) -> float:
-    return float(np.median(values)) if values else float("nan")
+    """The median of the values that are known (not NaN); NaN if none is."""
+    known = [value for value in values if not np.isnan(value)]
+    return float(np.median(known)) if known else float("nan")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from getagrip.experiments.comparison import Table
+from getagrip.experiments.comparison import ERRORS, Table
 from getagrip.experiments.settings import Variant
 from getagrip.experiments.statistics import LEVEL, Estimate
 from getagrip.experiments.trials import Scores
@@ -103,8 +103,19 @@ def _differences(table: Table, style: Style) -> list[list[str]]:
     return rows
 
 
+def _errors(table: Table, style: Style) -> list[list[str]]:
+    """Headings and rows of the medians, and of what is marked ambiguous."""
+    labels = [error.label for error in ERRORS if not all(math.isnan(row.medians[error.label]) for row in table.rows)]
+    rows = [["", *labels, "ambiguous", "of wrong poses"]]
+    for row in table.rows:
+        medians = ["–" if math.isnan(row.medians[label]) else f"{row.medians[label]:.1f}" for label in labels]
+        marked = [f"{row.ambiguous} of {table.clips}", f"{row.wrong_ambiguous} of {row.wrong}"]
+        rows.append([style.text(row.variant.label), *medians, *marked])
+    return rows
+
+
 def markdown(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
-    """A page: what was run, the table over all clips, the differences, a table for each category folded away."""
+    """A page: what was run; over all clips means, differences and medians; the means of each category folded away."""
     lines = [f"# {title}", "", *(f"- {line}" for line in about)]
     for table in tables[:1]:
         lines += ["", f"{_heading(table)}:", "", *_grid([_headings(table), *_body(table, MARKDOWN)])]
@@ -112,6 +123,11 @@ def markdown(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
         if len(differences) > 1:
             lines += ["", "Differences, clip by clip; bold where the interval leaves out zero:", ""]
             lines += _grid(differences)
+        lines += [
+            "",
+            "Medians over clips; results marked ambiguous, of all and of those whose pose is wrong (ADD sym.):",
+        ]
+        lines += ["", *_grid(_errors(table, MARKDOWN))]
     if tables[1:]:
         lines += ["", "<details><summary>Each category</summary>"]
         for table in tables[1:]:
@@ -168,7 +184,8 @@ def write_csv(tables: Sequence[Table], path: Path) -> None:
                         [table.title, row.variant.label, column.label, *_numbers(value), rank or "", *compared]
                     )
             for row in table.rows:
-                writer.writerow([table.title, row.variant.label, "seconds (median)", row.seconds, *[""] * 9])
+                for label, median in (*row.medians.items(), ("seconds", row.seconds)):
+                    writer.writerow([table.title, row.variant.label, f"{label} (median)", median, *[""] * 9])
 
 
 def _numbers(estimate: Estimate) -> list[float | int]:
@@ -218,6 +235,10 @@ def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, Any]
                     {
                         "row": row.variant.label,
                         "method": row.variant.options.method,
+                        "medians": row.medians,
+                        "ambiguous": row.ambiguous,
+                        "wrong": row.wrong,
+                        "wrong_ambiguous": row.wrong_ambiguous,
                         "seconds": row.seconds,
                         "failed": row.failed,
                         "values": {key: vars(value) for key, value in row.values.items()},

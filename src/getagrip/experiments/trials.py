@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import groupby
@@ -21,19 +20,10 @@ from getagrip.batch.job import failure
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.experiments.settings import AS_GIVEN, Variant
+from getagrip.experiments.sources import Sample
 from getagrip.fitting.options import Options
 from getagrip.io import files
 from getagrip.result import Reconstruction, is_result, read_record, software, write_result
-
-
-@dataclass(frozen=True)
-class Sample:
-    """A clip of a dataset."""
-
-    name: str
-    folder: Path
-    make: Callable[[Path], None] | None = None
-    """Makes the folder where it is not there."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,51 @@
+"""Where the clips of a benchmark come from: a dataset of the table, or a folder of clips."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from getagrip.errors import UsageError
+from getagrip.experiments.sources.dexycb import DexYcb
+from getagrip.experiments.sources.folder import ClipFolder
+from getagrip.experiments.sources.source import ClipSource, Sample
+from getagrip.experiments.sources.synthetic import Synthetic
+
+if TYPE_CHECKING:
+    from getagrip.batch.job import Outcome
+
+SOURCES: dict[str, type[ClipSource]] = {"synthetic": Synthetic, "dexycb": DexYcb}
+"""The datasets, by the names that ``getagrip bench`` knows them by."""
+
+__all__ = ["SOURCES", "ClipSource", "Sample", "samples", "source_of"]
+
+
+def source_of(dataset: str, **options: Any) -> ClipSource:
+    """The source of a dataset's name, or of a folder of clips; an option of None is as if it were not given.
+
+    Raises ``UsageError`` for an option that the source does not take, and as the source does.
+    """
+    kind = SOURCES.get(dataset, ClipFolder)
+    taken = [field.name for field in fields(kind) if field.name != "dataset"]
+    given = {name: value for name, value in options.items() if value is not None}
+    for name, value in given.items():
+        if name not in taken:
+            takes = ", ".join(f"--{option}" for option in taken)
+            raise UsageError(f"--{name}: got {value}, expected none: {dataset} takes {takes}")
+    return kind(dataset, **given)
+
+
+def samples(source: ClipSource, clips: Path, count: int | None, debug: bool) -> tuple[list[Sample], list[Outcome]]:
+    """The clips of a source, ``count`` of them evenly sampled, and what became of folders that are none.
+
+    ``clips`` is where a source may make them. Raises ``UsageError`` for a count below 1, and as the source does.
+    """
+    import numpy as np
+
+    if count is not None and count < 1:
+        raise UsageError(f"--clips: got {count}, expected 1 or more")
+    found, failed = source.samples(clips, debug)
+    if count is not None and count < len(found):
+        found = [found[n] for n in np.linspace(0, len(found) - 1, count).round().astype(int)]
+    return found, failed

@@ -1,0 +1,46 @@
+"""Synthetic clips, each made when it is first needed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from getagrip.experiments.sources.source import ClipSource, Sample
+
+if TYPE_CHECKING:
+    from getagrip.batch.job import Outcome
+    from getagrip.datasets.synthetic.scene import Options
+
+
+@dataclass(frozen=True)
+class Synthetic(ClipSource):
+    """The clips of ``getagrip.datasets.synthetic.splits``."""
+
+    preset: str = "clean"
+    """What is known of them: a key of ``PRESETS``."""
+
+    @property
+    def description(self) -> str:
+        return f"{self.dataset}, {self.preset}"
+
+    def samples(self, clips: Path, debug: bool) -> tuple[list[Sample], list[Outcome]]:
+        from getagrip.datasets.synthetic.scene import clip_name
+        from getagrip.datasets.synthetic.splits import SEEDS, split
+
+        found = []
+        for part in SEEDS if self.split == "all" else (self.split,):
+            for category, seed, options in split(part, self.preset):
+                name = clip_name(category, seed, options)
+                found.append(Sample(name, clips / name, partial(_make, category, seed, options)))
+        self.claim(clips)
+        return found, []
+
+
+def _make(category: str, seed: int, options: Options, folder: Path) -> None:
+    """Make a clip."""
+    from getagrip.clip import write_clip
+    from getagrip.datasets.synthetic.scene import synthesise
+
+    write_clip(*synthesise(category, seed, options), folder)
