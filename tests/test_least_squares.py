@@ -1,0 +1,89 @@
+"""Laws of the damping loop and of the block-arrow step, on problems whose answer is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy import ndarray
+
+from getagrip.least_squares import Ending, Rules, arrow_step, damped, minimise
+
+
+@dataclass(frozen=True)
+class Parabola:
+    """B parabolas ``|x|^2 / 2`` in a plane; some are not finite to begin with, one has no downhill step."""
+
+    x: ndarray
+    flat: bool = False
+
+    @property
+    def cost(self) -> ndarray:
+        return np.ones(len(self.x)) if self.flat else 0.5 * np.sum(self.x**2, axis=1)
+
+    def trial(self, active: ndarray, damping: ndarray) -> Parabola:
+        return replace(self, x=self.x[active] / (1.0 + 1.0 / damping[:, None]))
+
+    def accept(self, trial: Parabola, active: ndarray, better: ndarray) -> Parabola:
+        x = self.x.copy()
+        x[active[better]] = trial.x[better]
+        return replace(self, x=x)
+
+
+def test_every_problem_goes_down_on_its_own() -> None:
+    start = Parabola(np.array([[1.0, 0.0], [np.inf, 0.0], [0.0, 3.0]]))
+    found = minimise(start, 30)
+    assert found.endings[1] is Ending.LOST
+    np.testing.assert_allclose(found.state.x[[0, 2]], 0.0, atol=1e-6)
+    np.testing.assert_array_equal(found.state.x[1], start.x[1])
+    alone = minimise(Parabola(start.x[2:]), 30)
+    np.testing.assert_array_equal(alone.state.x[0], found.state.x[2])
+
+
+def test_endings() -> None:
+    start = Parabola(np.ones((1, 2)))
+    assert minimise(start, 0).endings == [Ending.LIMIT]
+    assert minimise(replace(start, flat=True), 30).endings == [Ending.STUCK]
+    assert minimise(replace(start, flat=True), 30, Rules(rejections=np.inf, most=10.0)).endings == [Ending.STUCK]
+    assert minimise(start, 30, Rules(tolerance=2.0)).endings == [Ending.CONVERGED]
+
+
+@pytest.mark.parametrize("S", [0, 1, 3])
+@pytest.mark.parametrize("L", [0, 1, 4])
+@pytest.mark.parametrize("tied", [False, True])
+def test_the_arrow_step_is_that_of_the_dense_system(S: int, L: int, tied: bool) -> None:
+    if not S + L or (tied and not L):
+        return
+    rng = np.random.default_rng(0)
+    B, N = 2, 3
+    J = rng.normal(size=(B, N, 20, S + L))  # each frame's errors by what is shared and by its own numbers
+    between = rng.normal(size=(B, 20, N * L)) if tied else np.zeros((B, 20, N * L))
+    dense = np.zeros((B, S + N * L, S + N * L))
+    for n in range(N):
+        own = np.concatenate([np.arange(S), S + n * L + np.arange(L)]).astype(int)
+        dense[:, own[:, None], own] += np.swapaxes(J[:, n], -1, -2) @ J[:, n]
+    extra = (np.swapaxes(between, -1, -2) @ between).reshape(B, N, L, N, L)
+    for n in range(N):
+        extra[:, n, :, n] = 0.0
+    dense[:, S:, S:] += extra.reshape(B, N * L, N * L) + 100.0 * np.eye(N * L)
+    g = rng.normal(size=(B, S + N * L))
+    blocks = dense[:, S:, S:].reshape(B, N, L, N, L)
+    n = np.arange(N)
+    shared, local = arrow_step(
+        H_ss=dense[:, :S, :S],
+        H_sl=np.swapaxes(dense[:, :S, S:].reshape(B, S, N, L), 1, 2),
+        H_ll=np.swapaxes(blocks[:, n, :, n], 0, 1),
+        g_s=g[:, :S],
+        g_l=g[:, S:].reshape(B, N, L),
+        cross=extra if tied else None,
+    )
+    expected = -np.linalg.solve(dense, g[..., None])[..., 0]
+    np.testing.assert_allclose(np.concatenate([shared, local.reshape(B, -1)], axis=1), expected, atol=1e-10)
+
+
+def test_damping_raises_the_diagonal_alone() -> None:
+    H = np.random.default_rng(1).normal(size=(2, 3, 3))
+    raised = damped(H, np.array([0.0, 2.0]), floor=1.0) - H
+    np.testing.assert_array_equal(raised[0], 0.0)
+    np.testing.assert_allclose(raised[1], np.diag(2.0 * (np.diag(H[1]) + 1.0)))
