@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
-from getagrip.clip.occlusion import hidden_by_hand
+from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import (
@@ -148,7 +148,7 @@ class Comparison:
         """The observed masks; the hand is ignored where nothing else is, as the methods take them."""
         if self.masks is None:
             raise MissingPartError
-        return self.masks if self.masks.ignore.any() else hidden_by_hand(self.clip, self.masks)
+        return self.masks if self.masks.ignore.any() else occluded_by_hand(self.clip, self.masks)
 
 
 @lru_cache(maxsize=32)
