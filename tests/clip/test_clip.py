@@ -151,6 +151,24 @@ def test_only_clips_are_replaced_by_clips(tmp_path: Path) -> None:
     assert contents(tmp_path) == before
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
+def test_a_clip_is_not_lost_while_it_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
+) -> None:
+    folder = write_clip(*small_clip(frames=2), tmp_path / "clip")
+    before, rename = contents(tmp_path), os.rename
+
+    def interrupted(source: Path, target: Path) -> None:
+        if source.name == "new":
+            raise error
+        rename(source, target)
+
+    monkeypatch.setattr(os, "rename", interrupted)
+    with pytest.raises(error):
+        write_clip(*small_clip(), folder, replace=True)
+    assert contents(tmp_path) == before
+
+
 def test_nothing_half_written_is_left(tmp_path: Path) -> None:
     clip, masks = small_clip()
     with pytest.raises(ValueError, match="zip"):

@@ -272,6 +272,8 @@ def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
             os.rename(target, beside / "old")
         os.rename(work, target)
     finally:
+        if (beside / "old").exists() and not target.exists():  # interrupted between the two
+            os.rename(beside / "old", target)
         shutil.rmtree(beside, ignore_errors=True)
 
 
