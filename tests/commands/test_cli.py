@@ -202,13 +202,3 @@ def test_help_loads_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_the_root_has_what_it_says() -> None:
-    import getagrip
-
-    for name in getagrip.__all__:
-        assert getattr(getagrip, name) is not None
-    assert getagrip.__all__ == sorted(getagrip.__all__)
-    assert not hasattr(getagrip, "nonsense")
-    assert getagrip.__version__

@@ -1,0 +1,26 @@
+# The only list of public names: type checkers read it, and __init__.py loads each name from here when it is first used.
+from .clip import Clip as Clip
+from .clip import HandTrack as HandTrack
+from .clip import Masks as Masks
+from .clip import Truth as Truth
+from .clip import read_clip as read_clip
+from .clip import read_masks as read_masks
+from .clip import write_clip as write_clip
+from .datasets.synthetic.scene import synthesise as synthesise
+from .errors import GetagripError as GetagripError
+from .errors import InputError as InputError
+from .errors import UsageError as UsageError
+from .evaluation import evaluate as evaluate
+from .fitting.options import Options as Options
+from .fitting.reconstruct import reconstruct as reconstruct
+from .geometry.mesh import Mesh as Mesh
+from .geometry.mesh import read_mesh as read_mesh
+from .geometry.mesh import write_mesh as write_mesh
+from .result import Axis as Axis
+from .result import Candidates as Candidates
+from .result import Reconstruction as Reconstruction
+from .result import read_result as read_result
+from .result import write_result as write_result
+from .view.report import write_report as write_report
+
+__version__: str

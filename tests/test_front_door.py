@@ -1,0 +1,44 @@
+"""The root package: its names are there, light to load, and stay what they are whatever else is imported."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+
+import getagrip
+
+FUNCTIONS = {name for name in getagrip.__all__ if name == name.lower()}
+HEAVY = "{'numpy', 'numba', 'scipy', 'trimesh', 'cv2', 'matplotlib', 'igl'} & set(sys.modules)"
+
+
+def fresh(code: str) -> str:
+    """What some code prints in a process of its own."""
+    done = subprocess.run([sys.executable, "-c", f"import sys\n{code}"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_the_root_has_what_it_lists() -> None:
+    assert {"reconstruct", "evaluate", "read_clip", "synthesise", "write_report"} <= FUNCTIONS
+    assert dir(getagrip) == getagrip.__all__ == sorted(getagrip.__all__)
+    for name in getagrip.__all__:
+        expected = inspect.isfunction if name in FUNCTIONS else inspect.isclass
+        assert expected(getattr(getagrip, name))
+    assert not hasattr(getagrip, "nonsense")
+    assert getagrip.__version__.count(".") == 2
+
+
+def test_importing_the_root_and_its_options_loads_nothing_heavy() -> None:
+    assert fresh(f"import getagrip\ngetagrip.Options(seed=1), getagrip.InputError\nprint({HEAVY})") == "set()"
+
+
+def test_no_module_takes_the_place_of_a_function() -> None:
+    everything = (
+        "import importlib, pkgutil, getagrip\n"
+        "modules = pkgutil.walk_packages(getagrip.__path__, 'getagrip.')\n"
+        "for module in modules:\n"
+        "    if module.name != 'getagrip.__main__': importlib.import_module(module.name)\n"
+        "print(*(name for name in getagrip.__all__ if not callable(getattr(getagrip, name))))"
+    )
+    assert fresh(everything) == ""
