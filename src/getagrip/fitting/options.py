@@ -24,31 +24,36 @@ class PriorsFile:
 
 @dataclass(frozen=True)
 class Options:
-    """How to reconstruct a clip."""
+    """How to reconstruct a clip.
+
+    Attributes:
+        method: a name in ``methods.METHODS``: how the object may move in the hand, or a baseline.
+        inits: number of initial poses; more is slower and safer, fewer than 50 is unsafe.
+        init: where initial poses come from: uniform rotations only (``uniform``); before them, those that ``init learn``
+            has learnt (``clusters``), or a folder of poses by category and side, as the authors keep theirs
+            (``priors``).
+        priors: the file or folder of the poses of ``init``; None for ``uniform``.
+        thorough: search two to three times as long, for the methods that fit all frames at once; no other changes.
+        seed: rotates the set of initial rotations; the same seed gives the same result.
+        frames: number of frames that are used, sampled evenly from the clip.
+        push: weight of E_push, the paper's lambda_2 without the focal length.
+        pull: weight of E_pull, the paper's lambda_3 without the focal length.
+        axis: where a hinge's axis may lie: anywhere (``free``), or through the origin of the hand frame
+            (``hand``).
+        occlusion: leave out pixels hidden by the hand (the paper's C_o).
+    """
 
     method: str = "soft-hinge"
-    """A name in ``methods.METHODS``: how the object may move in the hand, or a baseline."""
     inits: int = 50
-    """Number of initial poses, their rotations spread uniformly; more is slower and safer, fewer than 50 is unsafe."""
     init: Init = "uniform"
-    """Which initial poses come first: none but uniform rotations (uniform), those that ``init learn`` has learnt
-    (clusters), or a folder of poses by category and side, as the paper's authors keep theirs (priors)."""
     priors: PriorsFile | None = None
-    """The file or folder of ``init``."""
     thorough: bool = False
-    """Search two to three times as long. Affects the methods that fit all frames at once."""
     seed: int = 0
-    """Rotates the set of initial rotations; the same seed gives the same result."""
     frames: int = 30
-    """Frames sampled linearly from the clip."""
     push: float = 0.1
-    """Weight of E_push, the paper's lambda_2 without the focal length."""
     pull: float = 0.1
-    """Weight of E_pull, the paper's lambda_3 without the focal length."""
     axis: Literal["free", "hand"] = "free"
-    """Where a hinge's axis may lie: anywhere (free), or through the origin of the hand frame (hand)."""
     occlusion: bool = True
-    """Leave out pixels hidden by the hand (the paper's C_o)."""
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
