@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from statistics import median
 
 import numpy as np
@@ -65,7 +64,6 @@ def sequence(frames: int) -> Clip:
     T_hand_obj = se3.rigid(se3.exp_so3(0.3 * walk(rng, frames, 3)), place)
     T_cam_hand = np.tile(se3.rigid(t=np.array([0.0, 0.0, 0.5])), (frames, 1, 1))
     return Clip(
-        folder=Path("nowhere"),
         name="long",
         category="mug",
         side="right",

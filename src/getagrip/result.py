@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Float, Shaped
 from numpy import ndarray
 
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.io import arrays, files
+from getagrip.io.array_data import ArrayData
 
 VERSION = 1
 FILES = ("result.json", "result.npz")
@@ -41,50 +42,79 @@ FIELDS: dict[str, tuple[type, str]] = {
 """Keys of ``result.json``, each with its type."""
 
 
-@dataclass(frozen=True)
-class Axis:
-    """The latent axis of a 1-DoF motion, in the hand frame, and the angle about it in each frame (Eq. 3)."""
+@dataclass(frozen=True, eq=False)
+class Axis(ArrayData):
+    """The latent axis of a 1-DoF motion, fixed in the hand frame (Eq. 3).
+
+    Attributes:
+        point: (3,) a point on the axis, in the hand frame [m].
+        direction: (3,) the axis' direction in the hand frame, of length 1.
+        angle: (T,) the object's angle about the axis in each frame, by the right-hand rule [rad].
+    """
 
     point: Float[ndarray, "3"]
     direction: Float[ndarray, "3"]
     angle: Float[ndarray, "T"]
 
 
-@dataclass(frozen=True)
-class Candidates:
-    """The best distinct solutions, best first; the first is the result."""
+@dataclass(frozen=True, eq=False)
+class Candidates(ArrayData):
+    """The best distinct solutions, best first; the first is the result.
+
+    Attributes:
+        T_hand_obj: (K, T, 4, 4) poses, object frame to hand frame [m].
+        scale: (K,) factors by which the mesh is scaled before it is posed.
+        energy: (K,) energies [pixels squared of the 256-pixel crop].
+    """
 
     T_hand_obj: Float[ndarray, "K T 4 4"]
     scale: Float[ndarray, "K"]
     energy: Float[ndarray, "K"]
 
 
-@dataclass(frozen=True)
-class Reconstruction:
-    """What a method found for one clip."""
+@dataclass(frozen=True, eq=False)
+class Reconstruction(ArrayData):
+    """What a method found for one clip: ``X_cam = T_cam_hand @ T_hand_obj @ (scale * X_obj)``.
+
+    Attributes:
+        clip: name of the clip.
+        method: name of the method.
+        frames: names of the T frames that were used, in the clip's order.
+        T_hand_obj: (T, 4, 4) pose of the object in each frame, object frame to hand frame [m].
+        scale: factor by which the mesh is scaled before it is posed; 1 where the clip's scale is known.
+        iou: (T,) intersection over union of rendered and observed mask on the full image, outside ignored pixels.
+        axis: the axis in the hand that the object turns about; None for methods without one.
+        candidates: the best distinct solutions.
+        energy: ``total`` and one entry per term, weighted [pixels squared of the 256-pixel crop].
+        status: how the minimisation ended, in words.
+        ambiguous: whether another, distinct candidate explains the masks almost as well.
+        seconds: time spent [s], ``total`` and one entry per stage.
+        options: the options of the method.
+        seed: seed of the initial poses.
+        notes: frames left out and values that are guesses (scale, focal length), in words.
+    """
 
     clip: str
-    """Name of the clip."""
     method: str
     frames: tuple[str, ...]
     T_hand_obj: Float[ndarray, "T 4 4"]
     scale: float
     iou: Float[ndarray, "T"]
-    """Mask IOU of each frame on the full image, outside ignored pixels."""
     axis: Axis | None
     candidates: Candidates
     energy: dict[str, float]
-    """``total`` and one entry per term."""
     status: str
-    """What happened, in words."""
     ambiguous: bool
-    """Whether another, distinct candidate explains the masks almost as well."""
     seconds: dict[str, float]
-    """``total`` and one entry per stage."""
     options: dict[str, Any] = field(default_factory=dict)
     seed: int = 0
     notes: tuple[str, ...] = ()
-    """Dropped frames and guesses (scale, focal length), in words."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.frames) != len(self.T_hand_obj):
+            given = f"got {len(self.frames)} names"
+            raise UsageError(f"Reconstruction.frames: {given}, expected {len(self.T_hand_obj)}, as many as T_hand_obj")
 
 
 def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:

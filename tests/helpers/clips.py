@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from getagrip.clip import FINGERS, Clip, HandTrack, Masks, Truth
@@ -39,7 +37,6 @@ def small_clip(frames: int = 3, seed: int = 0) -> tuple[Clip, Masks]:
     seen[:, 8:16, 10:20] = True
     ignore = np.roll(seen, 6, axis=2) & ~seen
     clip = Clip(
-        folder=Path("nowhere"),
         name="small",
         category="box",
         side="right",

@@ -27,7 +27,6 @@ def egg_and_mug() -> tuple[Clip, Masks]:
     line = se3.rotation_about_line(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.linspace(0.0, 0.4, FRAMES))
     T_hand_obj = line @ se3.rigid(t=np.array([0.0, 0.07, -0.05]))
     clip = Clip(
-        folder=Path(),
         name="egg-and-mug",
         category="mug",
         side="right",

@@ -1,7 +1,7 @@
 """Clips: what they hold, and their folders (docs/formats.md)."""
 
 from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth, seen_frames
-from getagrip.clip.masks import read_masks, read_seen
+from getagrip.clip.masks import find_masks, read_masks, read_seen
 from getagrip.clip.reading import input_sha256, read_clip, read_name
 from getagrip.clip.writing import write_clip
 
@@ -11,6 +11,7 @@ __all__ = [
     "HandTrack",
     "Masks",
     "Truth",
+    "find_masks",
     "input_sha256",
     "read_clip",
     "read_masks",

@@ -10,44 +10,81 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh
+from getagrip.io.array_data import ArrayData, as_array, check_ids
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
 
-@dataclass(frozen=True)
-class HandTrack:
-    """A hand in every frame (``hand.npz``)."""
+@dataclass(frozen=True, eq=False)
+class HandTrack(ArrayData):
+    """A hand in every frame (``hand.npz``).
+
+    The hand frame is any frame that moves with the hand and has its origin there; that of ``getagrip.hands`` is the
+    frame of MANO's template. Vertex ids are counted from 0.
+
+    Attributes:
+        vertices: (T, V, 3) vertices in the hand frame [m].
+        faces: (F, 3) vertex ids of the corners of each face, counter-clockwise seen from outside.
+        T_cam_hand: (T, 4, 4) pose of the hand, hand frame to camera frame [m].
+        regions: contact regions by name, (n,) vertex ids each: the five ``FINGERS`` (the pads of the fingertips), then
+            any ``palm_*``.
+        joints: (T, 21, 3) joints in the hand frame [m]: wrist, then thumb, index, middle, ring and pinky, each from the
+            palm to the tip; None where they are not known.
+    """
 
     vertices: Float[ndarray, "T V 3"]
-    """Vertices in the hand frame [m]."""
     faces: Int[ndarray, "F 3"]
-    """Faces, outward."""
     T_cam_hand: Float[ndarray, "T 4 4"]
-    """Hand frame to camera."""
     regions: dict[str, Int[ndarray, "_"]]
-    """Contact regions as vertex ids: the five ``FINGERS`` (pads of the fingertips), then ``palm_*``."""
     joints: Float[ndarray, "T 21 3"] | None = None
-    """Joints in the hand frame [m]: wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count = self.vertices.shape[1]
+        check_ids("HandTrack.faces", self.faces, count)
+        regions = {}
+        for name, ids in self.regions.items():
+            where = f"HandTrack.regions[{name!r}]"
+            regions[name] = as_array(where, ids, Int, ("n",), {})
+            check_ids(where, regions[name], count)
+        object.__setattr__(self, "regions", regions)
+        missing = [finger for finger in FINGERS if finger not in self.regions]
+        if count and missing:  # without vertices it stands for hands that are still to come
+            expected = "vertex ids of the pad of each fingertip"
+            raise UsageError(f"HandTrack.regions: got no {', '.join(missing)}, expected {expected}")
 
 
-@dataclass(frozen=True)
-class Truth:
-    """What really happened (``truth.npz``)."""
+@dataclass(frozen=True, eq=False)
+class Truth(ArrayData):
+    """The ground truth of a clip (``truth.npz``).
+
+    Attributes:
+        T_cam_obj: (T, 4, 4) true pose of the object, object frame to camera frame [m].
+        scale: true factor by which the mesh is scaled before it is posed.
+        T_cam_hand: (T, 4, 4) true pose of the hand, hand frame to camera frame [m]; the clip's own where no other is
+            known.
+        hand_vertices: (T, V, 3) true vertices of the hand in the hand frame [m]; likewise.
+        articulation: (T,) angle of the object's joint [rad]; None for objects without one.
+    """
 
     T_cam_obj: Float[ndarray, "T 4 4"]
     scale: float
     T_cam_hand: Float[ndarray, "T 4 4"]
-    """The true hand; the clip's own where the file has none."""
     hand_vertices: Float[ndarray, "T V 3"]
     articulation: Float[ndarray, "T"] | None = None
-    """Angle of the object's joint [rad], where it has one."""
 
 
-@dataclass(frozen=True)
-class Masks:
-    """What is seen of the object, and where a pixel says nothing about it."""
+@dataclass(frozen=True, eq=False)
+class Masks(ArrayData):
+    """Masks of the object in every frame, at the size of the images.
+
+    Attributes:
+        object: (T, H, W) pixels where the object is visible.
+        ignore: (T, H, W) other pixels that say nothing about the object: those of the hand and of whatever else is in
+            front of it. Where none is set, the hand of the clip is drawn to find them.
+    """
 
     object: Bool[ndarray, "T H W"]
     ignore: Bool[ndarray, "T H W"]
@@ -62,28 +99,63 @@ class Masks:
         return Masks(self.object[index], self.ignore[index])
 
 
-@dataclass(frozen=True)
-class Clip:
-    """One stable grasp, checked; masks are read only by the steps that need them (``read_masks``)."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Clip(ArrayData):
+    """One stable grasp: a hand in every frame, the object's mesh and the camera, but not the masks (``read_masks``).
 
-    folder: Path
-    name: str
-    category: str
-    side: Literal["left", "right"]
-    fps: float
-    frames: tuple[str, ...]
-    """Names of the mask and image files, in order."""
-    size: tuple[int, int]
-    """Width and height of the images [px]."""
-    K: Float[ndarray, "T 3 3"]
-    """Pinhole intrinsics of each frame [px]."""
-    mesh: Mesh
-    scale: Literal["known", "free"]
+    Attributes:
+        hand: the hand in each of the T frames.
+        mesh: the object's mesh, in its own frame [m].
+        K: (T, 3, 3) pinhole intrinsics of each frame [px]; pixel (row i, column j) has its centre at
+            (u, v) = (j + 0.5, i + 0.5).
+        size: width and height of the images [px].
+        side: ``left`` or ``right`` hand.
+        scale: ``known`` where the mesh has the object's size, ``free`` where its size is to be found, too.
+        frames: names of the T frames, as of the mask and image files; by default their numbers, from 000000.
+        name: name of the clip, fit to name a folder.
+        category: what the object is, such as "mug".
+        fps: frames per second, for the time axis of pictures and for durations.
+        truth: the ground truth; None where it is not known.
+        folder: folder of the clip, with its masks and images; None for a clip that is only in memory.
+        provenance: where the data comes from, as JSON values; what is a guess is kept in the result's notes.
+        left_out: names of frames that are gone because the object is not visible in them (``seen_frames``).
+    """
+
     hand: HandTrack
+    mesh: Mesh
+    K: Float[ndarray, "T 3 3"]
+    size: tuple[int, int]
+    side: Literal["left", "right"]
+    scale: Literal["known", "free"] = "known"
+    frames: tuple[str, ...] = ()
+    name: str = "clip"
+    category: str = "object"
+    fps: float = 30.0
     truth: Truth | None = None
+    folder: Path | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
-    """Names of frames that are gone because nothing of the object is seen in them (``seen_frames``)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count = len(self.hand.vertices)
+        if not self.frames:
+            object.__setattr__(self, "frames", tuple(f"{n:06d}" for n in range(count)))
+        counts = {"frames": len(self.frames), "K": len(self.K)}
+        if self.truth is not None:
+            counts["truth"] = len(self.truth.T_cam_obj)
+        for name, given in counts.items():
+            if given != count:
+                raise UsageError(f"Clip.{name}: got {given} frames, expected {count}, as many as the hand has")
+        if self.side not in ("left", "right"):
+            raise UsageError(f"Clip.side: got {self.side!r}, expected 'left' or 'right'")
+        if self.scale not in ("known", "free"):
+            raise UsageError(f"Clip.scale: got {self.scale!r}, expected 'known' or 'free'")
+
+    @property
+    def origin(self) -> Path:
+        """What errors call the clip: its folder or, where it has none, its name."""
+        return self.folder or Path(self.name)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -114,6 +186,6 @@ def seen_frames(clip: Clip, seen: Bool[ndarray, "T"]) -> Clip:
     """
     if seen.sum() < 2:
         given = f"{seen.sum()} of {len(clip)} masks with a pixel that is not ignored"
-        raise InputError(clip.folder / "masks" / "object", "", given, "at least 2")
+        raise InputError(clip.origin / "masks" / "object", "", given, "at least 2")
     unseen = tuple(name for name, is_seen in zip(clip.frames, seen, strict=True) if not is_seen)
     return replace(clip.take(np.flatnonzero(seen)), left_out=(*clip.left_out, *unseen))

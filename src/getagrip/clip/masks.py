@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool
@@ -27,6 +28,11 @@ def read_masks(clip: Clip) -> Masks:
     return masks
 
 
+def find_masks(clip: Clip) -> Masks | None:
+    """The masks of a clip, as ``read_masks`` reads them; None where there is no folder of them."""
+    return None if clip.folder is None or not (clip.folder / "masks" / "object").exists() else read_masks(clip)
+
+
 def read_seen(clip: Clip) -> Bool[ndarray, "T"]:
     """Frames in which something of the object is seen: ``read_masks(clip).seen``, one frame at a time in memory."""
     any_object, seen = False, np.zeros(len(clip), dtype=bool)
@@ -39,21 +45,24 @@ def read_seen(clip: Clip) -> Bool[ndarray, "T"]:
 
 def _each(clip: Clip) -> Iterator[tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]]:
     """Object mask and ignored pixels of each frame."""
+    if clip.folder is None:
+        raise InputError(clip.origin, "masks", "none, for a clip that is in no folder", "the masks beside the clip")
     width, height = clip.size
     hidden = (clip.folder / "masks" / "ignore").exists()
     for frame in clip.frames:
-        seen = _read(clip, "object", frame)
-        yield seen, _read(clip, "ignore", frame) if hidden else np.zeros((height, width), dtype=bool)
+        seen = _read(clip.folder, "object", frame, clip.size)
+        ignore = _read(clip.folder, "ignore", frame, clip.size) if hidden else np.zeros((height, width), dtype=bool)
+        yield seen, ignore
 
 
-def _read(clip: Clip, kind: str, frame: str) -> Bool[ndarray, "H W"]:
+def _read(folder: Path, kind: str, frame: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """The mask of a frame."""
-    path = files.inside(clip.folder, f"masks/{kind}/{frame}.png", "", "a mask for each frame of clip.json")
-    return files.read_png(path, clip.size) != 0
+    path = files.inside(folder, f"masks/{kind}/{frame}.png", "", "a mask for each frame of clip.json")
+    return files.read_png(path, size) != 0
 
 
 def _check_some(clip: Clip, any_object: bool) -> None:
     """Refuse masks that are all empty."""
     if not any_object:
-        folder = clip.folder / "masks" / "object"
+        folder = clip.origin / "masks" / "object"
         raise InputError(folder, "", f"{len(clip)} masks without a pixel", "masks that show the object")

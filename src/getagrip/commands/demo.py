@@ -30,7 +30,7 @@ def run(out: Path) -> None:
         steps = bar.add_task("make a clip", total=4.0)
         clip = _clip(out / "clips")
         masks = read_masks(clip)
-        screen.print(f"clip     {clip.folder}: a {clip.category} in a {clip.side} hand, {len(clip)} frames")
+        screen.print(f"clip     {clip.origin}: a {clip.category} in a {clip.side} hand, {len(clip)} frames")
 
         bar.update(steps, completed=1.0, description="reconstruct")
         result = reconstruct(
@@ -41,7 +41,7 @@ def run(out: Path) -> None:
         bar.update(steps, completed=2.0, description="evaluate")
         evaluation = evaluate(result, clip, masks)
         folder = out / clip.name
-        write_result(result, folder, input_sha256(clip.folder), evaluation["metrics"], clip.folder, overwrite=True)
+        write_result(result, folder, input_sha256(clip.origin), evaluation["metrics"], clip.origin, overwrite=True)
         screen.print(f"result   {folder}")
 
         bar.update(steps, completed=3.0, description="draw the report")

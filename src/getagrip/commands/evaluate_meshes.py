@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from getagrip.batch.job import Outcome, failure
-from getagrip.clip import read_clip, read_masks
+from getagrip.clip import find_masks, read_clip
 from getagrip.errors import InputError
 from getagrip.evaluation import evaluate_meshes
 from getagrip.evaluation.meshes import MeshFrame, read_meshes
@@ -66,7 +66,7 @@ def evaluate_clip_meshes(job: MeshJob) -> tuple[dict[str, Any] | None, list[Outc
         if clip.name in job.judged:
             clip = clip.take(np.array([clip.frames.index(frame) for frame in job.judged[clip.name]]))
         meshes, errors = read_meshes(job.folder, clip, job.frame)
-        masks = read_masks(clip) if (clip.folder / "masks" / "object").exists() else None
+        masks = find_masks(clip)
         told = [failure("", error) for error in errors]
         return evaluate_meshes(meshes, clip, masks, job.method), told
     except Exception as error:  # one clip's trouble must not end the others

@@ -209,7 +209,6 @@ def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] |
         return None
     mesh = track.object(0.0 if track.articulation is None else float(track.articulation.mean()))
     made = Clip(
-        folder=Path(piece.name),
         name=piece.name,
         category=track.category,
         side=track.side,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
+from getagrip.clip import Clip, Masks, find_masks, input_sha256, read_clip
 from getagrip.errors import InputError
 from getagrip.evaluation.comparison import Comparison
 from getagrip.evaluation.metric import measure
@@ -38,10 +38,10 @@ def read_evaluated(folder: Path, clips: str | Path | None = None) -> tuple[Recon
     index = {name: n for n, name in enumerate(clip.frames)}
     unknown = next((name for name in result.frames if name not in index), None)
     if unknown is not None:
-        known = f"frames of the clip {clip.folder}, {clip.frames[0]} to {clip.frames[-1]}"
+        known = f"frames of the clip {clip.origin}, {clip.frames[0]} to {clip.frames[-1]}"
         raise InputError(folder / "result.npz", "frames", f"the frame {files.shown(unknown)}", known)
     clip = clip.take(np.array([index[name] for name in result.frames]))
-    return result, clip, read_masks(clip) if (clip.folder / "masks" / "object").exists() else None
+    return result, clip, find_masks(clip)
 
 
 def evaluate(result: Reconstruction, clip: Clip, masks: Masks | None) -> dict[str, Any]:

@@ -56,7 +56,7 @@ class ScaleKnown:
         if clip.scale == "known":
             return clip, masks
         if clip.truth is None:
-            raise InputError(clip.folder / "truth.npz", "scale", "no truth", "the true scale, to make it known")
+            raise InputError(clip.origin / "truth.npz", "scale", "no truth", "the true scale, to make it known")
         mesh = Mesh(clip.mesh.vertices * clip.truth.scale, clip.mesh.faces)
         return replace(clip, scale="known", mesh=mesh, truth=replace(clip.truth, scale=1.0)), masks
 

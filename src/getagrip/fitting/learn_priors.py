@@ -49,7 +49,7 @@ def hold(clip: Clip) -> Hold:
     """What a clip teaches. Raises ``InputError`` where it has no truth."""
     truth = clip.truth
     if truth is None:
-        raise InputError(clip.folder / "truth.npz", "", "no such file", "the true poses, to learn from")
+        raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses, to learn from")
     T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
     mesh_centre = truth.scale * clip.mesh.centre
     return Hold(

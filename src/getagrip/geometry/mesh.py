@@ -16,6 +16,7 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.geometry.obj import parse_obj
 from getagrip.io import files
+from getagrip.io.array_data import ArrayData, check_ids
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 LARGEST, SMALLEST = 2.0, 0.005
@@ -26,12 +27,21 @@ PAIRS = 50_000
 """So many distances are computed at once."""
 
 
-@dataclass(frozen=True)
-class Mesh:
-    """A triangle mesh, faces counter-clockwise seen from outside."""
+@dataclass(frozen=True, eq=False)
+class Mesh(ArrayData):
+    """A triangle mesh.
+
+    Attributes:
+        vertices: (V, 3) vertices in the mesh's own frame [m].
+        faces: (F, 3) vertex ids of the corners of each face, counter-clockwise seen from outside.
+    """
 
     vertices: Float[ndarray, "V 3"]
     faces: Int[ndarray, "F 3"]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ids("Mesh.faces", self.faces, len(self.vertices))
 
     @cached_property
     def diameter(self) -> float:

@@ -94,7 +94,7 @@ def contact_sets(
     """
     truth = clip.truth
     if truth is None:
-        raise InputError(clip.folder / "truth.npz", "", "no such file", "the true poses: grasps are found in them")
+        raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses: grasps are found in them")
     local = surface_points(clip.mesh, AREA_POINTS) if points == "area" else clip.mesh.vertices
     T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
     hands, faces = close_holes(truth.hand_vertices, clip.hand.faces)

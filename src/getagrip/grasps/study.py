@@ -179,7 +179,7 @@ def object_in_hand(clip: Clip) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, 
 
 def _truth(clip: Clip) -> Truth:
     if clip.truth is None:
-        raise InputError(clip.folder / "truth.npz", "", "no such file", "the true poses: they are what is studied")
+        raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses: they are what is studied")
     return clip.truth
 
 

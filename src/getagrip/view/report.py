@@ -183,8 +183,8 @@ def _seen(axes: Axes, view: _View, n: int, crops: Crops, k: int, K: Float[ndarra
 
 def _image(view: _View, n: int) -> UInt8[ndarray, "H W 3"]:
     """The frame's image where the clip has one, else its masks in colours."""
-    for suffix in (".jpg", ".png"):
-        file = view.clip.folder / "frames" / f"{view.clip.frames[n]}{suffix}"
+    for suffix in (".jpg", ".png") if view.clip.folder else ():
+        file = view.clip.origin / "frames" / f"{view.clip.frames[n]}{suffix}"
         if file.is_file():
             read = cv2.imread(str(file), cv2.IMREAD_COLOR)
             if read is None:

@@ -260,7 +260,6 @@ def clip(grasp: Grasp, meshes: Path, note: Callable[[str], None] = lambda _: Non
         joints=None if grasp.hand.track.joints is None else grasp.hand.track.joints[rows],
     )
     made = Clip(
-        folder=Path(grasp.name),
         name=grasp.name,
         category=recording.held,
         side=recording.side,

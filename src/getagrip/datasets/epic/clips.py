@@ -134,7 +134,6 @@ def clip(
     if hands is not None and hands.K is not None:
         camera = Camera(hands.K, "the hand file's")
     made = Clip(
-        folder=Path(grasp.name),
         name=grasp.name,
         category=grasp.category,
         side=grasp.side,

@@ -116,7 +116,7 @@ def noisy_hand(clip: Clip, noise: Noise, rng: np.random.Generator) -> HandTrack:
     if noise.finger_bias_deg == 0.0 and noise.finger_jitter_deg == 0.0:
         return hand
     if hand.joints is None:
-        raise InputError(clip.folder / "hand.npz", "joints", "none", "joints (T, 21, 3), to bend the fingers about")
+        raise InputError(clip.origin / "hand.npz", "joints", "none", "joints (T, 21, 3), to bend the fingers about")
     angles = np.radians(noise.finger_bias_deg) * fingers.normal(size=(5, 3))
     angles = angles + np.radians(noise.finger_jitter_deg) * _lasting(fingers.normal(size=(frames, 5, 3)), a)
     vertices, joints = bent(hand.vertices, hand.joints, finger_weights(hand), angles)

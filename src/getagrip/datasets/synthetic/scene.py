@@ -10,7 +10,6 @@ category and the options of the scene; noise has its own random stream, so it ca
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -136,7 +135,6 @@ def make_scene(category: str, seed: int, options: Options) -> Scene:
     width, height = options.size
     K = np.array([[options.focal, 0.0, width / 2.0], [0.0, options.focal, height / 2.0], [0.0, 0.0, 1.0]])
     clip = Clip(
-        folder=Path(),
         name=clip_name(category, seed, options),
         category=category,
         side="right",

@@ -1,0 +1,96 @@
+"""Frozen dataclasses that hold arrays: their shapes are checked when they are made, and they compare by content."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from functools import cache
+from types import UnionType
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+from jaxtyping import AbstractArray, Bool, Float, Int, Shaped
+from numpy import ndarray
+
+from getagrip.errors import UsageError
+from getagrip.io import files
+
+KINDS: dict[Any, tuple[str, type, str]] = {
+    Float: ("f", float, "floats"),
+    Int: ("iu", np.int64, "integers"),
+    Bool: ("b", bool, "booleans"),
+}
+"""Which of numpy's kinds each of jaxtyping's takes, what they are held as, and what errors call them."""
+
+
+class ArrayData:  # noqa: PLW1641 - not hashable, as arrays are not
+    """Base of frozen dataclasses, made with ``eq=False``, whose arrays have jaxtyping's shapes for annotations.
+
+    When one is made, numbers of another width are converted (float32 to float64). Any other type or shape raises
+    ``UsageError``; an axis has one length in all fields that name it. Objects of one class are equal where all their
+    fields hold the same values, NaN equal to NaN. Like arrays, they cannot be hashed.
+    """
+
+    def __post_init__(self) -> None:
+        data: type = type(self)
+        lengths: dict[str, int] = {}
+        for name, kind, axes in _array_fields(data):
+            if (value := getattr(self, name)) is not None:
+                array = as_array(f"{data.__name__}.{name}", value, kind, axes, lengths)
+                object.__setattr__(self, name, array)  # the way to set a field of a frozen dataclass
+
+    def __eq__(self, other: object) -> bool:
+        if type(self) is not type(other):
+            return NotImplemented
+        return all(same(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))  # type: ignore[arg-type]
+
+
+def same(a: object, b: object) -> bool:
+    """Whether two values are equal, arrays in dictionaries, lists and tuples included; NaN equals NaN."""
+    if isinstance(a, ndarray | float) and isinstance(b, ndarray | float):
+        a, b = np.asarray(a), np.asarray(b)
+        return np.array_equal(a, b, equal_nan=a.dtype.kind == b.dtype.kind == "f")
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, list | tuple) and type(a) is type(b):
+        return len(a) == len(b) and all(map(same, a, b))
+    return not isinstance(a, ndarray) and not isinstance(b, ndarray) and a == b
+
+
+def check_ids(name: str, ids: Int[ndarray, "..."], count: int) -> None:
+    """Raise ``UsageError`` for vertex ids of a mesh that has no such vertices."""
+    if ids.size and (ids.min() < 0 or ids.max() >= count):
+        bad = ids.min() if ids.min() < 0 else ids.max()
+        raise UsageError(f"{name}: got the vertex id {bad}, expected 0 to {count - 1}")
+
+
+def as_array(
+    name: str, value: object, kind: Any, axes: tuple[str, ...], lengths: dict[str, int]
+) -> Shaped[ndarray, "..."]:
+    """A field's array, of one of the ``KINDS`` and with the given axes, whose ``lengths`` are known or become so.
+
+    Raises ``UsageError`` in the name of the field.
+    """
+    numpy_kinds, dtype, called = KINDS[kind]
+    known = [int(axis) if axis.isdecimal() else lengths.get(axis) for axis in axes]
+    expected = str(tuple(axis if n is None else n for axis, n in zip(axes, known, strict=True))).replace("'", "")
+    if not isinstance(value, ndarray):
+        raise UsageError(f"{name}: got {files.shown(value)}, expected an array of {called} of shape {expected}")
+    fits = value.ndim == len(axes) and all(n in (None, m) for n, m in zip(known, value.shape, strict=True))
+    if not fits or value.dtype.kind not in numpy_kinds:
+        raise UsageError(f"{name}: got {value.dtype} of shape {value.shape}, expected {called} of shape {expected}")
+    lengths |= zip(axes, value.shape, strict=True)
+    return np.asarray(value, dtype)
+
+
+@cache
+def _array_fields(data: type) -> list[tuple[str, Any, tuple[str, ...]]]:
+    """Name, kind and axes of the fields of a dataclass that are arrays."""
+    hints = get_type_hints(data)
+    found = []
+    for field in fields(data):
+        hint = hints[field.name]
+        for one in get_args(hint) if isinstance(hint, UnionType) else (hint,):
+            if isinstance(one, type) and issubclass(one, AbstractArray):
+                found.append((field.name, one.dtype, tuple(one.dim_str.split())))
+    return found
