@@ -55,7 +55,7 @@ def drawn(path: Path) -> np.ndarray:
 def test_every_part_of_the_picture_is_drawn(tmp_path: Path) -> None:
     clip, masks, axis = given()
     metrics = {"add_mm": 1.0, "add_sym_mm": 1.0, "rotation_sym_deg": 2.0}
-    picture = drawn(write_report(clip, masks, result_of(clip, axis), tmp_path / "report.png", metrics))
+    picture = drawn(write_report(result_of(clip, axis), clip, masks, tmp_path / "report.png", metrics))
     height, width, _ = picture.shape
     assert min(height, width) > 1000
     # No row of tiles and no plot is empty, nor do their contents touch the picture's border.
@@ -71,7 +71,7 @@ def test_results_without_axis_truth_masks_or_many_frames(with_masks: bool, tmp_p
     two = clip.take(np.array([1, 4]))
     result = result_of(two, None)
     blind = replace(clip, truth=None)
-    report = write_report(blind, masks if with_masks else None, result, tmp_path / "report.png")
+    report = write_report(result, blind, masks if with_masks else None, tmp_path / "report.png")
     assert drawn(report).std() > 5.0
 
 
@@ -89,7 +89,7 @@ def test_a_result_of_another_clip_is_refused(tmp_path: Path) -> None:
     clip, masks, axis = given()
     result = replace(result_of(clip, axis), frames=tuple(f"x{n}" for n in range(6)))
     with pytest.raises(InputError, match="x0"):
-        write_report(clip, masks, result, tmp_path / "report.png")
+        write_report(result, clip, masks, tmp_path / "report.png")
     assert not (tmp_path / "report.png").exists()
 
 

@@ -1,7 +1,8 @@
 """Clips: what they hold, and their folders (docs/formats.md)."""
 
-from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth, seen_frames
+from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth, check_masks, seen_frames
 from getagrip.clip.masks import find_masks, read_masks, read_seen
+from getagrip.clip.plausible import check_clip
 from getagrip.clip.reading import input_sha256, read_clip, read_name
 from getagrip.clip.writing import write_clip
 
@@ -11,6 +12,8 @@ __all__ = [
     "HandTrack",
     "Masks",
     "Truth",
+    "check_clip",
+    "check_masks",
     "find_masks",
     "input_sha256",
     "read_clip",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +14,7 @@ from numpy import ndarray
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh
 from getagrip.io.array_data import ArrayData, as_array, check_ids
+from getagrip.io.files import shown
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
@@ -160,6 +162,15 @@ class Clip(ArrayData):
     def __len__(self) -> int:
         return len(self.frames)
 
+    def index_of(self, frames: Sequence[str]) -> Int[ndarray, "n"]:
+        """Where the named frames are in the clip. Raises ``InputError`` for a name that is none of its frames."""
+        place = {name: n for n, name in enumerate(self.frames)}
+        unknown = next((name for name in frames if name not in place), None)
+        if unknown is not None:
+            known = f"frames of the clip, {self.frames[0]} to {self.frames[-1]}"
+            raise InputError(self.origin, "frames", f"the frame {shown(unknown)}", known)
+        return np.array([place[name] for name in frames], dtype=np.int64)
+
     def take(self, index: Int[ndarray, "n"]) -> Clip:
         """The clip at some of its frames, in the given order."""
         hand = replace(
@@ -177,6 +188,13 @@ class Clip(ArrayData):
         )
         frames = tuple(self.frames[i] for i in index)
         return replace(self, frames=frames, K=self.K[index], hand=hand, truth=truth)
+
+
+def check_masks(clip: Clip, masks: Masks) -> None:
+    """Raise ``UsageError`` for masks of another clip: of other frames, or another size."""
+    expected = (len(clip), clip.size[1], clip.size[0])
+    if masks.object.shape != expected:
+        raise UsageError(f"masks: got the shape {masks.object.shape}, expected {expected}, as of the clip {clip.name}")
 
 
 def seen_frames(clip: Clip, seen: Bool[ndarray, "T"]) -> Clip:

@@ -1,4 +1,4 @@
-"""What hands and objects before a camera can be; what they cannot be is told with the mistake that it points to."""
+"""What hands and objects before a camera can be. Errors name the mistake that usually leads to what they cannot be."""
 
 from __future__ import annotations
 
@@ -8,15 +8,51 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip.data import HandTrack
+from getagrip.clip.data import Clip, HandTrack
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
+from getagrip.geometry.mesh import check_size
 
 NEAREST, FARTHEST = 0.05, 20.0
 """Plausible distances from the camera [m]."""
 OFF_ORIGIN = 0.25
 """Largest distance of a hand's middle from the origin of the hand frame, which lies in the hand [m]."""
+
+
+def check_clip(clip: Clip) -> None:
+    """Raise ``InputError`` for what ``read_clip`` refuses in files: a clip may have been made of arrays instead."""
+    path, mesh = clip.origin, clip.mesh
+    hand = {"vertices": clip.hand.vertices, "T_cam_hand": clip.hand.T_cam_hand}
+    for key, array in {"K": clip.K, "mesh": mesh.vertices, **hand}.items():
+        if not np.isfinite(array).all():
+            raise InputError(path, key, "NaN or infinite numbers", "finite numbers")
+    check_intrinsics(path, clip.K, clip.size)
+    check_hand(path, clip.hand)
+    check_in_view(path, clip.hand, clip.K, clip.size)
+    check_size(path, "mesh", float(np.ptp(mesh.vertices, axis=0).max()), "the object")
+    if mesh.is_closed and mesh.volume < 0:
+        raise InputError(path, "mesh", "faces that look inward", "faces counter-clockwise seen from outside")
+
+
+def check_hand(path: Path, hand: HandTrack) -> None:
+    """Raise ``InputError`` for hands of no hand's size, away from the origin, inside out, or not before the camera."""
+    if not hand.vertices.size:
+        raise InputError(path, "vertices", "a hand without vertices", "its vertices in every frame")
+    extent = np.ptp(hand.vertices, axis=1).max(axis=-1)
+    check_size(path, "vertices", float(extent.max()), "a hand")
+    check_size(path, "vertices", float(extent.min()), "a hand")
+    check_in_hand(path, "vertices", hand.vertices, "a hand")
+    twice = np.any(hand.faces == np.roll(hand.faces, 1, axis=1), axis=1)
+    if twice.any():
+        bad = f"{np.count_nonzero(twice)} faces with a vertex twice (first: {np.argmax(twice)})"
+        raise InputError(path, "faces", bad, "triangles")
+    corners = (hand.vertices[0] - hand.vertices[0].mean(axis=0))[hand.faces]
+    if np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) < 0:
+        raise InputError(path, "faces", "faces that look inward", "faces counter-clockwise seen from outside")
+    check_poses(path, "T_cam_hand", hand.T_cam_hand, hand.vertices.mean(axis=1), "the hand")
+    if hand.joints is not None:
+        check_in_hand(path, "joints", hand.joints, "joints")
 
 
 def check_intrinsics(path: Path, K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> None:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip.data import FINGERS, Clip, HandTrack, Truth
-from getagrip.clip.plausible import check_in_hand, check_in_view, check_intrinsics, check_poses
+from getagrip.clip.plausible import check_hand, check_in_hand, check_in_view, check_intrinsics, check_poses
 from getagrip.errors import InputError
 from getagrip.geometry.mesh import Mesh, check_size, read_mesh
 from getagrip.io import arrays, files
@@ -196,24 +196,12 @@ def read_hand(path: Path, frames: int) -> HandTrack:
     named = ("vertices", "faces", "T_cam_hand", "joints")
     given = arrays.read(path, lambda key: key in named or key.startswith("region_"))
     vertices = arrays.floats(path, given, "vertices", (frames, -1, 3))
-    for extent in (np.ptp(vertices, axis=1).max(axis=-1).max(), np.ptp(vertices, axis=1).max(axis=-1).min()):
-        check_size(path, "vertices", float(extent), "a hand")
-    check_in_hand(path, "vertices", vertices, "a hand")
     faces = arrays.indices(path, given, "faces", vertices.shape[1], (-1, 3))
-    twice = np.any(faces == np.roll(faces, 1, axis=1), axis=1)
-    if twice.any():
-        bad = f"{np.count_nonzero(twice)} faces with a vertex twice (first: {np.argmax(twice)})"
-        raise InputError(path, "faces", bad, "triangles")
-    corners = (vertices[0] - vertices[0].mean(axis=0))[faces]
-    if np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) < 0:
-        raise InputError(path, "faces", "faces that look inward", "faces counter-clockwise seen from outside")
     T_cam_hand = arrays.floats(path, given, "T_cam_hand", (frames, 4, 4))
-    check_poses(path, "T_cam_hand", T_cam_hand, vertices.mean(axis=1), "the hand")
-    joints = None
-    if "joints" in given:
-        joints = arrays.floats(path, given, "joints", (frames, 21, 3))
-        check_in_hand(path, "joints", joints, "joints")
-    return HandTrack(vertices, faces, T_cam_hand, _regions(path, given, vertices.shape[1]), joints)
+    joints = arrays.floats(path, given, "joints", (frames, 21, 3)) if "joints" in given else None
+    hand = HandTrack(vertices, faces, T_cam_hand, _regions(path, given, vertices.shape[1]), joints)
+    check_hand(path, hand)
+    return hand
 
 
 def _regions(path: Path, given: dict[str, ndarray], count: int) -> dict[str, Int[ndarray, "_"]]:

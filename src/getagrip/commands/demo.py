@@ -45,7 +45,7 @@ def run(out: Path) -> None:
         screen.print(f"result   {folder}")
 
         bar.update(steps, completed=3.0, description="draw the report")
-        report = write_report(clip, masks, result, out / "report.png", evaluation["metrics"])
+        report = write_report(result, clip, masks, out / "report.png", evaluation["metrics"])
         screen.print(f"report   {report}\n")
     screen.print(*tables([evaluation]), sep="\n")
 

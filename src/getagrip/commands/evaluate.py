@@ -119,5 +119,5 @@ def report_result(folder: Path) -> int:
 
     result, clip, masks = read_evaluated(folder)
     metrics = evaluate(result, clip, masks)["metrics"]
-    print(write_report(clip, masks, result, folder / "report.png", metrics))
+    print(write_report(result, clip, masks, folder / "report.png", metrics))
     return 0

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from getagrip.clip import Clip, Masks, find_masks, input_sha256, read_clip
+from getagrip.clip import Clip, Masks, check_masks, find_masks, input_sha256, read_clip
 from getagrip.errors import InputError
 from getagrip.evaluation.comparison import Comparison
 from getagrip.evaluation.metric import measure
@@ -35,21 +35,21 @@ def read_evaluated(folder: Path, clips: str | Path | None = None) -> tuple[Recon
     """A result, and its clip and masks at the result's frames. Raises ``InputError`` as ``evaluate_result`` does."""
     result, record = read_result(folder)
     clip = clip_of(folder, result, record, clips)
-    index = {name: n for n, name in enumerate(clip.frames)}
-    unknown = next((name for name in result.frames if name not in index), None)
-    if unknown is not None:
-        known = f"frames of the clip {clip.origin}, {clip.frames[0]} to {clip.frames[-1]}"
-        raise InputError(folder / "result.npz", "frames", f"the frame {files.shown(unknown)}", known)
-    clip = clip.take(np.array([index[name] for name in result.frames]))
+    clip = clip.take(clip.index_of(result.frames))
     return result, clip, find_masks(clip)
 
 
-def evaluate(result: Reconstruction, clip: Clip, masks: Masks | None) -> dict[str, Any]:
-    """All metrics of a reconstruction: ``metrics`` (one number each) and ``per_frame`` (a list each).
+def evaluate(result: Reconstruction, clip: Clip, masks: Masks | None = None) -> dict[str, Any]:
+    """All metrics of a reconstruction (docs/metrics.md), at the result's frames of the clip and its masks.
 
-    ``clip`` and ``masks`` hold the result's frames, in its order. What needs masks or ground truth is left out without
-    them.
+    ``metrics`` has one number each, ``per_frame`` a list each; names end in their units. What needs masks or ground
+    truth is left out without them. Raises ``InputError`` for a frame of the result that is none of the clip's, and
+    ``UsageError`` for masks of another clip.
     """
+    if masks is not None:
+        check_masks(clip, masks)
+    index = clip.index_of(result.frames)
+    clip, masks = clip.take(index), None if masks is None else masks.take(index)
     it = _ResultComparison(clip, masks, ObjectTrack(result.T_hand_obj, result.scale))
     symmetry = None if clip.truth is None else it.symmetries.describe()
     return evaluation(it, result.method, symmetry)

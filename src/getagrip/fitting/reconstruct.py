@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from threadpoolctl import threadpool_limits
 
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Clip, Masks, check_clip, check_masks
 from getagrip.fitting.energy.mask import SilhouetteMesh
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
@@ -33,13 +33,17 @@ def reconstruct(
     """Find the object's pose in the hand in every frame by comparing rendered and observed masks (Eq. 4).
 
     ``masks`` are those of the clip's frames; without them, those of the frames that are used are read from its folder.
-    ``progress`` is called with the name of the stage that has ended and the fraction done. Raises ``InputError`` when
-    the object is visible in fewer than two frames and ``GetagripError`` when nothing can be rendered.
+    ``progress`` is called with the name of the stage that has ended and the fraction done. Raises ``UsageError`` for
+    masks of another clip, ``InputError`` for what no clip can be (as ``read_clip`` does) and where the object is
+    visible in fewer than two frames, and ``GetagripError`` when nothing can be rendered.
 
     BLAS runs on one thread meanwhile, in the whole process: the matrices are small, and threads of it that wait for a
     core that somebody else has make a clip take ten times as long.
     """
     options = options or Options()
+    check_clip(clip)
+    if masks is not None:
+        check_masks(clip, masks)
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress)
         problem = prepare(clip, masks, options)

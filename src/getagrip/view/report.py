@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Clip, Masks, check_masks
 from getagrip.errors import InputError
 from getagrip.fitting.methods import METHODS
 from getagrip.geometry import se3
@@ -37,9 +37,9 @@ SEEN, IGNORED = (126, 158, 184), (216, 200, 186)
 
 
 def write_report(
+    result: Reconstruction,
     clip: Clip,
     masks: Masks | None,
-    result: Reconstruction,
     path: str | Path,
     metrics: Mapping[str, float] | None = None,
 ) -> Path:
@@ -47,18 +47,13 @@ def write_report(
 
     ``clip`` and ``masks`` may have more frames than the result; ``metrics`` are those of ``evaluate``, of which ADD and
     IOU are shown where they are there. Images are read from the clip's folder where it has them; without images the
-    masks are drawn. Raises ``InputError`` when a frame of the result is none of the clip's.
+    masks are drawn. Raises ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for
+    masks of another clip.
     """
-    index = {name: n for n, name in enumerate(clip.frames)}
-    missing = [name for name in result.frames if name not in index]
-    if missing:
-        raise InputError(path, "frames", f"frame {missing[0]!r}", f"a frame of the clip {clip.name}")
-    chosen = np.array([index[name] for name in result.frames])
-    view = _View(
-        clip.take(chosen),
-        None if masks is None else Masks(masks.object[chosen], masks.ignore[chosen]),
-        result,
-    )
+    if masks is not None:
+        check_masks(clip, masks)
+    index = clip.index_of(result.frames)
+    view = _View(clip.take(index), None if masks is None else masks.take(index), result)
     figure = _draw(view, metrics or {})
     figure.savefig(path, facecolor="white")
     return Path(path)
