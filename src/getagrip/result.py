@@ -181,15 +181,16 @@ def read_record(folder: str | Path) -> dict[str, Any]:
 def write_result(
     result: Reconstruction,
     folder: str | Path,
-    input_sha256: str,
+    input_sha256: str = "",
     metrics: dict[str, Any] | None = None,
     clip_folder: str | Path | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write a result folder, complete or not at all, and return it.
 
-    ``clip_folder`` is remembered, so that ``evaluate`` finds the clip again. With ``overwrite`` an older result in
-    ``folder`` is replaced. Raises ``UsageError`` where the folder exists otherwise.
+    ``input_sha256`` is the checksum of the clip's files (``clip.input_sha256``), if it has any: ``getagrip evaluate``
+    takes no other clip for it. ``clip_folder`` is where that command looks for the clip. With ``overwrite`` an older
+    result in ``folder`` is replaced. Raises ``UsageError`` where the folder exists otherwise.
     """
     folder = Path(folder)
     with files.new_folder(folder, FILES if overwrite else ()) as new:

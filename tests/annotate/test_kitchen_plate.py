@@ -54,7 +54,7 @@ def test_from_video_to_reconstruction(tmp_path: Path, run: Run) -> None:
     finally:
         video.close()
     assert min(made.confidence.values()) > 0.85
-    write_mesh(tmp_path / "plate.obj", plate())
+    write_mesh(plate(), tmp_path / "plate.obj")
     words = made.command.split()[1:]
     words[words.index(said.video)] = str(VIDEO)
     words[words.index("MESH")], words[words.index("CLIP")] = str(tmp_path / "plate.obj"), str(tmp_path / "carried")

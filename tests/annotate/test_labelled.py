@@ -111,7 +111,7 @@ def test_labels_become_a_clip(tmp_path: Path, run: Run) -> None:
     made = make(labels_of(0, LAST), image, Lens(), tmp_path / "made")
     assert made.confidence[0] == made.confidence[LAST] == 1.0
     assert sorted(made.confidence) == list(range(LAST + 1))
-    write_mesh(tmp_path / "box.obj", box(0.1, 0.08, 0.002))
+    write_mesh(box(0.1, 0.08, 0.002), tmp_path / "box.obj")
     words = made.command.split()[1:]
     words[words.index("shaken.mp4")] = str(video)
     words[words.index("MESH")], words[words.index("CLIP")] = str(tmp_path / "box.obj"), str(tmp_path / "shaken")

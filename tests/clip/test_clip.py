@@ -202,7 +202,7 @@ def test_a_full_disk_is_an_error_that_names_the_file(tmp_path: Path, name: str) 
         ".jpg": lambda: write_image(path, np.zeros((24, 32, 3), np.uint8)),
         ".json": lambda: files.write_json(path, {}),
         ".npz": lambda: write_hand(clip.hand, path),
-        ".obj": lambda: write_mesh(path, clip.mesh),
+        ".obj": lambda: write_mesh(clip.mesh, path),
     }
     with pytest.raises(OSError, match="No space left") as caught:
         write[path.suffix]()

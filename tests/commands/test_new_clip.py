@@ -64,7 +64,7 @@ def made(tmp_path: Path) -> Path:
         mask[20:30, 10 + n : 30 + n] = 1
         mask[30:40, 10:30] = 2
         cv2.imwrite(str(tmp_path / "masks" / f"{n:05d}.png"), mask)
-    write_mesh(tmp_path / "unit.obj", box(1.0, 0.6, 0.5))
+    write_mesh(box(1.0, 0.6, 0.5), tmp_path / "unit.obj")
     hand = generic.load("right").with_shape().with_pose()
     T = np.tile(se3.rigid(None, AHEAD), (6, 1, 1))
     write_hand(hand_track(hand, T), tmp_path / "six.npz")

@@ -47,7 +47,7 @@ def write(meshes: list[Mesh | None], clip: Clip, folder: Path, suffix: str = ".o
     folder.mkdir(parents=True)
     for name, mesh in zip(clip.frames, meshes, strict=True):
         if mesh is not None:
-            write_mesh(folder / f"{name}{suffix}", mesh)
+            write_mesh(mesh, folder / f"{name}{suffix}")
     return folder
 
 
@@ -224,11 +224,11 @@ def test_folders_that_hold_no_frames_are_told(
 ) -> None:
     clip, _ = scene
     folder = write(true_meshes(clip), clip, tmp_path / "meshes")
-    write_mesh(folder / "frame_2.obj", clip.mesh)
+    write_mesh(clip.mesh, folder / "frame_2.obj")
     _, errors = read_meshes(folder, clip, "hand")
     assert "another mesh" in str(errors[0])
     (tmp_path / "empty").mkdir()
-    write_mesh(tmp_path / "empty" / "mug.obj", clip.mesh)
+    write_mesh(clip.mesh, tmp_path / "empty" / "mug.obj")
     refused(lambda: read_meshes(tmp_path / "empty", clip, "hand"), "no mesh named like a frame", "000000.obj")
 
 

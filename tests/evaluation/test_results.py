@@ -138,7 +138,7 @@ def test_errors_name_what_does_not_fit(scene: tuple[Clip, Masks], tmp_path: Path
     folder = write_result(perfect(scene[0], "other"), tmp_path / "other", input_sha256(clip), clip_folder=clip)
     with pytest.raises(InputError, match="name: got 'egg-and-mug', expected 'other'"):
         ev.evaluate_result(folder)
-    write_mesh(clip / "object.obj", shapes.cup())
+    write_mesh(shapes.cup(), clip / "object.obj")
     with pytest.raises(InputError, match=r"input_sha256: .*reconstruct it again"):
         ev.evaluate_result(result)
 

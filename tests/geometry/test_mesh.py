@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.distance import pdist
 
+from getagrip.errors import UsageError
 from getagrip.geometry.mesh import (
     SUFFIXES,
     Mesh,
@@ -149,17 +150,22 @@ def test_merging_finds_the_first_of_equal_vertices(copies: list[int]) -> None:
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_meshes_survive_being_written(tmp_path: Path, suffix: str) -> None:
     mesh = sphere()
-    write_mesh(tmp_path / f"mesh{suffix}", mesh)
-    back = read_mesh(tmp_path / f"mesh{suffix}")
+    back = read_mesh(write_mesh(mesh, f"{tmp_path}/mesh{suffix}"))
     assert back.is_closed
     assert len(back.vertices) == len(mesh.vertices)
     assert back.volume == pytest.approx(mesh.volume, rel=1e-5)
     np.testing.assert_allclose(np.sort(back.vertices, axis=0), np.sort(mesh.vertices, axis=0), atol=1e-7)
 
 
+def test_other_kinds_of_files_are_not_written(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"got the suffix '.fbx', expected one of .obj, "):
+        write_mesh(sphere(), tmp_path / "mesh.fbx")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_closed_meshes_wound_inward_are_turned(tmp_path: Path) -> None:
     mesh = sphere()
-    write_mesh(tmp_path / "inward.ply", Mesh(mesh.vertices, mesh.faces[:, ::-1].copy()))
+    write_mesh(Mesh(mesh.vertices, mesh.faces[:, ::-1].copy()), tmp_path / "inward.ply")
     assert read_mesh(tmp_path / "inward.ply").volume == pytest.approx(mesh.volume, rel=1e-5)
 
 

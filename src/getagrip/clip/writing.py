@@ -40,7 +40,7 @@ def fill_folder(
 ) -> None:
     """Write the files of a clip into an empty folder, as ``write_clip`` does."""
     files.write_json(folder / "clip.json", _fields(clip))
-    write_mesh(folder / "object.obj", clip.mesh)
+    write_mesh(clip.mesh, folder / "object.obj")
     if clip.hand.vertices.size:
         write_hand(clip.hand, folder / "hand.npz")
     if clip.truth is not None:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry.obj import parse_obj
 from getagrip.io import files
 from getagrip.io.array_data import ArrayData, check_ids
@@ -166,12 +166,14 @@ def diameter(points: Float[ndarray, "V 3"]) -> float:
     return float(best)
 
 
-def read_mesh(path: Path) -> Mesh:
-    """Read and check a triangle mesh in metres, its parts where the file's own transforms put them.
+def read_mesh(path: str | Path) -> Mesh:
+    """Read and check a triangle mesh in metres (.obj, .ply, .stl, .glb), its parts where the file's own transforms put
+    them.
 
     Closed meshes that are wound inward are turned outward. Raises ``InputError`` for an unreadable file, no faces,
     degenerate faces, non-finite vertices or an absurd size.
     """
+    path = Path(path)
     return checked_mesh(path, *parse_mesh(path))
 
 
@@ -294,13 +296,17 @@ def check_size(path: Path, key: str, extent: float, what: str) -> None:
         raise InputError(path, key, f"{what} {extent:.4g} m large", f"at least {SMALLEST:g} m; is the unit the metre?")
 
 
-def write_mesh(path: Path, mesh: Mesh) -> None:
-    """Write a mesh as .obj, .ply, .stl or .glb."""
+def write_mesh(mesh: Mesh, path: str | Path) -> Path:
+    """Write a mesh as .obj, .ply, .stl or .glb, and return its path. Raises ``UsageError`` for other suffixes."""
     import trimesh
 
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"{path}: got the suffix {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
     stream = io.BytesIO()
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(stream, file_type=path.suffix[1:].lower())
     files.write_bytes(path, stream.getvalue())
+    return path
 
 
 def decimate(mesh: Mesh, faces: int) -> Mesh:

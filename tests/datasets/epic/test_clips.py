@@ -121,7 +121,7 @@ def test_meshes_and_cameras_are_brought_along(run: Run, epic_folder: Path, refus
     from getagrip.geometry.mesh import write_mesh
 
     (epic_folder / "cad").mkdir()
-    write_mesh(epic_folder / "cad" / "bottle.obj", CATEGORIES["can"].make())
+    write_mesh(CATEGORIES["can"].make(), epic_folder / "cad" / "bottle.obj")
     (epic_folder / "cameras").mkdir()
     camera = {"id": 1, "model": "OPENCV", "width": 456, "height": 256, "params": [240, 250, 228, 128, 0.1, 0, 0, 0]}
     (epic_folder / "cameras" / f"{V}.json").write_text(json.dumps({"images": {}, "camera": camera, "points": []}))
