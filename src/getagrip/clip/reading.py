@@ -58,8 +58,8 @@ def read_clip(folder: str | Path) -> Clip:
 
 
 @dataclass(frozen=True)
-class Outline:
-    """What ``clip.json`` says, its hands, mesh and masks not looked at."""
+class ClipHeader:
+    """The content of ``clip.json``; hands, mesh and masks are not read."""
 
     folder: Path
     fields: dict[str, Any]
@@ -69,12 +69,12 @@ class Outline:
     K: Float[ndarray, "T 3 3"]
 
 
-def read_outline(folder: str | Path) -> Outline:
-    """The outline of a clip, which may lack its hands yet. Raises ``InputError``."""
+def read_header(folder: str | Path) -> ClipHeader:
+    """The header of a clip, which may lack its hands yet. Raises ``InputError``."""
     folder = _folder(folder)
     fields, path = _fields(folder), folder / "clip.json"
     frames, size = _frame_names(path, fields["frames"]), _size(path, fields["size"])
-    return Outline(folder, fields, frames, size, _intrinsics(path, fields["camera"], len(frames), size))
+    return ClipHeader(folder, fields, frames, size, _intrinsics(path, fields["camera"], len(frames), size))
 
 
 def read_name(folder: str | Path) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.clip.plausible import check_in_view
-from getagrip.clip.reading import Outline, read_outline
+from getagrip.clip.reading import ClipHeader, read_header
 from getagrip.clip.writing import write_hand
 from getagrip.errors import UsageError
 from getagrip.hands.fit import JointOrder
@@ -85,21 +85,21 @@ def into_clip(paths: Sequence[Path], source: Source, given: Reading, folder: Pat
 
     Of ``given``, side, frames and camera are the clip's. Raises ``UsageError`` where there are hands already.
     """
-    outline = read_outline(folder)
-    target = outline.folder / "hand.npz"
+    header = read_header(folder)
+    target = header.folder / "hand.npz"
     if target.exists() and not overwrite:
         raise UsageError(f"{target}: exists already; --overwrite replaces it")
-    side: Side = outline.fields["side"]
-    wanted = replace(given, side=side, frames=outline.frames, K=outline.K, size=outline.size)
+    side: Side = header.fields["side"]
+    wanted = replace(given, side=side, frames=header.frames, K=header.K, size=header.size)
     hands = read(paths, source, wanted)
-    check_in_view(paths[0], hands.track, outline.K[list(hands.found)], outline.size)
-    if len(hands.found) < len(outline.frames) and (outline.folder / "truth.npz").exists():
-        missing = len(outline.frames) - len(hands.found)
+    check_in_view(paths[0], hands.track, header.K[list(hands.found)], header.size)
+    if len(hands.found) < len(header.frames) and (header.folder / "truth.npz").exists():
+        missing = len(header.frames) - len(hands.found)
         raise UsageError(f"{folder}: got no hand in {missing} frames, expected one in each, since it has a truth.npz")
-    with files.new_file(target) as hand, files.new_file(outline.folder / "clip.json") as fields:
+    with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
         write_hand(hands.track, hand)
-        files.write_json(fields, _fields(outline, hands))
-    _say(hands, outline.frames)
+        files.write_json(fields, _fields(header, hands))
+    _say(hands, header.frames)
     print(target)
     return 0
 
@@ -131,16 +131,16 @@ def into_file(paths: Sequence[Path], source: Source, given: Reading, frames: Fra
     return 0
 
 
-def _fields(outline: Outline, hands: Hands) -> dict[str, object]:
+def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
     """What ``clip.json`` says with the hands: where they come from, and which frames have one."""
-    fields = dict(outline.fields)
-    left_out = [name for n, name in enumerate(outline.frames) if n not in hands.found]
+    fields = dict(header.fields)
+    left_out = [name for n, name in enumerate(header.frames) if n not in hands.found]
     fields["provenance"] = dict(fields["provenance"]) | hands.provenance
     if left_out:
-        fields["frames"] = [outline.frames[n] for n in hands.found]
+        fields["frames"] = [header.frames[n] for n in hands.found]
         fields["provenance"]["frames_without_hand"] = f"left out: {', '.join(left_out)}"
         if np.ndim(fields["camera"]["K"]) == 3:
-            fields["camera"] = {"K": outline.K[list(hands.found)]}
+            fields["camera"] = {"K": header.K[list(hands.found)]}
     return fields
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from getagrip.clip.mask_sources import MaskReader, Wanted, open_masks
-from getagrip.clip.reading import read_outline
+from getagrip.clip.reading import read_header
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.images import write_mask
@@ -19,22 +19,22 @@ def into_clip(
     ``first`` is the number in the name of the first frame's mask, where masks are counted differently. Raises
     ``InputError``, and ``UsageError`` where there are masks already.
     """
-    outline = read_outline(folder)
-    target = outline.folder / "masks"
+    header = read_header(folder)
+    target = header.folder / "masks"
     if target.exists() and not overwrite:
         raise UsageError(f"{target}: exists already; --overwrite replaces it")
-    names = outline.frames
+    names = header.frames
     if first is not None:
         numbers = [int(name) if name.isascii() and name.isdigit() else -1 for name in names]
         if min(numbers) < 0:
             raise UsageError(f"--first: got {first}, expected none: the clip's frames have no numbers")
         names = tuple(f"{number - numbers[0] + first:06d}" for number in numbers)
-    reader = open_masks(source, Wanted(names, outline.size, objects, ignore))
-    provenance = dict(outline.fields["provenance"]) | {"masks": told(source, objects, ignore)}
+    reader = open_masks(source, Wanted(names, header.size, objects, ignore))
+    provenance = dict(header.fields["provenance"]) | {"masks": told(source, objects, ignore)}
     with files.new_folder(target, ("object",) if overwrite else ()) as new:
-        seen = write_masks(reader, outline.frames, new)
-        with files.new_file(outline.folder / "clip.json") as part:
-            files.write_json(part, outline.fields | {"provenance": provenance})
+        seen = write_masks(reader, header.frames, new)
+        with files.new_file(header.folder / "clip.json") as part:
+            files.write_json(part, header.fields | {"provenance": provenance})
     print(f"{target}: the object is seen in {seen} of {len(names)} frames")
     return 0
 
