@@ -2,6 +2,7 @@
 
 A pixel belongs to a polygon where its centre is inside, and along the border within half a pixel (``cv2.fillPoly``, to
 1/256 px). Run lengths go down the columns, beginning with pixels that are outside; compressed ones are COCO's texts.
+Not pycocotools (2.0.11): runs that end early leave stray memory in its masks, and a random text can abort the process.
 """
 
 from __future__ import annotations

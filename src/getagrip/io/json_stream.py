@@ -1,4 +1,8 @@
-"""JSON files that are too large to hold: one member of the outermost object, or the items of its list one by one."""
+"""JSON files that are too large to hold: one member of the outermost object, or the items of its list one by one.
+
+Not ijson: it bounds neither an item nor its depth (20 kB of nested brackets take it 1 GB), and a list that is missing
+looks to it like an empty one.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +20,8 @@ from getagrip.io.files import plain, shown
 
 LARGEST_ITEM = 4 * 2**20
 """Limit in characters of one item; in memory it may take some twenty times as much."""
+LARGEST, MOST = 2**31, 10**6
+"""Limits of one file, in bytes that are read (unpacked) and in values: a small ``.zip`` may hold any number."""
 CHUNK = 2**16
 _SPACE = " \t\n\r"
 
@@ -24,7 +30,7 @@ def items(path: Path, key: str) -> Iterator[dict[str, Any]]:
     """The objects in the list ``key`` of a JSON object, in order; the other members are left unread.
 
     ``path`` is the file, or a ``.zip`` that holds it alone. Raises ``InputError`` for text that is no JSON, a file that
-    is cut short, NaN, a list that is missing or holds anything but objects, and an item above ``LARGEST_ITEM``.
+    is cut short, NaN, a list that is missing or holds anything but objects, and an item or a file above the limits.
     """
     with _opened(path) as stream:
         text = _Text(path, stream)
@@ -80,6 +86,7 @@ class _Text:
         self.decode = codecs.getincrementaldecoder("utf-8-sig")().decode
         self.parse = json.JSONDecoder(parse_constant=self._refuse).raw_decode
         self.window, self.ended = "", False
+        self.length = self.values = 0
 
     def enter(self, wanted: str) -> None:
         """Move on to the value of a key of the object."""
@@ -116,6 +123,9 @@ class _Text:
 
     def value(self, key: str) -> Any:
         """Read a value: with the text that is there or, where that does not parse, with twice as much."""
+        self.values += 1
+        if self.values > MOST:
+            raise InputError(self.path, key, f"more than {MOST} values", f"at most {MOST}")
         while True:
             self.window = self.window.lstrip(_SPACE)
             try:
@@ -139,6 +149,9 @@ class _Text:
             return False
         content = self.stream.read(max(least, CHUNK))
         self.ended = not content
+        self.length += len(content)
+        if self.length > LARGEST:
+            raise InputError(self.path, "", f"more than {LARGEST} bytes", f"at most {LARGEST}, unpacked")
         try:
             self.window += self.decode(content, self.ended)
         except UnicodeDecodeError as error:

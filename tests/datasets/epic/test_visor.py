@@ -189,6 +189,18 @@ def test_an_endless_item_is_refused_before_memory_is_out(
     tracemalloc.stop()
 
 
+@pytest.mark.parametrize(("limit", "words"), [("LARGEST", "more than 100000 bytes"), ("MOST", "100000 values")])
+def test_an_endless_file_is_refused(
+    tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch, limit: str, words: str
+) -> None:
+    monkeypatch.setattr(json_stream, limit, 100_000)
+    path = tmp_path / "any.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("any.json", '{"wanted": [' + "{}," * 400_000 + "{}]}")
+    assert path.stat().st_size < 10_000
+    refused(lambda: list(json_stream.items(path, "wanted")), words)
+
+
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
