@@ -22,6 +22,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.stable import OPENED, Definition, contact_iou, contact_sets, fragments, segment
 from getagrip.metrics.contact import contact_distances
+from getagrip.metrics.pose import ObjectTrack
 from getagrip.view.matrix import write_matrix
 from helpers.clips import box, small_clip
 from helpers.command_line import Run
@@ -66,7 +67,7 @@ def test_contact_is_where_the_formula_says_and_what_the_metrics_count() -> None:
     clip = held(ball(RADIUS), np.array([[0.055, 0.0, 0.0], [0.0, 0.0, 0.2]]))
     assert clip.truth is not None
     T = se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
-    distances = contact_distances(clip.mesh, 1.0, T, clip.truth.hand_vertices, clip.hand.faces)
+    (distances,) = contact_distances(clip.mesh, [ObjectTrack(T, 1.0)], clip.truth.hand_vertices, clip.hand.faces)
     for threshold in (0.0, 0.005):
         found = contact_sets(clip, threshold)
         exact = np.linalg.norm(clip.mesh.vertices + np.array([0.055, 0.0, 0.0]), axis=1) - RADIUS

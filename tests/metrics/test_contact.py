@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import (
-    REACH,
+    MAX_DISTANCE,
     SIDES,
     close_holes,
     contact_distances,
@@ -20,6 +20,7 @@ from getagrip.metrics.contact import (
     signed_distance,
     stable_contact_area,
 )
+from getagrip.metrics.pose import ObjectTrack
 
 sets = arrays(bool, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=20))
 
@@ -65,7 +66,7 @@ def test_signed_distance_to_a_ball(seed: int, radius: float) -> None:
     exact = np.linalg.norm(points, axis=1) - radius
     found = signed_distance(points, ball.vertices, ball.faces)
     np.testing.assert_allclose(found, exact, atol=0.004 * radius)
-    near = signed_distance(points, ball.vertices, ball.faces, reach=0.2 * radius)
+    near = signed_distance(points, ball.vertices, ball.faces, max_distance=0.2 * radius)
     np.testing.assert_array_equal(near[found <= 0.2 * radius], found[found <= 0.2 * radius])
     assert np.all(near[found > 0.2 * radius] > 0.2 * radius)
 
@@ -82,7 +83,7 @@ def test_what_lies_in_two_overlapping_parts_lies_inside() -> None:
 
 def test_hand_and_object_side_agree_on_a_ball_in_a_ball() -> None:
     small, large = sphere(0.020), sphere(0.026)
-    inside = contact_distances(small, 1.0, np.eye(4)[None], large.vertices[None], large.faces)
+    (inside,) = contact_distances(small, [ObjectTrack(np.eye(4)[None], 1.0)], large.vertices[None], large.faces)
     np.testing.assert_allclose(inside.object, -0.006, atol=1e-4)
     np.testing.assert_allclose(inside.area, -0.006, atol=1e-4)
     np.testing.assert_allclose(inside.hand, 0.006, atol=1e-4)
@@ -97,7 +98,7 @@ def test_touching_balls_are_in_contact_where_the_formula_says() -> None:
     radius, gap = 0.02, 0.002
     ball = sphere(radius)
     T = se3.rigid(t=np.array([2 * radius + gap, 0.0, 0.0]))
-    distances = contact_distances(ball, 1.0, T[None], ball.vertices[None], ball.faces)
+    (distances,) = contact_distances(ball, [ObjectTrack(T[None], 1.0)], ball.vertices[None], ball.faces)
     exact = np.linalg.norm(ball.vertices + T[:3, 3], axis=1) - radius
     for threshold in (0.005, 0.010):
         found = distances.contact("object", threshold)[0]
@@ -115,10 +116,11 @@ def test_contact_does_not_depend_on_the_hand_frame_nor_on_where_the_scale_is(see
     T = se3.rigid(se3.exp_so3(rng.normal(size=(2, 3))), rng.normal(scale=0.01, size=(2, 3)))
     hand, ball = sphere(0.03, 2), sphere(0.02, 2)
     hands = np.stack([hand.vertices, 1.1 * hand.vertices])
-    here = contact_distances(ball, scale, T, hands, hand.faces)
-    there = contact_distances(Mesh(scale * ball.vertices, ball.faces), 1.0, G @ T, se3.transform(G, hands), hand.faces)
+    scaled = Mesh(scale * ball.vertices, ball.faces)
+    (here,) = contact_distances(ball, [ObjectTrack(T, scale)], hands, hand.faces)
+    (there,) = contact_distances(scaled, [ObjectTrack(G @ T, 1.0)], se3.transform(G, hands), hand.faces)
     for side in SIDES:
-        near = np.minimum(getattr(here, side), getattr(there, side)) < REACH
+        near = np.minimum(getattr(here, side), getattr(there, side)) < MAX_DISTANCE
         np.testing.assert_allclose(getattr(here, side)[near], getattr(there, side)[near], atol=1e-7)
 
 

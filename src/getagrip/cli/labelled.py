@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class GraspCommand(Command):
-    """What a command takes that finds stable grasps."""
+    """Options of the commands that find stable grasps."""
 
     clips: Clips = ()
     """Clip folders, or folders of clips: whole sequences, not cut to grasps already. No masks are needed."""
     tau: float = 0.5
-    """In a stable grasp, the contacts of every two frames have an intersection over union above this."""
+    """In a stable grasp, the contacts of any two frames have an intersection over union (IOU) above this."""
     contact_mm: Annotated[float, arg(metavar="MM")] = 0.0
-    """Points of the object so near to the hand's surface, or inside it, are in contact."""
+    """Points of the object at most this far from the hand's surface, or inside it, are in contact."""
     points: Literal["vertices", "area", "fragments"] = "vertices"
-    """Contact is a set of vertices, of points spread evenly over the object's area, or of patches."""
+    """Contact is a set of vertices, of points sampled evenly over the object's surface, or of patches."""
     rule: Literal["all-pairs", "first", "consecutive"] = "all-pairs"
     """Frames that are compared: all (the paper's definition), all with the first, or neighbours (two weaker tests)."""
     shortest: Annotated[int, arg(metavar="N")] = 20
@@ -84,9 +84,9 @@ class Stats(Command):
     csv: Annotated[Positional[Path | None], arg(metavar="CSV", help_behavior_hint="")] = None
     """EPIC-Grasps' table, as published."""
     errata: OptionalFile = None
-    """epic-grasps: its errata, to be applied. The paper's table is without."""
+    """epic-grasps: apply its errata. The paper's table is without."""
     fps: Annotated[Literal["paper", "true"] | None, arg(help_behavior_hint="(default: paper)")] = None
-    """epic-grasps: 50 frames per second in every video, as the paper has it, or as its frames are really numbered."""
+    """epic-grasps: 50 frames per second in every video, as in the paper; or the rate at which EPIC numbers frames."""
     out: OptionalFolder = None
     """Write stats.md and stats.csv here."""
     json: OptionalFile = None

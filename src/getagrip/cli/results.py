@@ -1,4 +1,4 @@
-"""Commands from clips to results, and what is said of results."""
+"""Commands from clips to results, and those that evaluate and show results."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Reconstruct(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(Command):
-    """Print the metrics of results against their clips, and of meshes that another system made, beside them."""
+    """Print the metrics of results, and of the meshes of another system beside them."""
 
     results: Results = ()
     """Result folders, or folders of results."""
@@ -105,9 +105,9 @@ class Evaluate(Command):
     """A clip, or the folder that holds the clips by name."""
     meshes: OptionalFolder = None
     """Another system's meshes, one for each frame, in metres: DIR/<clip>/<frame>.obj (.ply, .stl, .glb). They need
-    --clips and --mesh-frame, and are called by the name of DIR."""
+    --clips and --mesh-frame, and appear under the name of DIR."""
     mesh_frame: Annotated[Literal["camera", "hand"] | None, arg(help_behavior_hint="")] = None
-    """What they are in: the clip's camera frame, or its hand frame."""
+    """The frame of their vertices: the clip's camera frame, or its hand frame."""
     json: OptionalFile = None
     """Write every number here, unrounded."""
 
@@ -127,35 +127,36 @@ class Evaluate(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Bench(Command):
-    """Compare methods on a dataset: the paper's tables, with intervals. What is done already is kept."""
+    """Compare methods on a dataset: the paper's tables, with intervals. Existing results are kept."""
 
     dataset: Annotated[
-        Positional[str], arg(metavar="DATASET", help=f"{', '.join(SOURCES)}, or a folder of clips with ground truth.")
+        Positional[str],
+        arg(metavar="DATASET", help=f"{', '.join(SOURCES)}, or a folder of clips, with ground truth or without."),
     ]
     out: Folder
-    """Where clips, results, tables and plots go. Called again with the same folder, it goes on where it stopped."""
+    """Where clips, results, tables and plots go. Called again with the same folder, it continues where it stopped."""
     methods: Annotated[tuple[Method, ...], arg(help_behavior_hint="(default: all)")] = ()
-    """What to compare. An ablation compares one-dof and soft-hinge, unless others are named."""
+    """Methods to compare. Ablations compare one-dof and soft-hinge by default."""
     ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_ablations)] = None
-    """Instead of methods as they are, compare each in several settings."""
+    """Compare settings of each method, instead of the methods as they are."""
     split: Annotated[
         Literal["train", "test", "all"] | None, arg(help_behavior_hint="(default: test; all of a folder)")
     ] = None
     """Which part of a dataset: train is for tuning."""
     clips: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
-    """So many clips of it, spread evenly."""
+    """Use N clips, evenly sampled."""
     preset: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_presets)] = None
-    """synthetic: everything as it is, with the errors of a hand tracker, or with little known, as in the wild."""
+    """synthetic: exact input, the noise assumed for a hand tracker, or that and a mean shape of unknown scale."""
     root: OptionalFolder = None
-    """dexycb: where it is, as for the command import."""
+    """dexycb: the dataset's folder, as for import."""
     meshes: OptionalFolder = None
-    """dexycb: where the YCB meshes are."""
+    """dexycb: the folder of the YCB models."""
     init: Init = "uniform"
-    """Where the search starts: as for reconstruct."""
+    """Initial poses, as for reconstruct."""
     priors: OptionalFile = None
     """For clusters and priors: the file or folder, as for reconstruct."""
     inits: Inits = 50
-    """Poses to start from."""
+    """Number of initial poses; more is slower and safer."""
     thorough: Flag = False
     """Search two to three times as long, for the methods that fit all frames at once."""
     seed: Seed = 0
@@ -165,7 +166,7 @@ class Bench(Command):
     json: OptionalFile = None
     """Write every number here, unrounded."""
     overwrite: Flag = False
-    """Make results again that are there already."""
+    """Recompute results that exist already."""
 
     def run(self) -> int:
         from getagrip.commands.bench import Plan, bench

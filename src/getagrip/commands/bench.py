@@ -25,7 +25,7 @@ from getagrip.result import software
 
 @dataclass(frozen=True)
 class Plan:
-    """What the user asks for."""
+    """What to run."""
 
     source: ClipSource
     out: Path
@@ -60,7 +60,7 @@ class Plan:
 
 
 def bench(plan: Plan, debug: bool) -> int:
-    """Run everything that is not there yet and write the tables; 1 if a clip or a method failed, else 0.
+    """Run what has no result yet and write the tables; 1 if a clip or a method failed, else 0.
 
     Raises ``UsageError`` where the call is wrong or there are no clips.
     """
@@ -77,7 +77,7 @@ def bench(plan: Plan, debug: bool) -> int:
     with progress_bar(counted=True) as bar:
         shown = bar.add_task("clips", total=len(trials))
         for clip in _outcomes(trials, plan.workers or cores()):
-            failures += _tell(clip, variants, debug)
+            failures += _report(clip, variants, debug)
             scores.append(clip)
             bar.advance(shown)
     scores.sort(key=lambda clip: clip.clip)
@@ -97,7 +97,7 @@ def _outcomes(trials: Sequence[Trial], workers: int) -> Iterator[Scores]:
         yield scores or Scores(trial.sample.name, failure=DIED)
 
 
-def _tell(clip: Scores, variants: Sequence[Variant], debug: bool) -> int:
+def _report(clip: Scores, variants: Sequence[Variant], debug: bool) -> int:
     """A line for the clip and one for each failure; how many those are."""
     if clip.failure:
         tell(Outcome(clip.clip, "failed", clip.failure, clip.trace), debug)
@@ -132,7 +132,7 @@ def _write(plan: Plan, tables: Sequence[Table], scores: Sequence[Scores], varian
 
 
 def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
-    """How the numbers came about, in sentences."""
+    """How the numbers were made, in sentences."""
     good = [clip for clip in scores if clip.scores]
     drawn = groups(good) if good else []
     together = len(set(drawn)) < len(drawn)
@@ -140,8 +140,8 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     versions = ", ".join(f"{key} {version}" for key, version in software().items())
     return [
         f"{plan.source.title}: {len(good)} clips"
-        + (f", {len(scores) - len(good)} failed and left out" if len(good) < len(scores) else ""),
-        f"{plan.options.inits} starts ({_starts(plan.options)}), {plan.options.frames} frames, "
+        + (f", {len(scores) - len(good)} failed and skipped" if len(good) < len(scores) else ""),
+        f"{plan.options.inits} initial poses ({_initial_poses(plan.options)}), {plan.options.frames} frames, "
         f"seed {plan.options.seed}; the same frames, masks and evaluation for all",
         "per cent, means over clips, the best bold, the second best underlined; s: median seconds for a clip",
         f"in brackets: 95 % intervals from {RESAMPLES} bootstrap resamples of {units}",
@@ -150,8 +150,8 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     ]
 
 
-def _starts(options: Options) -> str:
-    """Where searches start, in words."""
+def _initial_poses(options: Options) -> str:
+    """Which initial poses the search has, in words."""
     thorough = ", thorough" if options.thorough else ""
     if options.priors is None:
         return f"{options.init}{thorough}"
@@ -159,10 +159,10 @@ def _starts(options: Options) -> str:
 
 
 def _outdated(scores: Sequence[Scores]) -> list[str]:
-    """A warning, also on stderr, where results may not be what the code gives now."""
+    """A warning, also on stderr, where results may not be those of the present code."""
     count = sum(score.outdated for clip in scores for score in clip.scores)
     if not count:
         return []
-    warning = f"{count} results are older than the package's files; --overwrite makes them again"
+    warning = f"{count} results are older than the package's files; --overwrite recomputes them"
     print(f"warning: {warning}", file=sys.stderr)
     return [warning]

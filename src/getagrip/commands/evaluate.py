@@ -34,32 +34,32 @@ def evaluate_results(
 ) -> int:
     """Print the metrics of results, and write them to a file; 1 if anything could not be evaluated, else 0.
 
-    A path is a result, or a folder of results. ``meshes`` of another system are judged in the frames of our results of
-    the same clip; where there are none, in all of the clip's. Raises ``UsageError`` where there is nothing to do, and
-    ``InputError`` where there are no such meshes.
+    A path is a result, or a folder of results. ``meshes`` of another system are evaluated in the frames of our results
+    of the same clip, else in all of the clip's. Raises ``UsageError`` where there is nothing to do, and ``InputError``
+    where there are no such meshes.
     """
     if not paths and meshes is None:
         raise UsageError("RESULT: name at least one result, or --meshes")
     jobs: list[ResultJob] = []
-    told: list[Outcome] = []
+    problems: list[Outcome] = []
     for path in paths:
         try:
             jobs += [ResultJob(folder, clips) for folder in results_in(path)]
         except (InputError, OSError) as error:
-            told.append(failure("", error))
+            problems.append(failure("", error))
     evaluations: list[dict[str, Any]] = []
     with progress_bar() as bar:
         task = bar.add_task("results", total=len(jobs), visible=bool(jobs))
         for made, failed in _in_order(evaluate_one, jobs, lambda: bar.advance(task)):
             evaluations += [] if made is None else [made]
-            told += failed
+            problems += failed
         if meshes is not None:
             others = mesh_jobs(meshes, {made["clip"]: tuple(made["frames"]) for made in evaluations})
             task = bar.add_task("meshes", total=len(others))
             for made, failed in _in_order(evaluate_clip_meshes, others, lambda: bar.advance(task)):
                 evaluations += [] if made is None else [made]
-                told += failed
-    for outcome in told:
+                problems += failed
+    for outcome in problems:
         tell(outcome, debug)
     if evaluations:
         for table in tables(evaluations):
@@ -70,14 +70,14 @@ def evaluate_results(
             print(f"{of}: no mesh of {missing} of {len(made['frames'])} frames: IOU 0, no contact", file=sys.stderr)
     if json is not None:
         files.write_json(json, summary(evaluations))
-    return 1 if told else 0
+    return 1 if problems else 0
 
 
 J = TypeVar("J", ResultJob, MeshJob)
 
 
 def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callable[[], None]) -> list[Evaluated]:
-    """What comes of each job, many jobs over processes."""
+    """What each job gives; many jobs are shared out over processes."""
     done: dict[int, Evaluated] = {}
     places = {id(job): place for place, job in enumerate(jobs)}
     for job, made in _done(work, jobs):

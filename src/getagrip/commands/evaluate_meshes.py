@@ -1,4 +1,4 @@
-"""``getagrip evaluate --meshes``: the meshes that another system made of some clips."""
+"""``getagrip evaluate --meshes``: the meshes of another system."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from getagrip.geometry.mesh import SUFFIXES
 
 @dataclass(frozen=True)
 class Meshes:
-    """Meshes that another system made, one for each frame of some clips."""
+    """Meshes of another system, one for each frame of some clips."""
 
     root: Path
     """A folder for each clip, ``<clip>/<frame>.obj``, or that of one clip. Its name is the method's."""
@@ -36,12 +36,12 @@ class MeshJob:
     clip: Path
     frame: MeshFrame
     method: str
-    judged: Mapping[str, tuple[str, ...]]
-    """By the names of clips: the frames that count, where not all do."""
+    frames: Mapping[str, tuple[str, ...]]
+    """By the names of clips: the frames to evaluate, where not all are."""
 
 
-def mesh_jobs(meshes: Meshes, judged: Mapping[str, tuple[str, ...]]) -> list[MeshJob]:
-    """A job for each clip that there are meshes of. Raises ``InputError`` where there are none."""
+def mesh_jobs(meshes: Meshes, frames: Mapping[str, tuple[str, ...]]) -> list[MeshJob]:
+    """A job for each clip with meshes. Raises ``InputError`` where there are none."""
     if not meshes.root.is_dir():
         raise InputError(meshes.root, "", "no such folder", "a folder of meshes, <clip>/<frame>.obj")
     inside = sorted(meshes.root.iterdir())
@@ -54,7 +54,7 @@ def mesh_jobs(meshes: Meshes, judged: Mapping[str, tuple[str, ...]]) -> list[Mes
         raise InputError(meshes.clips, "", "one clip", f"the folder of the clips of {len(folders)} folders of meshes")
     method = meshes.root.resolve().name
     return [
-        MeshJob(folder, meshes.clips if the_clip else meshes.clips / folder.name, meshes.frame, method, judged)
+        MeshJob(folder, meshes.clips if the_clip else meshes.clips / folder.name, meshes.frame, method, frames)
         for folder in folders
     ]
 
@@ -63,11 +63,9 @@ def evaluate_clip_meshes(job: MeshJob) -> tuple[dict[str, Any] | None, list[Outc
     """All metrics of the meshes of a clip, and what could not be read. Raises nothing."""
     try:
         clip = read_clip(job.clip)
-        if clip.name in job.judged:
-            clip = clip.take(np.array([clip.frames.index(frame) for frame in job.judged[clip.name]]))
+        if clip.name in job.frames:
+            clip = clip.take(np.array([clip.frames.index(frame) for frame in job.frames[clip.name]]))
         meshes, errors = read_meshes(job.folder, clip, job.frame)
-        masks = find_masks(clip)
-        told = [failure("", error) for error in errors]
-        return evaluate_meshes(meshes, clip, masks, job.method), told
+        return evaluate_meshes(meshes, clip, find_masks(clip), job.method), [failure("", error) for error in errors]
     except Exception as error:  # one clip's trouble must not end the others
         return None, [failure("" if isinstance(error, InputError) else str(job.folder), error)]

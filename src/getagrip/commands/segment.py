@@ -50,7 +50,7 @@ class SegmentedClip:
     """First and last frame of each, both included."""
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """What is written of each grasp, under the names of the JSON."""
+        """What is written of each grasp, by the keys of the JSON."""
         for start, end in self.grasps:
             yield {
                 "clip": self.clip,
@@ -116,7 +116,7 @@ def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> Segmen
         if job.picture is not None:
             from getagrip.view.matrix import write_matrix
 
-            subtitle = f"{clip.side} hand, {clip.category}  ·  {in_words(job.definition)}"
+            subtitle = f"{clip.side} hand, {clip.category}  ·  {describe(job.definition)}"
             write_matrix(job.picture, iou, grasps, clip.fps, job.definition.tau, clip.name, subtitle)
         return SegmentedClip(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps))
     except Exception as error:  # one clip's trouble must not end the others
@@ -128,7 +128,7 @@ def outcomes(
 ) -> Iterator[tuple[SegmentJob, R | Outcome]]:
     """What becomes of each job, as they finish, while the bar shows it.
 
-    ``work`` takes a job and, where it is done in this process, whom to tell of its progress.
+    ``work`` takes a job and, where it is done in this process, a function to call with its progress.
     """
     if workers is None:
         workers = min(len(jobs), cores()) if len(jobs) > FEW else 1
@@ -145,8 +145,8 @@ def outcomes(
         bar.advance(clips)
 
 
-def in_words(definition: Definition) -> str:
-    """What is called a stable grasp."""
+def describe(definition: Definition) -> str:
+    """A definition of stable grasps, in words."""
     return (
         f"{definition.points} within {1e3 * definition.contact:g} mm, IOU above {definition.tau:g}, "
         f"{definition.rule}, {definition.shortest} frames or more"

@@ -12,10 +12,10 @@ from typing import Any
 from getagrip.batch.clips import tell
 from getagrip.batch.job import Outcome, Progress, by_name, failure
 from getagrip.clip import read_clip
-from getagrip.commands.segment import SegmentJob, in_words, outcomes
+from getagrip.commands.segment import SegmentJob, describe, outcomes
 from getagrip.errors import UsageError
 from getagrip.grasps.stable import Definition
-from getagrip.grasps.study import MEASURES, TIMES, Spread, Studied, mean_curves, study
+from getagrip.grasps.study import MEASURES, TIMES, Spread, StudiedGrasp, mean_curves, study
 from getagrip.io import files
 from getagrip.io.terminal import console, plain_table, progress_bar
 
@@ -25,7 +25,7 @@ ALL = "All"
 def study_clips(
     paths: Sequence[Path], definition: Definition, out: Path, json: Path | None, workers: int | None, debug: bool
 ) -> int:
-    """Study the stable grasps of clips, and write what comes out into a folder; 1 if any clip failed, else 0.
+    """Study the stable grasps of clips, and write the measurements to a folder; 1 if any clip failed, else 0.
 
     A path is a clip, or a folder of clips. ``out`` gets ``study.png``, ``grasps.csv``, ``curves.csv`` and
     ``summary.csv``. Raises ``UsageError`` where there is nothing to do, and where two clips have the same name.
@@ -38,7 +38,7 @@ def study_clips(
     for outcome in failed:
         tell(outcome, debug)
     jobs = [SegmentJob(folder, definition) for folder in clips.values()]
-    done: dict[Path, list[Studied]] = {}
+    done: dict[Path, list[StudiedGrasp]] = {}
     failures = len(failed)
     with progress_bar() as bar:
         for job, result in outcomes(study_one, jobs, workers, bar):
@@ -57,7 +57,7 @@ def study_clips(
     return 1 if failures else 0
 
 
-def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[Studied] | Outcome:
+def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[StudiedGrasp] | Outcome:
     """The grasps of one clip, measured; or how it failed. Raises nothing."""
     try:
         return study(read_clip(job.clip), job.definition, partial(progress, "contact"))
@@ -65,7 +65,7 @@ def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[Stu
         return failure(job.clip.name, error)
 
 
-def by_category(studied: Sequence[Studied]) -> Iterator[tuple[str, list[Studied]]]:
+def by_category(studied: Sequence[StudiedGrasp]) -> Iterator[tuple[str, list[StudiedGrasp]]]:
     """The grasps of each category in the order of the alphabet, then all of them where there are several categories."""
     categories = sorted({one.object for one in studied})
     for category in categories:
@@ -74,16 +74,16 @@ def by_category(studied: Sequence[Studied]) -> Iterator[tuple[str, list[Studied]
         yield ALL, list(studied)
 
 
-def _spreads(studied: Sequence[Studied], where: str) -> dict[str, Spread]:
+def _spreads(studied: Sequence[StudiedGrasp], where: str) -> dict[str, Spread]:
     """Each measure over grasps, ``inside`` them or ``outside``."""
     return {name: Spread.of([getattr(one, where)[name] for one in studied]) for name in MEASURES}
 
 
-def _print(studied: Sequence[Studied]) -> None:
+def _print(studied: Sequence[StudiedGrasp]) -> None:
     """Two tables: the approximations by category, and every measure inside and outside."""
     from rich.text import Text
 
-    table = plain_table(title="off the true pose, within grasps", title_style="")
+    table = plain_table(title="error of the approximation, within grasps", title_style="")
     table.add_column("object", overflow="fold")
     headings = ("grasps", "static", "1-DoF", "full pose, axis anywhere", "axis at the hand")
     for heading in headings:
@@ -102,18 +102,18 @@ def _print(studied: Sequence[Studied]) -> None:
         table.add_column(heading, justify="left" if heading in ("measure", "unit") else "right")
     inside, outside = _spreads(studied, "inside"), _spreads(studied, "outside")
     for name, measure in MEASURES.items():
-        table.add_row(measure.words, _told(inside[name], name), _told(outside[name], name), measure.unit)
+        table.add_row(measure.label, _cell(inside[name], name), _cell(outside[name], name), measure.unit)
     console().print(table)
-    print(f"{outside['static_rotation'].grasps} of the grasps have frames outside")
+    print(f"{outside['static_rotation'].grasps} of {len(studied)} grasps have frames outside")
 
 
-def _told(spread: Spread, name: str) -> str:
+def _cell(spread: Spread, name: str) -> str:
     """Mean and spread as people read them."""
     factor, digits = MEASURES[name].factor, 1 if MEASURES[name].unit else 2
     return "-" if not spread.grasps else f"{spread.mean * factor:.{digits}f} ± {spread.std * factor:.{digits}f}"
 
 
-def _write(studied: Sequence[Studied], definition: Definition, clips: int, out: Path) -> None:
+def _write(studied: Sequence[StudiedGrasp], definition: Definition, clips: int, out: Path) -> None:
     """The files of a study."""
     from getagrip.view.study import write_study
 
@@ -121,11 +121,11 @@ def _write(studied: Sequence[Studied], definition: Definition, clips: int, out: 
     _write_csv(out / "grasps.csv", (_grasp(one) for one in studied))
     _write_csv(out / "curves.csv", _curves(studied))
     _write_csv(out / "summary.csv", _summary(studied))
-    words = f"{len(studied)} stable grasp{'s' * (len(studied) != 1)} in {clips} clip{'s' * (clips != 1)}"
-    print(write_study(out / "study.png", mean_curves(studied), words, in_words(definition)))
+    title = f"{len(studied)} stable grasp{'s' * (len(studied) != 1)} in {clips} clip{'s' * (clips != 1)}"
+    print(write_study(out / "study.png", mean_curves(studied), title, describe(definition)))
 
 
-def _grasp(one: Studied) -> dict[str, Any]:
+def _grasp(one: StudiedGrasp) -> dict[str, Any]:
     """A grasp on one line, in SI units."""
     axis = {f"axis_{name}_{x}": v for name in ("point", "direction") for x, v in zip("xyz", getattr(one.hinge, name))}  # noqa: B905
     return {
@@ -142,14 +142,14 @@ def _grasp(one: Studied) -> dict[str, Any]:
     }
 
 
-def _curves(studied: Sequence[Studied]) -> Iterator[dict[str, Any]]:
+def _curves(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, Any]]:
     """The mean curves, a line for each normalised time and measure, in SI units."""
     for name, spreads in mean_curves(studied).items():
         for time, spread in zip(TIMES, spreads, strict=True):
             yield {"measure": name, "time": round(float(time), 6), **asdict(spread)}
 
 
-def _summary(studied: Sequence[Studied]) -> Iterator[dict[str, Any]]:
+def _summary(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, Any]]:
     """Every measure inside and outside, by category, in SI units."""
     for category, grasps in by_category(studied):
         for where in ("inside", "outside"):
@@ -157,7 +157,7 @@ def _summary(studied: Sequence[Studied]) -> Iterator[dict[str, Any]]:
                 yield {"object": category, "where": where, "measure": name, **asdict(spread)}
 
 
-def _content(studied: Sequence[Studied], definition: Definition) -> dict[str, Any]:
+def _content(studied: Sequence[StudiedGrasp], definition: Definition) -> dict[str, Any]:
     """Everything, for ``--json``."""
     return {
         "definition": asdict(definition),

@@ -21,7 +21,7 @@ from getagrip.metrics.contact import (
     ContactDistances,
     Side,
     StableContact,
-    contact_distances_of,
+    contact_distances,
     stable_contact,
 )
 from getagrip.metrics.mask import MaskIou
@@ -89,7 +89,7 @@ class Comparison:
         if self.clip.truth is None:
             raise MissingPartError
         clip = self.clip
-        (distances,) = contact_distances_of(clip.mesh, [self.true], self.clip.truth.hand_vertices, clip.hand.faces)
+        (distances,) = contact_distances(clip.mesh, [self.true], self.clip.truth.hand_vertices, clip.hand.faces)
         return distances
 
     @cached_property

@@ -57,19 +57,20 @@ def mean_of(values: Float[ndarray, "n"]) -> float:
     return float(known.mean()) if known.size else float("nan")
 
 
-def _penetration(name: str, depth: Callable[[Comparison], ndarray], heading: str = "") -> tuple[Metric, ...]:
-    """How deep points (T, P) of one body are inside the other: of the deepest in each frame, of all, and the mean."""
+def _penetration(
+    name: str, depth: Callable[[Comparison], ndarray], heading: str = "", needs_truth: bool = False
+) -> tuple[Metric, ...]:
+    """How deep points (T, P) of one body are inside the other: the deepest of each frame and of all, and the mean."""
 
     def mean_inside(it: Comparison) -> float:
         millimetres = 1e3 * depth(it)
         inside = millimetres[millimetres > 0.0]
         return mean_of(inside) if inside.size else 0.0
 
-    truth = name.startswith("truth")
     return (
-        Metric(f"{name}_mm", lambda it, _: 1e3 * depth(it).max(axis=1), "mm", heading, needs_truth=truth),
-        Metric(f"{name}_max_mm", lambda it, _: float(np.nanmax(1e3 * depth(it))), "mm", needs_truth=truth),
-        Metric(f"{name}_inside_mm", lambda it, _: mean_inside(it), "mm", needs_truth=truth),
+        Metric(f"{name}_mm", lambda it, _: 1e3 * depth(it).max(axis=1), "mm", heading, needs_truth=needs_truth),
+        Metric(f"{name}_max_mm", lambda it, _: float(np.nanmax(1e3 * depth(it))), "mm", needs_truth=needs_truth),
+        Metric(f"{name}_inside_mm", lambda it, _: mean_inside(it), "mm", needs_truth=needs_truth),
     )
 
 
@@ -122,8 +123,8 @@ METRICS: tuple[Metric, ...] = (
     Metric("diameter_mm", lambda it, _: 1e3 * it.errors.diameter, "mm", needs_truth=True),
     *_penetration("penetration_object", lambda it: it.depth("object"), "depth"),
     *_penetration("penetration_hand", lambda it: it.depth("hand")),
-    *_penetration("truth_penetration_object", lambda it: it.true_depth("object")),
-    *_penetration("truth_penetration_hand", lambda it: it.true_depth("hand")),
+    *_penetration("truth_penetration_object", lambda it: it.true_depth("object"), needs_truth=True),
+    *_penetration("truth_penetration_hand", lambda it: it.true_depth("hand"), needs_truth=True),
     SCA,
     TRUE_SCA,
     Metric(

@@ -14,7 +14,7 @@ from getagrip.errors import InputError
 from getagrip.evaluation.comparison import Comparison
 from getagrip.evaluation.metric import measure
 from getagrip.io import files
-from getagrip.metrics.contact import ContactDistances, contact_distances_of
+from getagrip.metrics.contact import ContactDistances, contact_distances
 from getagrip.metrics.mask import MaskIou, iou_of_poses
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.result import Reconstruction, read_result
@@ -98,7 +98,7 @@ class _ResultComparison(Comparison):
         clip, given = self.clip, self.clip.hand
         same = clip.truth is not None and np.array_equal(clip.truth.hand_vertices, given.vertices)
         tracks = [self.track, self.true] if same else [self.track]
-        return contact_distances_of(clip.mesh, tracks, given.vertices, given.faces)
+        return contact_distances(clip.mesh, tracks, given.vertices, given.faces)
 
 
 def clip_of(folder: Path, result: Reconstruction, record: dict[str, Any], clips: str | Path | None) -> Clip:

@@ -55,7 +55,7 @@ class Table:
     def ranks(self, column: Metric) -> list[int]:
         """For each row 1 if its value, as it is printed, is the best of the column, 2 the second best, else 0.
 
-        Rows are rivals only where they count contact alike; where all are alike, none is best.
+        Rows are ranked among those with the same definition of contact; where all values are equal, none is best.
         """
         shown = [round(100.0 * row.values[column.label].mean, 1) for row in self.rows]
         ranks = []
@@ -122,13 +122,13 @@ def _score(clip: Scores, variant: Variant) -> Score | None:
 
 
 def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float[ndarray, "n"]:
-    """A column's value for each clip; where the method failed it is zero, the worst, so that no failure flatters."""
+    """A column's value for each clip; zero, the worst, where the method failed, so that failures improve no score."""
     key, values = column.key(variant.contact), np.full(len(scores), np.nan)
     for n, clip in enumerate(scores):
         score = _score(clip, variant)
         if score is None:
             continue
-        if score.failed and column.ranked and (clip.true or not column.needs_truth):
+        if score.failed and column.ranked and (clip.has_truth or not column.needs_truth):
             values[n] = 0.0
         else:
             values[n] = score.metrics.get(key, np.nan)

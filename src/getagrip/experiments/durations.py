@@ -64,7 +64,7 @@ def _row(category: str, grasps: Sequence[ListedGrasp]) -> CategoryDurations:
 
 
 def read_epic(path: Path, fps: Fps = "paper", errata: Path | None = None) -> list[ListedGrasp]:
-    """EPIC-Grasps' table, mended where errata are given. Raises ``InputError``, which names the line and the column.
+    """EPIC-Grasps' table, corrected where errata are given. Raises ``InputError``, which names the line and the column.
 
     ``paper``: 50 frames per second in every video. ``true``: as EPIC numbers the frames of each video.
     """

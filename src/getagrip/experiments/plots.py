@@ -15,7 +15,7 @@ from getagrip.experiments.statistics import LEVEL
 
 SHOWN = ("iou", "add_sym_success", "sca", "sca_add_sym", "sca_iou_80")
 """Names of the metrics drawn."""
-ACROSS = 3
+PER_ROW = 3
 """Panels side by side."""
 
 
@@ -29,9 +29,9 @@ def plot(table: Table, title: str, path: Path) -> None:
     columns = [column for column in table.columns if column.name in SHOWN]
     methods = list(dict.fromkeys(row.variant.group for row in table.rows))
     steps = list(dict.fromkeys(row.variant.step for row in table.rows))
-    down = -(-(len(columns) + 1) // ACROSS)  # one panel is the legend's
+    down = -(-(len(columns) + 1) // PER_ROW)  # one panel is the legend's
     width = max(3.0, 0.35 * len(steps) + 1.2)
-    figure, grid = plt.subplots(down, ACROSS, figsize=(width * ACROSS, 2.9 * down), layout="constrained")
+    figure, grid = plt.subplots(down, PER_ROW, figsize=(width * PER_ROW, 2.9 * down), layout="constrained")
     panels = grid.ravel()
     slanted = max(map(len, steps)) * len(steps) > 25
     turn = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if slanted else {}
@@ -45,7 +45,9 @@ def plot(table: Table, title: str, path: Path) -> None:
             panel.plot(x, mean, linewidth=1, alpha=0.5, color=dots[0].get_color())
         if column is SCA and TRUE_SCA in table.columns:
             rows = [row for row in table.rows if row.variant.group == methods[0]]
-            panel.plot(range(len(rows)), _percent(rows, TRUE_SCA)[0], "k:", linewidth=1, label="the truth's SCA")
+            panel.plot(
+                range(len(rows)), _percent(rows, TRUE_SCA)[0], "k:", linewidth=1, label="SCA of the ground truth"
+            )
             panel.legend(handles=panel.lines[-1:], fontsize=8, frameon=False)
         bottom, top = panel.get_ylim()
         panel.set_ylim(max(bottom, -2.0), min(top, 102.0))

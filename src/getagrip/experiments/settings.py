@@ -1,4 +1,4 @@
-"""What is tried on every clip: the methods as they are, and for each ablation its settings, as data."""
+"""What is run on every clip: each method as it is, and the settings of each ablation, as data."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CONTACT = ContactDefinition("object", 0.010)
 
 
 class Change(Protocol):
-    """What is done to a clip before it is reconstructed; its ``repr`` says all about it."""
+    """What is done to a clip before it is reconstructed. Its ``repr`` identifies it."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         """The changed clip and masks. Raises ``InputError`` where the clip does not allow it."""
@@ -56,14 +56,14 @@ class ScaleKnown:
         if clip.scale == "known":
             return clip, masks
         if clip.truth is None:
-            raise InputError(clip.origin / "truth.npz", "scale", "no truth", "the true scale, to make it known")
+            raise InputError(clip.origin / "truth.npz", "scale", "no ground truth", "the true scale, to make it known")
         mesh = Mesh(clip.mesh.vertices * clip.truth.scale, clip.mesh.faces)
         return replace(clip, scale="known", mesh=mesh, truth=replace(clip.truth, scale=1.0)), masks
 
 
 @dataclass(frozen=True)
 class ScaleFree:
-    """The mesh at a size that says nothing: between 1 / 1.25 and 1.25 times what it was."""
+    """The mesh at a random size, between 1 / 1.25 and 1.25 times what it was."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         factor = float(np.exp(np.random.default_rng([seed, *clip.name.encode()]).uniform(-1.0, 1.0) * np.log(1.25)))
@@ -118,7 +118,7 @@ class Variant:
 
 
 def _hand_noise(mm: float) -> Setting:
-    """A bias, and jitter of half its size, that lasts a tenth of a second: 0.8 degrees for each millimetre."""
+    """A bias, and jitter of half its size that is correlated over a tenth of a second: 0.8 degrees per millimetre."""
     deg = 0.8 * mm
     noise = Noise(
         hand_bias_mm=mm, hand_bias_deg=deg, hand_jitter_mm=mm / 2, hand_jitter_deg=deg / 2, jitter_memory_s=0.1
@@ -142,7 +142,7 @@ ABLATIONS: dict[str, Ablation] = {
         tuple(Setting(f"{weight:g}", {"push": weight, "pull": weight}) for weight in (0.0, 0.1, 1.0)),
     ),
     "occlusion": Ablation(
-        "Pixels hidden by the hand left out (the paper's C_o)",
+        "Pixels occluded by the hand ignored (the paper's C_o)",
         "on",
         (Setting("off", {"occlusion": False}), Setting("on", {"occlusion": True})),
     ),
@@ -152,10 +152,12 @@ ABLATIONS: dict[str, Ablation] = {
         (Setting("hand", {"axis": "hand"}), Setting("free", {"axis": "free"})),
     ),
     "inits": Ablation(
-        "Starting rotations", "50", tuple(Setting(f"{count}", {"inits": count}) for count in (10, 25, 50, 100, 200))
+        "Number of initial poses",
+        "50",
+        tuple(Setting(f"{count}", {"inits": count}) for count in (10, 25, 50, 100, 200)),
     ),
     "hand-noise": Ablation(
-        "Error of the given hands: the same in all frames, and half of it changing",
+        "Noise of the hand poses: a bias, and jitter of half its size",
         "none",
         (
             Setting("none"),
@@ -165,7 +167,7 @@ ABLATIONS: dict[str, Ablation] = {
         ),
     ),
     "mask-noise": Ablation(
-        "Distance of the given masks' boundaries from the true ones, root mean square",
+        "Noise of the masks: distance of their contours from the true ones, root mean square",
         "none",
         (Setting("none"), *(_mask_noise(px) for px in (0.5, 1.0, 2.0, 4.0))),
     ),

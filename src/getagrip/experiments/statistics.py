@@ -12,7 +12,7 @@ from numpy import ndarray
 RESAMPLES = 2000
 LEVEL = 0.95
 FEWEST = 5
-"""Clips for which there is an interval: that of two would be from the one to the other."""
+"""Fewest clips with an interval: that of two would just span both values."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ def resamples(groups: Sequence[str], seed: int = 0) -> Float[ndarray, "B n"]:
 def estimate(values: Float[ndarray, "n"], weights: Float[ndarray, "B n"]) -> Estimate:
     """The mean of the values that are there (not NaN), with the percentile interval of its resamples.
 
-    There is no interval for fewer than ``FEWEST`` values, where all of them are alike (100 % of ten clips is no
-    certainty), nor where all are drawn together.
+    There is no interval for fewer than ``FEWEST`` values, where all are equal (100 % of ten clips is no certainty), nor
+    where all are drawn together.
     """
     known = ~np.isnan(values)
     if not known.any():

@@ -1,4 +1,4 @@
-"""Comparisons on paper: Markdown for people, CSV for scripts, LaTeX as in the paper, and a table for the terminal."""
+"""Comparisons as tables: Markdown for people, CSV for scripts, LaTeX as in the paper, and a table for the terminal."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Style:
-    """How a kind of page marks a value that is best, one that is second best, and an interval."""
+    """How a page marks the best value, the second best, and an interval."""
 
     best: str
     second: str
     interval: str
     symbols: Mapping[str, str] = field(default_factory=dict)
-    """What stands for letters that the page cannot hold."""
+    """Replacements of letters that the page cannot hold."""
 
     def cell(self, value: str, rank: int, interval: str) -> str:
         """A value with its mark and its interval."""
@@ -89,7 +89,7 @@ def _headings(table: Table) -> list[str]:
 
 
 def _differences(table: Table, style: Style) -> list[list[str]]:
-    """Headings and rows of the differences in pairs; those whose interval leaves out zero are marked as best."""
+    """Headings and rows of the differences in pairs; those whose interval excludes zero are marked as best."""
     columns = [column for column in table.columns if column.ranked]
     rows = [["", *(column.label for column in columns)]]
     for row in table.rows:
@@ -121,7 +121,7 @@ def markdown(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
         lines += ["", f"{_heading(table)}:", "", *_grid([_headings(table), *_body(table, MARKDOWN)])]
         differences = _differences(table, MARKDOWN)
         if len(differences) > 1:
-            lines += ["", "Differences, clip by clip; bold where the interval leaves out zero:", ""]
+            lines += ["", "Differences, clip by clip; bold where the interval excludes zero:", ""]
             lines += _grid(differences)
         lines += [
             "",

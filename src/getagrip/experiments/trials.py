@@ -1,4 +1,4 @@
-"""One clip, reconstructed and evaluated in every way that is asked for; what is there already is kept.
+"""One clip, reconstructed and evaluated in every variant; results that exist already are kept.
 
 A result is kept as a result folder, its metrics in ``result.json``, so that the other commands can read it.
 """
@@ -28,7 +28,7 @@ from getagrip.result import Reconstruction, is_result, read_record, software, wr
 
 @dataclass(frozen=True)
 class Trial:
-    """A clip and all that is tried on it."""
+    """A clip and the variants that are run on it."""
 
     sample: Sample
     variants: tuple[Variant, ...]
@@ -51,7 +51,7 @@ class Score:
     status: str
     failed: bool = False
     outdated: bool = False
-    """Whether its result was there already, made before the package's files were last changed."""
+    """Whether its result existed already and is older than the package's files."""
 
 
 @dataclass(frozen=True)
@@ -61,19 +61,19 @@ class Scores:
     clip: str
     category: str = ""
     subject: str = ""
-    """Who holds the object; empty where nobody says."""
-    true: bool = False
-    """Whether the clip has a truth."""
+    """Who holds the object; empty where unknown."""
+    has_truth: bool = False
+    """Whether the clip has ground truth."""
     scores: tuple[Score, ...] = ()
     made: int = 0
-    """How many results were not there already."""
+    """How many results are new."""
     failure: str = ""
     """Why there are no scores at all."""
     trace: str = ""
 
 
 def run(trial: Trial) -> Scores:
-    """Reconstruct and evaluate a clip with every variant. Raises nothing: what fails is told in the scores."""
+    """Reconstruct and evaluate a clip with every variant. Raises nothing: failures are part of the scores."""
     sample = trial.sample
     try:
         if sample.make is not None and not sample.folder.exists():
@@ -113,7 +113,7 @@ def _made(trial: Trial, clip: Clip, variants: list[Variant], checksum: str) -> d
 
 
 def _try(trial: Trial, variant: Variant, changed: tuple[Clip, Masks], masks: Masks, checksum: str) -> Score:
-    """Reconstruct, evaluate and write the result. What a method raises is its score, but for a fault of the files."""
+    """Reconstruct, evaluate and write the result. A method's error becomes its score; ``InputError`` is raised."""
     from getagrip.fitting.reconstruct import reconstruct
 
     clip, place = changed[0], _place(trial, variant)
@@ -159,7 +159,7 @@ def _checksum(checksum: str, variant: Variant) -> str:
 
 
 def _outdated(folder: Path) -> bool:
-    """Whether a result is older than the code: its version does not tell what a developer has changed since."""
+    """Whether a result is older than the code, which a developer may have changed within a version."""
     return (folder / "result.json").stat().st_mtime < _code_changed()
 
 

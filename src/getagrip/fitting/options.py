@@ -30,8 +30,8 @@ class Options:
         method: a name in ``methods.METHODS``: how the object may move in the hand, or a baseline.
         inits: number of initial poses; more is slower and safer, fewer than 50 is unsafe.
         init: where initial poses come from: uniform rotations only (``uniform``); before them, those that
-            ``init learn`` has learnt (``clusters``), or a folder of poses by category and side, as the authors keep them
-            (``priors``).
+            ``init learn`` has learnt (``clusters``), or a folder of poses by category and side, as the authors have
+            theirs (``priors``).
         priors: the file or folder of the poses of ``init``; None for ``uniform``.
         thorough: search two to three times as long, for the methods that fit all frames at once; no other changes.
         seed: rotates the set of initial rotations; the same seed gives the same result.

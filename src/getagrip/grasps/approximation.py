@@ -1,16 +1,16 @@
-"""A hand's hold on an object as one pose, or as a turn about one axis: the nearest to known poses (paper, Eq. 3).
+"""An object's motion in the hand approximated by one pose, or by a rotation about one axis (paper, Eq. 3 and 4).
 
-Poses are rotations R_n (object to hand) and places c_n of the object's centre in the hand frame. The paper's
-``||T_n - T_gt,n||^2`` adds rotations to lengths. Here the unit of length is named, ``size``, and the object's frame is
-in its centre:
+Poses are rotations R_n (object to hand) and positions c_n of the object's centre in the hand frame. The paper's
+``||T_n - T_gt,n||^2`` adds rotations to lengths. Here the unit of length is explicit, ``size``, and the origin of the
+object's frame is its centre:
 
     E = sum_n ||R_n - R_gt,n||^2 + ||c_n - c_gt,n||^2 / size^2          (Frobenius norm)
 
 With ``size`` the root mean square distance of the object's points from its centre, over the root of 3, E size^2 is the
 mean square distance by which the points of a ball of that extent are off. With an infinite size rotations alone count,
-and the optimum is known in closed form: as ``||R - R'||^2 = 8 (1 - (q . q')^2)`` for unit quaternions, and a turn about
-an axis is a great circle of quaternions, the nearest pose is the first eigenvector of ``sum_n q_n q_n^T`` (Markley et
-al., "Averaging quaternions", 2007), the nearest turn the plane of the first two.
+and the optimum is known in closed form. As ``||R - R'||^2 = 8 (1 - (q . q')^2)`` for unit quaternions, the nearest pose
+is the first eigenvector of ``sum_n q_n q_n^T`` (Markley et al., "Averaging quaternions", 2007). Rotations about an axis
+are a great circle of quaternions: the nearest one is the plane of the first two eigenvectors.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from getagrip.geometry import se3
 PRECISION = 1e-10
 """Relative change of E, and of the hinge, at which the search for the best hinge ends."""
 TRIAL, LONGEST = 20, 200
-"""Steps from each start, and then from the best of them."""
+"""Steps from each initial guess, and then from the best of them."""
 
 
 @dataclass(frozen=True)
 class Hinge:
-    """A turn of the object about one line of the hand frame.
+    """A rotation of the object about one line of the hand frame.
 
-    Turned by the angle w it has ``R(w) = exp(w direction) R`` and ``c(w) = point + exp(w direction) arm``.
+    At the angle w it has ``R(w) = exp(w direction) R`` and ``c(w) = point + exp(w direction) arm``.
     """
 
     R: Float[ndarray, "3 3"]
@@ -52,16 +52,16 @@ class Hinge:
         """The angle [rad] nearest to each of some poses: E is a sine wave of it."""
         d = self.direction
         M = self.R @ np.swapaxes(R, -1, -2)
-        across = self.arm - d * (d @ self.arm)
+        perpendicular = self.arm - d * (d @ self.arm)
         away = (c - self.point) / self.size**2
-        cosine = np.trace(M, axis1=1, axis2=2) - (M @ d) @ d + away @ across
-        sine = np.einsum("ij,nji->n", se3.hat(d), M) + away @ np.cross(d, across)
+        cosine = np.trace(M, axis1=1, axis2=2) - (M @ d) @ d + away @ perpendicular
+        sine = np.einsum("ij,nji->n", se3.hat(d), M) + away @ np.cross(d, perpendicular)
         return np.arctan2(sine, cosine)
 
     def at(self, angle: Float[ndarray, "N"]) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"]]:
-        """Rotations, and places of the centre [m], at some angles."""
-        turn = se3.exp_so3(angle[:, None] * self.direction)
-        return turn @ self.R, self.point + turn @ self.arm
+        """Rotations, and positions of the centre [m], at some angles."""
+        rotation = se3.exp_so3(angle[:, None] * self.direction)
+        return rotation @ self.R, self.point + rotation @ self.arm
 
     def energy(self, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> float:
         """E of the nearest poses."""
@@ -81,7 +81,7 @@ def mean_rotation(R: Float[ndarray, "N 3 3"]) -> Float[ndarray, "3 3"]:
 
 
 def rotation_hinge(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> Hinge:
-    """The hinge whose rotations are nearest to R; its line passes where the centres then ask for."""
+    """The hinge whose rotations are nearest to R; its line is then the nearest to the centres."""
     return next(_circles(R, c, np.inf, None))
 
 
@@ -90,13 +90,13 @@ def pose_hinge(
 ) -> Hinge:
     """The hinge of least E, anywhere or through a point of the hand frame [m].
 
-    E is minimised over the hinge, the angles always the best ones, by Levenberg-Marquardt from a few starts: the two
-    best turns that the eigenvectors of the quaternions span with the mean rotation, each as a turn by the best angles
-    of its rotations, and as no turn at all. From the latter E can only fall below that of the best single pose.
+    E is minimised over the hinge, the angles always the best ones, by Levenberg-Marquardt from four initial guesses:
+    the two best axes that the eigenvectors of the quaternions span with the mean rotation, each with the best angles
+    of its rotations, and with all angles zero. The latter begin at the E of the best single pose, and E only falls.
     """
-    starts = list(_circles(R, c, size, through))[:2]
-    starts += [_still(start, R, c, through) for start in starts]
-    tried = [_refined(start, R, c, through, TRIAL) for start in starts]
+    guesses = list(_circles(R, c, size, through))[:2]
+    guesses += [_still(guess, R, c, through) for guess in guesses]
+    tried = [_refined(guess, R, c, through, TRIAL) for guess in guesses]
     best = min(tried, key=lambda hinge: hinge.energy(R, c))
     return _refined(best, R, c, through, LONGEST)
 
@@ -124,12 +124,12 @@ def _line(
     c: Float[ndarray, "N 3"],
     through: Float[ndarray, "3"] | None,
 ) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]]:
-    """Point and arm whose turns by the angles are nearest to c: linear least squares."""
-    turn = se3.exp_so3(angle[:, None] * direction)
+    """Point and arm for which the centre, rotated by the angles, is nearest to c: linear least squares."""
+    rotation = se3.exp_so3(angle[:, None] * direction)
     if through is not None:
-        arm = (np.swapaxes(turn, -1, -2) @ (c - through)[..., None])[..., 0].mean(axis=0)
+        arm = (np.swapaxes(rotation, -1, -2) @ (c - through)[..., None])[..., 0].mean(axis=0)
         return through, arm
-    rows = np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=-1).reshape(-1, 6)
+    rows = np.concatenate([np.broadcast_to(np.eye(3), rotation.shape), rotation], axis=-1).reshape(-1, 6)
     solution = np.linalg.lstsq(rows, c.ravel(), rcond=1e-9)[0]
     return solution[:3], solution[3:]
 
@@ -160,10 +160,10 @@ def _refined(
 
 
 def _moves(start: Hinge, free: bool) -> Callable[[Float[ndarray, "k"]], Hinge]:
-    """Hinges around one: a turn of R (3), a tilt of the axis (2), a step of the arm (3) and of the point (3 if free).
+    """Hinges around one: rotation of R (3), tilt of the axis (2), step of the arm (3) and of the point (3 if free).
 
-    Some of these move nothing (a turn of R and arm about the axis, a step of the point along it): the solver's steps
-    are the shortest.
+    Some of these move nothing (a rotation of R and arm about the axis, a step of the point along it): the solver takes
+    the shortest steps.
     """
     tilts = np.linalg.svd(start.direction[None])[2][1:]
 

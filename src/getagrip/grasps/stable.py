@@ -1,4 +1,4 @@
-"""Stable grasps: how long a hand keeps hold of an object in the same places (paper, Eq. 2).
+"""Stable grasps: intervals in which a hand holds an object at the same places (paper, Eq. 2).
 
 A stable grasp is an interval of frames in which every pair of frames i, j has IOU(S_i, S_j) > tau, S_i the points of
 the object that are in contact with the hand in frame i. A sequence's grasps are found greedily: the longest such
@@ -10,8 +10,8 @@ back from frame to frame, and all pairs are tested by looking, in each frame, no
 What counts as a point of the object is a choice (``Points``):
 
 - ``vertices``: its vertices: the paper's;
-- ``area``: points spread evenly over it, so that shares of them are shares of its area however its mesh is cut into
-  triangles: those of the metric of the same name;
+- ``area``: points sampled evenly over its surface, so that shares of them are shares of its area, whatever the
+  triangulation: those of the metric of the same name;
 - ``fragments``: patches, each in contact where a vertex of it is: those of the authors' ARCTIC grasps.
 """
 
@@ -40,7 +40,7 @@ BLOCK = 128
 FRAGMENTS = 0.01
 """Fragments of an object, as a share of its vertices."""
 OPENED = np.radians(5.0)
-"""An object whose joint has turned by more than this [rad] has been opened or closed."""
+"""An object whose joint has rotated by more than this [rad] has been opened or closed."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ class Definition:
 def segment(
     clip: Clip, definition: Definition | None = None, progress: Callable[[float], None] = lambda _: None
 ) -> tuple[PairwiseIou, list[tuple[int, int]]]:
-    """Contact IOU of a clip's frames, and its stable grasps as ``stable_grasps`` gives them, all from the truth.
+    """Contact IOU of a clip's frames, and its stable grasps as ``stable_grasps`` gives them, all from the ground truth.
 
-    Where an object has a joint, frames between which it has turned by more than ``OPENED`` are not alike: opening or
-    closing an object ends a grasp. ``progress`` is told what share of the frames is done. Raises ``InputError`` for a
-    clip without truth.
+    Where an object has a joint, frames between which it has rotated by more than ``OPENED`` have IOU 0: opening or
+    closing an object ends a grasp. ``progress`` is called with the share of the frames done. Raises ``InputError`` for
+    a clip without ground truth.
     """
     wanted = definition or Definition()
     contact = contact_sets(clip, wanted.contact, wanted.points, progress)
@@ -90,11 +90,11 @@ def contact_sets(
 ) -> Bool[ndarray, "T P"]:
     """Which points of the object touch the true hand in each frame: signed distance to it at most ``threshold`` [m].
 
-    Holes of the hand (MANO's wrist) are closed. Raises ``InputError`` for a clip without truth.
+    Holes of the hand (MANO's wrist) are closed. Raises ``InputError`` for a clip without ground truth.
     """
     truth = clip.truth
     if truth is None:
-        raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses: grasps are found in them")
+        raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses, from which grasps are found")
     local = surface_points(clip.mesh, AREA_POINTS) if points == "area" else clip.mesh.vertices
     T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
     hands, faces = close_holes(truth.hand_vertices, clip.hand.faces)

@@ -3,12 +3,12 @@
 Every measure is one number per frame, of a grasp's own frames and of those before and after it:
 
 - how much of the contact stays: mean IOU of the frame's contact with that of the grasp's (other) frames;
-- how far the fingers have moved and turned from their mean pose in the grasp: the pads of the five fingertips, in the
+- how far the fingertips have moved and rotated from their mean pose in the grasp: the pads of the five fingers, in the
   hand frame, by the rotation and translation nearest to their vertices' motion;
-- how far the object is from where an approximation has it: one pose in the hand, or a turn about one axis (Eq. 3, in
-  ``approximation``), fitted to the grasp's frames. Outside the angle is free as it is inside, the axis stays.
+- how far the object is from an approximation of its pose: one pose in the hand, or a rotation about one axis (Eq. 3, in
+  ``approximation``), fitted to the grasp's frames. Outside the grasp the angle is free as inside, the axis is kept.
 
-Time is normalised: the grasp's first frame is 0, its last is 1.
+Time is normalised: 0 at the grasp's first frame, 1 at its last.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from getagrip.grasps.approximation import Hinge, mean_rotation, pose_hinge, rota
 from getagrip.grasps.stable import Definition, PairwiseIou, segment
 
 MARGIN = 0.5
-"""How much is looked at before and after a grasp, as a share of its length."""
+"""How much is measured before and after a grasp, as a share of its length."""
 TIMES: Float[ndarray, "S"] = np.linspace(-MARGIN, 1.0 + MARGIN, 81)
 """Normalised times at which curves are drawn."""
 
@@ -36,9 +36,9 @@ TIMES: Float[ndarray, "S"] = np.linspace(-MARGIN, 1.0 + MARGIN, 81)
 class Measure:
     """Something measured in every frame."""
 
-    words: str
+    label: str
     unit: str
-    """As people read it."""
+    """In which it is shown."""
     factor: float
     """From SI to this unit."""
 
@@ -46,21 +46,21 @@ class Measure:
 _DEGREES, _MM = float(np.degrees(1.0)), 1e3
 MEASURES = {
     "contact_iou": Measure("contact IOU with the grasp", "", 1.0),
-    "fingers_turned": Measure("fingertips turned", "deg", _DEGREES),
-    "fingers_moved": Measure("fingertips moved", "mm", _MM),
-    "static_rotation": Measure("rotation off, static", "deg", _DEGREES),
-    "one_dof_rotation": Measure("rotation off, 1-DoF", "deg", _DEGREES),
-    "static_place": Measure("centre off, static", "mm", _MM),
-    "free_rotation": Measure("rotation off, 1-DoF of the full pose, axis anywhere", "deg", _DEGREES),
-    "free_place": Measure("centre off, 1-DoF of the full pose, axis anywhere", "mm", _MM),
-    "at_hand_rotation": Measure("rotation off, 1-DoF of the full pose, axis at the hand", "deg", _DEGREES),
-    "at_hand_place": Measure("centre off, 1-DoF of the full pose, axis at the hand", "mm", _MM),
+    "fingers_turned": Measure("fingertip rotation", "deg", _DEGREES),
+    "fingers_moved": Measure("fingertip translation", "mm", _MM),
+    "static_rotation": Measure("rotation error, static", "deg", _DEGREES),
+    "one_dof_rotation": Measure("rotation error, 1-DoF", "deg", _DEGREES),
+    "static_place": Measure("centre error, static", "mm", _MM),
+    "free_rotation": Measure("rotation error, 1-DoF of the full pose, axis anywhere", "deg", _DEGREES),
+    "free_place": Measure("centre error, 1-DoF of the full pose, axis anywhere", "mm", _MM),
+    "at_hand_rotation": Measure("rotation error, 1-DoF of the full pose, axis at the hand", "deg", _DEGREES),
+    "at_hand_place": Measure("centre error, 1-DoF of the full pose, axis at the hand", "mm", _MM),
 }
-"""By name. ``one_dof_rotation`` is of the best approximation of the rotations alone, as the paper's figures have it."""
+"""By name. ``one_dof_rotation`` is of the best approximation of the rotations alone, as in the paper's figures."""
 
 
 @dataclass(frozen=True)
-class Studied:
+class StudiedGrasp:
     """A stable grasp, measured. All in SI units."""
 
     clip: str
@@ -109,38 +109,38 @@ class Spread:
 
 def study(
     clip: Clip, definition: Definition | None = None, progress: Callable[[float], None] = lambda _: None
-) -> list[Studied]:
-    """The stable grasps of a clip, measured, by start. Raises ``InputError`` for a clip without truth."""
+) -> list[StudiedGrasp]:
+    """The stable grasps of a clip, measured, by start. Raises ``InputError`` for a clip without ground truth."""
     iou, grasps = segment(clip, definition, progress)
     return [study_grasp(clip, iou, first, last) for first, last in grasps]
 
 
-def study_grasp(clip: Clip, iou: PairwiseIou, first: int, last: int) -> Studied:
-    """One grasp, from its first to its last frame. Raises ``InputError`` for a clip without truth."""
+def study_grasp(clip: Clip, iou: PairwiseIou, first: int, last: int) -> StudiedGrasp:
+    """One grasp, from its first to its last frame. Raises ``InputError`` for a clip without ground truth."""
     margin = int(np.ceil(MARGIN * (last - first)))
     frames = slice(max(0, first - margin), min(len(clip), last + 1 + margin))
     grasp = slice(first - frames.start, last + 1 - frames.start)
     R, c, size = object_in_hand(clip)
     R, c = R[frames], c[frames]
-    turn = rotation_hinge(R[grasp], c[grasp])
+    rotations = rotation_hinge(R[grasp], c[grasp])
     free = pose_hinge(R[grasp], c[grasp], size)
     at_hand = pose_hinge(R[grasp], c[grasp], size, through=np.zeros(3))
     pads = [clip.hand.regions[finger] for finger in FINGERS]
-    turned, moved = fingers(_truth(clip).hand_vertices[frames], pads, grasp)
+    rotated, moved = fingers(_truth(clip).hand_vertices[frames], pads, grasp)
     values = {
         "contact_iou": kept_contact(iou, frames, slice(first, last + 1)),
-        "fingers_turned": turned,
+        "fingers_turned": rotated,
         "fingers_moved": moved,
         "static_rotation": se3.angle_between(mean_rotation(R[grasp]), R),
-        "one_dof_rotation": _off(turn, R, c)[0],
+        "one_dof_rotation": _errors(rotations, R, c)[0],
         "static_place": np.linalg.norm(c - c[grasp].mean(axis=0), axis=1),
     }
-    values["free_rotation"], values["free_place"] = _off(free, R, c)
-    values["at_hand_rotation"], values["at_hand_place"] = _off(at_hand, R, c)
+    values["free_rotation"], values["free_place"] = _errors(free, R, c)
+    values["at_hand_rotation"], values["at_hand_place"] = _errors(at_hand, R, c)
     is_inside = np.zeros(len(R), dtype=bool)
     is_inside[grasp] = True
     time = (np.arange(len(R)) - grasp.start) / max(last - first, 1)
-    return Studied(
+    return StudiedGrasp(
         clip=clip.name,
         side=clip.side,
         object=clip.category,
@@ -150,12 +150,12 @@ def study_grasp(clip: Clip, iou: PairwiseIou, first: int, last: int) -> Studied:
         inside={name: Spread.of(values[name][is_inside]).mean for name in MEASURES},
         outside={name: Spread.of(values[name][~is_inside]).mean for name in MEASURES},
         curves={name: np.interp(TIMES, time, values[name], np.nan, np.nan) for name in MEASURES},
-        turned=float(np.ptp(np.unwrap(turn.angles(R[grasp], c[grasp])))),
+        turned=float(np.ptp(np.unwrap(rotations.angles(R[grasp], c[grasp])))),
         hinge=free,
     )
 
 
-def _off(
+def _errors(
     hinge: Hinge, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]
 ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
     """Angle [rad] and distance of the centre [m] between poses and a hinge's nearest."""
@@ -164,10 +164,10 @@ def _off(
 
 
 def object_in_hand(clip: Clip) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, "T 3"], float]:
-    """Rotation and place of the centre [m] of the object in the true hand's frame, and its ``size`` [m] (Eq. 3).
+    """Rotation and position of the centre [m] of the object in the true hand's frame, and its ``size`` [m] (Eq. 3).
 
     The centre is that of the object's surface, and the size its radius of gyration over the root of 3. Raises
-    ``InputError`` for a clip without truth.
+    ``InputError`` for a clip without ground truth.
     """
     truth = _truth(clip)
     areas = clip.mesh.vertex_areas / clip.mesh.vertex_areas.sum()
@@ -179,7 +179,7 @@ def object_in_hand(clip: Clip) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, 
 
 def _truth(clip: Clip) -> Truth:
     if clip.truth is None:
-        raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses: they are what is studied")
+        raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses, which are studied")
     return clip.truth
 
 
@@ -198,22 +198,22 @@ def kept_contact(iou: PairwiseIou | Float[ndarray, "T T"], frames: slice, grasp:
 def fingers(
     vertices: Float[ndarray, "N V 3"], pads: Sequence[Int[ndarray, "_"]], grasp: slice
 ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
-    """How far pads of a hand (ids of its vertices) have turned [rad] and moved [m] in the hand frame, on average.
+    """How far pads of a hand (ids of its vertices) have rotated [rad] and moved [m] in the hand frame, on average.
 
-    They are compared with their mean pose in the frames of the grasp. Turns are not a number where a pad has too few
-    vertices to show them.
+    They are compared with their mean pose in the frames of the grasp. Rotations are not a number where a pad has too
+    few vertices to show them.
     """
-    turned, moved = [], []
+    rotated, moved = [], []
     for ids in pads:
         pad = vertices[:, ids]
         centre = pad.mean(axis=1, keepdims=True)
-        R = _turns(pad - centre, grasp)
-        turned.append(np.full(len(pad), np.nan) if R is None else se3.angle_between(mean_rotation(R[grasp]), R))
+        R = _rotations(pad - centre, grasp)
+        rotated.append(np.full(len(pad), np.nan) if R is None else se3.angle_between(mean_rotation(R[grasp]), R))
         moved.append(np.linalg.norm((centre - centre[grasp].mean(axis=0))[:, 0], axis=1))
-    return np.mean(turned, axis=0), np.mean(moved, axis=0)
+    return np.mean(rotated, axis=0), np.mean(moved, axis=0)
 
 
-def _turns(pad: Float[ndarray, "N P 3"], grasp: slice) -> Float[ndarray, "N 3 3"] | None:
+def _rotations(pad: Float[ndarray, "N P 3"], grasp: slice) -> Float[ndarray, "N 3 3"] | None:
     """Rotations of points about their mean, from the grasp's first frame (Kabsch); nothing where they are on a line."""
     model = pad[grasp][0]
     if len(model) < 3 or np.linalg.svd(model, compute_uv=False)[1] < 1e-6:
@@ -221,7 +221,7 @@ def _turns(pad: Float[ndarray, "N P 3"], grasp: slice) -> Float[ndarray, "N 3 3"
     return se3.nearest_rotation(np.swapaxes(pad, -1, -2) @ model)
 
 
-def mean_curves(studied: Sequence[Studied]) -> dict[str, list[Spread]]:
+def mean_curves(studied: Sequence[StudiedGrasp]) -> dict[str, list[Spread]]:
     """The spread of each measure over grasps, at each of ``TIMES``."""
     return {
         name: [Spread.of(values) for values in np.array([one.curves[name] for one in studied]).T] for name in MEASURES

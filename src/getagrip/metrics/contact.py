@@ -1,4 +1,4 @@
-"""Where hand and object touch, how stable that stays (SCA), and how deep they sink into each other.
+"""Where hand and object are in contact, how stable contact is (SCA), and how deep they penetrate each other.
 
 Stable contact area: the mean, over pairs of frames i < j, of IOU(S_i, S_j), S_i the points in contact in frame i
 (paper, Sec. 5.2). A point is in contact where its signed distance to the other surface is at most a threshold; inside
@@ -6,8 +6,8 @@ counts at any depth. Three sets of points are in use:
 
 - ``object``: the object's vertices, against the hand: the paper's;
 - ``hand``: the hand's vertices, against the object: the authors' later code's;
-- ``area``: points spread evenly over the object by area, against the hand: it does not depend on how the mesh is cut
-  into triangles (a box has eight vertices, none of them where it is held).
+- ``area``: points sampled evenly over the object's surface, against the hand: it does not depend on the triangulation
+  (a box has eight vertices, none of them where it is held).
 
 Two empty sets have IOU 0, as in the authors' code: a hand that never touches is not a stable grasp.
 """
@@ -31,8 +31,8 @@ Side = Literal["object", "hand", "area"]
 SIDES: tuple[Side, ...] = get_args(Side)
 THRESHOLDS = (0.0, 0.005, 0.010)
 """Contact thresholds in use [m]."""
-REACH = 0.011
-"""Signed distances are exact up to here [m]; further away they may read infinity."""
+MAX_DISTANCE = 0.011
+"""Signed distances are exact up to here [m]; beyond, they may be infinite."""
 AREA_POINTS = 2000
 _POINTS: dict[Side, str] = {"object": "object vertices", "hand": "hand vertices", "area": "object points by area"}
 
@@ -67,14 +67,14 @@ CONTACT_DEFINITIONS = tuple(ContactDefinition(side, threshold) for side in SIDES
 
 @dataclass(frozen=True)
 class ContactDistances:
-    """Signed distances [m] between hand and object in each frame, negative inside; exact up to ``REACH``."""
+    """Signed distances [m] between hand and object in each frame, negative inside; exact up to ``MAX_DISTANCE``."""
 
     object: Float[ndarray, "T Vo"]
     """Object vertices to the hand."""
     hand: Float[ndarray, "T Vh"]
     """Hand vertices to the object."""
     area: Float[ndarray, "T P"]
-    """Evenly spread object points to the hand."""
+    """Points sampled evenly over the object to the hand."""
 
     def contact(self, side: Side, threshold: float) -> Bool[ndarray, "T _"]:
         """The points in contact: signed distance at most ``threshold`` [m]."""
@@ -88,55 +88,50 @@ class ContactDistances:
 
 
 def contact_distances(
-    mesh: Mesh,
-    scale: float,
-    T_hand_obj: Float[ndarray, "T 4 4"],
-    hand_vertices: Float[ndarray, "T V 3"],
-    hand_faces: Int[ndarray, "F 3"],
-) -> ContactDistances:
-    """Distances between a posed object and a hand (in the hand frame), both ways; its holes are closed first."""
-    return contact_distances_of(mesh, [ObjectTrack(T_hand_obj, scale)], hand_vertices, hand_faces)[0]
-
-
-def contact_distances_of(
     mesh: Mesh, tracks: Sequence[ObjectTrack], hand_vertices: Float[ndarray, "T V 3"], hand_faces: Int[ndarray, "F 3"]
 ) -> list[ContactDistances]:
-    """``contact_distances`` of several tracks of an object in one hand, whose search trees they share."""
+    """Distances between an object and a hand (in the hand frame), both ways, for each track of the object.
+
+    Holes of the hand are closed first. Tracks share the hand's search trees.
+    """
     points = np.concatenate([mesh.vertices, surface_points(mesh, AREA_POINTS)])
     V, P = len(mesh.vertices), len(points)
     in_hand = np.concatenate([se3.transform(track.T_hand_obj, track.scale * points) for track in tracks], axis=1)
-    to_hand = moving_distance(in_hand, *close_holes(hand_vertices, hand_faces), REACH)
+    to_hand = moving_distance(in_hand, *close_holes(hand_vertices, hand_faces), MAX_DISTANCE)
     out = []
     for k, track in enumerate(tracks):
         in_object = se3.transform(se3.inverse(track.T_hand_obj), hand_vertices)
         vertices = np.broadcast_to(track.scale * mesh.vertices, (len(in_object), V, 3))
-        to_object = moving_distance(in_object, vertices, mesh.faces, REACH)
+        to_object = moving_distance(in_object, vertices, mesh.faces, MAX_DISTANCE)
         out.append(ContactDistances(to_hand[:, k * P : k * P + V], to_object, to_hand[:, k * P + V : (k + 1) * P]))
     return out
 
 
 def signed_distance(
-    points: Float[ndarray, "P 3"], vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], reach: float = np.inf
+    points: Float[ndarray, "P 3"],
+    vertices: Float[ndarray, "V 3"],
+    faces: Int[ndarray, "F 3"],
+    max_distance: float = np.inf,
 ) -> Float[ndarray, "P"]:
-    """Distance [m] of points to a surface, negative inside; infinity may stand for what is beyond ``reach``.
+    """Distance [m] of points to a surface, negative inside; beyond ``max_distance`` it may be infinite.
 
     Inside is where the winding number exceeds a half (Barill et al., "Fast Winding Numbers for Soups and Clouds",
     2018): right also for bodies of several overlapping closed parts, where the nearest surface's normal misleads.
     """
-    return moving_distance(points[None], vertices[None], faces, reach)[0]
+    return moving_distance(points[None], vertices[None], faces, max_distance)[0]
 
 
 def moving_distance(
     points: Float[ndarray, "T P 3"],
     vertices: Float[ndarray, "T V 3"],
     faces: Int[ndarray, "F 3"],
-    reach: float = np.inf,
+    max_distance: float = np.inf,
 ) -> Float[ndarray, "T P"]:
     """``signed_distance`` of moving points to a moving surface.
 
     From frame to frame a distance changes by no more than the point and the surface have moved, and its sign changes
-    only where it passes zero. What is thus known to be beyond reach, or on the same side as before, is not computed
-    again.
+    only where it passes zero. A distance that is thus known to be beyond ``max_distance``, or a side that is known to
+    be the same as before, is not computed again.
     """
     import igl
 
@@ -159,7 +154,7 @@ def moving_distance(
         if unsure.size:
             inside[unsure] = np.abs(winding.winding_number(x[unsure])) > 0.5
         inside &= boxed
-        asked = np.flatnonzero((outside <= reach) & (inside | (least <= reach)))
+        asked = np.flatnonzero((outside <= max_distance) & (inside | (least <= max_distance)))
         if asked.size:
             least[asked] = np.sqrt(tree.squared_distance(surface, faces, x[asked])[0])
             out[n, asked] = np.where(inside[asked], -least[asked], least[asked])

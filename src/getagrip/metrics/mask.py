@@ -1,6 +1,6 @@
-"""Intersection over union of the predicted and the observed object mask, where pixels say something about the object.
+"""Intersection over union of the predicted and the observed object mask, over the valid pixels.
 
-The prediction is drawn by the z-buffer of ``kernels.depth`` and not by the silhouettes that the fit uses, so that a
+The prediction is rendered by the z-buffer of ``kernels.depth`` and not by the silhouettes that the fit uses, so that a
 score cannot share the objective's mistakes.
 """
 
@@ -24,17 +24,17 @@ CROP = 256
 
 @dataclass(frozen=True)
 class MaskIou:
-    """IOU of each frame; NaN where no pixel of the object is seen."""
+    """IOU of each frame; NaN where no pixel of the object is observed."""
 
     crop: Float[ndarray, "T"]
     """In 256 x 256 crops, 1.8 times the largest mask, around each observed mask: the paper's."""
     soft: Float[ndarray, "T"]
     """The same with partly covered pixels counted in part, as the authors' code does: sum p r / sum min(p + r, 1)."""
     full: Float[ndarray, "T"]
-    """On the whole image, so that a prediction outside the crop is punished."""
+    """On the whole image, so that a prediction outside the crop counts, too."""
 
 
-def _drawn(mesh: Mesh | None, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+def _rendered(mesh: Mesh | None, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """Pixels whose centre a mesh in the camera frame covers; none where there is no mesh."""
     from getagrip.geometry.depth import covered
 
@@ -70,17 +70,17 @@ def iou_of_meshes(meshes: Sequence[Mesh | None], K: Float[ndarray, "T 3 3"], mas
     """IOU of a mesh for each frame, in the camera frame, with the observed masks; 0 where there is no mesh."""
     T, H, W = masks.object.shape
     out = MaskIou(*np.full((3, T), np.nan))
-    seen = np.flatnonzero(masks.seen)
-    if not seen.size:
+    frames = np.flatnonzero(masks.seen)
+    if not frames.size:
         return out
-    crops = crops_around(masks.object[seen], size=CROP)
-    observed = crops.resample(masks.object[seen], outside=False)
-    ignore = crops.resample(masks.ignore[seen], outside=True)
-    once = crops.intrinsics(K[seen])
+    crops = crops_around(masks.object[frames], size=CROP)
+    observed = crops.resample(masks.object[frames], outside=False)
+    ignore = crops.resample(masks.ignore[frames], outside=True)
+    once = crops.intrinsics(K[frames])
     twice = np.array([2.0, 2.0, 1.0])[:, None] * once  # twice as many pixels each way
-    for i, n in enumerate(seen):
+    for i, n in enumerate(frames):
         mesh = meshes[int(n)]
-        out.full[n] = iou(_drawn(mesh, K[n], (W, H)), masks.object[n], masks.ignore[n])
-        out.crop[n] = iou(_drawn(mesh, once[i], (CROP, CROP)), observed[i], ignore[i])
-        out.soft[n] = soft_iou(_drawn(mesh, twice[i], (2 * CROP, 2 * CROP)), observed[i], ignore[i])
+        out.full[n] = iou(_rendered(mesh, K[n], (W, H)), masks.object[n], masks.ignore[n])
+        out.crop[n] = iou(_rendered(mesh, once[i], (CROP, CROP)), observed[i], ignore[i])
+        out.soft[n] = soft_iou(_rendered(mesh, twice[i], (2 * CROP, 2 * CROP)), observed[i], ignore[i])
     return out

@@ -1,8 +1,8 @@
-"""Contact between a hand and an object whose mesh is another one in each frame, as systems without a CAD give it.
+"""Contact between a hand and an object with a new mesh in each frame, as systems without a CAD model reconstruct it.
 
-Stable contact area compares the points in contact in two frames, so they must be the same points. A mesh that is made
-anew in each frame has none that are; the hand has. So there the ``hand`` side of ``contact`` is what can be told, and
-the other two only where all meshes have the same faces: a mesh that is moved or bent.
+Stable contact area compares the points in contact in two frames, so they must be the same points. New meshes have no
+points in common; the hand has. So only the ``hand`` side of ``contact`` can be measured, and the other two where all
+meshes have the same faces: one mesh that moves or deforms.
 """
 
 from __future__ import annotations
@@ -14,7 +14,15 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.geometry.mesh import Mesh
-from getagrip.metrics.contact import AREA_POINTS, REACH, SIDES, ContactDistances, Side, close_holes, signed_distance
+from getagrip.metrics.contact import (
+    AREA_POINTS,
+    MAX_DISTANCE,
+    SIDES,
+    ContactDistances,
+    Side,
+    close_holes,
+    signed_distance,
+)
 from getagrip.metrics.symmetry import at_places, surface_places
 
 
@@ -23,8 +31,8 @@ def mesh_distances(
 ) -> tuple[ContactDistances, tuple[Side, ...]]:
     """Distances between the mesh of each frame and a hand, both in the hand frame, and the sides that can be compared.
 
-    Where a frame has no mesh, nothing is near. Where meshes have different numbers of vertices, ``object`` is filled up
-    with points that are infinitely far; ``area`` has no points where sides cannot be compared.
+    In a frame without a mesh all distances are infinite. Where meshes have different numbers of vertices, ``object`` is
+    padded with infinite distances; ``area`` has no points where sides cannot be compared.
     """
     there = [mesh for mesh in meshes if mesh is not None]
     same = bool(there) and all(np.array_equal(mesh.faces, there[0].faces) for mesh in there)
@@ -42,7 +50,7 @@ def mesh_distances(
         if mesh is not None:
             V = len(mesh.vertices)
             points = np.concatenate([mesh.vertices, at_places(mesh, face, along)])
-            to_hand = signed_distance(points, hands[n], faces, REACH)
+            to_hand = signed_distance(points, hands[n], faces, MAX_DISTANCE)
             out.object[n, :V], out.area[n] = to_hand[:V], to_hand[V:]
-            out.hand[n] = signed_distance(hand_vertices[n], mesh.vertices, mesh.faces, REACH)
+            out.hand[n] = signed_distance(hand_vertices[n], mesh.vertices, mesh.faces, MAX_DISTANCE)
     return out, SIDES if same else ("hand",)

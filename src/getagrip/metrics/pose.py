@@ -57,7 +57,7 @@ class PoseErrors:
 def pose_errors(
     mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetry: Float[ndarray, "4 4"] | None = None
 ) -> PoseErrors:
-    """Errors of a prediction; ``symmetry``, a map of the unscaled object onto itself, is applied to the truth first."""
+    """Errors of a prediction; ``symmetry``, a map of the unscaled object onto itself, is applied to the true one."""
     S = np.eye(4) if symmetry is None else symmetry
     A, b = _difference(predicted, true, S)
     add = np.stack([np.linalg.norm(mesh.vertices @ M.T + c, axis=1).mean() for M, c in zip(A, b, strict=True)])
@@ -74,8 +74,8 @@ def best_symmetry(
 ) -> Float[ndarray, "4 4"]:
     """The symmetry with the smallest ADD over the whole sequence: one for all frames, as BOP and HOT3D score videos.
 
-    Continuous turns are sampled (36 angles; 500 rotations of a ball) and the best sample is refined by a simplex
-    search, so that the sampling leaves no error behind.
+    Continuous rotations are sampled (36 angles; 500 rotations of a ball) and the best sample is refined by a simplex
+    search, so that sampling adds no error.
     """
     vertices = mesh.vertices[:: max(1, len(mesh.vertices) // VERTICES)]
 
@@ -90,8 +90,8 @@ def best_symmetry(
         angles = np.arange(STEPS)[:, None] * 2.0 * np.pi / STEPS
     else:
         angles = se3.log_so3(se3.super_fibonacci(BALL))
-    turns = symmetries.about(angles)
-    samples = [(cost(turn @ S), k, S) for k, turn in enumerate(turns) for S in symmetries.elements]
+    rotations = symmetries.about(angles)
+    samples = [(cost(rotation @ S), k, S) for k, rotation in enumerate(rotations) for S in symmetries.elements]
     _, k, S = min(samples, key=lambda sample: sample[0])
     if free == 0:
         return S

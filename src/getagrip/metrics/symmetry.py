@@ -1,9 +1,9 @@
-"""The turns that map an object onto itself, found from its surface. Rotations only: a mirrored object is another one.
+"""The rotations that map an object onto itself, found from its surface. Mirrorings do not count.
 
-A turn T is a symmetry when points spread evenly over the surface, turned by T, lie on the surface again: at most
+A rotation T is a symmetry when points sampled evenly over the surface, rotated by T, lie on the surface again: at most
 ``MEAN`` of the diameter away in the mean and ``WORST`` at the worst. The second bound keeps a handle or a spout, a
-few per cent of the area, from passing unseen. Candidates are turns about the principal axes of the surface (and about
-more axes where those are not unique), each moved to its best fit by a few steps of point-to-plane ICP.
+few per cent of the area, from going unnoticed. Candidates are rotations about the principal axes of the surface (and
+about more axes where those are not unique), each refined by a few steps of point-to-plane ICP.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, decimate
 
 MEAN, WORST = 0.015, 0.06
-"""Largest mean and largest single distance between the turned and the resting surface [diameters]."""
+"""Largest mean and largest single distance between the rotated and the resting surface [diameters]."""
 ORDERS = (2, 3, 4, 5, 6)
-"""Orders of the discrete turns that are tried: 180, 120, 90, 72 and 60 degrees."""
+"""Orders of the discrete rotations that are tried: 180, 120, 90, 72 and 60 degrees."""
 PROBES = np.radians([17.0, 40.0, 73.0, 101.0, 139.0, 180.0])
-"""An axis about which all these turns are symmetries is continuous [rad]."""
+"""An axis about which all these rotations are symmetries is continuous [rad]."""
 UNIQUE = 1.25
 """Principal axes whose second moments are within this factor of each other are not unique."""
 SAME = np.radians(10.0)
 """Turns closer than this are the same symmetry; none is fitted further away from its candidate [rad]."""
 POINTS, FACES = 600, 2000
-"""Points that are turned, and faces of the mesh they are compared with."""
+"""Points that are rotated, and faces of the mesh they are compared with."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,14 @@ class Symmetries:
     """All symmetries of an object: ``about(angles) @ elements[i]``, maps of its own frame (before scaling)."""
 
     elements: Float[ndarray, "S 4 4"]
-    """Discrete turns, the identity first."""
+    """Discrete rotations, the identity first."""
     axes: Float[ndarray, "k 3"]
-    """Unit axes of continuous turns: none, one, or three for a ball."""
+    """Unit axes of continuous rotations: none, one, or three for a ball."""
     centre: Float[ndarray, "3"]
     """A point on all axes [m]."""
 
     def about(self, angles: Float[ndarray, "*batch k"]) -> Float[ndarray, "*batch 4 4"]:
-        """The continuous turn by the rotation vector ``angles`` [rad] in the axes' span."""
+        """The continuous rotation by the rotation vector ``angles`` [rad] in the axes' span."""
         R = se3.exp_so3(angles @ self.axes)
         return se3.rigid(R, self.centre - R @ self.centre)
 
@@ -53,8 +53,8 @@ class Symmetries:
             return "ball"
         if len(self.axes) == 1:
             return "continuous" if len(self.elements) == 1 else "continuous, flips"
-        turns = np.degrees(se3.angle_between(np.eye(3), self.elements[1:, :3, :3]))
-        return "none" if not turns.size else ", ".join(f"{t:.0f}" for t in sorted(turns.round())) + " degrees"
+        rotations = np.degrees(se3.angle_between(np.eye(3), self.elements[1:, :3, :3]))
+        return "none" if not rotations.size else ", ".join(f"{t:.0f}" for t in sorted(rotations.round())) + " degrees"
 
 
 def find_symmetries(mesh: Mesh) -> Symmetries:
@@ -64,20 +64,20 @@ def find_symmetries(mesh: Mesh) -> Symmetries:
     moments, axes = np.linalg.eigh(second_moment)
     lines = _candidate_axes(moments, axes.T)
 
-    halves = [surface.settled(T) for T in surface.promising(_turns(centre, lines, np.pi))]
+    halves = [surface.refined(T) for T in surface.promising(_rotations(centre, lines, np.pi))]
     continuous = [line for half in halves if half is not None and (line := _continuous(surface, centre, half))]
     if continuous:
         directions = np.stack([direction for _, direction in continuous])
         if np.abs(directions @ directions[0]).min() < np.cos(np.radians(30.0)):
             return Symmetries(np.eye(4)[None], np.eye(3), centre)
         point, axis = continuous[0]
-        across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-        flip = surface.settled(_turns(centre, across / np.linalg.norm(across), np.pi))
+        perpendicular = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        flip = surface.refined(_rotations(centre, perpendicular / np.linalg.norm(perpendicular), np.pi))
         return Symmetries(np.stack([np.eye(4)] if flip is None else [np.eye(4), flip]), axis[None], point)
 
     elements = [np.eye(4)]
     for order in ORDERS:
-        for T in surface.promising(_turns(centre, lines, 2.0 * np.pi / order)):
+        for T in surface.promising(_rotations(centre, lines, 2.0 * np.pi / order)):
             _add(elements, T, surface)
     for a in elements:  # grows while it runs: what two symmetries make together is one, if it passes
         for b in elements[: len(elements)]:
@@ -97,10 +97,10 @@ class _Surface:
         self.tree.init(mesh.vertices, mesh.faces)
         self.dense = cKDTree(surface_points(mesh, 5000))
 
-    def promising(self, turns: Float[ndarray, "n 4 4"]) -> Float[ndarray, "m 4 4"]:
-        """The turns that deserve a closer look, by a coarse test of all of them at once."""
-        distance = self.dense.query(se3.transform(turns, self.points[::5]))[0]
-        return turns[distance.mean(axis=1) < 3.0 * MEAN * self.mesh.diameter]
+    def promising(self, rotations: Float[ndarray, "n 4 4"]) -> Float[ndarray, "m 4 4"]:
+        """The rotations that deserve a closer look, by a coarse test of all of them at once."""
+        distance = self.dense.query(se3.transform(rotations, self.points[::5]))[0]
+        return rotations[distance.mean(axis=1) < 3.0 * MEAN * self.mesh.diameter]
 
     def nearest(self, X: Float[ndarray, "P 3"]) -> tuple[ndarray, ndarray, ndarray]:
         """Distances [m], nearest points and the normals there."""
@@ -108,29 +108,29 @@ class _Surface:
         return np.sqrt(squared), nearest, self.mesh.planes[face, :3]
 
     def fits(self, T: Float[ndarray, "4 4"]) -> bool:
-        """Whether the turned surface lies on the resting one."""
+        """Whether the rotated surface lies on the resting one."""
         distance = self.nearest(se3.transform(T, self.points))[0] / self.mesh.diameter
         return bool(distance.mean() < MEAN and distance.max() < WORST)
 
-    def settled(self, turn: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"] | None:
-        """The turn moved to its best fit nearby, or None where that is no symmetry."""
+    def refined(self, rotation: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"] | None:
+        """The rotation at its best fit nearby, or None where that is no symmetry."""
         few = self.points[::6]
-        off = self.nearest(se3.transform(self.aligned(turn, few), few))[0] / (1.5 * self.mesh.diameter)
-        if off.mean() > MEAN or off.max() > WORST:  # most turns are far off, and a few points tell
+        off = self.nearest(se3.transform(self.aligned(rotation, few), few))[0] / (1.5 * self.mesh.diameter)
+        if off.mean() > MEAN or off.max() > WORST:  # most are far off, and a few points show it
             return None
-        T = self.aligned(turn, self.points)
-        moved = se3.angle_between(turn[:3, :3], T[:3, :3])
+        T = self.aligned(rotation, self.points)
+        moved = se3.angle_between(rotation[:3, :3], T[:3, :3])
         return T if moved < SAME and self.fits(T) else None
 
-    def aligned(self, turn: Float[ndarray, "4 4"], points: Float[ndarray, "P 3"]) -> Float[ndarray, "4 4"]:
-        """The turn moved so that points fit the surface best (point-to-plane ICP)."""
-        T, size = turn, self.mesh.diameter
+    def aligned(self, rotation: Float[ndarray, "4 4"], points: Float[ndarray, "P 3"]) -> Float[ndarray, "4 4"]:
+        """The rotation at its best fit of points to the surface (point-to-plane ICP)."""
+        T, size = rotation, self.mesh.diameter
         for _ in range(6):
             X = se3.transform(T, points)
             _, nearest, n = self.nearest(X)
             middle = X.mean(axis=0)
             J = np.concatenate([n, np.cross(X - middle, n) / size], axis=1)
-            # The damping holds still what the surface leaves free: a can's turn about its axis.
+            # The damping holds still what the surface leaves free: a can's rotation about its axis.
             step = np.linalg.solve(J.T @ J + 1e-3 * len(J) * np.eye(6), J.T @ np.sum(n * (nearest - X), axis=1))
             R = se3.exp_so3(step[3:] / size)
             T = se3.rigid(R, middle - R @ middle + step[:3]) @ T
@@ -185,27 +185,29 @@ def _candidate_axes(moments: Float[ndarray, "3"], axes: Float[ndarray, "3 3"]) -
     return np.concatenate([axes, np.cos(angle) * axes[i] + np.sin(angle) * axes[j]])
 
 
-def _turns(point: Float[ndarray, "3"], axis: Float[ndarray, "*batch 3"], angle: float) -> Float[ndarray, "*batch 4 4"]:
+def _rotations(
+    point: Float[ndarray, "3"], axis: Float[ndarray, "*batch 3"], angle: float
+) -> Float[ndarray, "*batch 4 4"]:
     return se3.rotation_about_line(point, axis, np.full(axis.shape[:-1], angle))
 
 
 def _continuous(
     surface: _Surface, centre: Float[ndarray, "3"], half: Float[ndarray, "4 4"]
 ) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]] | None:
-    """The line (point, direction) of a half turn, if any turn about it is a symmetry."""
+    """The line (point, direction) of a half turn, if any rotation about it is a symmetry."""
     w = se3.log_so3(half[:3, :3])
     axis = w / np.linalg.norm(w)
     point = (centre + se3.transform(half, centre[None])[0]) / 2.0  # halfway between a point and its image
-    return (point, axis) if all(surface.fits(_turns(point, axis, angle)) for angle in PROBES) else None
+    return (point, axis) if all(surface.fits(_rotations(point, axis, angle)) for angle in PROBES) else None
 
 
 def _add(elements: list[ndarray], T: Float[ndarray, "4 4"], surface: _Surface) -> None:
     """Add the symmetry nearest to T, unless there is none or it is known."""
     if _known(elements, T):
         return
-    settled = surface.settled(T)
-    if settled is not None and not _known(elements, settled):
-        elements.append(settled)
+    refined = surface.refined(T)
+    if refined is not None and not _known(elements, refined):
+        elements.append(refined)
 
 
 def _known(elements: list[ndarray], T: Float[ndarray, "4 4"]) -> bool:

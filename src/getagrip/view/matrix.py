@@ -65,7 +65,7 @@ def _draw(
     seconds = axes.secondary_xaxis("top", functions=(partial(np.multiply, 1.0 / fps), partial(np.multiply, fps)))
     seconds.set_xlabel("seconds")
     for first, last in grasps:
-        _outline(axes, first, last + 1, T, f"{(last + 1 - first) / fps:.1f} s")
+        _square(axes, first, last + 1, T, f"{(last + 1 - first) / fps:.1f} s")
 
     strip = figure.add_axes((0.085, 0.06, 0.76, 0.016))
     strip.set(xlim=(0, T), ylim=(0, 1), xticks=[], yticks=[], facecolor=PAPER)
@@ -83,7 +83,7 @@ def _draw(
     return figure
 
 
-def _outline(axes: Axes, begin: int, end: int, frames: int, words: str) -> None:
+def _square(axes: Axes, begin: int, end: int, frames: int, words: str) -> None:
     """A square on the diagonal, and how long it lasts: in its corner, or beside it where it is small but not tiny."""
     x, y = np.array([begin, end, end, begin, begin]), np.array([begin, begin, end, end, begin])
     axes.plot(x, y, color="white", linewidth=3.0, alpha=0.8, solid_joinstyle="miter", clip_on=False)

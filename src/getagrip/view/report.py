@@ -1,4 +1,4 @@
-"""One picture of a reconstruction: what is seen, what was found, from the camera and from the side, and the motion."""
+"""One picture of a reconstruction: over the images, from the camera and from the side, and the motion over time."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ TILES = 5
 """Frames shown."""
 TILE = 320
 """Side of a tile [px]."""
-TURN = np.radians(80.0)
-"""The turned view looks from this far to the left."""
+SIDE_VIEW = np.radians(80.0)
+"""The side view looks from this far to the left."""
 HAND, OBJECT = (0.87, 0.72, 0.63), (0.44, 0.58, 0.69)
-SEEN, IGNORED = (126, 158, 184), (216, 200, 186)
+OBSERVED, IGNORED = (126, 158, 184), (216, 200, 186)
 
 
 def write_report(
@@ -46,9 +46,9 @@ def write_report(
     """Write the picture as a PNG and return its path.
 
     ``clip`` and ``masks`` may have more frames than the result; ``metrics`` are those of ``evaluate``, of which ADD and
-    IOU are shown where they are there. Images are read from the clip's folder where it has them; without images the
-    masks are drawn. Raises ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for
-    masks of another clip.
+    IOU are shown if given. Images are read from the clip's folder where it has them; without images the masks are drawn.
+    Raises ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for masks of another
+    clip.
     """
     if masks is not None:
         check_masks(clip, masks)
@@ -72,7 +72,7 @@ class _View:
         return se3.transform(self.clip.hand.T_cam_hand[n], self.clip.hand.vertices[n])
 
     def object(self, n: int) -> Float[ndarray, "V 3"]:
-        """The object as it was found, in the camera frame [m]."""
+        """The reconstructed object in the camera frame [m]."""
         T_cam_obj = self.clip.hand.T_cam_hand[n] @ self.result.T_hand_obj[n]
         return se3.transform(T_cam_obj, self.result.scale * self.clip.mesh.vertices)
 
@@ -105,7 +105,7 @@ def _draw(view: _View, metrics: Mapping[str, float]) -> Figure:
         _title(figure, view, metrics, left / width, 1.0 - 0.2 / height, 0.27 / height)
         frames = np.unique(np.linspace(0, len(view.result.frames) - 1, TILES).round().astype(int))
         crops = view.crops(frames)
-        rows = ("what is seen", "found, from the camera", "found, from the side")
+        rows = ("input and fitted contour", "result, from the camera", "result, from the side")
         for row, label in enumerate(rows):
             top = head + row * (tile + gap)
             figure.text(0.35 / width, 1.0 - (top + tile / 2) / height, label, rotation=90, ha="center", va="center")
@@ -114,9 +114,9 @@ def _draw(view: _View, metrics: Mapping[str, float]) -> Figure:
                 axes.set(xticks=[], yticks=[], xlim=(0, TILE), ylim=(TILE, 0), facecolor=PAPER)
                 K = crops.intrinsics(view.clip.K[frames])[k]
                 if row == 0:
-                    _seen(axes, view, int(n), crops, k, K)
+                    _over_image(axes, view, int(n), crops, k, K)
                 else:
-                    _found(axes, view, int(n), K, turned=row == 2)
+                    _rendered(axes, view, int(n), K, from_side=row == 2)
         top = head + 3 * tile + 2 * gap + between
         half = (width - left - right - 0.75) / 2.0
         _angle_plot(place(left, top, half, plots), view)
@@ -156,8 +156,8 @@ def _title(figure: Figure, view: _View, metrics: Mapping[str, float], x: float, 
         figure.text(0.98, y - 2.0 * step, warning, color=FOUND, fontsize=9.5, va="top", ha="right")
 
 
-def _seen(axes: Axes, view: _View, n: int, crops: Crops, k: int, K: Float[ndarray, "3 3"]) -> None:
-    """The image or the masks, and the outline of the object as it was found."""
+def _over_image(axes: Axes, view: _View, n: int, crops: Crops, k: int, K: Float[ndarray, "3 3"]) -> None:
+    """The image or the masks, and the contour of the reconstructed object."""
     shift = -crops.corner[k] * crops.zoom
     centre = shift + crops.zoom / 2.0 - 0.5  # cv2 counts from the centre of the first pixel
     warp = np.array([[crops.zoom, 0.0, centre[0]], [0.0, crops.zoom, centre[1]]])
@@ -167,9 +167,9 @@ def _seen(axes: Axes, view: _View, n: int, crops: Crops, k: int, K: Float[ndarra
         picture, warp, (TILE, TILE), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=grey
     )
     axes.imshow(tile, extent=(0, TILE, TILE, 0), interpolation="antialiased")
-    fine = np.diag([2.0, 2.0, 1.0]) @ K  # else the outline shows the tile's pixels
+    fine = np.diag([2.0, 2.0, 1.0]) @ K  # else the contour shows the tile's pixels
     drawn = depth_and_face(view.object(n), view.clip.mesh.faces, fine, (2 * TILE, 2 * TILE))[1] >= 0
-    for fine_line in _outlines(drawn):
+    for fine_line in _contours(drawn):
         line = fine_line / 2.0
         axes.plot(*line.T, color="white", linewidth=2.6, alpha=0.8, solid_joinstyle="round")
         axes.plot(*line.T, color=FOUND, linewidth=1.3, solid_joinstyle="round")
@@ -189,18 +189,18 @@ def _image(view: _View, n: int) -> UInt8[ndarray, "H W 3"]:
     picture = np.full((height, width, 3), (244, 244, 241), dtype=np.uint8)
     if view.masks is not None:
         picture[view.masks.ignore[n]] = IGNORED
-        picture[view.masks.object[n]] = SEEN
+        picture[view.masks.object[n]] = OBSERVED
     return picture
 
 
-def _found(axes: Axes, view: _View, n: int, K: Float[ndarray, "3 3"], turned: bool) -> None:
-    """Hand, object and axis, seen by the camera or from the side."""
+def _rendered(axes: Axes, view: _View, n: int, K: Float[ndarray, "3 3"], from_side: bool) -> None:
+    """Hand, object and axis, from the camera or from the side."""
     hand, held = view.hand(n), view.object(n)
     T_view_cam = np.eye(4)
-    if turned:
+    if from_side:
         both = np.concatenate([hand, held])
         middle = (both.min(axis=0) + both.max(axis=0)) / 2.0
-        R = se3.exp_so3(np.array([0.0, -TURN, 0.0]))
+        R = se3.exp_so3(np.array([0.0, -SIDE_VIEW, 0.0]))
         T_view_cam = se3.rigid(R, np.array([0.0, 0.0, np.linalg.norm(middle)]) - R @ middle)
         K = np.array([[K[0, 0], 0.0, TILE / 2.0], [0.0, K[1, 1], TILE / 2.0], [0.0, 0.0, 1.0]])
     hand, held = se3.transform(T_view_cam, hand), se3.transform(T_view_cam, held)
@@ -220,7 +220,7 @@ def _axis_line(
     K: Float[ndarray, "3 3"],
     parts: tuple[Float[ndarray, "V 3"], Float[ndarray, "W 3"]],
 ) -> None:
-    """The latent axis: a line where it is in sight, dots where something is in front of it."""
+    """The latent axis: a line where it is visible, dots where something is in front of it."""
     axis = view.result.axis
     assert axis is not None
     ends = view.result.scale * view.clip.mesh.diameter
@@ -231,10 +231,10 @@ def _axis_line(
     faces = np.concatenate([view.clip.hand.faces, view.clip.mesh.faces + len(parts[0])])
     depth, _ = depth_and_face(both, faces, K, (TILE, TILE))
     column, row = np.clip(np.floor(uv).astype(int), 0, TILE - 1).T
-    in_sight = line[:, 2] < depth[row, column] + 1e-3
-    axes.plot(*np.where(in_sight[:, None], uv, np.nan).T, color="white", linewidth=3.0, alpha=0.7)
-    axes.plot(*np.where(in_sight[:, None], uv, np.nan).T, color=AXIS, linewidth=1.6)
-    axes.plot(*np.where(in_sight[:, None], np.nan, uv).T, color=HIDDEN, linewidth=1.3, linestyle=(0, (1, 1.6)))
+    visible = line[:, 2] < depth[row, column] + 1e-3
+    axes.plot(*np.where(visible[:, None], uv, np.nan).T, color="white", linewidth=3.0, alpha=0.7)
+    axes.plot(*np.where(visible[:, None], uv, np.nan).T, color=AXIS, linewidth=1.6)
+    axes.plot(*np.where(visible[:, None], np.nan, uv).T, color=HIDDEN, linewidth=1.3, linestyle=(0, (1, 1.6)))
 
 
 def _along(view: _View, point: Float[ndarray, 3], direction: Float[ndarray, 3]) -> float:
@@ -243,7 +243,7 @@ def _along(view: _View, point: Float[ndarray, 3], direction: Float[ndarray, 3]) 
     return float((middle - point) @ direction)
 
 
-def _outlines(mask: Bool[ndarray, "H W"]) -> list[Float[ndarray, "n 2"]]:
+def _contours(mask: Bool[ndarray, "H W"]) -> list[Float[ndarray, "n 2"]]:
     """Closed boundary lines of a mask, in pixel coordinates."""
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     lines = [contour[:, 0].astype(float) + 0.5 for contour in contours if len(contour) > 8]
@@ -269,11 +269,11 @@ def _seconds(view: _View) -> Float[ndarray, "T"]:
 
 
 def _angle_plot(axes: Axes, view: _View) -> None:
-    """The angle about the axis or, without an axis, the turn since the first frame; the same of the truth."""
+    """The angle about the axis or, without an axis, the rotation since the first frame; of the ground truth, too."""
     t, result, truth = _seconds(view), view.result, view.clip.truth
     true = None if truth is None else (se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj)[:, :3, :3]
     if result.axis is None:
-        _plain(axes, "turn of the object in the hand since the first frame [°]")
+        _plain(axes, "rotation of the object in the hand since the first frame [°]")
         R = result.T_hand_obj[:, :3, :3]
         curves = [se3.angle_between(r[:1], r) for r in (R, true) if r is not None]
     else:
@@ -283,8 +283,8 @@ def _angle_plot(axes: Axes, view: _View) -> None:
             about = se3.log_so3(true @ true[0].T) @ result.axis.direction
             curves.append(about - about.mean())
     if len(curves) > 1:
-        axes.plot(t, np.degrees(curves[1]), color=TRUE, linewidth=1.4, linestyle=(0, (4, 2)), label="truth")
-    axes.plot(t, np.degrees(curves[0]), color=AXIS, linewidth=2.0, label="found")
+        axes.plot(t, np.degrees(curves[1]), color=TRUE, linewidth=1.4, linestyle=(0, (4, 2)), label="ground truth")
+    axes.plot(t, np.degrees(curves[0]), color=AXIS, linewidth=2.0, label="reconstructed")
     if len(curves) > 1:
         axes.legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 0.98), borderpad=0.0)
 

@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 INSIDE, PLAIN, AT_HAND = "#e3ecf4", "#41698c", "#7b5ea7"
 PANELS: tuple[tuple[str, dict[str, tuple[str, str]]], ...] = (
     ("contact kept\nIOU with the grasp's frames", {"contact_iou": ("", PLAIN)}),
-    ("finger pose\nfingertips turned [deg]", {"fingers_turned": ("", PLAIN)}),
+    ("finger pose\nfingertip rotation [deg]", {"fingers_turned": ("", PLAIN)}),
     (
-        "object in hand\nrotation off [deg]",
+        "object in hand\nrotation error [deg]",
         {"static_rotation": ("static", FOUND), "one_dof_rotation": ("1-DoF", AXIS)},
     ),
-    ("fingertips moved [mm]", {"fingers_moved": ("", PLAIN)}),
+    ("fingertip translation [mm]", {"fingers_moved": ("", PLAIN)}),
     (
-        "1-DoF of the full pose\nrotation off [deg]",
+        "1-DoF of the full pose\nrotation error [deg]",
         {"free_rotation": ("axis anywhere", AXIS), "at_hand_rotation": ("axis at the hand", AT_HAND)},
     ),
     (
-        "object in hand\ncentre off [mm]",
+        "object in hand\ncentre error [mm]",
         {
             "static_place": ("static", FOUND),
             "free_place": ("axis anywhere", AXIS),
@@ -62,13 +62,13 @@ def _draw(curves: Mapping[str, Sequence[Spread]]) -> Figure:
         _panel(axes, curves, lines)
         if n >= 3:
             axes.set_xlabel("time, the grasp from 0 to 1")
-    words = "lines: mean over grasps · bands: middle half of them · blue: the stable grasp"
-    figure.text(0.055, 0.012, f"{words}; outside, the axis found inside it is kept{_seen(curves)}", color=FAINT)
+    legend = "lines: mean over grasps · bands: middle half of them · blue: the stable grasp"
+    figure.text(0.055, 0.012, f"{legend}; outside it, its axis is kept{_outside(curves)}", color=FAINT)
     return figure
 
 
-def _seen(curves: Mapping[str, Sequence[Spread]]) -> str:
-    """How many of the grasps there are to see before and after."""
+def _outside(curves: Mapping[str, Sequence[Spread]]) -> str:
+    """How many of the grasps have frames before and after."""
     spreads = curves["static_rotation"]
     before, after = (spreads[int(np.argmin(np.abs(TIMES - time)))].grasps for time in (-0.25, 1.25))
     return f" · at -0.25: {before} grasps, at 1.25: {after}"
@@ -76,13 +76,13 @@ def _seen(curves: Mapping[str, Sequence[Spread]]) -> str:
 
 def _panel(axes: Axes, curves: Mapping[str, Sequence[Spread]], lines: Mapping[str, tuple[str, str]]) -> None:
     axes.axvspan(0.0, 1.0, color=INSIDE, linewidth=0)
-    for name, (words, colour) in lines.items():
+    for name, (label, colour) in lines.items():
         factor = MEASURES[name].factor
         low, mean, high = (
             np.array([getattr(spread, part) * factor for spread in curves[name]]) for part in ("low", "mean", "high")
         )
         axes.fill_between(TIMES, low, high, color=colour, alpha=0.18, linewidth=0)
-        axes.plot(TIMES, mean, color=colour, linewidth=1.8, label=words or None)
+        axes.plot(TIMES, mean, color=colour, linewidth=1.8, label=label or None)
     axes.set(xlim=(TIMES[0], TIMES[-1]), xticks=[-0.5, 0.0, 0.5, 1.0, 1.5])
     highest = 1.0 if MEASURES[next(iter(lines))].unit == "" else axes.get_ylim()[1]
     axes.set_ylim(0.0, highest * (1.0 + 0.11 * len(lines) * (len(lines) > 1)))  # room for the names
