@@ -1,4 +1,4 @@
-"""Shapes in type hints are checked while the tests run, and only then."""
+"""Fixtures for all tests. Shapes in type hints are checked while they run, and only then."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-from jaxtyping import install_import_hook
 
-# Modules of plain functions and data, without compiled kernels; `hands` refuses wrong shapes itself.
-PLAIN = ("se3", "camera", "mesh", "arrays", "files", "images", "clip", "result", "metrics")
-install_import_hook([f"getagrip.{name}" for name in PLAIN], "beartype.beartype")
+from helpers.shapes import check_package
+
+check_package()  # before anything of the package is imported
 
 # The same examples on every machine, however busy it is.
 settings.register_profile(

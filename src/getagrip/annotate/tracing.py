@@ -11,7 +11,7 @@ COARSE = 1 / 1280
 SPECK = 0.002
 """Parts smaller than this share of the largest one are left out, as are holes."""
 
-Outline = Float[ndarray, "n 2"]
+Outline = Float[ndarray, "_n 2"]
 
 
 def traced(mask: Bool[ndarray, "H W"]) -> list[Outline]:

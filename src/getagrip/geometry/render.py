@@ -12,7 +12,7 @@ from numpy import ndarray
 from getagrip.geometry.depth import barycentric, depth_and_face
 from getagrip.geometry.mesh import vertex_normals
 
-Surface = tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]
+Surface = tuple[Float[ndarray, "_V 3"], Int[ndarray, "_F 3"]]
 """Vertices in the camera frame [m] and faces."""
 Colour = tuple[float, float, float]
 """Red, green, blue in [0, 1]."""
@@ -47,7 +47,7 @@ def true_masks(
 
 
 def render_rgb(
-    meshes: Sequence[tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"], Colour]],
+    meshes: Sequence[tuple[Float[ndarray, "_V 3"], Int[ndarray, "_F 3"], Colour]],
     K: Float[ndarray, "3 3"],
     size: tuple[int, int],
     background: UInt8[ndarray, "H W 3"] | Colour | None = None,
@@ -77,7 +77,7 @@ def render_rgb(
     return np.asarray(np.round(255.0 * mean), dtype=np.uint8)
 
 
-def _lambert(points: Float[ndarray, "n 3"], normals: Float[ndarray, "n 3"]) -> Float[ndarray, n]:
+def _lambert(points: Float[ndarray, "n 3"], normals: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
     """Brightness: ambient light, a key light, and a head light that gives form to what the key light leaves dark."""
     to_eye = -points / np.linalg.norm(points, axis=1, keepdims=True)
     n = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -87,7 +87,7 @@ def _lambert(points: Float[ndarray, "n 3"], normals: Float[ndarray, "n 3"]) -> F
     return np.asarray(0.3 + 0.5 * key + 0.3 * np.abs(facing))
 
 
-def _joined(surfaces: Sequence[Surface]) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"], Int[ndarray, n]]:
+def _joined(surfaces: Sequence[Surface]) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"], Int[ndarray, "n"]]:
     """One mesh from several, and the first face of each."""
     offsets = [0, *accumulate(len(v) for v, _ in surfaces)]
     first = np.array([0, *accumulate(len(f) for _, f in surfaces)])[:-1]

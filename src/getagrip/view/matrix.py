@@ -11,13 +11,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.grasps.stable import PairwiseIou
 from getagrip.view.style import FAINT, FOUND, LINE, PAPER, letters
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from getagrip.grasps.stable import PairwiseIou
 
 FINEST = 1000
 """Frames drawn; of longer sequences every other, every third ..."""

@@ -46,9 +46,9 @@ def write_report(
     """Write the picture as a PNG and return its path.
 
     ``clip`` and ``masks`` may have more frames than the result; ``metrics`` are those of ``evaluate``, of which ADD and
-    IOU are shown if given. Images are read from the clip's folder where it has them; without images the masks are drawn.
-    Raises ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for masks of another
-    clip.
+    IOU are shown if given. Images are read from the clip's folder where it has them; without images the masks are
+    drawn. Raises ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for masks of
+    another clip.
     """
     if masks is not None:
         check_masks(clip, masks)
@@ -237,13 +237,13 @@ def _axis_line(
     axes.plot(*np.where(visible[:, None], np.nan, uv).T, color=HIDDEN, linewidth=1.3, linestyle=(0, (1, 1.6)))
 
 
-def _along(view: _View, point: Float[ndarray, 3], direction: Float[ndarray, 3]) -> float:
+def _along(view: _View, point: Float[ndarray, "3"], direction: Float[ndarray, "3"]) -> float:
     """Where on the axis the object's middle comes nearest, in the hand frame [m]."""
     middle = se3.transform(view.result.T_hand_obj, view.result.scale * view.clip.mesh.centre[None])[:, 0].mean(axis=0)
     return float((middle - point) @ direction)
 
 
-def _contours(mask: Bool[ndarray, "H W"]) -> list[Float[ndarray, "n 2"]]:
+def _contours(mask: Bool[ndarray, "H W"]) -> list[Float[ndarray, "_n 2"]]:
     """Closed boundary lines of a mask, in pixel coordinates."""
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     lines = [contour[:, 0].astype(float) + 0.5 for contour in contours if len(contour) > 8]

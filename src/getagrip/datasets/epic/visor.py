@@ -51,7 +51,7 @@ class Annotation:
     """In open words, as "olive oil bottle"."""
     class_id: int | None
     """EPIC-100's noun class, or VISOR's for hands and gloves."""
-    polygons: tuple[Float[ndarray, "P 2"], ...]
+    polygons: tuple[Float[ndarray, "_P 2"], ...]
     """Corners (x, y) in pixels of the frame's ``size``."""
     hands: tuple[Side, ...]
     """Which hands it is (or is worn on): one, both for a pair of gloves in one mask, or none for objects."""
@@ -189,7 +189,7 @@ def _touched(given: Any) -> str | None:
     return "" if given in NOT_TOUCHING else given
 
 
-def _polygons(path: Path, key: str, given: Any, size: tuple[int, int]) -> tuple[Float[ndarray, "P 2"], ...]:
+def _polygons(path: Path, key: str, given: Any, size: tuple[int, int]) -> tuple[Float[ndarray, "_P 2"], ...]:
     """Corners of polygons, those without a corner left out; they may leave the image by its own size."""
     if not isinstance(given, list) or not all(isinstance(polygon, list) for polygon in given):
         raise InputError(path, key, shown(given), "a list of polygons, [[[x, y], ...], ...]")

@@ -13,7 +13,7 @@ from getagrip.hands.model import mirrored
 
 def seen_from_head(
     T_hand_obj: Float[ndarray, "4 4"],
-    middle: Float[ndarray, 3],
+    middle: Float[ndarray, "3"],
     diameter: float,
     frames: int,
     rng: np.random.Generator,
@@ -43,7 +43,7 @@ def seen_from_head(
 
 
 def other_hand(
-    grasper: Grasper, T_cam_hand: Float[ndarray, "T 4 4"], middle: Float[ndarray, 3], rng: np.random.Generator
+    grasper: Grasper, T_cam_hand: Float[ndarray, "T 4 4"], middle: Float[ndarray, "3"], rng: np.random.Generator
 ) -> Float[ndarray, "T V 3"]:
     """A relaxed left hand that drifts over part of the object, in the camera frame [m]."""
     frames = len(T_cam_hand)
@@ -69,7 +69,7 @@ def smooth(rng: np.random.Generator, frames: int, curves: int) -> Float[ndarray,
 
 
 def about(
-    point: Float[ndarray, 3], turn: Float[ndarray, "T 3"], shift: Float[ndarray, "T 3"]
+    point: Float[ndarray, "3"], turn: Float[ndarray, "T 3"], shift: Float[ndarray, "T 3"]
 ) -> Float[ndarray, "T 4 4"]:
     """Turn by rotation vectors [rad] about a point, then shift [m]."""
     R = se3.exp_so3(turn)

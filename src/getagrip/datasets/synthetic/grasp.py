@@ -51,7 +51,7 @@ def varied(grip: Grip, turn_deg: float, shift_mm: float, rng: np.random.Generato
     return Grip(grip.hold, _triple(at), _triple(R @ grip.into), _triple(R @ grip.aside))
 
 
-def _triple(v: Float[ndarray, 3]) -> tuple[float, float, float]:
+def _triple(v: Float[ndarray, "3"]) -> tuple[float, float, float]:
     return float(v[0]), float(v[1]), float(v[2])
 
 
@@ -93,7 +93,7 @@ _HOLDS = {
 }
 
 
-def _frame(into: Float[ndarray, 3], aside: Float[ndarray, 3], at: Float[ndarray, 3]) -> Float[ndarray, "4 4"]:
+def _frame(into: Float[ndarray, "3"], aside: Float[ndarray, "3"], at: Float[ndarray, "3"]) -> Float[ndarray, "4 4"]:
     """Frame with x along ``into`` and y as near to ``aside`` as can be."""
     x = np.asarray(into, dtype=float) / np.linalg.norm(into)
     z = np.cross(x, aside)

@@ -26,11 +26,11 @@ class Tube:
 
     path: Float[ndarray, "P 3"]
     """Centre line [m]; its first point (and its last, unless ``capped``) picks the nearest vertex of the loft."""
-    side: Float[ndarray, 3]
+    side: Float[ndarray, "3"]
     """Unit direction of the sections' width, normal to the path."""
-    width: Float[ndarray, P]
+    width: Float[ndarray, "P"]
     """Half widths, along ``side`` [m]."""
-    height: Float[ndarray, P]
+    height: Float[ndarray, "P"]
     """Half heights, across ``side`` [m]."""
     capped: bool = False
     """Whether the tube ends in the air."""
@@ -74,7 +74,7 @@ def loft(rings: Float[ndarray, "R N 3"], tubes: Sequence[Tube] = ()) -> Mesh:
     return Mesh(vertices[used], triangles.reshape(-1, 3).astype(np.int64))
 
 
-def torus(path: Float[ndarray, "P 3"], side: Float[ndarray, 3], radius: float) -> Mesh:
+def torus(path: Float[ndarray, "P 3"], side: Float[ndarray, "3"], radius: float) -> Mesh:
     """A closed ring of round section about a closed path (counter-clockwise about ``side``)."""
     tangent = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
     across = np.cross(tangent, side)
@@ -102,12 +102,12 @@ def _walls(ids: Int[ndarray, "R N"], taken: ndarray) -> Int[ndarray, "F 3"]:
     return np.concatenate([lower, upper])
 
 
-def _fan(pole: int, ring: Int[ndarray, N]) -> Int[ndarray, "N 3"]:
+def _fan(pole: int, ring: Int[ndarray, "N"]) -> Int[ndarray, "N 3"]:
     """Triangles between a vertex and a ring that is counter-clockwise seen from outside."""
     return np.stack([np.full(len(ring), pole), ring, np.roll(ring, -1)], axis=-1)
 
 
-def _hole(rings: Float[ndarray, "R N 3"], taken: ndarray, at: Float[ndarray, 3]) -> Int[ndarray, 8]:
+def _hole(rings: Float[ndarray, "R N 3"], taken: ndarray, at: Float[ndarray, "3"]) -> Int[ndarray, "8"]:
     """Take the four quads around the vertex nearest to ``at`` out; their outline, counter-clockwise from outside."""
     N = rings.shape[1]
     i, j = divmod(int(np.argmin(np.linalg.norm(rings[1:-1] - at, axis=-1))), N)
@@ -119,7 +119,9 @@ def _hole(rings: Float[ndarray, "R N 3"], taken: ndarray, at: Float[ndarray, 3])
     return np.array([(i + di) * N + (j + dj) % N for di, dj in around])
 
 
-def _unrolled(vertices: Float[ndarray, "V 3"], loop: Int[ndarray, 8], ring: Float[ndarray, "8 3"]) -> Int[ndarray, 8]:
+def _unrolled(
+    vertices: Float[ndarray, "V 3"], loop: Int[ndarray, "8"], ring: Float[ndarray, "8 3"]
+) -> Int[ndarray, "8"]:
     """The loop, started where it meets the ring with the least twist."""
     rolls = [np.roll(loop, k) for k in range(len(loop))]
     return min(rolls, key=lambda ids: float(np.linalg.norm(vertices[ids] - ring, axis=1).sum()))

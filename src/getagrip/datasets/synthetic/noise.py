@@ -166,5 +166,5 @@ def _lasting(white: Float[ndarray, "T *rest"], a: float) -> Float[ndarray, "T *r
     return out
 
 
-def _of_length(v: Float[ndarray, 3], length: float) -> Float[ndarray, 3]:
+def _of_length(v: Float[ndarray, "3"], length: float) -> Float[ndarray, "3"]:
     return np.asarray(v / np.linalg.norm(v) * length)

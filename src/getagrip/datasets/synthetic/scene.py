@@ -169,7 +169,7 @@ def aligned(cad: Mesh, held: Mesh, resize: bool) -> tuple[Float[ndarray, "4 4"],
     return se3.rigid(R, x0 - size * R @ y0), size
 
 
-def _drawn_grip(category: str, seed: int, stretch: Float[ndarray, 3], options: Options, grasper: Grasper) -> Grip:
+def _drawn_grip(category: str, seed: int, stretch: Float[ndarray, "3"], options: Options, grasper: Grasper) -> Grip:
     """Any grip of the category, at random off the usual: of a few draws the one that holds the object best."""
     kind = CATEGORIES[category]
     rng = np.random.default_rng([seed, *category.encode(), 2])
