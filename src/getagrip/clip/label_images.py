@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +9,7 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
-from getagrip.io import files
-
-GREY, PALETTE, GREY_AND_ALPHA = 0, 3, 4
-"""Kinds of PNG."""
+from getagrip.io.png import open_png
 
 
 def read_labels(path: Path, size: tuple[int, int]) -> Int[ndarray, "H W"]:
@@ -22,32 +17,15 @@ def read_labels(path: Path, size: tuple[int, int]) -> Int[ndarray, "H W"]:
 
     Sizes are checked before memory is taken. Raises ``InputError``.
     """
-    import cv2
-
-    content, depth, kind = files.whole_png(path, size)
-    if kind == GREY_AND_ALPHA:
-        raise InputError(path, "channels", "grey and alpha", "grey, a palette, or colours")
-    if kind == PALETTE:  # decoders give colours, not indices: the same bytes as a grey image give these
-        content = _as_grey(path, content)
-    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None or image.shape[:2] != size[::-1]:
-        raise InputError(path, "", "a PNG that does not decode", "a whole PNG file")
-    if image.ndim == 3:
-        blue, green, red = np.moveaxis(image[..., :3].astype(np.int64), -1, 0)
+    image, colours, bits = open_png(path, size)
+    if colours == "grey and alpha" or (colours.startswith("RGB") and bits > 8):
+        raise InputError(path, "channels", f"{bits} bit {colours}", "grey, a palette, or colours of 8 bit")
+    labels = np.asarray(image).astype(np.int64)
+    if labels.ndim == 3:
+        red, green, blue = np.moveaxis(labels[..., :3], -1, 0)
         return red << 16 | green << 8 | blue
-    labels = image.astype(np.int64)
-    return labels // (255 // (2**depth - 1)) if depth < 8 else labels  # grey values are spread over 0 to 255
-
-
-def _as_grey(path: Path, content: bytes) -> bytes:
-    """A palette PNG with its palette taken out."""
-    out = bytearray(content[:8])
-    for kind, data in files.png_chunks(path, content):
-        if kind in {b"PLTE", b"tRNS", b"bKGD", b"hIST", b"sPLT", b"sBIT"}:
-            continue
-        new = data[:9] + bytes([GREY]) + data[10:] if kind == b"IHDR" else data
-        out += struct.pack(">I", len(new)) + kind + new + struct.pack(">I", zlib.crc32(kind + new))
-    return bytes(out)
+    spread = 255 // (2**bits - 1) if colours == "grey" and bits in (2, 4) else 1  # Pillow spreads these over 0 to 255
+    return labels // spread
 
 
 def label_value(text: str, option: str) -> int:

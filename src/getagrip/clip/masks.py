@@ -12,6 +12,7 @@ from numpy import ndarray
 from getagrip.clip.data import Clip, Masks
 from getagrip.errors import InputError
 from getagrip.io import files
+from getagrip.io.png import read_png
 
 
 def read_masks(clip: Clip) -> Masks:
@@ -58,7 +59,7 @@ def _each(clip: Clip) -> Iterator[tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W
 def _read(folder: Path, kind: str, frame: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """The mask of a frame."""
     path = files.inside(folder, f"masks/{kind}/{frame}.png", "", "a mask for each frame of clip.json")
-    return files.read_png(path, size) != 0
+    return read_png(path, size) != 0
 
 
 def _check_some(clip: Clip, any_object: bool) -> None:

@@ -34,7 +34,8 @@ from getagrip.geometry.obj import parse_obj
 from getagrip.grasps.stable import Definition
 from getagrip.hands.model import Side
 from getagrip.io import arrays
-from getagrip.io.files import read_bytes, read_colour_png, read_json, shown
+from getagrip.io.files import read_bytes, read_json, shown
+from getagrip.io.png import read_colour_png
 
 DEFINITION = Definition(contact=0.010)
 """The paper's stable grasps of HOI4D."""

@@ -12,9 +12,7 @@ import io
 import json
 import os
 import shutil
-import struct
 import tempfile
-import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -22,7 +20,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
 from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
@@ -30,9 +27,6 @@ from getagrip.errors import InputError, UsageError
 LARGEST_JSON = 64 * 2**20
 LARGEST_FILE = 2**30
 """Limits in bytes."""
-
-_PNG = b"\x89PNG\r\n\x1a\n"
-_PNG_COLOURS = {0: "grey", 2: "RGB", 3: "palette", 4: "grey and alpha", 6: "RGB and alpha"}
 
 
 def shown(value: object) -> str:
@@ -130,61 +124,6 @@ def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tup
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "", f"text that is no CSV ({error})", what) from error
     return heads, rows
-
-
-def read_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
-    """An 8-bit image of one channel and of the given (width, height). Raises ``InputError``."""
-    import cv2
-
-    content, depth, colour = whole_png(path, size)
-    if depth != 8 or colour != 0:
-        given = f"{depth} bit {_PNG_COLOURS.get(colour, 'of an unknown kind')}"
-        raise InputError(path, "channels", given, "8 bit, one channel (grey)")
-    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None or image.shape != size[::-1]:
-        raise InputError(path, "", "a PNG that does not decode", "a whole PNG file")
-    return np.asarray(image, dtype=np.uint8)
-
-
-def read_colour_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
-    """Red, green and blue of a PNG of the given (width, height), also of one with a palette. Raises ``InputError``."""
-    import cv2
-
-    content, _, _ = whole_png(path, size)
-    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-    if image is None or image.shape != (*size[::-1], 3):
-        raise InputError(path, "", "a PNG that does not decode", "a whole PNG file")
-    return np.ascontiguousarray(image[..., ::-1])
-
-
-def whole_png(path: Path, size: tuple[int, int]) -> tuple[bytes, int, int]:
-    """The bytes of a PNG of the given (width, height), its bits and its kind of colours.
-
-    The header is checked before memory is taken, and every chunk's checksum before decoding, since decoders return
-    half an image for a damaged file. Raises ``InputError``.
-    """
-    content = read_bytes(path, LARGEST_JSON)
-    chunks = list(png_chunks(path, content))
-    if not chunks or chunks[0][0] != b"IHDR" or len(chunks[0][1]) != 13 or chunks[-1][0] != b"IEND":
-        raise InputError(path, "", "an incomplete PNG", "a whole PNG file")
-    width, height, depth, colour = struct.unpack(">IIBB", chunks[0][1][:10])
-    if (width, height) != size:
-        raise InputError(path, "size", f"{width} x {height} pixels", f"{size[0]} x {size[1]}, the size of the images")
-    return content, depth, colour
-
-
-def png_chunks(path: Path, content: bytes) -> Iterator[tuple[bytes, bytes]]:
-    """Type and data of each chunk of a PNG file, checksums checked. Raises ``InputError``."""
-    if content[:8] != _PNG:
-        raise InputError(path, "", "a file that is no PNG", "a PNG image")
-    at = 8
-    while at + 12 <= len(content):
-        (length,) = struct.unpack(">I", content[at : at + 4])
-        kind, data = content[at + 4 : at + 8], content[at + 8 : at + 8 + length]
-        if content[at + 8 + length : at + 12 + length] != struct.pack(">I", zlib.crc32(kind + data)):
-            raise InputError(path, "", "a damaged PNG (wrong checksum)", "a whole PNG file")
-        yield kind, data
-        at += 12 + length
 
 
 def sha256(paths: Mapping[str, Path]) -> str:
