@@ -23,7 +23,7 @@ from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import RefusedError
 from getagrip.commands.annotate import DATABASE, write_files
-from getagrip.datasets.epic.files import read_grasps
+from getagrip.datasets.epic.tables import read_grasps
 from getagrip.experiments.durations import read_list
 from helpers.annotation_page import ask
 from helpers.command_line import Run

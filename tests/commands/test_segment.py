@@ -16,7 +16,6 @@ import pytest
 import trimesh
 
 from getagrip.clip import Clip, HandTrack, Truth, read_clip, write_clip
-from getagrip.datasets.hot3d import clips as hot3d
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -279,7 +278,10 @@ def test_a_picture_is_drawn_of_any_length(frames: int, tmp_path: Path) -> None:
 
 @needs(HOT3D)
 def test_the_pot_of_hot3d_is_held_from_first_to_last_frame(tmp_path: Path) -> None:
-    clips = {clip.category: clip for clip, _ in hot3d.read(HOT3D)}
+    from getagrip.datasets.dataset import clips
+    from getagrip.datasets.hot3d.reader import Hot3d
+
+    found = {clip.category: clip for clip, _ in clips(Hot3d(root=HOT3D))}
     # The one proper lifted grasp: contact is reliable at 5 mm.
     for points in ("vertices", "area"):
-        assert segment(clips["coffee_pot"], Definition(contact=0.005, points=points))[1] == [(0, 33)]
+        assert segment(found["coffee_pot"], Definition(contact=0.005, points=points))[1] == [(0, 33)]

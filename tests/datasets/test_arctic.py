@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from getagrip.batch.imports import Given, import_clips
+from getagrip.batch.imports import import_clips
 from getagrip.clip import read_clip, read_masks
-from getagrip.datasets import arctic, tracks
+from getagrip.datasets import arctic, cutting, tracks
+from getagrip.datasets.arctic import Arctic
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.stable import Definition, segment
+from helpers.command_line import Run
 from helpers.held_ball import (
     BETAS,
     FRAMES,
@@ -108,14 +110,14 @@ def root(tmp_path: Path, mano: Path) -> Path:
 
 def read(root: Path, mano: Path, **options: Any) -> list[tracks.Track]:
     """The tracks of the one sequence."""
-    (source,) = arctic.find(root, mano, **options)
+    (source,) = Arctic(root=root, mano=mano, **options).sources()
     return list(source.read(lambda _: None))
 
 
 def clips(root: Path, mano: Path, whole: bool = False) -> list[Any]:
     notes: list[str] = []
-    found = tracks.pieces(read(root, mano), notes.append, arctic.DEFINITION, whole)
-    return [tracks.clip(piece, 20, notes.append) for piece in found]
+    found = cutting.pieces(read(root, mano), notes.append, arctic.DEFINITION, whole)
+    return [cutting.clip(piece, 20, notes.append) for piece in found]
 
 
 def test_poses_and_hands_are_those_that_were_written(root: Path, mano: Path) -> None:
@@ -145,7 +147,7 @@ def test_a_fixed_view_stands_still(root: Path, mano: Path) -> None:
     T_world = se3.inverse(scene()["T_cam_world"])
     np.testing.assert_allclose(fixed.T_cam_obj, scene()["T_cam_world"][0] @ T_world @ head.T_cam_obj, atol=1e-9)
     with pytest.raises(UsageError, match="--view: got 9"):
-        arctic.find(root, mano, view=9)
+        Arctic(root=root, mano=mano, view=9).sources()
 
 
 def test_opening_ends_a_grasp(root: Path, mano: Path) -> None:
@@ -196,26 +198,25 @@ def test_import_writes_clips_and_keeps_them(
     root: Path, mano: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     out = tmp_path / "out"
-    given = Given(meshes=None, mano=mano, view=None, whole=False)
-    assert import_clips("arctic", root, out, given, debug=False) == 0
+    assert import_clips(Arctic(root=root, mano=mano), out, debug=False) == 0
     (folder,) = out.iterdir()
     clip = read_clip(folder)
     assert read_masks(clip).object.any()
     assert clip.provenance["subject"] == "s01"
     assert "no stable grasp" in capsys.readouterr().err  # of the left hand
-    assert import_clips("arctic", root, out, given, debug=False) == 0
+    assert import_clips(Arctic(root=root, mano=mano), out, debug=False) == 0
     assert "0 clips, 1 already there, 0 sequences failed" in capsys.readouterr().out
 
 
-def test_options_of_others_are_refused(root: Path, mano: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"--meshes: got .* arctic takes --mano, --view, --whole"):
-        import_clips("arctic", root, tmp_path, Given(tmp_path, mano, None, False), debug=False)
+def test_wrong_calls_are_refused(root: Path, mano: Path, tmp_path: Path, run: Run) -> None:
+    status, _, err = run("import", "arctic", root, "--mano", mano, "--meshes", tmp_path, "--out", tmp_path / "out")
+    assert (status, "--meshes" in err) == (2, True)
     with pytest.raises(UsageError, match=r"--mano: ARCTIC holds .* MANO_LEFT.pkl and MANO_RIGHT.pkl"):
-        arctic.find(root, None)
+        Arctic(root=root).sources()
     with pytest.raises(UsageError, match="--mano: got"):
-        arctic.find(root, tmp_path)
+        Arctic(root=root, mano=tmp_path).sources()
     with pytest.raises(InputError, match="raw_seqs"):
-        arctic.find(tmp_path / "mano", mano)
+        Arctic(root=tmp_path / "mano", mano=mano).sources()
 
 
 def edited(path: Path, *keys: str, value: Any) -> None:

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from getagrip.batch.imports import import_dexycb
+from getagrip.batch.imports import import_clips
 from getagrip.clip import read_clip, read_masks
-from getagrip.datasets.dexycb import clips as dexycb
-from getagrip.datasets.dexycb import files as dexycb_files
+from getagrip.datasets.cutting import clip as clip_of
+from getagrip.datasets.cutting import pieces
+from getagrip.datasets.dataset import clips
+from getagrip.datasets.dexycb import recording as files
+from getagrip.datasets.dexycb.reader import DEFINITION, DexYcb, fit_hand, subject_of
+from getagrip.datasets.dexycb.recording import PACKED_K, Poses, Recording, bent_side, find
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
@@ -143,9 +147,19 @@ def pack(tmp_path):
     return tmp_path / "packed", tmp_path / "ycb"
 
 
+def read(root, meshes=None, note=lambda _: None):
+    """The clips of the stable grasps."""
+    return clips(DexYcb(root=root, meshes=meshes), note)
+
+
+def grasps(sequence, note=lambda _: None):
+    """The stable grasps of a sequence, as pieces of its track."""
+    return list(pieces(sequence.read(note), note, DEFINITION, whole=False))
+
+
 def test_a_stable_grasp_becomes_a_clip(root):
     notes = []
-    ((clip, masks),) = dexycb.clips(root, note=notes.append)
+    ((clip, masks),) = read(root, note=notes.append)
     assert (clip.name, clip.category, clip.side, clip.scale) == (NAME, HELD, "right", "known")
     assert clip.frames == tuple(f"{n:06d}" for n in range(TAKEN, LOST))
     np.testing.assert_allclose(clip.K[3], [[616.6, 0, 309.0], [0, 616.2, 249.0], [0, 0, 1]])
@@ -164,7 +178,7 @@ def test_a_stable_grasp_becomes_a_clip(root):
 
 
 def test_masks_are_the_object_less_what_hides_it(root):
-    ((clip, masks),) = dexycb.clips(root)
+    ((clip, masks),) = read(root)
     ball = se3.transform(clip.truth.T_cam_obj[0], clip.mesh.vertices)
     hand = se3.transform(clip.hand.T_cam_hand[0], clip.hand.vertices[0])
     of_ball, of_hand = (
@@ -181,7 +195,7 @@ def test_other_objects_in_front_are_ignored(root):
         label = dict(np.load(path))
         label["pose_y"][0, :, 3] = label["pose_y"][1, :, 3] * 0.6 + [0.05, 0.0, 0.0]
         np.savez(path, **label)
-    ((clip, masks),) = dexycb.clips(root)
+    ((clip, masks),) = read(root)
     box = trimesh.creation.box(extents=[0.06, 0.16, 0.21])
     centre = 0.6 * clip.truth.T_cam_obj[0, :3, 3] + [0.05, 0.0, 0.0]
     seen = depth_and_face(np.asarray(box.vertices) + centre, np.asarray(box.faces), clip.K[0], clip.size)[1] >= 0
@@ -191,22 +205,22 @@ def test_other_objects_in_front_are_ignored(root):
 
 def test_the_camera_that_sees_most_is_taken(root):
     folder = root / SUBJECT / SEQUENCE
-    ((_, first),) = dexycb.clips(root)
+    ((_, first),) = read(root)
     path = folder / SERIALS[1] / f"labels_{FRAMES - 1:06d}.npz"
     label = dict(np.load(path))
     label["seg"][:] = 14
     np.savez(path, **label)
-    (recording,) = (s.read() for s in dexycb_files.find(root))
+    (recording,) = (s.read() for s in find(root))
     assert recording.camera == SERIALS[1]
     assert first.object.any()
 
 
 def test_a_packed_file_holds_the_same(root, pack):
     folder, meshes = pack
-    ((own, _),) = dexycb.clips(root)
+    ((own, _),) = read(root)
     for at in (folder, folder / "sequences.npz"):
-        found = [clip for clip, _ in dexycb.clips(at, meshes)]
-        assert [dexycb.subject_of(clip.name) for clip in found] == [SUBJECT, "20200813-subject-02"]
+        found = [clip for clip, _ in read(at, meshes)]
+        assert [subject_of(clip.name) for clip in found] == [SUBJECT, "20200813-subject-02"]
         for clip in found:
             assert (clip.side, clip.category, clip.frames) == (own.side, own.category, own.frames)
             np.testing.assert_allclose(clip.truth.T_cam_obj, own.truth.T_cam_obj, atol=1e-6)
@@ -216,8 +230,8 @@ def test_a_packed_file_holds_the_same(root, pack):
 
 def test_bent_fingers_tell_the_hand():
     _, _, joints = scene()
-    assert dexycb_files.bent_side(joints) == "right"
-    assert dexycb_files.bent_side(mirrored(joints)) == "left"
+    assert bent_side(joints) == "right"
+    assert bent_side(mirrored(joints)) == "left"
 
 
 def test_a_mirrored_scene_gives_the_mirrored_hand(tmp_path, pack):
@@ -228,8 +242,8 @@ def test_a_mirrored_scene_gives_the_mirrored_hand(tmp_path, pack):
     given["obj_quat_xyzw"] = np.roll(se3.quaternion(R), -1, axis=1)
     given["obj_trans"], given["joints"] = mirrored(given["obj_trans"]), mirrored(given["joints"])
     np.savez(tmp_path / "left.npz", **given)
-    right, _ = next(dexycb.clips(pack[0], meshes))
-    left, _ = next(dexycb.clips(tmp_path / "left.npz", meshes))
+    right, _ = next(read(pack[0], meshes))
+    left, _ = next(read(tmp_path / "left.npz", meshes))
     assert (left.side, left.frames) == ("left", right.frames)
     np.testing.assert_allclose(left.hand.vertices, mirrored(right.hand.vertices), atol=1e-5)
 
@@ -238,10 +252,10 @@ def test_grasps_end_where_the_hand_is_not_known(root):
     """What lies between two gaps is a grasp where it has 20 frames."""
     for lost, expected in ((LOST, [(TAKEN, LOST - 1)]), (8, [(9, FRAMES - 1)]), (18, [])):
         write_sequence(root, f"20200709_1500{lost:02d}", lost=(lost,))
-        (sequence,) = (s for s in dexycb_files.find(root) if s.name.endswith(f"{lost:02d}"))
-        found = dexycb.grasps(sequence, root / "models")
-        assert [(g.first, g.last) for g in found] == expected
-        assert all(g.stable_area > 0.9 for g in found)
+        (sequence,) = (s for s in DexYcb(root=root).sources() if s.name.endswith(f"{lost:02d}"))
+        found = grasps(sequence)
+        assert [tuple(piece.track.numbers[[0, -1]]) for piece in found] == expected
+        assert all(piece.stable_area > 0.9 for piece in found)
 
 
 def test_a_hand_that_lets_go_gives_no_clip(root):
@@ -250,7 +264,7 @@ def test_a_hand_that_lets_go_gives_no_clip(root):
         label["pose_y"][1, 0, 3] += 0.3
         np.savez(path, **label)
     notes = []
-    assert list(dexycb.clips(root, note=notes.append)) == []
+    assert list(read(root, note=notes.append)) == []
     assert "no stable grasp of 20 frames" in notes[0]
 
 
@@ -258,8 +272,8 @@ def test_an_object_outside_the_image_gives_no_clip(root):
     path = root / "calibration" / "intrinsics" / f"{SERIALS[0]}_640x480.yml"
     path.write_text(INTRINSICS.replace("308.5", "-2000.0"))
     notes = []
-    assert list(dexycb.clips(root, note=notes.append)) == []
-    assert "seen in fewer than 20 frames" in notes[0]
+    assert list(read(root, note=notes.append)) == []
+    assert "visible in fewer than 20 frames" in notes[0]
 
 
 @pytest.mark.parametrize("size", [0.9, 1.0, 1.15])
@@ -271,11 +285,9 @@ def test_fingers_are_as_thick_as_the_hand_is_long(size):
     T_cam_hand, T_cam_obj, _ = scene()
     joints = se3.transform(T_cam_hand, posed.joints)
     known = np.ones(FRAMES, dtype=bool)
-    poses = {HELD: dexycb_files.PosesInCamera(T_cam_obj, known)}
-    recording = dexycb_files.Recording(
-        Path("x"), "s", "q", "", "right", HELD, poses, joints, known, dexycb_files.PACKED_K
-    )
-    hand = dexycb.fit_hand(recording)
+    poses = {HELD: Poses(T_cam_obj, known)}
+    recording = Recording(Path("x"), "s", "q", "", "right", HELD, poses, joints, known, PACKED_K)
+    hand = fit_hand(recording)
     assert np.median(hand.residuals) < 0.002
     pads = hand.track.vertices[0][hand.track.regions["index"]]
     expected = posed.vertices[posed.regions["index"]]
@@ -285,10 +297,10 @@ def test_fingers_are_as_thick_as_the_hand_is_long(size):
 
 
 def test_subjects_are_told_by_the_name():
-    assert dexycb.subject_of(NAME) == SUBJECT
+    assert subject_of(NAME) == SUBJECT
     for name in ("mug-right-0001", "--a--b", ""):
         with pytest.raises(UsageError, match="no subject"):
-            dexycb.subject_of(name)
+            subject_of(name)
 
 
 @pytest.mark.parametrize(
@@ -316,7 +328,7 @@ def test_broken_descriptions_are_named(root, name, old, new):
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(InputError):
-        list(dexycb.clips(root))
+        list(read(root))
 
 
 @pytest.mark.parametrize(
@@ -337,19 +349,19 @@ def test_broken_labels_are_named(root, key, value):
     label[key] = value
     np.savez(path, **{k: v for k, v in label.items() if v is not None})
     with pytest.raises(InputError):
-        list(dexycb.clips(root))
+        list(read(root))
 
 
 def test_missing_files_are_named(root):
     next((root / "models" / HELD).iterdir()).unlink()
     with pytest.raises(InputError, match="025_mug"):
-        list(dexycb.clips(root))
+        list(read(root))
     with pytest.raises(UsageError, match="nowhere"):
-        list(dexycb.clips(root, root / "nowhere"))
+        list(read(root, root / "nowhere"))
     with pytest.raises(InputError, match="nowhere"):
-        list(dexycb.clips(root / "nowhere", root / "models"))
+        list(read(root / "nowhere", root / "models"))
     with pytest.raises(InputError, match="models"):
-        list(dexycb.clips(root / "models", root / "models"))
+        list(read(root / "models", root / "models"))
 
 
 @pytest.mark.parametrize(
@@ -373,29 +385,29 @@ def test_broken_packed_files_are_named(pack, key, value, named):
     folder, meshes = pack
     np.savez(folder / "sequences.npz", **packed(**{key: value}))
     with pytest.raises(InputError, match=named):
-        list(dexycb.clips(folder, meshes))
+        list(read(folder, meshes))
 
 
 def test_sequences_of_absurd_lengths_are_refused(pack, monkeypatch):
-    monkeypatch.setattr(dexycb_files, "MOST_FRAMES", FRAMES - 1)
+    monkeypatch.setattr(files, "MOST_FRAMES", FRAMES - 1)
     with pytest.raises(InputError, match=f"offset: got a sequence of {FRAMES} frames"):
-        dexycb_files.find(pack[0])
+        find(pack[0])
 
 
 def test_the_other_sequences_are_read_before_an_error_is_raised(root):
     broken = root / SUBJECT / "20200709_000000"
     broken.mkdir()
     (broken / "meta.yml").write_text("a: [1")
-    clips = dexycb.clips(root)
-    assert next(clips)[0].name == NAME
+    found = read(root)
+    assert next(found)[0].name == NAME
     with pytest.raises(InputError, match="20200709_000000"):
-        list(clips)
+        list(found)
 
 
 def test_import_writes_clips_and_goes_on_where_it_stopped(root, tmp_path, capsys):
     out = tmp_path / "out"
-    assert import_dexycb(root, None, out, debug=False) == 0
-    ((clip, masks),) = dexycb.clips(root)
+    assert import_clips(DexYcb(root=root), out, debug=False) == 0
+    ((clip, masks),) = read(root)
     written = read_clip(out / NAME)
     assert written.frames == clip.frames
     np.testing.assert_allclose(written.truth.T_cam_obj, clip.truth.T_cam_obj)
@@ -404,7 +416,7 @@ def test_import_writes_clips_and_goes_on_where_it_stopped(root, tmp_path, capsys
     broken = root / SUBJECT / "20200709_000000"
     broken.mkdir()
     (broken / "meta.yml").write_text("a: [1")
-    assert import_dexycb(root, None, out, debug=False) == 1
+    assert import_clips(DexYcb(root=root), out, debug=False) == 1
     said = capsys.readouterr()
     assert "0 clips, 1 already there, 1 sequences failed" in said.out
     assert "20200709_000000" in said.err
@@ -414,9 +426,9 @@ def test_import_writes_clips_and_goes_on_where_it_stopped(root, tmp_path, capsys
 
 @needs(DATA / "frame")
 def test_real_labels_and_intrinsics_are_read():
-    poses, joints = dexycb_files._label(DATA / "frame" / "labels.npz", 4)
+    poses, joints = files._label(DATA / "frame" / "labels.npz", 4)
     assert se3.is_rigid(np.concatenate([poses, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (4, 1, 1))], axis=1)).all()
-    K = dexycb_files._intrinsics(DATA / "frame" / "836212060125_640x480.yml")
+    K = files._intrinsics(DATA / "frame" / "836212060125_640x480.yml")
     label = np.load(DATA / "frame" / "labels.npz")
     uv = joints @ K.T
     np.testing.assert_allclose(uv[:, :2] / uv[:, 2:] - 0.5, label["joint_2d"][0], atol=1e-3)
@@ -424,18 +436,17 @@ def test_real_labels_and_intrinsics_are_read():
 
 @needs(DATA / "dexycb")
 def test_real_sequences():
-    sequences = dexycb_files.find(DATA / "dexycb")
+    sequences = find(DATA / "dexycb")
     recordings = [sequence.read() for sequence in sequences]
     assert len(recordings) == 162
     assert {r.side for r in recordings} == {"left"}
+    sources = DexYcb(root=DATA / "dexycb", meshes=DATA / "ycb").sources()
     for n in (0, 24):
-        (grasp,) = dexycb.grasps(sequences[n], DATA / "ycb")
-        made = dexycb.clip(grasp, DATA / "ycb")
-        assert made is not None
-        clip, masks = made
+        (grasp,) = grasps(sources[n])
+        clip, masks = clip_of(grasp, 20, print)
         assert len(clip) >= 20
         assert masks.object.any(axis=(1, 2)).all()
-        assert np.sqrt(np.mean(grasp.hand.residuals**2)) < 0.003
+        assert np.sqrt(np.mean(grasp.track.residuals**2)) < 0.003
         assert 0.5 < grasp.stable_area < 1.0
         true = recordings[n].joints[[int(f) for f in clip.frames]]
         fitted = se3.transform(clip.hand.T_cam_hand, clip.hand.joints)

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from getagrip.batch.imports import Given, import_clips
+from getagrip.batch.imports import import_clips
 from getagrip.clip import read_clip, read_masks
-from getagrip.datasets import ho3d, tracks
+from getagrip.datasets import cutting, tracks
+from getagrip.datasets.ho3d import DEFINITION, Ho3d
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands import generic
@@ -85,7 +86,7 @@ def root(tmp_path: Path, mano: Path) -> Path:
 
 def read(root: Path, mano: Path | None) -> list[tracks.Track]:
     """The tracks of both sequences."""
-    return [track for source in ho3d.find(root, None, mano) for track in source.read(lambda _: None)]
+    return [track for source in Ho3d(root=root, mano=mano).sources() for track in source.read(lambda _: None)]
 
 
 def test_axes_of_opengl_are_turned(root: Path, mano: Path) -> None:
@@ -114,9 +115,9 @@ def test_hands_are_mano_s_or_fitted_to_the_joints(root: Path, mano: Path) -> Non
 
 def test_a_grasp_ends_where_nothing_is_known(root: Path) -> None:
     notes: list[str] = []
-    (piece,) = tracks.pieces(read(root, None), notes.append, ho3d.DEFINITION, False)
+    (piece,) = cutting.pieces(read(root, None), notes.append, DEFINITION, False)
     np.testing.assert_array_equal(piece.track.numbers, np.arange(TAKEN, LOST))
-    clip, masks = tracks.clip(piece, 20, notes.append)
+    clip, masks = cutting.clip(piece, 20, notes.append)
     assert clip.frames[0] == f"{TAKEN:04d}"
     assert clip.truth.articulation is None
     assert "0.9" in clip.provenance["clip"] or "1.000" in clip.provenance["clip"]
@@ -127,23 +128,23 @@ def test_a_grasp_ends_where_nothing_is_known(root: Path) -> None:
 
 def test_hands_of_the_evaluation_split_are_not_known(root: Path) -> None:
     notes: list[str] = []
-    for source in ho3d.find(root, None, None):
+    for source in Ho3d(root=root).sources():
         list(source.read(notes.append))
     assert notes == [
-        f"evaluation/SM1: {FRAMES} frames without the pose of the hand or of the object: left out",
-        "train/ABF12: 1 frames without the pose of the hand or of the object: left out",
+        f"evaluation/SM1: {FRAMES} frames without the pose of the hand or of the object: skipped",
+        "train/ABF12: 1 frames without the pose of the hand or of the object: skipped",
     ]
 
 
 def test_import_writes_clips(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    assert import_clips("ho3d", root, tmp_path / "out", Given(None, None, None, False), debug=False) == 0
+    assert import_clips(Ho3d(root=root), tmp_path / "out", debug=False) == 0
     clip = read_clip(tmp_path / "out" / f"ABF--ABF12--{HELD}--right")
     assert clip.provenance["subject"] == "ABF"
     assert read_masks(clip).object.any()
-    assert import_clips("ho3d", root, tmp_path / "whole", Given(None, None, None, True), debug=False) == 0
+    assert import_clips(Ho3d(root=root, whole=True), tmp_path / "whole", debug=False) == 0
     assert len(read_clip(tmp_path / "whole" / f"ABF--ABF12--{HELD}--right")) == LOST
     save(root / "train" / "ABF12" / "meta" / "0003.pkl", {})
-    assert import_clips("ho3d", root, tmp_path / "again", Given(None, None, None, False), debug=False) == 1
+    assert import_clips(Ho3d(root=root), tmp_path / "again", debug=False) == 1
     assert "0003.pkl: objName" in capsys.readouterr().err
 
 
@@ -181,9 +182,9 @@ def test_damaged_and_missing_files_are_named(root: Path, tmp_path: Path) -> None
             read(root, None)
     path.write_bytes(content)
     with pytest.raises(UsageError, match="--meshes"):
-        ho3d.find(root, root / "nowhere", None)
+        Ho3d(root=root, meshes=root / "nowhere").sources()
     with pytest.raises(InputError, match="no <split>"):
-        ho3d.find(tmp_path / "mano", root / "models", None)
+        Ho3d(root=tmp_path / "mano", meshes=root / "models").sources()
     next((root / "models" / HELD).iterdir()).unlink()
     with pytest.raises(InputError, match=HELD):
         read(root, None)

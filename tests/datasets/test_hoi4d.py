@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from getagrip.batch.imports import Given, import_clips
+from getagrip.batch.imports import import_clips
 from getagrip.clip import read_clip, read_masks
-from getagrip.datasets import hoi4d, tracks
+from getagrip.datasets import cutting, tracks
+from getagrip.datasets.hoi4d import DEFINITION, Hoi4d
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
+from helpers.command_line import Run
 from helpers.held_ball import (
     BETAS,
     FRAMES,
@@ -98,7 +100,7 @@ def write_labels(root: Path, kind: str = "mask") -> None:
 
 def read(root: Path, mano: Path) -> list[tracks.Track]:
     """The tracks of the one sequence."""
-    (source,) = hoi4d.find(root, mano)
+    (source,) = Hoi4d(root=root, mano=mano).sources()
     return list(source.read(lambda _: None))
 
 
@@ -129,17 +131,17 @@ def test_left_hands_are_those_of_the_published_file(root: Path, mano: Path) -> N
 def test_frames_without_a_hand_are_gaps(root: Path, mano: Path) -> None:
     (root / "handpose" / "refinehandpose_right" / INDEX / "28.pickle").unlink()
     notes: list[str] = []
-    (piece,) = tracks.pieces(read(root, mano), notes.append, hoi4d.DEFINITION, False)
+    (piece,) = cutting.pieces(read(root, mano), notes.append, DEFINITION, False)
     np.testing.assert_array_equal(piece.track.numbers, np.arange(TAKEN, 28))
-    (whole,) = tracks.pieces(read(root, mano), notes.append, hoi4d.DEFINITION, True)
+    (whole,) = cutting.pieces(read(root, mano), notes.append, DEFINITION, True)
     np.testing.assert_array_equal(whole.track.numbers, np.arange(28))
 
 
 @pytest.mark.parametrize("kind", ["mask", "shift_mask"])
 def test_labels_are_masks(root: Path, mano: Path, kind: str) -> None:
     write_labels(root, kind)
-    (piece,) = tracks.pieces(read(root, mano), print, hoi4d.DEFINITION, False)
-    clip, masks = tracks.clip(piece, 20, print)
+    (piece,) = cutting.pieces(read(root, mano), print, DEFINITION, False)
+    clip, masks = cutting.clip(piece, 20, print)
     assert "drawn by people" in clip.provenance["masks"]
     seen, ignore = masks.object[0], masks.ignore[0]
     assert seen.shape == (540, 960)
@@ -150,8 +152,7 @@ def test_labels_are_masks(root: Path, mano: Path, kind: str) -> None:
 
 
 def test_masks_are_rendered_where_there_are_none(root: Path, mano: Path, tmp_path: Path) -> None:
-    given = Given(None, mano, None, False)
-    assert import_clips("hoi4d", root, tmp_path / "out", given, debug=False) == 0
+    assert import_clips(Hoi4d(root=root, mano=mano), tmp_path / "out", debug=False) == 0
     clip = read_clip(tmp_path / "out" / NAME)
     assert "rendered" in clip.provenance["masks"]
     assert read_masks(clip).object.any(axis=(1, 2)).all()
@@ -160,7 +161,7 @@ def test_masks_are_rendered_where_there_are_none(root: Path, mano: Path, tmp_pat
 def test_objects_with_joints_are_left_out(root: Path, mano: Path) -> None:
     notes: list[str] = []
     (root / "HOI4D_CAD_Model_for_release" / "rigid" / "Bottle" / "011.obj").unlink()
-    (source,) = hoi4d.find(root, mano)
+    (source,) = Hoi4d(root=root, mano=mano).sources()
     assert list(source.read(notes.append)) == []
     assert "Bottle/011.obj" in notes[0]
 
@@ -202,15 +203,17 @@ def test_broken_labels_are_named(root: Path, mano: Path) -> None:
     small = path.read_bytes()
     for damaged in (content[: len(content) // 2], b"", small):
         path.write_bytes(damaged)
-        (piece,) = tracks.pieces(read(root, mano), print, hoi4d.DEFINITION, False)
+        (piece,) = cutting.pieces(read(root, mano), print, DEFINITION, False)
         with pytest.raises(InputError, match=r"00007\.png"):
-            tracks.clip(piece, 20, print)
+            cutting.clip(piece, 20, print)
 
 
-def test_wrong_calls_are_refused(root: Path, mano: Path, tmp_path: Path) -> None:
+def test_wrong_calls_are_refused(root: Path, mano: Path, tmp_path: Path, run: Run) -> None:
     with pytest.raises(UsageError, match="--mano: HOI4D"):
-        hoi4d.find(root, None)
+        Hoi4d(root=root).sources()
     with pytest.raises(InputError, match="objpose"):
-        hoi4d.find(tmp_path / "mano", mano)
-    with pytest.raises(UsageError, match="--view: got 1, expected none: hoi4d takes --mano, --whole"):
-        import_clips("hoi4d", root, tmp_path, Given(None, mano, 1, False), debug=False)
+        Hoi4d(root=tmp_path / "mano", mano=mano).sources()
+    status, said, err = run("import", "hoi4d", root, "--mano", mano, "--view", 1, "--out", tmp_path / "out")
+    assert (status, said) == (2, "")
+    assert "--view" in err
+    assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""The HOT3D reader: on a made-up recording, on broken ones, and on HOT3D's own samples where they are."""
+"""The HOT3D reader: on a synthetic recording, on broken ones, and on HOT3D's own samples where they are."""
 
 import csv
 import json
@@ -8,10 +8,12 @@ import pytest
 import trimesh
 
 from getagrip.clip import FINGERS
-from getagrip.datasets import tracks
-from getagrip.datasets.hot3d import clips as hot3d
-from getagrip.datasets.hot3d import files as hot3d_files
-from getagrip.datasets.hot3d import timelines as hot3d_timelines
+from getagrip.datasets import cutting
+from getagrip.datasets.dataset import clips
+from getagrip.datasets.hot3d import recording
+from getagrip.datasets.hot3d import timelines as lists
+from getagrip.datasets.hot3d.holds import SHORTEST, whole_tracks
+from getagrip.datasets.hot3d.reader import Hot3d
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
@@ -73,9 +75,14 @@ def root(tmp_path):
     return tmp_path
 
 
+def read(root, note=lambda _: None):
+    """The clips of all holds."""
+    return clips(Hot3d(root=root), note)
+
+
 def test_a_hold_becomes_a_clip(root):
     notes = []
-    ((clip, masks),) = hot3d.read(root, notes.append)
+    ((clip, masks),) = read(root, notes.append)
     assert clip.name == f"{NAME}-red_box-right"
     assert (clip.category, clip.side, clip.size, clip.scale) == ("red_box", "right", (640, 640), "known")
     assert clip.fps == pytest.approx(30.0, abs=0.01)
@@ -102,24 +109,24 @@ def test_files_may_lie_apart(root):
     apart.mkdir(parents=True)
     for path in root.glob(f"sequences/{NAME}/umetrack*"):
         path.rename(apart / path.name)
-    ((clip, _),) = hot3d.read(root)
+    ((clip, _),) = read(root)
     assert len(clip) == 12
 
 
 def test_short_touches_are_no_holds(root):
     path = root / "sequences" / NAME / "umetrack_hand_pose_trajectory.jsonl"
     path.write_text("\n".join(path.read_text().splitlines()[:10]))  # contact in 8 frames; no hand after them
-    assert list(hot3d.read(root)) == []
+    assert list(read(root)) == []
 
 
 def test_the_other_recordings_are_read_before_an_error_is_raised(root):
     broken = root / "sequences" / "P0000_bad"
     broken.mkdir()
     (broken / "dynamic_objects.csv").write_text("object_uid\n")
-    clips = hot3d.read(root)
-    assert next(clips)[0].name.startswith(NAME)
+    found = read(root)
+    assert next(found)[0].name.startswith(NAME)
     with pytest.raises(InputError, match="P0000_bad"):
-        list(clips)
+        list(found)
 
 
 @pytest.mark.parametrize(
@@ -145,36 +152,36 @@ def test_broken_files_are_named(root, name, old, new):
     path = root / "sequences" / NAME / name
     path.write_text(new if old is None else path.read_text().replace(old, new))
     with pytest.raises(InputError, match=name.replace(".", r"\.")):
-        list(hot3d.read(root))
+        list(read(root))
 
 
 def test_recordings_of_absurd_lengths_are_refused(root, monkeypatch):
-    monkeypatch.setattr(hot3d_files, "MOST_FRAMES", FRAMES - 1)
+    monkeypatch.setattr(recording, "MOST_FRAMES", FRAMES - 1)
     with pytest.raises(InputError, match=r"headset_trajectory\.csv: got 16 frames, expected 2 to 15"):
-        list(hot3d.read(root))
-    monkeypatch.setattr(hot3d_files, "LARGEST_TABLE", 1000)
+        list(read(root))
+    monkeypatch.setattr(recording, "LARGEST_TABLE", 1000)
     with pytest.raises(InputError, match=r"bytes, expected at most 1000"):
-        list(hot3d.read(root))
+        list(read(root))
 
 
 def test_missing_files_are_named(root):
     (root / "sequences" / NAME / "camera_models.json").unlink()
     with pytest.raises(InputError, match=r"camera_models\.json"):
-        list(hot3d.read(root))
+        list(read(root))
     (root / "assets" / "instance.json").unlink()
     with pytest.raises(InputError, match=r"instance\.json"):
-        list(hot3d.read(root))
+        list(read(root))
     with pytest.raises(InputError, match="no dynamic_objects"):
-        list(hot3d.read(root / "assets"))
+        list(read(root / "assets"))
     with pytest.raises(InputError, match="no such folder"):
-        list(hot3d.read(root / "nowhere"))
+        list(read(root / "nowhere"))
 
 
 @pytest.mark.parametrize("name", ["../escape", "a/b", "", 3])
 def test_object_names_that_could_be_paths_are_refused(root, name):
     (root / "assets" / "instance.json").write_text(json.dumps({"111": {"instance_name": name}}))
     with pytest.raises(InputError, match=r"instance\.json: 111"):
-        list(hot3d.read(root))
+        list(read(root))
 
 
 def test_an_import_goes_on_where_it_stopped(root, tmp_path, run):
@@ -198,9 +205,9 @@ def test_whole_recordings_show_what_is_outside_of_the_holds(root, tmp_path, run)
     name = "P0000--0123abcd--red_box--right"
     assert [folder.name for folder in (tmp_path / "out").iterdir()] == [name]
     assert not (tmp_path / "out" / name / "masks").exists()
-    (source,) = hot3d.sources(root)
-    (piece,) = hot3d.whole(source.read(print), print)
-    clip, _ = tracks.clip(piece, hot3d.SHORTEST, print)
+    (source,) = Hot3d(root=root).sources()
+    (piece,) = whole_tracks(source.read(print), print)
+    clip, _ = cutting.clip(piece, SHORTEST, print)
     assert (clip.name, clip.frames) == (name, frames(tmp_path / "out" / name))
     assert clip.frames == tuple(f"{n:06d}" for n in range(FRAMES))
     assert segment(clip, Definition(contact=0.005, points="area", shortest=5))[1] == [(2, 13)]
@@ -227,8 +234,8 @@ def test_grasps_of_a_list(root, tmp_path, run):
     listed = timelines(tmp_path / "hit.json")
     status, _, err = run("import", "hot3d", root, "--out", tmp_path / "out", "--timelines", listed)
     assert status == 0
-    assert "hit.json: 1 grasps end before they start: left out" in err
-    assert f"{NAME}-red_box-right-00009-00009: hand and object are known in 1 of its frames: left out" in err
+    assert "hit.json: 1 grasps end before they start: skipped" in err
+    assert f"{NAME}-red_box-right-00009-00009: hand and object are known in 1 of its frames: skipped" in err
     found = {folder.name: frames(folder) for folder in (tmp_path / "out").iterdir()}
     assert found == {
         f"{NAME}-red_box-right-00003-00006": tuple(f"{n:06d}" for n in range(3, 7)),  # both ends included
@@ -278,14 +285,14 @@ def test_wrong_calls_with_lists(root, tmp_path, run):
 )
 def test_broken_lists_are_named(tmp_path, changes, named):
     with pytest.raises(InputError, match=named):
-        hot3d_timelines.read(timelines(tmp_path / "hit.json", **changes))
+        lists.read(timelines(tmp_path / "hit.json", **changes))
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"[" * 100_000, b"\xff", b"[3]", b"null"])
 def test_what_is_no_list_is_refused(tmp_path, content):
     (tmp_path / "hit.json").write_bytes(content)
     with pytest.raises(InputError, match=r"hit\.json"):
-        hot3d_timelines.read(tmp_path / "hit.json")
+        lists.read(tmp_path / "hit.json")
 
 
 @needs(HOT3D)
@@ -294,7 +301,7 @@ def test_the_three_holds_of_the_samples():
 
     notes = []
     found = {}
-    for clip, masks in hot3d.read(HOT3D, notes.append):
+    for clip, masks in read(HOT3D, notes.append):
         found[clip.name] = len(clip)
         assert masks.object.any(axis=(1, 2)).all()
         assert clip.truth.scale == 1.0

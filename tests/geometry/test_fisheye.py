@@ -112,8 +112,8 @@ def test_a_quarter_turn_turns_the_picture_clockwise():
 
 @needs(HOT3D)
 def test_objects_of_hot3d_fall_into_the_published_boxes():
-    from getagrip.datasets.hot3d.clips import Objects
-    from getagrip.datasets.hot3d.files import find, read_recording
+    from getagrip.datasets.hot3d.reader import Objects
+    from getagrip.datasets.hot3d.recording import find, read_recording
 
     objects = Objects.below(HOT3D)
     for (name, files), stream in zip(find(HOT3D).items(), ("1201-1", "214-1"), strict=True):

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import FINGERS, Clip, HandTrack, Truth, write_clip
-from getagrip.datasets.dexycb import clips as dexycb
+from getagrip.datasets.dexycb.reader import DexYcb
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -314,7 +314,7 @@ def test_wrong_calls_exit_with_2(run: Run, tmp_path: Path) -> None:
 
 @needs(DATA / "dexycb")
 def test_a_real_sequence() -> None:
-    source = dexycb.sources(DATA / "dexycb", DATA / "ycb")[0]
+    source = DexYcb(root=DATA / "dexycb", meshes=DATA / "ycb", whole=True).sources()[0]
     (track,) = source.read(lambda _: None)
     assert len(track) > 40
     assert np.all(np.diff(track.numbers) == 1)

@@ -19,7 +19,7 @@ from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, open_footage
 from getagrip.annotate.versions import Change, RefusedError, token
 from getagrip.clip.intrinsics import Lens
-from getagrip.datasets.epic.files import CATEGORIES
+from getagrip.datasets.epic.tables import CATEGORIES
 from getagrip.io import files
 
 MOST_OPEN = 4

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 from getagrip.annotate.footage import Footage, ImageFolder
 from getagrip.annotate.video import SUFFIXES, Video
-from getagrip.datasets.epic.files import LAST_FRAME, SIDES, subject_of
+from getagrip.datasets.epic.tables import LAST_FRAME, SIDES, subject_of
 from getagrip.errors import InputError
 from getagrip.io.files import csv_rows, is_plain_name, plain, read_bytes, shown
 

@@ -19,7 +19,7 @@ from numpy import ndarray
 from getagrip.annotate.decoding import Decoder
 from getagrip.annotate.footage import LARGEST_SIDE, MOST_FRAMES, WIDEST, encoded
 from getagrip.clip.video import open_video
-from getagrip.datasets.epic.files import VIDEO, numbering_rate
+from getagrip.datasets.epic.tables import VIDEO, numbering_rate
 from getagrip.errors import InputError
 
 if TYPE_CHECKING:

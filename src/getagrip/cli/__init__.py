@@ -5,42 +5,43 @@ from __future__ import annotations
 import sys
 import traceback
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 from tyro.conf import OmitArgPrefixes, subcommand
 
 from getagrip.cli.command import Command
 from getagrip.cli.footage import Annotate, ClipCommand, Epic
-from getagrip.cli.imports import Imports
 from getagrip.cli.labelled import Segment, Stats, Study
 from getagrip.cli.results import Bench, Demo, Doctor, Evaluate, InitCommand, Reconstruct, Report
 from getagrip.errors import GetagripError, UsageError
 
-Commands = (
-    Annotated[Demo, subcommand("demo")]
-    | Annotated[Reconstruct, subcommand("reconstruct")]
-    | Annotated[Evaluate, subcommand("evaluate")]
-    | Annotated[Segment, subcommand("segment")]
-    | Annotated[Study, subcommand("study")]
-    | Annotated[Stats, subcommand("stats")]
-    | Annotated[Bench, subcommand("bench")]
-    | Annotated[InitCommand, subcommand("init")]
-    | Annotated[Imports, subcommand("import", description="Make clips from other people's layouts.")]
-    | Annotated[ClipCommand, subcommand("clip")]
-    | Annotated[Epic, subcommand("epic")]
-    | Annotated[Annotate, subcommand("annotate")]
-    | Annotated[Report, subcommand("report")]
-    | Annotated[Doctor, subcommand("doctor")]
-)
 DESCRIPTION = "Where an object is in the hand that holds it: from hands, masks and the object's mesh, for every frame."
+
+
+def commands(imports: Any) -> Any:
+    """All commands; ``imports`` is what ``import`` takes."""
+    return (
+        Annotated[Demo, subcommand("demo")]
+        | Annotated[Reconstruct, subcommand("reconstruct")]
+        | Annotated[Evaluate, subcommand("evaluate")]
+        | Annotated[Segment, subcommand("segment")]
+        | Annotated[Study, subcommand("study")]
+        | Annotated[Stats, subcommand("stats")]
+        | Annotated[Bench, subcommand("bench")]
+        | Annotated[InitCommand, subcommand("init")]
+        | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
+        | Annotated[ClipCommand, subcommand("clip")]
+        | Annotated[Epic, subcommand("epic")]
+        | Annotated[Annotate, subcommand("annotate")]
+        | Annotated[Report, subcommand("report")]
+        | Annotated[Doctor, subcommand("doctor")]
+    )
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run a command. Returns 0 when all is done, 1 when some of it failed, 2 when the call is wrong."""
-    command: Command = tyro.cli(
-        Commands, prog="getagrip", description=DESCRIPTION, args=args, config=(OmitArgPrefixes,)
-    )
+    command = _parsed(sys.argv[1:] if args is None else args)
     try:
         command.check()
         return command.run()
@@ -52,3 +53,16 @@ def main(args: Sequence[str] | None = None) -> int:
             traceback.print_exc()
         print(f"getagrip: {error}", file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
+
+
+def _parsed(args: Sequence[str]) -> Command:
+    """The command that arguments call for. Ends the process after ``--help``, and for arguments that fit no command."""
+    imports: Any = Command
+    if args and args[0] == "import":  # what it takes is declared with the readers, which take longer to load
+        from getagrip.cli.imports import Imports
+
+        imports = Imports
+    command: Command = tyro.cli(
+        commands(imports), prog="getagrip", description=DESCRIPTION, args=args, config=(OmitArgPrefixes,)
+    )
+    return command

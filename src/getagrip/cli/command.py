@@ -6,23 +6,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import FlagCreatePairsOff, Positional, arg
+from tyro.conf import Positional, arg
 
 from getagrip.fitting.methods import METHODS
+from getagrip.io.arguments import Flag
 
 Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
 Results = Annotated[Positional[tuple[Path, ...]], arg(metavar="RESULT...", help_behavior_hint="")]
-Folder = Annotated[Path, arg(metavar="DIR")]
-OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
-File = Annotated[Path, arg(metavar="FILE")]
-OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 Workers = Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core for more than 3 clips)")]
 Seed = Annotated[int, arg(metavar="S")]
 if TYPE_CHECKING:
     Method = str
 else:
     Method = Literal[tuple(METHODS)]
-Flag = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
+Intrinsics = Annotated[
+    tuple[float, float, float, float] | None, arg(name="K", metavar="FX FY CX CY", help_behavior_hint="")
+]
+Focal = Annotated[float | None, arg(metavar="PX", help_behavior_hint="")]
+Labels = Annotated[tuple[str, ...], arg(metavar="LABEL...", help_behavior_hint="")]
 
 
 @dataclass(frozen=True, kw_only=True)

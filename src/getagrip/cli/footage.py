@@ -8,14 +8,8 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from getagrip.cli.command import (
-    Command,
-    File,
-    Flag,
-    Folder,
-    OptionalFile,
-)
-from getagrip.cli.imports import Focal, Intrinsics, Labels
+from getagrip.cli.command import Command, Focal, Intrinsics, Labels
+from getagrip.io.arguments import File, Flag, Folder, OptionalFile
 
 Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan"]
 
@@ -104,7 +98,7 @@ class Epic(Command):
             files.check_file("--json", self.json)
 
     def run(self) -> int:
-        from getagrip.commands.import_epic import find_candidates
+        from getagrip.commands.epic_candidates import find_candidates
 
         return find_candidates(self.visor, self.actions, self.categories, self.out, self.json, self.debug)
 

@@ -1,93 +1,36 @@
-"""`getagrip import`: clips from datasets, and hands and masks from other people's files."""
+"""`getagrip import`: clips from datasets, and hands and masks from estimators' and segmentations' files.
+
+What it takes is declared with the readers, whose modules load numpy and more. So this module is loaded when the command
+is called, not for `getagrip --help`.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar, Union
 
-import tyro
-from tyro.conf import Positional, Suppress, arg, subcommand
+from tyro.conf import Positional, arg, subcommand
 
-from getagrip.cli.command import (
-    Command,
-    Flag,
-    Folder,
-    OptionalFile,
-    OptionalFolder,
-)
+from getagrip.batch.imports import import_clips
+from getagrip.cli.command import Command, Focal, Intrinsics, Labels
+from getagrip.commands.datasets import DATASETS
+from getagrip.datasets.dataset import Dataset
+from getagrip.io.arguments import Flag, Folder, OptionalFile
 
-Intrinsics = Annotated[
-    tuple[float, float, float, float] | None, arg(name="K", metavar="FX FY CX CY", help_behavior_hint="")
-]
-Focal = Annotated[float | None, arg(metavar="PX", help_behavior_hint="")]
-Labels = Annotated[tuple[str, ...], arg(metavar="LABEL...", help_behavior_hint="")]
+D = TypeVar("D", bound=Dataset)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Import(Command):
-    """Make clips from a dataset with true poses."""
+class Import(Command, Generic[D]):
+    """Make clips of a dataset."""
 
-    source: Annotated[str, Suppress]
-    """Which one: the subcommand's name."""
-    root: Annotated[Positional[Path], arg(metavar="ROOT")]
-    """The folder that holds them, as it came."""
-    out: Folder
-    """Where the clips go, a folder each. Those that are there already are kept."""
-    meshes: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: ROOT/models)")] = None
-    """dexycb, ho3d: folder of the YCB models."""
-    mano: OptionalFolder = None
-    """arctic, hoi4d: folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl. ho3d too: without, the generic hand is fitted."""
-    view: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0)")] = None
-    """arctic: the camera, 0 on the head, 1 to 8 fixed."""
-    whole: Flag = False
-    """Not the grasps but all frames, without masks: for segment and study."""
-    timelines: OptionalFile = None
-    """hot3d: a list of grasps (hot3d_hit.json), instead of the holds found here."""
-    first_frame: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0)")] = None
-    """hot3d: the list's number of a recording's first frame; else the recording must be as long as the list has it."""
-
-    def run(self) -> int:
-        from getagrip.batch.imports import Given, import_clips
-
-        given = Given(self.meshes, self.mano, self.view, self.whole, self.timelines, self.first_frame)
-        return import_clips(self.source, self.root, self.out, given, self.debug)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImportEpic(Command):
-    """EPIC-Grasps: its stable grasps in EPIC-KITCHENS, with VISOR's masks; hands come from an estimator's files."""
-
-    csv: Annotated[Positional[Path], arg(metavar="CSV")]
-    """EPIC-Grasps' table, as published. Its errata are applied where they lie beside it (<CSV>_errata.csv)."""
-    visor: Folder
-    """VISOR's annotations, sparse, dense or both, and its frame_mapping.json, anywhere below."""
-    frames: OptionalFolder = None
-    """EPIC-KITCHENS' images: P01/rgb_frames/P01_01/frame_0000000001.jpg or P01_01.tar, or P01_01/..."""
-    videos: OptionalFolder = None
-    """Instead of images, EPIC-KITCHENS' videos: P01/videos/P01_01.MP4, or P01_01.MP4."""
-    hands: OptionalFolder = None
-    """Hand files, <clip name>.npz each: as a clip's hand.npz, if need be with frames and K."""
-    cad: OptionalFolder = None
-    """Meshes of the categories, <category>.obj each, in metres, z up; without, this package's own."""
-    priors: OptionalFolder = None
-    """Poses to start from, by category and hand, for reconstruct --init priors: only looked at."""
-    cameras: OptionalFolder = None
-    """EPIC-Fields' cameras, <video>.json each."""
-    focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="(default: a guess)")] = None
-    """Instead of cameras, the focal length in pixels of images 854 wide."""
-    errata: Annotated[Path | None, arg(metavar="CSV", help_behavior_hint="(default: beside the table)")] = None
-    """EPIC-Grasps' errata."""
+    dataset: Annotated[D, arg(name="")]
     out: Folder
     """Where the clips go, a folder each. Those that are there already are kept, unless they lack hands found now."""
 
     def run(self) -> int:
-        from getagrip.commands.import_epic import Sources, import_epic
-
-        sources = Sources(
-            self.visor, self.frames, self.videos, self.hands, self.cad, self.cameras, self.focal
-        )  # fmt: skip
-        return import_epic(self.csv, self.errata, sources, self.priors, self.out, self.debug)
+        return import_clips(self.dataset, self.out, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,18 +111,13 @@ class ImportMasks(Command):
         return into_clip(self.path, self.object, self.ignore, self.first, self.clip, self.overwrite)
 
 
-def _dataset(name: str, what: str) -> Any:
-    """The subcommand of ``import`` for a dataset with true poses."""
-    return subcommand(name, description=what, default=Import(source=name, root=tyro.MISSING, out=tyro.MISSING))
+def _subcommands() -> Any:
+    """The subcommands of ``import``: a dataset each, then hands and masks."""
+    datasets = [
+        Annotated[Import[dataset], subcommand(name, description=dataset.__doc__)]  # type: ignore[valid-type]
+        for name, dataset in DATASETS.items()
+    ]
+    return Union[*datasets, Annotated[ImportHands, subcommand("hands")], Annotated[ImportMasks, subcommand("masks")]]
 
 
-Imports = (
-    Annotated[Import, _dataset("hot3d", "Raw HOT3D recordings: every hold of an object by a hand.")]
-    | Annotated[Import, _dataset("dexycb", "DexYCB, or a packed file of its sequences: every stable grasp seen.")]
-    | Annotated[Import, _dataset("arctic", "ARCTIC's raw sequences: every stable grasp seen.")]
-    | Annotated[Import, _dataset("hoi4d", "HOI4D's rigid objects: every stable grasp seen.")]
-    | Annotated[Import, _dataset("ho3d", "HO-3D: every stable grasp seen.")]
-    | Annotated[ImportEpic, subcommand("epic")]
-    | Annotated[ImportHands, subcommand("hands")]
-    | Annotated[ImportMasks, subcommand("masks")]
-)
+Imports = _subcommands()

@@ -8,14 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from getagrip.cli.command import (
-    Clips,
-    Command,
-    Folder,
-    OptionalFile,
-    OptionalFolder,
-    Workers,
-)
+from getagrip.cli.command import Clips, Command, Workers
+from getagrip.io.arguments import Folder, OptionalFile, OptionalFolder
 
 if TYPE_CHECKING:
     from getagrip.grasps.stable import Definition

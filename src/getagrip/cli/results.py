@@ -8,22 +8,11 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from getagrip.cli.command import (
-    Clips,
-    Command,
-    File,
-    Flag,
-    Folder,
-    Method,
-    OptionalFile,
-    OptionalFolder,
-    Results,
-    Seed,
-    Workers,
-)
+from getagrip.cli.command import Clips, Command, Method, Results, Seed, Workers
 from getagrip.errors import UsageError
 from getagrip.experiments.sources import SOURCES, source_of
 from getagrip.fitting.options import Init, Options, PriorsFile
+from getagrip.io.arguments import File, Flag, Folder, OptionalFile, OptionalFolder
 
 Inits = Annotated[int, arg(metavar="N")]
 

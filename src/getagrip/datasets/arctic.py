@@ -19,16 +19,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
+from tyro.conf import arg
 
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks
+from getagrip.datasets.cutting import TrackedDataset
+from getagrip.datasets.dataset import Note
 from getagrip.datasets.pickled import numbers, read_dict
-from getagrip.datasets.tracks import Note, Source, Track, check_length, in_pixels
+from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import LARGEST_FILE, Mesh, checked_mesh, with_area
@@ -36,6 +39,7 @@ from getagrip.geometry.obj import parse_obj
 from getagrip.grasps.stable import Definition
 from getagrip.hands.model import Side
 from getagrip.io import arrays
+from getagrip.io.arguments import OptionalFolder
 from getagrip.io.files import LARGEST_JSON, is_plain_name, read_bytes, read_json, shown
 
 DEFINITION = Definition(contact=0.0)
@@ -75,20 +79,28 @@ class View:
     size: tuple[int, int]
 
 
-def find(root: Path, mano: Path | None, view: int = 0) -> list[Source]:
-    """The sequences below ``root``, ARCTIC's folder of ``raw_seqs`` and ``meta``, or one that holds it.
+@dataclass(frozen=True, kw_only=True)
+class Arctic(TrackedDataset):
+    """ARCTIC's raw sequences: every visible stable grasp."""
 
-    ``mano`` is the folder of the user's MANO files, ``view`` the camera. Raises ``UsageError`` for those,
-    ``InputError`` where there is no sequence.
-    """
-    if not 0 <= view < VIEWS:
-        raise UsageError(f"--view: got {view}, expected 0 (the camera on the head) to {VIEWS - 1}")
-    folder = mano_tracks.mano_folder(mano, "ARCTIC")
-    base = next((b for b in (root, root / "data", root / "arctic_data" / "data") if (b / "raw_seqs").is_dir()), root)
-    found = sorted(base.glob("raw_seqs/*/*.object.npy"))
-    if not found:
-        raise InputError(root, "", "no raw_seqs/<subject>/<sequence>.object.npy in it", "ARCTIC's folder")
-    return [Source(f"{f.parent.name}/{_sequence(f)}", partial(_read, base, f, folder, view)) for f in found]
+    definition = DEFINITION
+
+    mano: OptionalFolder = None
+    """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
+    view: Annotated[int, arg(metavar="N")] = 0
+    """The camera: 0 on the head, 1 to 8 fixed."""
+
+    def sources(self) -> list[Source]:
+        """The sequences below ``root``, ARCTIC's folder of ``raw_seqs`` and ``meta``, or one that holds it."""
+        if not 0 <= self.view < VIEWS:
+            raise UsageError(f"--view: got {self.view}, expected 0 (the camera on the head) to {VIEWS - 1}")
+        mano = mano_tracks.mano_folder(self.mano, "ARCTIC")
+        places = (self.root, self.root / "data", self.root / "arctic_data" / "data")
+        base = next((place for place in places if (place / "raw_seqs").is_dir()), self.root)
+        found = sorted(base.glob("raw_seqs/*/*.object.npy"))
+        if not found:
+            raise InputError(self.root, "", "no raw_seqs/<subject>/<sequence>.object.npy in it", "ARCTIC's folder")
+        return [Source(f"{f.parent.name}/{_sequence(f)}", partial(_read, base, f, mano, self.view)) for f in found]
 
 
 def _sequence(file: Path) -> str:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -22,15 +23,17 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import HandTrack
-from getagrip.datasets import mano_tracks
-from getagrip.datasets.dexycb.clips import mesh_folder, ycb_mesh
+from getagrip.datasets import mano_tracks, ycb
+from getagrip.datasets.cutting import TrackedDataset
+from getagrip.datasets.dataset import Note
 from getagrip.datasets.pickled import numbers, read_dict
-from getagrip.datasets.tracks import Note, Source, Track, check_length, in_pixels
+from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.grasps.stable import Definition
 from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
+from getagrip.io.arguments import OptionalFolder
 from getagrip.io.files import is_plain_name, shown
 
 DEFINITION = Definition(contact=0.010)
@@ -56,19 +59,25 @@ class Frame(NamedTuple):
     shape: Float[ndarray, "10"]
 
 
-def find(root: Path, meshes: Path | None, mano: Path | None) -> list[Source]:
-    """The sequences of HO-3D, all splits.
+@dataclass(frozen=True, kw_only=True)
+class Ho3d(TrackedDataset):
+    """HO-3D: every visible stable grasp."""
 
-    ``meshes`` is the folder of the YCB models, ``models`` in ``root`` where left out; ``mano`` the folder of the user's
-    MANO files: without it, the generic hand is fitted to the joints. Raises ``UsageError`` for those, ``InputError``
-    where there is no sequence.
-    """
-    models = mesh_folder(root, meshes)
-    folder = None if mano is None else mano_tracks.mano_folder(mano, "HO-3D")
-    found = sorted({file.parent.parent for file in root.glob("*/*/meta/*.pkl")})
-    if not found:
-        raise InputError(root, "", "no <split>/<sequence>/meta/<frame>.pkl in it", "HO-3D's folder")
-    return [Source(f"{f.parent.name}/{f.name}", partial(_read, f, models, folder)) for f in found]
+    definition = DEFINITION
+
+    meshes: ycb.Models = None
+    """Folder of the YCB models."""
+    mano: OptionalFolder = None
+    """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl; without, the generic hand is fitted to the joints."""
+
+    def sources(self) -> list[Source]:
+        """The sequences of HO-3D, all splits."""
+        models = ycb.folder(self.root, self.meshes)
+        mano = None if self.mano is None else mano_tracks.mano_folder(self.mano, "HO-3D")
+        found = sorted({file.parent.parent for file in self.root.glob("*/*/meta/*.pkl")})
+        if not found:
+            raise InputError(self.root, "", "no <split>/<sequence>/meta/<frame>.pkl in it", "HO-3D's folder")
+        return [Source(f"{f.parent.name}/{f.name}", partial(_read, f, models, mano)) for f in found]
 
 
 def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator[Track]:
@@ -84,7 +93,7 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
         else:
             frames.append(frame)
     if unknown:
-        note(f"{name}: {unknown} frames without the pose of the hand or of the object: left out")
+        note(f"{name}: {unknown} frames without the pose of the hand or of the object: skipped")
     if not frames:
         return
     held = frames[0].name
@@ -93,9 +102,7 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
         raise InputError(
             folder / "meta" / f"{other.number:04d}.pkl", "objName or camMat", "another", "one per sequence"
         )
-    mesh = ycb_mesh(models, held)
-    if mesh is None:
-        raise InputError(models, held, "no mesh of it", f"{held}.obj or {held}/*.obj")
+    mesh = ycb.mesh(models, held)
     letters = re.match(r"[A-Za-z]+", folder.name)
     yield Track(
         file=folder,

@@ -9,13 +9,14 @@ Read is, as HOI4D's own instructions (https://github.com/leolyliu/HOI4D-Instruct
     camera_params/<camera>/intrin.npy                           (3, 3)
     HOI4D_CAD_Model_for_release/rigid/<Category>/<object>.obj   CAD [m]
 
-Objects with joints have no CAD in ``rigid``: they are left out.
+Objects with joints have no CAD in ``rigid``: they are skipped.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -25,8 +26,10 @@ from numpy import ndarray
 
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks
+from getagrip.datasets.cutting import TrackedDataset
+from getagrip.datasets.dataset import Note
 from getagrip.datasets.pickled import numbers, read_dict
-from getagrip.datasets.tracks import MaskPair, Note, Source, Track, check_length, in_pixels
+from getagrip.datasets.tracks import MaskPair, Source, Track, check_length, in_pixels
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import LARGEST_FILE, Mesh, checked_mesh, with_area
@@ -34,6 +37,7 @@ from getagrip.geometry.obj import parse_obj
 from getagrip.grasps.stable import Definition
 from getagrip.hands.model import Side
 from getagrip.io import arrays
+from getagrip.io.arguments import OptionalFolder
 from getagrip.io.files import read_bytes, read_json, shown
 from getagrip.io.png import read_colour_png
 
@@ -55,16 +59,24 @@ OBJECT = (128, 0, 0)
 SIDES: tuple[Side, ...] = ("left", "right")
 
 
-def find(root: Path, mano: Path | None) -> list[Source]:
-    """The sequences of HOI4D. ``mano`` is the folder of the user's MANO files.
+@dataclass(frozen=True, kw_only=True)
+class Hoi4d(TrackedDataset):
+    """HOI4D's rigid objects: every visible stable grasp."""
 
-    Raises ``UsageError`` for that, ``InputError`` where there is no sequence.
-    """
-    folder = mano_tracks.mano_folder(mano, "HOI4D")
-    found = sorted(file.parent for file in root.glob("HOI4D_annotations/ZY*/H*/C*/N*/S*/s*/T*/objpose"))
-    if not found:
-        raise InputError(root, "", "no HOI4D_annotations/ZY*/H*/C*/N*/S*/s*/T*/objpose in it", "HOI4D's folder")
-    return [Source("-".join(f.parts[-7:]), partial(_read, root, f, folder)) for f in found]
+    definition = DEFINITION
+
+    mano: OptionalFolder = None
+    """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
+
+    def sources(self) -> list[Source]:
+        """The sequences of HOI4D."""
+        mano = mano_tracks.mano_folder(self.mano, "HOI4D")
+        found = sorted(file.parent for file in self.root.glob("HOI4D_annotations/ZY*/H*/C*/N*/S*/s*/T*/objpose"))
+        if not found:
+            raise InputError(
+                self.root, "", "no HOI4D_annotations/ZY*/H*/C*/N*/S*/s*/T*/objpose in it", "HOI4D's folder"
+            )
+        return [Source("-".join(f.parts[-7:]), partial(_read, self.root, f, mano)) for f in found]
 
 
 def _read(root: Path, folder: Path, mano: Path, note: Note) -> Iterator[Track]:
@@ -78,7 +90,7 @@ def _read(root: Path, folder: Path, mano: Path, note: Note) -> Iterator[Track]:
         raise InputError(folder, "", f"{kind}/{item}", f"a category, one of {', '.join(CATEGORIES)}, and N<number>")
     cad = root / "HOI4D_CAD_Model_for_release" / "rigid" / category / f"{int(number[1]):03d}.obj"
     if not cad.is_file():
-        note(f"{name}: no {category}/{cad.name} among the rigid CADs (objects with joints are not read): left out")
+        note(f"{name}: no {category}/{cad.name} among the rigid CADs (objects with joints are not read): skipped")
         return
     vertices, faces = parse_obj(cad, read_bytes(cad, LARGEST_FILE))
     mesh = checked_mesh(cad, vertices, with_area(vertices, faces))
@@ -119,7 +131,7 @@ def _read(root: Path, folder: Path, mano: Path, note: Note) -> Iterator[Track]:
             },
         )
     if not hands:
-        note(f"{name}: no pose of a hand: left out")
+        note(f"{name}: no pose of a hand: skipped")
 
 
 def _rigid(mesh: Mesh, _: float) -> Mesh:
@@ -169,9 +181,9 @@ def _hand(files: list[Path], mano: Path, side: Side) -> HandTrack:
 def _masks(folder: Path, number: int) -> MaskPair:
     """The object and what is ignored, at half the size: a pixel is what two of its four are."""
     image = read_colour_png(folder / f"{number:05d}.png", IMAGE)
-    seen = np.all(image == OBJECT, axis=2)
+    observed = np.all(image == OBJECT, axis=2)
     labelled = image.any(axis=2)
-    return _halved(seen, 2), _halved(labelled & ~seen, 2) & ~_halved(seen, 2)
+    return _halved(observed, 2), _halved(labelled & ~observed, 2) & ~_halved(observed, 2)
 
 
 def _halved(mask: Bool[ndarray, "H W"], least: int) -> Bool[ndarray, "h w"]:

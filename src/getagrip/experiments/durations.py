@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from getagrip.datasets.epic.files import numbering_rate, read_grasps
+from getagrip.datasets.epic.tables import numbering_rate, read_grasps
 from getagrip.errors import InputError
 from getagrip.io.files import csv_rows, plain, read_bytes, shown
 

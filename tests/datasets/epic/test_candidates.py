@@ -9,9 +9,7 @@ from typing import Any
 
 import pytest
 
-from getagrip.datasets.epic import candidates as epic_candidates
-from getagrip.datasets.epic import files as epic_files
-from getagrip.datasets.epic import visor
+from getagrip.datasets.epic import candidates, tables, visor
 from helpers.command_line import Run
 from helpers.epic_files import V, write_table
 from helpers.paths import DATA, needs
@@ -25,8 +23,8 @@ def visor_frame(number: int, *annotations: dict[str, Any], tmp: Path) -> visor.F
     return next(visor.read_frames(write(tmp / f"{V}.json", [sparse(V, number, *annotations)])))
 
 
-def actions(*bounds: tuple[int, int], narration: str = "take cup", noun: str = "cup") -> list[epic_files.Action]:
-    return [epic_files.Action(V, a, b, narration, noun) for a, b in bounds]
+def actions(*bounds: tuple[int, int], narration: str = "take cup", noun: str = "cup") -> list[tables.Action]:
+    return [tables.Action(V, a, b, narration, noun) for a, b in bounds]
 
 
 def test_contacts_are_of_hands_and_of_what_their_gloves_touch(tmp_path: Path) -> None:
@@ -34,25 +32,25 @@ def test_contacts_are_of_hands_and_of_what_their_gloves_touch(tmp_path: Path) ->
     glove = thing("g", "right glove", 304, box(0, 0, 9, 9), in_contact_object="p", on_which_hand=["right hand"])
     knife = thing("k", "knife", 4, box(0, 0, 9, 9))
     frame = visor_frame(7, cup, pan, knife, glove, hand("left", "c", box(0, 0, 5, 5)), hand("right", "g"), tmp=tmp_path)
-    (found,) = epic_candidates.contacts([frame], visor.Mapping({7: 5}))
+    (found,) = candidates.contacts([frame], visor.Mapping({7: 5}))
     assert {(c.frame, c.side, c.category, c.entity) for c in found} == {
         (5, "left", "cup", "coffee cup"),
         (5, "right", "pan", "pan"),
     }
     nameless = thing("", "cup", 13, box(0, 0, 9, 9))
     idle = visor_frame(8, nameless, hand("left", "hand-not-in-contact"), hand("right", None), tmp=tmp_path)
-    assert epic_candidates.contacts([idle], visor.Mapping({})) == [[]]
+    assert candidates.contacts([idle], visor.Mapping({})) == [[]]
     free = visor_frame(8, cup, hand("left", "k", box(0, 0, 5, 5)), knife, tmp=tmp_path)
-    assert epic_candidates.contacts([free], visor.Mapping({})) == [[]]  # marked, and no category
+    assert candidates.contacts([free], visor.Mapping({})) == [[]]  # marked, and no category
 
 
 def test_contacts_that_follow_each_other_are_one_candidate() -> None:
-    def touch(frame: int, side: Any = "left", entity: str = "cup") -> epic_candidates.Contact:
-        return epic_candidates.Contact(frame, side, entity.rpartition(" ")[2], entity)
+    def touch(frame: int, side: Any = "left", entity: str = "cup") -> candidates.Contact:
+        return candidates.Contact(frame, side, entity.rpartition(" ")[2], entity)
 
     labelled = actions((1, 20), (30, 60), (50, 90), (100, 140), (150, 180), (190, 220))
     touching = [[touch(55)], [touch(70), touch(70, "right", "oil bottle")], [], [touch(160)]]
-    found = epic_candidates.candidates(V, touching, labelled)
+    found = candidates.candidates(V, touching, labelled)
     assert [(c.side, c.entity, c.contacts, c.start_bound, c.end_bound) for c in found] == [
         ("left", "cup", (55, 70), 1, 180),
         ("right", "oil bottle", (70,), 1, 180),
@@ -60,7 +58,7 @@ def test_contacts_that_follow_each_other_are_one_candidate() -> None:
     ]
     assert found[0].name == f"{V}_1_55_70_180_left_cup"
     assert found[0].narrations == ("take cup",) * 5
-    assert epic_candidates.candidates(V, touching, []) == []  # nothing bounds them
+    assert candidates.candidates(V, touching, []) == []  # nothing bounds them
 
 
 @pytest.mark.parametrize(
@@ -69,25 +67,25 @@ def test_contacts_that_follow_each_other_are_one_candidate() -> None:
      ("passata bottle/tomato puree bottle", "bottle"), ("dustpan", None), ("", None)],
 )  # fmt: skip
 def test_categories_are_the_last_word(entity: str, category: str | None) -> None:
-    assert epic_candidates.category_of(entity) == category
+    assert candidates.category_of(entity) == category
 
 
 @needs(EPIC)
 def test_the_real_table_follows_the_rules_by_which_candidates_are_made() -> None:
     """Contacts are in the names of EPIC-Grasps' videos, actions in EPIC-100's validation labels."""
-    labels = epic_files.read_actions([EPIC / "EPIC_100_validation.csv"])
+    labels = tables.read_actions([EPIC / "EPIC_100_validation.csv"])
     with TABLE.open(newline="") as stream:
         rows = [cells for cells in csv.DictReader(stream) if cells["vid"] in labels]
     exact, count = 0, 0
     for cells in rows:
-        category = epic_candidates.category_of(cells["hos_name"])
+        category = candidates.category_of(cells["hos_name"])
         assert category == cells["cat"]
         frames = [int(n) for n in cells["mp4_name"].split("_")[3:-3]]
         if not frames:
             continue
-        side = epic_files.SIDES[cells["handside"]]
-        touching = [[epic_candidates.Contact(n, side, category, cells["hos_name"])] for n in frames]
-        (made,) = epic_candidates.candidates(cells["vid"], touching, labels[cells["vid"]])
+        side = tables.SIDES[cells["handside"]]
+        touching = [[candidates.Contact(n, side, category, cells["hos_name"])] for n in frames]
+        (made,) = candidates.candidates(cells["vid"], touching, labels[cells["vid"]])
         count += 1
         exact += (made.start_bound, made.end_bound) == (int(cells["st_bound"]), int(cells["ed_bound"]))
         if (made.start_bound, made.end_bound) == (int(cells["st_bound"]), int(cells["ed_bound"])):

@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.clip import read_clip, read_masks
-from getagrip.datasets.epic import clips as epic
-from getagrip.datasets.epic import files as epic_files
+from getagrip.datasets.epic import clips, tables
 from getagrip.datasets.epic.images import Frames
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.errors import InputError
@@ -132,18 +131,18 @@ def test_meshes_and_cameras_are_brought_along(run: Run, epic_folder: Path, refus
     np.testing.assert_allclose(
         content["camera"]["K"], [[240 * 854 / 456, 0, 427], [0, 250 * 480 / 256, 240], [0, 0, 1]]
     )
-    mesh, _ = epic.category_mesh("bottle", epic_folder / "cad")
+    mesh, _ = clips.category_mesh("bottle", epic_folder / "cad")
     assert len(mesh.vertices) == len(CATEGORIES["can"].make().vertices)
-    refused(lambda: epic.category_mesh("pan", epic_folder / "cad"), "no pan.obj")
+    refused(lambda: clips.category_mesh("pan", epic_folder / "cad"), "no pan.obj")
     (epic_folder / "cameras" / f"{V}.json").write_text('{"camera": {"model": "FISHEYE"}}')
-    refused(lambda: epic.read_camera(epic_folder / "cameras" / f"{V}.json"), "camera")
+    refused(lambda: clips.read_camera(epic_folder / "cameras" / f"{V}.json"), "camera")
 
 
 @needs(DATA / "epic")
-@pytest.mark.parametrize("category", epic_files.CATEGORIES)
+@pytest.mark.parametrize("category", tables.CATEGORIES)
 def test_the_authors_meshes_are_read_and_ours_stand_for_them(category: str) -> None:
-    theirs, _ = epic.category_mesh(category, DATA / "epic" / "cad")
-    ours, _ = epic.category_mesh(category, None)
+    theirs, _ = clips.category_mesh(category, DATA / "epic" / "cad")
+    ours, _ = clips.category_mesh(category, None)
     assert theirs.is_closed
     assert ours.is_closed
     assert 0.5 < ours.diameter / theirs.diameter < 2.0
@@ -187,9 +186,9 @@ def test_a_hand_file_that_does_not_fit_is_refused(tmp_path: Path, refused: Calla
         ("K", np.eye(3)),
     ]:
         arrays.write(path, hand_arrays(3) | {key: value})
-        refused(lambda: epic.hand_file(path), str(path), key)
+        refused(lambda: clips.hand_file(path), str(path), key)
     arrays.write(path, hand_arrays(3))
-    refused(lambda: epic.hand_file(path).track([1, 2]), str(path), "vertices", "(2, any, 3)")
+    refused(lambda: clips.hand_file(path).track([1, 2]), str(path), "vertices", "(2, any, 3)")
 
 
 @given(content=st.binary(max_size=64), header=st.booleans())
@@ -202,8 +201,8 @@ def test_any_bytes_for_images_cameras_and_hands_are_refused_in_words(
     path.write_bytes(b"\xff\xd8\xff" * header + content)
     reads: list[tuple[Path, Callable[[], object]]] = [
         (path, lambda: Frames(folder, V)([1])),
-        (path, lambda: epic.read_camera(path)),
-        (path, lambda: epic.hand_file(path)),
+        (path, lambda: clips.read_camera(path)),
+        (path, lambda: clips.hand_file(path)),
     ]
     for file, read in reads:
         with pytest.raises(InputError) as caught:

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.datasets.epic import files as epic_files
+from getagrip.datasets.epic import tables
 from getagrip.errors import InputError
 from helpers.epic_files import V, row, write_table
 from helpers.paths import DATA, needs
@@ -23,34 +23,34 @@ TABLE, ERRATA = EPIC / "epicgrasps_2431.csv", EPIC / "epicgrasps_2431_errata.csv
 
 @needs(EPIC)
 def test_the_real_table_has_what_is_known_of_it() -> None:
-    grasps = epic_files.read_grasps(TABLE)
+    grasps = tables.read_grasps(TABLE)
     assert len(grasps) == 2426
     assert {*range(2431)} - {grasp.example for grasp in grasps} == {48, 149, 190, 229, 560}
     assert Counter(grasp.side for grasp in grasps) == {"left": 1445, "right": 981}
     assert len({grasp.video for grasp in grasps}) == 141
-    assert len({epic_files.subject_of(grasp.video) for grasp in grasps}) == 31
+    assert len({tables.subject_of(grasp.video) for grasp in grasps}) == 31
     assert len({(grasp.video, grasp.category) for grasp in grasps}) == 390
     assert len({grasp.name for grasp in grasps}) == 2426  # clips' names differ
     assert sum(grasp.contact is None for grasp in grasps) == 405
-    assert {grasp.category for grasp in grasps} == {*epic_files.CATEGORIES}
-    rates = Counter(epic_files.numbering_rate(grasp.video) for grasp in grasps)
+    assert {grasp.category for grasp in grasps} == {*tables.CATEGORIES}
+    rates = Counter(tables.numbering_rate(grasp.video) for grasp in grasps)
     assert rates == {50.0: 1198, 60.0: 1228}
 
 
 @needs(EPIC)
 def test_the_one_clip_whose_bounds_are_wrong_is_mended() -> None:
-    (mended,) = [grasp for grasp in epic_files.read_grasps(TABLE) if grasp.note]
+    (mended,) = [grasp for grasp in tables.read_grasps(TABLE) if grasp.note]
     assert (mended.example, mended.video) == (1994, "P28_109")
     assert (mended.start, mended.end, mended.frames) == (9616, 9854, 239)
     with TABLE.open(newline="") as stream:
         durations = {int(cells["example"]): int(cells["duration"]) for cells in csv.DictReader(stream)}
-    assert all(grasp.frames == durations[grasp.example] for grasp in epic_files.read_grasps(TABLE))
+    assert all(grasp.frames == durations[grasp.example] for grasp in tables.read_grasps(TABLE))
 
 
 @needs(EPIC)
 def test_the_errata_turn_five_hands_and_take_one_clip_away() -> None:
-    before = {grasp.example: grasp for grasp in epic_files.read_grasps(TABLE)}
-    after = {grasp.example: grasp for grasp in epic_files.read_grasps(TABLE, ERRATA)}
+    before = {grasp.example: grasp for grasp in tables.read_grasps(TABLE)}
+    after = {grasp.example: grasp for grasp in tables.read_grasps(TABLE, ERRATA)}
     assert {*before} - {*after} == {1769}
     turned = {n for n, grasp in after.items() if grasp.side != before[n].side}
     assert turned == {54, 1334, 1593, 1831, 2031}
@@ -61,7 +61,7 @@ def test_the_errata_turn_five_hands_and_take_one_clip_away() -> None:
             if cells["ACTION"] == "REMAKE":
                 category, _, rest = cells["fmt"].partition("/")
                 assert after[int(cells["example"])].name == rest.replace("right_hand", f"right_{category}")
-    assert epic_files.errata_beside(TABLE) == ERRATA
+    assert tables.errata_beside(TABLE) == ERRATA
 
 
 @needs(EPIC)
@@ -73,7 +73,7 @@ def test_frames_are_numbered_at_one_rate_whatever_the_video_has() -> None:
     for cells in late:
         hours, minutes, seconds = map(float, cells["stop_timestamp"].split(":"))
         rate = int(cells["stop_frame"]) / (3600 * hours + 60 * minutes + seconds)
-        assert rate == pytest.approx(epic_files.numbering_rate(cells["video_id"]), abs=0.01)
+        assert rate == pytest.approx(tables.numbering_rate(cells["video_id"]), abs=0.01)
     assert len(late) > 1000
 
 
@@ -96,14 +96,14 @@ def test_a_wrong_cell_is_named(
     tmp_path: Path, refused: Callable[..., str], changed: dict[str, object], words: tuple[str, ...]
 ) -> None:
     path = write_table(tmp_path / "t.csv", row(), row(example=1, fmt="bottle/other_1000_1099") | changed)
-    refused(lambda: epic_files.read_grasps(path), str(path), *words)
+    refused(lambda: tables.read_grasps(path), str(path), *words)
 
 
 def test_errata_must_fit_the_table(tmp_path: Path, refused: Callable[..., str]) -> None:
     table = write_table(tmp_path / "t.csv", row())
     for action, fmt, words in [("DELETE", "x", "old_fmt"), ("BURN", row()["fmt"], "ACTION")]:
         wrong = write_table(tmp_path / "e.csv", {"ACTION": action, "old_fmt": fmt, "correct_handside": "right hand"})
-        refused(lambda path=wrong: epic_files.read_grasps(table, path), str(wrong), f"line 2, {words}")
+        refused(lambda path=wrong: tables.read_grasps(table, path), str(wrong), f"line 2, {words}")
 
 
 @given(cut=st.integers(0, 2000), swap=st.lists(st.tuples(st.integers(0, 2000), st.integers(0, 255)), max_size=4))
@@ -115,6 +115,6 @@ def test_damaged_tables_are_told_or_read(
     for at, byte in swap:
         content[at % len(content)] = byte
     path.write_bytes(content[: max(len(content) - cut, 0)] if cut % 2 else content)
-    for read in (epic_files.read_grasps, lambda p: epic_files.read_actions([p])):
+    for read in (tables.read_grasps, lambda p: tables.read_actions([p])):
         with suppress(InputError):
             read(path)

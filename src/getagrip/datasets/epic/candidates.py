@@ -12,7 +12,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from getagrip.datasets.epic.files import CATEGORIES, Action, numbering_rate
+from getagrip.datasets.epic.tables import CATEGORIES, Action, numbering_rate
 from getagrip.datasets.epic.visor import Frame, Mapping
 from getagrip.hands.model import Side
 
@@ -88,7 +88,7 @@ def contacts(frames: Iterable[Frame], mapping: Mapping) -> list[list[Contact]]:
 def candidates(video: str, touching: Sequence[Sequence[Contact]], actions: Sequence[Action]) -> list[Candidate]:
     """The candidates of a video, in order of time, from ``contacts`` and its actions in order of start.
 
-    Contacts without an action before and after them are left out: nothing bounds them.
+    Contacts without an action before and after them are skipped: nothing bounds them.
     """
     runs: list[list[Contact]] = []
     open_runs: dict[tuple[Side, str], list[Contact]] = {}

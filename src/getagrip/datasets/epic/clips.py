@@ -1,7 +1,6 @@
-"""EPIC-Grasps (Zhu and Damen, "Get a Grip"): stable grasps in EPIC-KITCHENS' videos, as clips with VISOR's masks.
+"""The clip of a grasp of EPIC-Grasps: VISOR's masks at some of its frames, its camera, and hands from a file.
 
-No pose is true here, and no object's own mesh is known: the mesh is its category's, its scale free. Hands come from
-files that an estimator has made; a clip without them lacks its ``hand.npz`` until somebody adds it.
+No pose is true here, and no object's own mesh is known: the mesh is its category's, its scale free.
 """
 
 from __future__ import annotations
@@ -18,8 +17,9 @@ from numpy import ndarray
 from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading import read_hand
+from getagrip.datasets.dataset import Note
 from getagrip.datasets.epic import visor
-from getagrip.datasets.epic.files import Grasp, numbering_rate, subject_of
+from getagrip.datasets.epic.tables import EpicGrasp, numbering_rate, subject_of
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.errors import InputError
 from getagrip.geometry.mesh import SUFFIXES, Mesh, read_mesh
@@ -31,17 +31,17 @@ SIZE = visor.DENSE_SIZE
 FRAMES = 30
 """The most frames that a clip has, spread evenly over those that are valid (as the paper's)."""
 FEWEST = 2
-"""Valid frames below which a grasp is left out: one silhouette says nothing about a motion."""
+"""Valid frames below which a grasp is skipped: one silhouette says nothing about a motion."""
 VISIBLE = 25
-"""Pixels of the smallest mask that counts as seen."""
+"""Pixels of the smallest mask that counts as visible."""
 GUESSED_FOCAL = 200.0 / 640.0
 """Focal length over the image's width: what HOMan takes for EPIC-KITCHENS. A guess."""
 BACKGROUND = frozenset({8, 12, 24, 42, 46, 63, 70, 90, 113, 124, 157, 159, 182, 242, 247, 263, 295})
 """Noun classes of what stands behind things and seldom before them: drawer, fridge, hob, worktop, oven, sink,
 dishwasher, microwave, freezer, washing machine, kitchen, floor, chair, wall, shelf, window, door."""
 
-Seen = dict[int, visor.Frame]
-"""Annotations by EPIC's frame numbers."""
+VisorFrames = dict[int, visor.Frame]
+"""VISOR's frames by EPIC's frame numbers."""
 
 
 @dataclass(frozen=True)
@@ -72,15 +72,14 @@ class Camera:
     """In pixels of 854 x 480."""
     source: str
     """Where it comes from, in words."""
-    is_guess: bool = False
 
 
-def annotated(files: Sequence[Path], mapping: visor.Mapping, grasps: Sequence[Grasp]) -> dict[str, Seen]:
+def annotated(files: Sequence[Path], mapping: visor.Mapping, grasps: Sequence[EpicGrasp]) -> dict[str, VisorFrames]:
     """VISOR's frames within each grasp, by the grasp's name, that show its object. Raises ``InputError``.
 
     Where a frame is annotated more than once, people's annotations come before interpolated ones, then the fullest.
     """
-    out: dict[str, Seen] = {grasp.name: {} for grasp in grasps}
+    out: dict[str, VisorFrames] = {grasp.name: {} for grasp in grasps}
     for path in files:
         for frame in visor.read_frames(path):
             number = mapping.number(frame)
@@ -92,7 +91,7 @@ def annotated(files: Sequence[Path], mapping: visor.Mapping, grasps: Sequence[Gr
     return out
 
 
-def _is_held(annotation: visor.Annotation, grasp: Grasp) -> bool:
+def _is_held(annotation: visor.Annotation, grasp: EpicGrasp) -> bool:
     return annotation.name == grasp.entity and not annotation.hands and bool(annotation.polygons)
 
 
@@ -100,7 +99,7 @@ def _rank(frame: visor.Frame) -> tuple[bool, int]:
     return not frame.dense, len(frame.annotations)
 
 
-def masks_of(frame: visor.Frame, grasp: Grasp) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
+def masks_of(frame: visor.Frame, grasp: EpicGrasp) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
     """The object's pixels, and those that say nothing about it: of both hands, gloves and other objects.
 
     Where the object's polygons lie over others' they are believed. What stands behind things is not ignored.
@@ -111,25 +110,33 @@ def masks_of(frame: visor.Frame, grasp: Grasp) -> tuple[Bool[ndarray, "H W"], Bo
 
     held = [a for a in frame.annotations if _is_held(a, grasp)]
     hiding = [a for a in frame.annotations if a not in held and (a.hands or a.class_id not in BACKGROUND)]
-    seen = drawn(held)
-    return seen, drawn(hiding) & ~seen
+    observed = drawn(held)
+    return observed, drawn(hiding) & ~observed
 
 
 def clip(
-    grasp: Grasp, seen: Seen, mesh: Mesh, mesh_source: str, camera: Camera, hands: HandFile | None, has_mapping: bool
-) -> tuple[Clip, Masks] | str:
-    """The clip of a grasp and its masks, at up to ``FRAMES`` of its valid frames; or why there is none, in words.
+    grasp: EpicGrasp,
+    frames: VisorFrames,
+    mesh: Mesh,
+    mesh_source: str,
+    camera: Camera,
+    hands: HandFile | None,
+    has_mapping: bool,
+    note: Note,
+) -> tuple[Clip, Masks] | None:
+    """The clip of a grasp and its masks, at up to ``FRAMES`` of its valid frames; None, after a note, with too few.
 
     Valid are frames with a mask of the object and, where the hand file says which frames it has, with a hand. Without
     hands the clip's hand has no vertices. Raises ``InputError`` for hands that do not fit.
     """
-    masks = {number: masks_of(frame, grasp) for number, frame in sorted(seen.items())}
+    masks = {number: masks_of(frame, grasp) for number, frame in sorted(frames.items())}
     valid = [number for number, (mask, _) in masks.items() if np.count_nonzero(mask) >= VISIBLE]
     if hands is not None and hands.frames is not None:
         valid = sorted({*valid} & {*hands.frames})
     if len(valid) < FEWEST:
         what = "a mask" if hands is None or hands.frames is None else "a mask and a hand"
-        return f"{len(valid)} of its {grasp.frames} frames have {what} of {shown(grasp.entity)}"
+        note(f"{grasp.name}: {len(valid)} of its {grasp.frames} frames have {what} of {shown(grasp.entity)}: skipped")
+        return None
     chosen = [valid[i] for i in np.round(np.linspace(0, len(valid) - 1, min(FRAMES, len(valid)))).astype(int)]
     if hands is not None and hands.K is not None:
         camera = Camera(hands.K, "the hand file's")
@@ -144,7 +151,7 @@ def clip(
         mesh=mesh,
         scale="free",
         hand=_no_hand(len(chosen)) if hands is None else hands.track(chosen),
-        provenance=_provenance(grasp, [seen[n] for n in chosen], mesh_source, camera, hands, has_mapping),
+        provenance=_provenance(grasp, [frames[n] for n in chosen], mesh_source, camera, hands, has_mapping),
     )
     return made, Masks(*(np.array([masks[number][k] for number in chosen]) for k in (0, 1)))
 
@@ -154,10 +161,15 @@ def _no_hand(frames: int) -> HandTrack:
 
 
 def _provenance(
-    grasp: Grasp, frames: Sequence[visor.Frame], mesh: str, camera: Camera, hands: HandFile | None, has_mapping: bool
+    grasp: EpicGrasp,
+    frames: Sequence[visor.Frame],
+    mesh: str,
+    camera: Camera,
+    hands: HandFile | None,
+    has_mapping: bool,
 ) -> dict[str, Any]:
     dense = sum(frame.dense for frame in frames)
-    told = {
+    provenance = {
         "source": f"EPIC-Grasps {grasp.example}: {grasp.video}, frames {grasp.start} to {grasp.end}",
         "subject": subject_of(grasp.video),
         "entity": grasp.entity,
@@ -172,7 +184,7 @@ def _provenance(
         "scale": "free: no object's size is known",
         "hands": "missing: add hand.npz (docs/estimators.md)" if hands is None else "the hand file's",
     }
-    return told | ({"mended": grasp.note} if grasp.note else {})
+    return provenance | ({"mended": grasp.note} if grasp.note else {})
 
 
 def hand_file(path: Path) -> HandFile:
@@ -197,7 +209,7 @@ def pinhole(focal: float | None = None) -> Camera:
     f = GUESSED_FOCAL * SIZE[0] if focal is None else focal
     K = np.array([[f, 0.0, SIZE[0] / 2], [0.0, f, SIZE[1] / 2], [0.0, 0.0, 1.0]])
     guess = f"a guess: the focal length {f:g} px, which HOMan takes for EPIC-KITCHENS"
-    return Camera(K, guess, True) if focal is None else Camera(K, "focal length as given")
+    return Camera(K, guess) if focal is None else Camera(K, "focal length as given")
 
 
 def read_camera(path: Path) -> Camera:

@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from getagrip.datasets.epic.archive import Archive
-from getagrip.datasets.epic.files import numbering_rate, subject_of
+from getagrip.datasets.epic.tables import numbering_rate, subject_of
 from getagrip.datasets.epic.visor import DENSE_SIZE
 from getagrip.errors import InputError
 from getagrip.io.files import read_bytes

@@ -34,12 +34,13 @@ GLOVES: dict[int, Side] = {303: "left", 304: "right"}
 """Classes of hands, and of gloves that are worn; one that is not has another class."""
 SIDES: dict[str, Side] = {"left hand": "left", "right hand": "right"}
 NOT_TOUCHING = ("hand-not-in-contact", "glove-not-in-contact")
-UNTOLD = ("none-of-the-above", "inconclusive", "None")
+UNKNOWN = ("none-of-the-above", "inconclusive", "None")
 """Instead of the id of what a hand touches: nothing; something without a mask, or the annotators disagree."""
 MOST_POINTS = 100_000
 """Of the polygons of one annotation."""
 LONGEST_NAME = 200
 MAPPING = "frame_mapping.json"
+UNMAPPED = f"no {MAPPING} beside VISOR's files: its frame numbers are taken for EPIC's, a few frames off"
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Annotation:
     hands: tuple[Side, ...]
     """Which hands it is (or is worn on): one, both for a pair of gloves in one mask, or none for objects."""
     touches: str | None
-    """Of hands: the id of what it touches, "" for nothing, None where that is not told."""
+    """Of hands: the id of what it touches, "" for nothing, None where that is unknown."""
 
 
 @dataclass(frozen=True)
@@ -179,18 +180,18 @@ def _hands(name: str, class_id: int | None, on: Any) -> tuple[Side, ...]:
     if name in SIDES:  # dense files may lack classes
         return (SIDES[name],)
     worn = on if isinstance(on, list) else [on]  # a side, a list of them, "inconclusive", or no such key
-    told = tuple(SIDES[side] for side in worn if isinstance(side, str) and side in SIDES)
-    return told or ((GLOVES[class_id],) if class_id in GLOVES else ())
+    stated = tuple(SIDES[side] for side in worn if isinstance(side, str) and side in SIDES)
+    return stated or ((GLOVES[class_id],) if class_id in GLOVES else ())
 
 
 def _touched(given: Any) -> str | None:
-    if not isinstance(given, str) or given in UNTOLD:
+    if not isinstance(given, str) or given in UNKNOWN:
         return None
     return "" if given in NOT_TOUCHING else given
 
 
 def _polygons(path: Path, key: str, given: Any, size: tuple[int, int]) -> tuple[Float[ndarray, "_P 2"], ...]:
-    """Corners of polygons, those without a corner left out; they may leave the image by its own size."""
+    """Corners of polygons, without those that have no corner; they may leave the image by its own size."""
     if not isinstance(given, list) or not all(isinstance(polygon, list) for polygon in given):
         raise InputError(path, key, shown(given), "a list of polygons, [[[x, y], ...], ...]")
     if sum(map(len, given)) > MOST_POINTS:

@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from getagrip.datasets.hot3d.clips import hold_name
-from getagrip.datasets.tracks import Note, Piece, Track
+from getagrip.datasets.dataset import Note
+from getagrip.datasets.hot3d.holds import hold_name
+from getagrip.datasets.tracks import Piece, Track
 from getagrip.errors import InputError
 from getagrip.hands.model import Side
 from getagrip.io.files import LARGEST_JSON, is_plain_name, read_bytes, shown
@@ -34,7 +35,7 @@ FEWEST = 2
 
 
 @dataclass(frozen=True)
-class Grasp:
+class ListedGrasp:
     """An object in a hand, from frame ``start`` to ``end``, both included, as the list counts."""
 
     recording: str
@@ -49,7 +50,7 @@ class Timelines:
     """A list."""
 
     file: str
-    grasps: tuple[Grasp, ...]
+    grasps: tuple[ListedGrasp, ...]
     frames: dict[str, int]
     """How many frames each recording has."""
 
@@ -63,7 +64,7 @@ class Timelines:
                 rows = np.flatnonzero((counted >= grasp.start) & (counted <= grasp.end))
                 name = f"{hold_name(track)}-{grasp.start:05d}-{grasp.end:05d}"
                 if len(rows) < FEWEST:
-                    note(f"{name}: hand and object are known in {len(rows)} of its frames: left out")
+                    note(f"{name}: hand and object are known in {len(rows)} of its frames: skipped")
                     continue
                 made_of = f"in the hand, frames {grasp.start} to {grasp.end} of {self.file}"
                 yield Piece(track.take(rows), name, made_of)
@@ -74,8 +75,8 @@ def _recording(track: Track) -> str:
 
 
 def read(path: Path, note: Note = lambda _: None) -> Timelines:
-    """A list of timelines; segments that end before they start are left out, and told. Raises ``InputError``."""
-    grasps: list[Grasp] = []
+    """A list of timelines; segments that end before they start are skipped, and reported. Raises ``InputError``."""
+    grasps: list[ListedGrasp] = []
     frames: dict[str, int] = {}
     backwards = 0
     for n, timeline in enumerate(_list(path, "", _parsed(path))):
@@ -100,9 +101,9 @@ def read(path: Path, note: Note = lambda _: None) -> Timelines:
             if end < start:
                 backwards += 1
             else:
-                grasps.append(Grasp(name, category, SIDES[side], start, end))
+                grasps.append(ListedGrasp(name, category, SIDES[side], start, end))
     if backwards:
-        note(f"{path.name}: {backwards} grasps end before they start: left out")
+        note(f"{path.name}: {backwards} grasps end before they start: skipped")
     return Timelines(path.name, tuple(grasps), frames)
 
 

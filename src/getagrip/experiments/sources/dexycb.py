@@ -23,18 +23,18 @@ class DexYcb(ClipSource):
     """Where the YCB models are; None: in ``root``."""
 
     def samples(self, clips: Path, debug: bool) -> tuple[list[Sample], list[Outcome]]:
-        from getagrip.batch.imports import import_dexycb
+        from getagrip.batch.imports import import_clips
         from getagrip.batch.job import by_name
-        from getagrip.datasets.dexycb.clips import subject_of
+        from getagrip.datasets.dexycb import reader
 
         if self.root is None:
             raise UsageError("--root: got nothing, expected the folder of DexYCB")
         self.claim(clips)
         done = clips / "imported"
-        if not done.exists() and import_dexycb(self.root, self.meshes, clips, debug) == 0:
+        if not done.exists() and import_clips(reader.DexYcb(root=self.root, meshes=self.meshes), clips, debug) == 0:
             done.touch()  # else what failed is tried again next time
         found, failed = by_name([clips])
-        subjects = sorted({subject_of(name) for name in found})
+        subjects = sorted({reader.subject_of(name) for name in found})
         train = subjects[::3]
         split = {"train": train, "test": [s for s in subjects if s not in train], "all": subjects}[self.split]
-        return [Sample(name, path) for name, path in sorted(found.items()) if subject_of(name) in split], failed
+        return [Sample(name, path) for name, path in sorted(found.items()) if reader.subject_of(name) in split], failed

@@ -30,7 +30,7 @@ SIDES: dict[str, Side] = {"left hand": "left", "right hand": "right"}
 
 
 @dataclass(frozen=True)
-class Grasp:
+class EpicGrasp:
     """One stable grasp of EPIC-Grasps. Frames are EPIC's own numbers, first and last included."""
 
     example: int
@@ -88,7 +88,7 @@ def errata_beside(path: Path) -> Path | None:
     return errata if errata.is_file() else None
 
 
-def read_grasps(path: Path, errata: Path | None = None) -> list[Grasp]:
+def read_grasps(path: Path, errata: Path | None = None) -> list[EpicGrasp]:
     """The stable grasps of EPIC-Grasps' CSV, mended by its errata where they are given.
 
     Where ``st`` and ``ed`` of a row disagree with its ``duration`` (one does), those in its ``fmt`` are taken if they
@@ -112,7 +112,7 @@ def read_grasps(path: Path, errata: Path | None = None) -> list[Grasp]:
     return sorted(grasps.values(), key=lambda grasp: grasp.example)
 
 
-def _grasp(row: _Row, side: str, column: str) -> Grasp:
+def _grasp(row: _Row, side: str, column: str) -> EpicGrasp:
     """The grasp in a row of the table."""
     start, end, duration = row.frame("st"), row.frame("ed"), row.whole("duration", 1, LAST_FRAME)
     note = ""
@@ -129,7 +129,7 @@ def _grasp(row: _Row, side: str, column: str) -> Grasp:
     if category not in CATEGORIES:
         raise row.wrong("cat", f"one of {', '.join(CATEGORIES)}")
     contact = row.whole("contact", -1, LAST_FRAME)
-    return Grasp(
+    return EpicGrasp(
         example=row.whole("example", 0, LAST_FRAME),
         video=row.video("vid"),
         side=_side(row, side, column),
@@ -202,7 +202,7 @@ class _Row:
 
 
 def _table(path: Path, columns: Sequence[str]) -> list[_Row]:
-    """The rows of a CSV that has certain columns, the others left out."""
+    """The rows of a CSV that has certain columns, without the others."""
     try:
         text = read_bytes(path, LARGEST_TABLE).decode("utf-8-sig")
         lines = csv.reader(io.StringIO(text, newline=""), strict=True)

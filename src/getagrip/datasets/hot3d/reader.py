@@ -4,37 +4,83 @@ HOT3D's images are in VRS recordings, which this reader does not open. It needs 
 true poses of the objects and of both hands, in a pinhole that takes the place of the fisheye camera.
 
 Each hand and object of a recording is a track. It becomes a clip for every hold (``holds``), one of all frames
-(``whole``), or one for each grasp of a list (``hot3d_timelines``).
+(``whole``), or one for each grasp of a list (``timelines``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from numpy import ndarray
+from tyro.conf import arg
 
-from getagrip.clip import Clip, HandTrack, Masks
-from getagrip.datasets.hot3d.files import Recording, find, read_recording
-from getagrip.datasets.tracks import MaskPair, Note, Piece, Source, Track, clip, pieces
-from getagrip.errors import InputError
+from getagrip.clip import HandTrack
+from getagrip.datasets.cutting import CutSource, TrackedDataset
+from getagrip.datasets.dataset import Note, Part
+from getagrip.datasets.hot3d import timelines
+from getagrip.datasets.hot3d.holds import DEFINITION, SHORTEST, holds, whole_tracks
+from getagrip.datasets.hot3d.recording import Recording, find, read_recording
+from getagrip.datasets.tracks import MaskPair, Source, Track
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import SUFFIXES, Mesh, read_mesh
-from getagrip.geometry.render import Surface, true_masks
-from getagrip.grasps.stable import Definition
 from getagrip.hands.model import Side
+from getagrip.io.arguments import OptionalFile
 from getagrip.io.files import is_plain_name, plain, read_json, shown
 
-CONTACT = 0.005
-"""A hand with a vertex so near to an object's surface touches it [m]."""
-SHORTEST = 10
-"""Frames of the shortest hold, and the fewest in which its object must be seen."""
-DEFINITION = Definition(contact=CONTACT, shortest=SHORTEST)
+if TYPE_CHECKING:
+    from getagrip.geometry.render import Surface
+
 DIGITS = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hot3d(TrackedDataset):
+    """Raw HOT3D recordings: every hold of an object by a hand."""
+
+    definition = DEFINITION
+
+    timelines: OptionalFile = None
+    """A list of grasps (hot3d_hit.json), instead of the holds found here."""
+    first_frame: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0)")] = None
+    """The list's number of a recording's first frame; else the recording must be as long as the list has it."""
+
+    def parts(self, note: Note) -> Sequence[Part]:
+        """The recordings, cut to holds, to the grasps of a list or, if ``whole``, at gaps only."""
+        if self.timelines is None:
+            if self.first_frame is not None:
+                raise UsageError(f"--first-frame: got {self.first_frame}, expected none without --timelines")
+            cut = whole_tracks if self.whole else holds
+            return [CutSource(source, cut, SHORTEST) for source in self.sources()]
+        if self.whole:
+            raise UsageError("--timelines and --whole: name one of them")
+        listed = timelines.read(self.timelines, note)
+        frames = listed.frames if self.first_frame is None else None
+        found = [source for source in self.sources(frames) if source.name in listed.frames]
+        if not found:
+            given = f"none of the {len(listed.frames)} recordings of {listed.file}"
+            raise InputError(self.root, "", given, "one of them at least")
+        if len(found) < len(listed.frames):
+            missing = len(listed.frames) - len(found)
+            note(f"{missing} of {len(listed.frames)} recordings of {listed.file} are not there: skipped")
+        cut = partial(listed.cut, first_frame=self.first_frame or 0)
+        return [CutSource(source, cut, timelines.FEWEST) for source in found]
+
+    def sources(self, frames: Mapping[str, int] | None = None) -> list[Source]:
+        """The recordings below ``root``; ``frames`` says how many frames some of them must have."""
+        root = self.root.resolve()
+        found = find(root)
+        objects = Objects.below(root)
+        lengths = frames or {}
+        return [
+            Source(name, partial(_tracks, name, files, objects, lengths.get(name))) for name, files in found.items()
+        ]
 
 
 @dataclass(frozen=True)
@@ -65,7 +111,7 @@ class Objects:
         return Objects(names, {uid: path for uid, path in found.items() if path is not None})
 
     def read(self, recording: Recording, note: Note) -> dict[str, Mesh]:
-        """The meshes of a recording's objects; what lacks one is told."""
+        """The meshes of a recording's objects; what lacks one is reported."""
         meshes = {}
         for uid in sorted(recording.objects):
             name = self.names.get(uid, uid)
@@ -73,49 +119,10 @@ class Objects:
                 if uid in self.meshes:
                     meshes[uid] = read_mesh(self.meshes[uid])
                 else:
-                    note(f"{recording.name}: no mesh of {name}: its holds are left out and it hides nothing")
+                    note(f"{recording.name}: no mesh of {name}: its holds are skipped and it hides nothing")
             except InputError as error:
-                note(f"{recording.name}: {name} is left out and hides nothing: {error}")
+                note(f"{recording.name}: {name} is skipped and hides nothing: {error}")
         return meshes
-
-
-def read(root: Path, note: Note = lambda _: None) -> Iterator[tuple[Clip, Masks]]:
-    """The holds of all recordings below ``root``, one by one; what is left out is told to ``note`` in words.
-
-    Hands, cameras, poses and meshes are the dataset's own. Frames in which the object is not seen are dropped, objects
-    without a mesh are left out. Raises ``InputError`` for files that are missing or malformed: for those of one
-    recording when all others are done.
-    """
-    failed: list[InputError] = []
-    for source in sources(root):
-        try:
-            for piece in holds(source.read(note)):
-                made = clip(piece, SHORTEST, note)
-                if made is not None and made[1] is not None:
-                    yield made[0], made[1]
-        except InputError as error:
-            failed.append(error)
-    for other in failed[1:]:
-        note(f"failed: {other}")
-    if failed:
-        raise failed[0]
-
-
-def sources(root: Path, frames: Mapping[str, int | None] | None = None) -> list[Source]:
-    """The recordings below ``root``, or those that ``frames`` names, by the number of frames that each must have.
-
-    Raises ``InputError`` where there is no recording, and where objects have no names.
-    """
-    root = Path(root).resolve()
-    found = find(root)
-    if frames is None:
-        frames = dict.fromkeys(found)
-    objects = Objects.below(root)
-    return [
-        Source(name, partial(_tracks, name, files, objects, frames[name]))
-        for name, files in found.items()
-        if name in frames
-    ]
 
 
 def _tracks(name: str, files: dict[str, Path], objects: Objects, frames: int | None, note: Note) -> Iterator[Track]:
@@ -184,10 +191,10 @@ def _track(
     )
 
 
-def _masks(
-    recording: Recording, uid: str, meshes: dict[str, Mesh], covered: Bool[ndarray, "H W"], n: int
-) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
-    """Where an object is seen in frame n, and what to ignore; ``covered`` is what the fisheye image shows."""
+def _masks(recording: Recording, uid: str, meshes: dict[str, Mesh], covered: Bool[ndarray, "H W"], n: int) -> MaskPair:
+    """Where an object is visible in frame n, and what to ignore; ``covered`` is what the fisheye image shows."""
+    from getagrip.geometry.render import true_masks  # loads numba
+
     T_cam_world = se3.inverse(recording.camera.T_world_cam[n])
     hands: list[Surface] = [
         (se3.transform(T_cam_world @ hand.T_world_hand[n], hand.posed.vertices[n]), hand.posed.faces)
@@ -201,50 +208,5 @@ def _masks(
     }
     held = objects.pop(uid)
     pinhole = recording.camera.pinhole
-    seen, ignore = true_masks(held, hands, list(objects.values()), pinhole.K, pinhole.size)
-    return seen & covered, ignore | ~covered
-
-
-def holds(tracks: Iterable[Track], _: Note = lambda _: None) -> Iterator[Piece]:
-    """Where a hand touches an object without a break, for ``SHORTEST`` frames or more."""
-    for track in tracks:
-        distance = nearest(track)
-        rows = np.flatnonzero(distance < CONTACT)
-        runs = np.split(rows, np.flatnonzero(np.diff(track.numbers[rows]) != 1) + 1)
-        for number, run in enumerate((run for run in runs if len(run) >= SHORTEST), start=1):
-            first, last = track.numbers[run[[0, -1]]]
-            yield Piece(
-                track.take(run),
-                name=hold_name(track) + f"-{number}" * (number > 1),
-                made_of=f"a hold, frames {first} to {last}: the hand is {1e3 * distance[run].mean():.2f} mm from the "
-                "object, mean over the frames",
-            )
-
-
-def hold_name(track: Track) -> str:
-    """What clips of holds are called, the count left out."""
-    return f"{track.subject}_{track.sequence}-{track.category}-{track.side}"
-
-
-def whole(tracks: Iterable[Track], note: Note) -> Iterator[Piece]:
-    """All frames of each hand and object that touch for ``SHORTEST`` frames or more, as far as nothing is missing."""
-    for track in tracks:
-        if next(holds([track]), None) is not None:
-            yield from pieces([track], note, DEFINITION, whole=True)
-
-
-def nearest(track: Track) -> Float[ndarray, "T"]:
-    """Distance of the hand's nearest vertex to the object's surface [m]; infinite where it may be above ``CONTACT``."""
-    import igl
-
-    mesh = track.object(0.0)
-    tree = igl.AABB()
-    tree.init(mesh.vertices, mesh.faces)
-    low, high = mesh.vertices.min(axis=0) - CONTACT, mesh.vertices.max(axis=0) + CONTACT
-    out = np.full(len(track), np.inf)
-    for n, T_obj_hand in enumerate(se3.inverse(track.T_cam_obj) @ track.hand.T_cam_hand):
-        points = se3.transform(T_obj_hand, track.hand.vertices[n])
-        points = points[np.all((points >= low) & (points <= high), axis=1)]
-        if len(points):
-            out[n] = np.sqrt(tree.squared_distance(mesh.vertices, mesh.faces, points)[0].min())
-    return out
+    visible, ignore = true_masks(held, hands, list(objects.values()), pinhole.K, pinhole.size)
+    return visible & covered, ignore | ~covered

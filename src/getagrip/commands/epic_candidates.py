@@ -1,0 +1,73 @@
+"""``getagrip epic candidates``: where more stable grasps may be found in EPIC-KITCHENS."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from getagrip.batch.clips import tell
+from getagrip.batch.job import failure
+from getagrip.datasets.epic import candidates, tables, visor
+from getagrip.errors import InputError, UsageError
+from getagrip.io import files
+from getagrip.io.terminal import progress_bar
+
+COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name", "mp4_name")
+"""Of the table of candidates: EPIC-Grasps' own, without those that an annotator has still to fill."""
+
+
+def find_candidates(
+    annotations: Path, labels: Sequence[Path], categories: Sequence[str], out: Path, json: Path | None, debug: bool
+) -> int:
+    """Write where stable grasps may be as a table, and as JSON; 1 if a video could not be read, else 0.
+
+    Raises ``UsageError`` without labels, ``InputError`` for labels that are malformed and where VISOR is not.
+    """
+    if not labels:
+        raise UsageError("--actions: name EPIC_100_train.csv or EPIC_100_validation.csv, or both")
+    actions = tables.read_actions(labels)
+    found, failed, unlabelled = list[candidates.Candidate](), 0, 0
+    there, mapping = visor.find(annotations), visor.find_mapping(annotations)
+    if mapping is None:
+        print(visor.UNMAPPED, file=sys.stderr)
+    with progress_bar() as bar:
+        task = bar.add_task("videos", total=len(there))
+        for video, paths in there.items():
+            try:
+                sparse = [path for path in paths if not visor.is_dense(path)]  # contacts are marked there
+                frames = (frame for path in sparse for frame in visor.read_frames(path))
+                touching = candidates.contacts(frames, visor.read_mapping(mapping, video))
+                found += candidates.candidates(video, touching, actions.get(video, []))
+                unlabelled += video not in actions
+            except InputError as error:
+                tell(failure(video, error), debug)
+                failed += 1
+            bar.advance(task)
+    chosen = [candidate for candidate in found if not categories or candidate.category in categories]
+    _write_table(out, chosen)
+    if json is not None:
+        rows = [asdict(candidate) | {"seconds": candidate.seconds, "name": candidate.name} for candidate in chosen]
+        files.write_json(json, rows)
+    for category, count in sorted(Counter(candidate.category for candidate in chosen).items()):
+        print(f"{category}: {count}")
+    if unlabelled:
+        print(f"{unlabelled} of {len(there)} videos have no labelled actions: skipped", file=sys.stderr)
+    print(f"{out}: {len(chosen)} candidates from {len(there) - failed} videos")
+    return 1 if failed else 0
+
+
+def _write_table(path: Path, found: Sequence[candidates.Candidate]) -> None:
+    """Write candidates as a table with ``COLUMNS``, as EPIC-Grasps has them: -1 for more than one contact."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        table = csv.writer(stream)
+        table.writerow(COLUMNS)
+        for one in found:
+            contact = one.contacts[0] if len(one.contacts) == 1 else -1
+            bounds = one.start_bound, one.end_bound
+            hand = f"{one.side} hand"
+            table.writerow([one.video, *bounds, contact, hand, one.category, one.entity, f"{one.name}.mp4"])

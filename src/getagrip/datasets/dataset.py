@@ -1,0 +1,86 @@
+"""What a dataset is to an import: a dataclass of options, and parts that become clips in any process.
+
+A reader subclasses ``Dataset``. Its fields are the options of ``getagrip import <name>``, its docstring the command's
+help. ``getagrip.commands.datasets`` lists the readers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks
+from getagrip.errors import InputError
+
+Note = Callable[[str], None]
+"""Reports in words what is skipped."""
+
+
+class Missing(Protocol):
+    """Whether a clip is yet to be made."""
+
+    def __call__(self, name: str, with_hands: bool = False) -> bool:
+        """``with_hands``: hands are known now, so that a clip that was made without them is made again."""
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A clip that is yet to be made."""
+
+    name: str
+    make: Callable[[], tuple[Clip, Masks | None] | None]
+    """The clip and its masks; None, after a note, where nothing is left of it. Raises ``InputError``."""
+    images: Callable[[Clip], Sequence[UInt8[ndarray, "H W 3"]]] | None = None
+    """Reads the RGB images of the clip's frames, where they belong into its folder. Raises ``InputError``."""
+
+
+class Part(Protocol):
+    """A part of a dataset that one process reads, as a sequence or a video. It can be sent to another process."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+
+    def drafts(self, missing: Missing, note: Note) -> Iterator[Draft]:
+        """The clips of this part that are ``missing``. Raises ``InputError``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dataset:
+    """A dataset that is imported with certain options."""
+
+    parts_are: ClassVar[str] = "sequences"
+    """What its parts are called, in the plural."""
+
+    def parts(self, note: Note) -> Sequence[Part]:
+        """Its parts, yet to be read. Raises ``UsageError`` for wrong options, ``InputError`` where no part is found."""
+        raise NotImplementedError
+
+    def advice(self, made: Sequence[Mapping[str, Any]], handless: int) -> Iterator[str]:
+        """What to say at the end, given the provenance of the clips made and the number of clips that lack hands."""
+        return iter(())
+
+
+def clips(dataset: Dataset, note: Note = lambda _: None) -> Iterator[tuple[Clip, Masks | None]]:
+    """All clips of a dataset, one at a time in memory; nothing is written.
+
+    Raises as ``Dataset.parts`` does, and ``InputError`` for malformed files: the first one when all other parts are
+    done, after a note on each of the others.
+    """
+    failed: list[InputError] = []
+    for part in dataset.parts(note):
+        try:
+            for draft in part.drafts(lambda name, with_hands=False: True, note):
+                made = draft.make()
+                if made is not None:
+                    yield made
+        except InputError as error:
+            failed.append(error)
+    for other in failed[1:]:
+        note(f"failed: {other}")
+    if failed:
+        raise failed[0]

@@ -1,0 +1,198 @@
+"""DexYCB (Chao et al., CVPR 2021): every stable grasp, as a clip with true poses and a hand fitted to the true joints.
+
+DexYCB's hands are MANO's, which only licensed users have. Its 21 joints are free numbers, so the generic hand is fitted
+to them, with one shape over a sequence. Masks are rendered from the true poses; no image is read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.clip import FINGERS, HandTrack
+from getagrip.datasets import ycb
+from getagrip.datasets.cutting import TrackedDataset
+from getagrip.datasets.dataset import Note
+from getagrip.datasets.dexycb.recording import SIZE, Recording, Sequence, find
+from getagrip.datasets.tracks import BETWEEN, MaskPair, Piece, Source, Track
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
+from getagrip.grasps.stable import Definition
+from getagrip.hands import generic
+from getagrip.hands.fit import fit_joints
+from getagrip.hands.model import HandModel, hand_track
+from getagrip.metrics.contact import signed_distance
+
+if TYPE_CHECKING:
+    from getagrip.geometry.render import Surface
+
+DEFINITION = Definition(contact=0.010)
+FPS = 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DexYcb(TrackedDataset):
+    """DexYCB, or a packed file of its sequences: every visible stable grasp."""
+
+    definition = DEFINITION
+
+    meshes: ycb.Models = None
+    """Folder of the YCB models."""
+
+    def sources(self) -> list[Source]:
+        """The sequences of DexYCB's own folder, of a packed file, or of a folder of such files."""
+        models = ycb.folder(self.root, self.meshes)
+        return [Source(sequence.name, partial(_tracks, sequence, models, self.whole)) for sequence in find(self.root)]
+
+
+@dataclass(frozen=True)
+class Hand:
+    """The generic hand fitted to the frames of a sequence that have joints."""
+
+    track: HandTrack
+    frames: Int[ndarray, "T"]
+    """The frames."""
+    residuals: Float[ndarray, "T 21"]
+    """Distances of its joints from the true ones [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedTrack(Track):
+    """A track of DexYCB that says how well its hand fits; its clips are named without the side."""
+
+    residuals: Float[ndarray, "T 21"]
+    """Distances of the hand's joints from the true ones [m]."""
+    others: bool
+    """Whether other objects are on the table."""
+
+    @property
+    def name(self) -> str:
+        """What its clips are called, without the count."""
+        return BETWEEN.join([self.subject, self.sequence, self.category])
+
+    def take(self, index: Int[ndarray, "n"]) -> Self:
+        """The track at some of its frames."""
+        return replace(super().take(index), residuals=self.residuals[index])
+
+    def describe(self, piece: Piece) -> dict[str, Any]:
+        """The provenance of the clip that a piece becomes, with what is to be known before trusting its hand."""
+        first, last = piece.track.numbers[[0, -1]]
+        off = 1e3 * self.residuals
+        depth = self.hand_depth()
+        pads = [np.median(depth[:, self.hand.regions[finger]].min(axis=1)) for finger in FINGERS]
+        return {
+            "source": f"DexYCB, sequence {self.subject}/{self.sequence}, frames {first} to {last}",
+            "subject": self.subject,
+            "licence": "made from DexYCB, CC BY-NC 4.0",
+            "hands": "the generic hand, fitted to DexYCB's 21 joints over all frames of the sequence: not the true "
+            "surface",
+            "hand_fit": f"joints {np.sqrt(np.mean(off**2)):.1f} mm off (root mean square; median "
+            f"{np.median(off):.1f}, worst {off.max():.1f})",
+            "masks": "rendered from the true poses, hidden by the fitted hand"
+            + " and by the other objects that have a mesh" * self.others,
+            "camera": self.provenance["camera"],
+            "scale": self.provenance["scale"],
+            "contact": "fingertips "
+            + ", ".join(f"{finger} {1e3 * d:.1f}" for finger, d in zip(FINGERS, pads, strict=True))
+            + f" mm from the object (median over frames; negative: inside), at most {-1e3 * depth.min():.1f} mm inside",
+            "stable_contact_area": f"{piece.stable_area:.3f} at {1e3 * DEFINITION.contact:.0f} mm",
+            "dropped": f"{len(piece.track) - len(self)} frames in which the object is not seen",
+        }
+
+    def hand_depth(self) -> Float[ndarray, "T V"]:
+        """Signed distances of the hand's vertices to the object [m], negative inside."""
+        mesh = self.object(0.0)
+        points = se3.transform(se3.inverse(self.T_cam_obj) @ self.hand.T_cam_hand, self.hand.vertices)
+        return signed_distance(points.reshape(-1, 3), mesh.vertices, mesh.faces).reshape(points.shape[:2])
+
+
+def subject_of(clip_name: str) -> str:
+    """The person whose hand is in a clip. Raises ``UsageError`` for a name that no clip of DexYCB has."""
+    subject, between, rest = clip_name.partition(BETWEEN)
+    if not (subject and between and rest):
+        raise UsageError(f"clip {clip_name!r}: got no subject, expected <subject>{BETWEEN}<sequence>{BETWEEN}<object>")
+    return subject
+
+
+def _tracks(sequence: Sequence, models: Path, whole: bool, note: Note) -> list[Track]:
+    """The one track of a sequence; none where the hand is hardly ever known. Raises ``InputError``."""
+    recording = sequence.read()
+    if np.count_nonzero(recording.hand_known) < DEFINITION.shortest:
+        note(f"{sequence.name}: the hand is known in fewer than {DEFINITION.shortest} frames: skipped")
+        return []
+    mesh, hand, poses = ycb.mesh(models, recording.held), fit_hand(recording), recording.objects[recording.held]
+    track = Track(
+        file=recording.file,
+        subject=recording.subject,
+        sequence=recording.sequence,
+        category=recording.held,
+        side=recording.side,
+        fps=FPS,
+        numbers=hand.frames,
+        digits=6,
+        size=SIZE,
+        K=recording.K,
+        hand=hand.track,
+        T_cam_obj=poses.T_cam_obj[hand.frames],
+        object=lambda _: mesh,
+        provenance={
+            "dataset": "DexYCB, CC BY-NC 4.0",
+            "hands": "the generic hand, fitted to DexYCB's 21 joints over all frames: not the true surface",
+            "camera": recording.camera or "one of DexYCB's, not necessarily the sequence's own",
+            "scale": "YCB mesh, true size",
+        },
+        read_masks=partial(_masks, recording, hand, models),
+    )
+    if not whole:
+        track = FittedTrack(**vars(track), residuals=hand.residuals, others=len(recording.objects) > 1)
+    return [track.take(np.flatnonzero(poses.known[hand.frames]))]
+
+
+def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> MaskPair:
+    """Where the held object is visible in frame n, and what to ignore: the hand, and other objects that have a mesh."""
+    from getagrip.geometry.render import true_masks  # loads numba
+
+    surfaces: dict[str, Surface] = {}
+    for name, poses in recording.objects.items():
+        mesh = ycb.find_mesh(models, name)
+        if mesh is not None and poses.known[n]:
+            surfaces[name] = se3.transform(poses.T_cam_obj[n], mesh.vertices), mesh.faces
+    held = surfaces.pop(recording.held)
+    row = int(np.searchsorted(hand.frames, n))
+    in_front = se3.transform(hand.track.T_cam_hand[row], hand.track.vertices[row]), hand.track.faces
+    return true_masks(held, [in_front], list(surfaces.values()), recording.K, SIZE)
+
+
+def fit_hand(recording: Recording) -> Hand:
+    """The generic hand in every frame that has joints, of one shape. Raises ``InputError`` where they are no hand's."""
+    joints = recording.joints[recording.hand_known]
+    model = generic.load(recording.side)
+    try:
+        fit = fit_joints(model, joints, "openpose")
+    except UsageError as error:
+        raise InputError(recording.file, recording.sequence, str(error), "the 21 joints of a hand") from error
+    posed = model.with_shape(_with_girth(model, fit.shape, joints)).with_pose(fit.pose)
+    track = hand_track(posed, fit.hand.T_cam_hand)
+    residuals = np.linalg.norm(se3.transform(track.T_cam_hand, posed.joints) - joints, axis=-1)
+    return Hand(track, np.flatnonzero(recording.hand_known), residuals)
+
+
+def _with_girth(model: HandModel, shape: Float[ndarray, "S"], joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "S"]:
+    """The shape with fingers as thick as the hand is long: joints say nothing about girth, but enlarge it by chance."""
+    length = np.median(_length(joints)) / _length(model.with_shape().with_pose().joints)
+    shape = shape.copy()
+    shape[model.shape_names.index("thickness")] = length - 1.0 - shape[model.shape_names.index("size")]
+    return shape
+
+
+def _length(joints: Float[ndarray, "*batch 21 3"]) -> Float[ndarray, "*batch"]:
+    """Mean over the four fingers of the length along the bones from the wrist to the tip [m]."""
+    wrist = np.broadcast_to(joints[..., None, :1, :], (*joints.shape[:-2], 4, 1, 3))
+    chains = np.concatenate([wrist, joints[..., 5:, :].reshape(*joints.shape[:-2], 4, 4, 3)], axis=-2)
+    return np.asarray(np.linalg.norm(np.diff(chains, axis=-2), axis=-1).sum(axis=-1).mean(axis=-1))

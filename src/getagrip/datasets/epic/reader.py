@@ -1,0 +1,143 @@
+"""EPIC-Grasps (Zhu and Damen, "Get a Grip"): stable grasps in EPIC-KITCHENS' videos, as clips with VISOR's masks.
+
+Hands come from files that an estimator has made; a clip without them lacks its ``hand.npz`` until somebody adds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+from tyro.conf import Positional, arg
+
+from getagrip.clip import Clip, Masks
+from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
+from getagrip.datasets.epic import clips, visor
+from getagrip.datasets.epic.images import Frames, Images, Video
+from getagrip.datasets.epic.tables import EpicGrasp, errata_beside, read_grasps
+from getagrip.errors import UsageError
+from getagrip.io.arguments import Folder, OptionalFolder
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpicGrasps(Dataset):
+    """EPIC-Grasps' table, VISOR's annotations of its grasps, and what else their clips are made of."""
+
+    parts_are = "videos"
+
+    csv: Annotated[Positional[Path], arg(metavar="CSV")]
+    """EPIC-Grasps' table, as published. Its errata are applied where they lie beside it (<CSV>_errata.csv)."""
+    visor: Folder
+    """VISOR's annotations, sparse, dense or both, and its frame_mapping.json, anywhere below."""
+    frames: OptionalFolder = None
+    """EPIC-KITCHENS' images: P01/rgb_frames/P01_01/frame_0000000001.jpg or P01_01.tar, or P01_01/..."""
+    videos: OptionalFolder = None
+    """Instead of images, EPIC-KITCHENS' videos: P01/videos/P01_01.MP4, or P01_01.MP4."""
+    hands: OptionalFolder = None
+    """Hand files, <clip name>.npz each: as a clip's hand.npz, if need be with frames and K."""
+    cad: OptionalFolder = None
+    """Meshes of the categories, <category>.obj each, in metres, z up; without, this package's own."""
+    cameras: OptionalFolder = None
+    """EPIC-Fields' cameras, <video>.json each."""
+    focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="(default: a guess)")] = None
+    """Instead of cameras, the focal length in pixels of images 854 wide."""
+    errata: Annotated[Path | None, arg(metavar="CSV", help_behavior_hint="(default: beside the table)")] = None
+    """EPIC-Grasps' errata."""
+
+    def grasps(self) -> list[EpicGrasp]:
+        """The stable grasps of the table. Raises ``InputError``."""
+        return read_grasps(self.csv, self.errata or errata_beside(self.csv))
+
+    def parts(self, note: Note) -> Sequence[Part]:
+        """The videos that have grasps and annotations."""
+        images = self._images()
+        self._check_camera()
+        by_video: dict[str, list[EpicGrasp]] = {}
+        for grasp in self.grasps():
+            by_video.setdefault(grasp.video, []).append(grasp)
+        there, mapping = visor.find(self.visor), visor.find_mapping(self.visor)
+        absent = [len(grasps) for video, grasps in by_video.items() if video not in there]
+        if absent:
+            note(f"{sum(absent)} grasps skipped: VISOR's files of {len(absent)} videos are not there")
+        if mapping is None:
+            note(visor.UNMAPPED)
+        return [
+            VideoGrasps(video, tuple(grasps), tuple(there[video]), mapping, images(video), self)
+            for video, grasps in by_video.items()
+            if video in there
+        ]
+
+    def _images(self) -> Callable[[str], Images]:
+        """The images of each video. Raises ``UsageError`` unless either frames or videos are given."""
+        if self.frames is not None and self.videos is None:
+            return partial(Frames, self.frames)
+        if self.videos is not None and self.frames is None:
+            return partial(Video, self.videos)
+        raise UsageError("--frames or --videos: name one of them, the folder of EPIC-KITCHENS' images or videos")
+
+    def _check_camera(self) -> None:
+        """Raise ``UsageError`` for options that do not go together, and for an absurd focal length."""
+        if self.cameras is not None and self.focal is not None:
+            raise UsageError("--cameras and --focal: name one of them")
+        width = clips.SIZE[0]
+        if self.focal is not None and not 0.05 * width <= self.focal <= 100 * width:
+            raise UsageError(f"--focal: got {self.focal:g}, expected pixels of images {width} wide")
+
+    def advice(self, made: Sequence[Mapping[str, Any]], handless: int) -> Iterator[str]:
+        """How to come by what is guessed or missing."""
+        guess = clips.pinhole().source
+        guessed = sum(provenance["camera"] == guess for provenance in made)
+        if guessed:
+            yield f"the camera of {guessed} clips is {guess}; name --cameras or --focal"
+        if handless:
+            yield (
+                f"{handless} clips lack their hand.npz: docs/estimators.md explains how to make it from a clip's "
+                "frames; add it to the clip, or call this again with --hands"
+            )
+
+
+@dataclass(frozen=True)
+class VideoGrasps:
+    """The grasps of one video."""
+
+    name: str
+    """The video's."""
+    grasps: tuple[EpicGrasp, ...]
+    annotations: tuple[Path, ...]
+    """VISOR's files of it."""
+    mapping: Path | None
+    images: Images
+    options: EpicGrasps
+
+    def drafts(self, missing: Missing, note: Note) -> Iterator[Draft]:
+        """A clip for each grasp, with its images."""
+        waiting = [grasp for grasp in self.grasps if missing(grasp.name, with_hands=self._hands(grasp) is not None)]
+        if not waiting:
+            return
+        camera = self._camera()
+        frames = clips.annotated(self.annotations, visor.read_mapping(self.mapping, self.name), waiting)
+        for grasp in waiting:
+            make = partial(self._clip, grasp, frames.pop(grasp.name), camera, note)
+            yield Draft(grasp.name, make, lambda clip: self.images([int(name) for name in clip.frames]))
+
+    def _clip(
+        self, grasp: EpicGrasp, frames: clips.VisorFrames, camera: clips.Camera, note: Note
+    ) -> tuple[Clip, Masks] | None:
+        path = self._hands(grasp)
+        mesh, source = clips.category_mesh(grasp.category, self.options.cad)
+        hands = None if path is None else clips.hand_file(path)
+        return clips.clip(grasp, frames, mesh, source, camera, hands, self.mapping is not None, note)
+
+    def _hands(self, grasp: EpicGrasp) -> Path | None:
+        """The hand file of a grasp, where there is one."""
+        path = None if self.options.hands is None else self.options.hands / f"{grasp.name}.npz"
+        return path if path is not None and path.is_file() else None
+
+    def _camera(self) -> clips.Camera:
+        """The camera of the video."""
+        if self.options.cameras is None:
+            return clips.pinhole(self.options.focal)
+        return clips.read_camera(self.options.cameras / f"{self.name}.json")
