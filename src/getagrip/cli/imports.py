@@ -6,18 +6,31 @@ is called, not for `getagrip --help`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, TypeVar, Union
+from typing import TYPE_CHECKING, Annotated, Any, Generic, Literal, TypeAlias, TypeVar, Union
 
 from tyro.conf import Positional, arg, subcommand
 
 from getagrip.batch.imports import import_clips
 from getagrip.cli.command import Command, Focal, Intrinsics, Labels
+from getagrip.clip.intrinsics import Lens
 from getagrip.commands.datasets import DATASETS
+from getagrip.commands.import_hands import NewFrames, import_hands
+from getagrip.commands.import_masks import into_clip
 from getagrip.datasets.dataset import Dataset
+from getagrip.hands.trackers import TRACKERS, choose
+from getagrip.io import files
 from getagrip.io.arguments import Flag, Folder, OptionalFile
 
+if TYPE_CHECKING:
+    Source: TypeAlias = str
+    Trackers: TypeAlias = object
+else:  # the choices of --from, and the options of each tracker, as the table has them
+    TAKES = "; ".join(f"{name}: {tracker.takes}" for name, tracker in TRACKERS.items())
+    Source = Annotated[Literal[tuple(TRACKERS)], arg(name="from", help=f"Whose they are. {TAKES}.")]
+    OPTIONS = [(name, type(tracker), field(default=tracker)) for name, tracker in TRACKERS.items()]
+    Trackers = Annotated[make_dataclass("Trackers", OPTIONS, frozen=True), arg(name="")]
 D = TypeVar("D", bound=Dataset)
 
 
@@ -37,26 +50,16 @@ class Import(Command, Generic[D]):
 class ImportHands(Command):
     """Hands from an estimator's files: into a clip that lacks them, or into a file for a clip to come."""
 
-    files: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...", help_behavior_hint="")]
+    paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...", help_behavior_hint="")]
     """.npz, .json, .pkl, .pt, .npy: a file for each image, named like it, or one for all (docs/estimators.md)."""
-    source: Annotated[Literal["hamer", "wilor", "hawor", "frankmocap", "mano", "joints"], arg(name="from")]
-    """Whose they are; mano: plain parameters; joints: 21 of them in metres, before the camera."""
+    source: Source
+    trackers: Trackers
     clip: Annotated[Path | None, arg(metavar="CLIP", help_behavior_hint="")] = None
     """The clip's folder. Its side, its frames and its camera are taken from it."""
     out: OptionalFile = None
     """Instead of a clip, a file for clip new --hands. It needs --side, --frames, --size and a camera."""
     mano: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: the generic hand)")] = None
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
-    pose: Literal["axis-angle", "pca", "matrix"] | None = None
-    """mano: what hand_pose holds."""
-    mean: Literal["flat", "mean"] | None = None
-    """mano: whether poses are relative to the flat hand or to MANO's mean pose."""
-    order: Literal["openpose", "ho3d"] | None = None
-    """joints: their order (docs/hands.md)."""
-    estimator_focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """hawor: the focal length that it was run with."""
-    first: Annotated[int, arg(metavar="N", help_behavior_hint="(default: 1, the video's first)")] = 1
-    """hawor: the number of the first frame that it was run on, which it calls 0."""
     side: Literal["left", "right"] | None = None
     """With --out: which hand."""
     frames: Annotated[tuple[int, int] | None, arg(metavar="FIRST LAST", help_behavior_hint="")] = None
@@ -73,19 +76,13 @@ class ImportHands(Command):
     """Replace hands that are there already."""
 
     def check(self) -> None:
-        from getagrip.io import files
-
         if self.out is not None:
             files.check_file("--out", self.out)
 
     def run(self) -> int:
-        from getagrip.clip.intrinsics import Lens
-        from getagrip.commands.import_hands import Told, import_hands
-
-        told = Told(self.mano, self.pose, self.mean, self.order, self.estimator_focal, self.first)
-        lens = Lens(self.K, self.focal, self.guess_focal)
-        new = (self.side, self.frames, self.size, lens)
-        return import_hands(self.files, self.source, told, self.clip, self.out, new, self.overwrite)
+        new = NewFrames(self.side, self.frames, self.size, Lens(self.K, self.focal, self.guess_focal))
+        tracker = choose(self.source, vars(self.trackers))
+        return import_hands(self.paths, tracker, self.mano, self.clip, self.out, new, self.overwrite)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,8 +103,6 @@ class ImportMasks(Command):
     """Replace masks that are there already."""
 
     def run(self) -> int:
-        from getagrip.commands.import_masks import into_clip
-
         return into_clip(self.path, self.object, self.ignore, self.first, self.clip, self.overwrite)
 
 

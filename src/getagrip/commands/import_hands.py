@@ -14,10 +14,8 @@ from getagrip.clip.plausible import check_in_view
 from getagrip.clip.reading import ClipHeader, read_header
 from getagrip.clip.writing import write_hand
 from getagrip.errors import UsageError
-from getagrip.hands.fit import JointOrder
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import Hands, Reading, Source, read
-from getagrip.hands.trackers.plain import Encoding, Mean
+from getagrip.hands.trackers import Hands, Request, Tracker, read
 from getagrip.io import files
 
 MOST_FRAMES = 20_000
@@ -25,27 +23,26 @@ MOST_FRAMES = 20_000
 
 
 @dataclass(frozen=True)
-class Told:
-    """What a command says of files that do not say it themselves; see ``estimates.Reading``."""
+class NewFrames:
+    """The frames of a clip to come; None for what is not given."""
 
-    mano: Path | None = None
-    pose: Encoding | None = None
-    mean: Mean | None = None
-    order: JointOrder | None = None
-    focal: float | None = None
-    """The focal length that the estimator was run with [px]."""
-    first: int = 1
-    """Number of the first image that the estimator was run on, where it counts them from 0."""
+    side: Side | None
+    numbers: tuple[int, int] | None
+    """Of the first and the last frame, both included."""
+    size: tuple[int, int] | None
+    """Width and height of the images [px]."""
+    lens: Lens
 
-
-NewFrames = tuple[Side | None, tuple[int, int] | None, tuple[int, int] | None, Lens]
-"""Of a clip to come: side, numbers of the first and last frame, size of the images [px], camera."""
+    @property
+    def given(self) -> bool:
+        """Whether anything is."""
+        return bool(self.side or self.numbers or self.size or self.lens.given)
 
 
 def import_hands(
     paths: Sequence[Path],
-    source: Source,
-    told: Told,
+    tracker: Tracker,
+    mano: Path | None,
     clip: Path | None,
     out: Path | None,
     new: NewFrames,
@@ -54,44 +51,26 @@ def import_hands(
     """Add hands to a clip, or write a file of them. Raises ``UsageError`` for options that do not fit."""
     if not paths:
         raise UsageError("FILE: got none, expected the estimator's files")
-    if (clip is None) == (out is None):
-        raise UsageError(f"--clip, --out: got {'both' if clip else 'neither'}, expected one of them")
-    side, numbers, size, lens = new
-    empty = Reading(side or "right", (), np.zeros((0, 3, 3)), size or (0, 0), **vars(told))
-    if clip is not None:
-        if side or numbers or size or lens.given:
+    if clip is not None and out is None:
+        if new.given:
             raise UsageError("--side, --frames, --size, --K: got some, expected none with --clip, which has them")
-        return into_clip(paths, source, empty, clip, overwrite)
-    if side is None or numbers is None or size is None or out is None:
-        missing = next(name for name, value in (("side", side), ("frames", numbers), ("size", size)) if value is None)
-        raise UsageError(f"--{missing}: got nothing, expected it with --out")
-    return into_file(paths, source, empty, Frames(side, *numbers, size, lens), out, overwrite)
+        return into_clip(paths, tracker, mano, clip, overwrite)
+    if out is not None and clip is None:
+        return into_file(paths, tracker, mano, new, out, overwrite)
+    raise UsageError(f"--clip, --out: got {'both' if clip else 'neither'}, expected one of them")
 
 
-@dataclass(frozen=True)
-class Frames:
-    """The frames of a clip to come."""
+def into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder: Path, overwrite: bool) -> int:
+    """Add ``hand.npz`` to a clip's folder; frames without a hand are dropped from ``clip.json``.
 
-    side: Side
-    first: int
-    last: int
-    """Their numbers, the last included."""
-    size: tuple[int, int]
-    lens: Lens
-
-
-def into_clip(paths: Sequence[Path], source: Source, given: Reading, folder: Path, overwrite: bool) -> int:
-    """Add ``hand.npz`` to a clip's folder; frames without a hand are left out of ``clip.json``.
-
-    Of ``given``, side, frames and camera are the clip's. Raises ``UsageError`` where there are hands already.
+    Raises ``UsageError`` where there are hands already.
     """
     header = read_header(folder)
     target = header.folder / "hand.npz"
     if target.exists() and not overwrite:
         raise UsageError(f"{target}: exists already; --overwrite replaces it")
     side: Side = header.fields["side"]
-    wanted = replace(given, side=side, frames=header.frames, K=header.K, size=header.size)
-    hands = read(paths, source, wanted)
+    hands = read(paths, tracker, Request(side, header.frames, header.K, header.size, mano))
     check_in_view(paths[0], hands.track, header.K[list(hands.found)], header.size)
     if len(hands.found) < len(header.frames) and (header.folder / "truth.npz").exists():
         missing = len(header.frames) - len(hands.found)
@@ -99,34 +78,41 @@ def into_clip(paths: Sequence[Path], source: Source, given: Reading, folder: Pat
     with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
         write_hand(hands.track, hand)
         files.write_json(fields, _fields(header, hands))
-    _say(hands, header.frames)
+    _report(hands, header.frames)
     print(target)
     return 0
 
 
-def into_file(paths: Sequence[Path], source: Source, given: Reading, frames: Frames, out: Path, overwrite: bool) -> int:
+def into_file(
+    paths: Sequence[Path], tracker: Tracker, mano: Path | None, new: NewFrames, out: Path, overwrite: bool
+) -> int:
     """Write a hand file for ``clip new`` and ``import epic``: a ``hand.npz`` with ``frames`` (T,) and ``K`` (3, 3)."""
+    if new.side is None or new.numbers is None or new.size is None:
+        asked = (("side", new.side), ("frames", new.numbers), ("size", new.size))
+        missing = next(name for name, value in asked if value is None)
+        raise UsageError(f"--{missing}: got nothing, expected it with --out")
     if out.suffix != ".npz":
         raise UsageError(f"--out: got {out}, expected a file *.npz")
     if out.exists() and not overwrite:
         raise UsageError(f"{out}: exists already; --overwrite replaces it")
-    if not 0 <= frames.first <= frames.last < frames.first + MOST_FRAMES or min(frames.size) < 1:
+    first, last = new.numbers
+    if not 0 <= first <= last < first + MOST_FRAMES or min(new.size) < 1:
         raise UsageError(
-            f"--frames, --size: got {frames.first} {frames.last}, {frames.size[0]} {frames.size[1]}, "
-            f"expected the numbers of the first and the last frame, at most {MOST_FRAMES}, and a size in pixels"
+            f"--frames, --size: got {first} {last}, {new.size[0]} {new.size[1]}, expected the numbers of the first and "
+            f"the last frame, at most {MOST_FRAMES}, and a size in pixels"
         )
-    K, camera = intrinsics(frames.lens, frames.size)
-    numbers = np.arange(frames.first, frames.last + 1)
+    K, camera = intrinsics(new.lens, new.size)
+    numbers = np.arange(first, last + 1)
     names = tuple(f"{n:06d}" for n in numbers)
     many = np.tile(K, (len(names), 1, 1))
-    hands = read(paths, source, replace(given, side=frames.side, frames=names, K=many, size=frames.size))
-    check_in_view(paths[0], hands.track, many[list(hands.found)], frames.size)
-    told = hands.provenance | {"camera": camera}
-    extra = {"frames": numbers[list(hands.found)], "K": K, "side": np.array(frames.side)}
-    extra |= {f"provenance_{key}": np.array(text) for key, text in told.items()}
+    hands = read(paths, tracker, Request(new.side, names, many, new.size, mano))
+    check_in_view(paths[0], hands.track, many[list(hands.found)], new.size)
+    provenance = hands.provenance | {"camera": camera}
+    extra = {"frames": numbers[list(hands.found)], "K": K, "side": np.array(new.side)}
+    extra |= {f"provenance_{key}": np.array(text) for key, text in provenance.items()}
     with files.new_file(out) as part:
         write_hand(hands.track, part, extra)
-    _say(replace(hands, provenance=told), names)
+    _report(replace(hands, provenance=provenance), names)
     print(out)
     return 0
 
@@ -134,22 +120,22 @@ def into_file(paths: Sequence[Path], source: Source, given: Reading, frames: Fra
 def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
     """What ``clip.json`` says with the hands: where they come from, and which frames have one."""
     fields = dict(header.fields)
-    left_out = [name for n, name in enumerate(header.frames) if n not in hands.found]
+    dropped = [name for n, name in enumerate(header.frames) if n not in hands.found]
     fields["provenance"] = dict(fields["provenance"]) | hands.provenance
-    if left_out:
+    if dropped:
         fields["frames"] = [header.frames[n] for n in hands.found]
-        fields["provenance"]["frames_without_hand"] = f"left out: {', '.join(left_out)}"
+        fields["provenance"]["frames_without_hand"] = f"left out: {', '.join(dropped)}"
         if np.ndim(fields["camera"]["K"]) == 3:
             fields["camera"] = {"K": header.K[list(hands.found)]}
     return fields
 
 
-def _say(hands: Hands, frames: Sequence[str]) -> None:
-    """Tell what was made up, and what is missing."""
+def _report(hands: Hands, frames: Sequence[str]) -> None:
+    """Print where the hands come from, with a warning for what is guessed or missing."""
     for key, text in hands.provenance.items():
         mark = "warning: " if "guess" in text else ""
         print(f"{mark}{key}: {text}", file=sys.stderr)
     missing = [name for n, name in enumerate(frames) if n not in hands.found]
     if missing:
         some = ", ".join(missing[:5]) + (", ..." if len(missing) > 5 else "")
-        print(f"warning: no hand in {len(missing)} of {len(frames)} frames, left out: {some}", file=sys.stderr)
+        print(f"warning: no hand in {len(missing)} of {len(frames)} frames, skipped: {some}", file=sys.stderr)

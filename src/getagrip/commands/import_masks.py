@@ -1,4 +1,4 @@
-"""``getagrip import masks``: other people's masks into a clip that lacks them."""
+"""``getagrip import masks``: masks from files into a clip that lacks them."""
 
 from __future__ import annotations
 
@@ -30,34 +30,34 @@ def into_clip(
             raise UsageError(f"--first: got {first}, expected none: the clip's frames have no numbers")
         names = tuple(f"{number - numbers[0] + first:06d}" for number in numbers)
     reader = open_masks(source, Wanted(names, header.size, objects, ignore))
-    provenance = dict(header.fields["provenance"]) | {"masks": told(source, objects, ignore)}
+    whence = dict(header.fields["provenance"]) | {"masks": provenance(source, objects, ignore)}
     with files.new_folder(target, ("object",) if overwrite else ()) as new:
-        seen = write_masks(reader, header.frames, new)
+        visible = write_masks(reader, header.frames, new)
         with files.new_file(header.folder / "clip.json") as part:
-            files.write_json(part, header.fields | {"provenance": provenance})
-    print(f"{target}: the object is seen in {seen} of {len(names)} frames")
+            files.write_json(part, header.fields | {"provenance": whence})
+    print(f"{target}: the object is visible in {visible} of {len(names)} frames")
     return 0
 
 
 def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> int:
-    """Write the masks of all frames, one at a time in memory; returns in how many the object is seen.
+    """Write the masks of all frames, one at a time in memory; returns in how many the object is visible.
 
-    Raises ``InputError`` where it is seen in none.
+    Raises ``InputError`` where it is visible in none.
     """
-    seen = 0
+    visible = 0
     for kind in ("object", "ignore"):
         (folder / kind).mkdir(parents=True)
     for n, name in enumerate(frames):
         for kind, mask in zip(("object", "ignore"), reader(n), strict=True):
             write_mask(folder / kind / f"{name}.png", mask)
-            seen += int(kind == "object" and mask.any())
-    if not seen:
+            visible += int(kind == "object" and mask.any())
+    if not visible:
         there = f"; there are {', '.join(sorted(reader.others))}" if reader.others else ""
         raise InputError(reader.source, "", f"masks without a pixel of the object{there}", "masks that show it")
-    return seen
+    return visible
 
 
-def told(source: Path, objects: tuple[str, ...], ignore: tuple[str, ...]) -> str:
+def provenance(source: Path, objects: tuple[str, ...], ignore: tuple[str, ...]) -> str:
     """Where masks come from, for a clip's provenance."""
     labels = f", object {', '.join(objects)}" if objects else ""
     return f"from {source.name}{labels}" + (f", ignored {', '.join(ignore)}" if ignore else ", nothing ignored")

@@ -23,7 +23,7 @@ from getagrip.clip.reading import read_hand
 from getagrip.clip.video import video_frames, video_info
 from getagrip.clip.writing import fill_folder
 from getagrip.commands import own_mesh
-from getagrip.commands.import_masks import told, write_masks
+from getagrip.commands.import_masks import provenance, write_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
 from getagrip.io import arrays, files
@@ -122,7 +122,7 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
             "source": f"{given.video.name}, frames {numbers[0]} to {numbers[-1]}",
             "camera": camera,
             **found.told,
-            "masks": told(given.masks, given.object, given.ignore) if given.masks else "none yet",
+            "masks": provenance(given.masks, given.object, given.ignore) if given.masks else "none yet",
             **of_hands,
         },
     )

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import Run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
@@ -28,9 +29,15 @@ from getagrip.geometry.camera import project
 from getagrip.hands import generic, mano
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.model import MIRROR, Side, mirrored, mirrored_pose
-from getagrip.hands.trackers import Hands, Reading, read
+from getagrip.hands.trackers import TRACKERS, Hands, Request, choose, read
 from getagrip.hands.trackers.estimates import Camera, mirror_rotation
+from getagrip.hands.trackers.frankmocap import FrankMocap
+from getagrip.hands.trackers.hamer import HaMeR
+from getagrip.hands.trackers.hawor import HaWoR
+from getagrip.hands.trackers.joints import Joints
+from getagrip.hands.trackers.mano_parameters import ManoParameters
 from getagrip.hands.trackers.weak_perspective import WeakPerspective, vitdet_side
+from getagrip.hands.trackers.wilor import WiLoR
 from getagrip.io import arrays
 from helpers.mano_files import fake_mano, python2
 from helpers.paths import ROOT
@@ -125,8 +132,8 @@ def hamer_record(known: Known, n: int, kind: str) -> dict[str, Any]:
     return record | {"pred_cam": cam, "box_xyxy": box}
 
 
-def reading(side: Side, folder: Path | None = None, **more: Any) -> Reading:
-    return Reading(side, FRAMES, np.tile(K, (3, 1, 1)), SIZE, folder, **more)
+def request(side: Side, folder: Path | None = None) -> Request:
+    return Request(side, FRAMES, np.tile(K, (3, 1, 1)), SIZE, folder)
 
 
 def write_npz(path: Path, content: dict[str, Any]) -> Path:
@@ -146,7 +153,7 @@ def test_hamer(tmp_path: Path, mano_folder: Path, side: Side, kind: str, with_ma
     folder = mano_folder if with_mano else None
     known = Known(side, folder)
     paths = [write_npz(tmp_path / f"{name}_0.npz", hamer_record(known, n, kind)) for n, name in enumerate(FRAMES)]
-    hands = read(paths, "hamer", reading(side, folder))
+    hands = read(paths, HaMeR(), request(side, folder))
     np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
     seen = se3.transform(hands.track.T_cam_hand, hands.track.vertices)
     np.testing.assert_allclose(seen, known.vertices, atol=1e-6)
@@ -179,7 +186,7 @@ def test_later_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, side: Side)
         contents[path.read_bytes()] = record
     fake_torch(monkeypatch, contents)
     paths = sorted(tmp_path.glob("*.pt"))
-    hands = read(paths, "hamer", Reading(side, FRAMES, np.tile(K2, (3, 1, 1)), size))
+    hands = read(paths, HaMeR(), Request(side, FRAMES, np.tile(K2, (3, 1, 1)), size))
     np.testing.assert_allclose(joints_of(hands), both[side].joints, atol=1e-6)
 
 
@@ -204,7 +211,7 @@ def test_torch_is_named_where_it_is_missing(tmp_path: Path, monkeypatch: pytest.
     path = tmp_path / "000007.pt"
     path.write_bytes(b"PK")
     with pytest.raises(UsageError, match=r"getagrip\[torch\]"):
-        read([path], "hamer", reading("right"))
+        read([path], HaMeR(), request("right"))
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -224,7 +231,7 @@ def test_wilor_mini(tmp_path: Path, mano_folder: Path, side: Side) -> None:
         path = tmp_path / f"{name}.pkl"
         path.write_bytes(pickle.dumps({"is_right": float(side == "right"), "wilor_preds": inner}))
         paths.append(path)
-    hands = read(paths, "wilor", reading(side, mano_folder))
+    hands = read(paths, WiLoR(), request(side, mano_folder))
     np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
 
 
@@ -241,13 +248,13 @@ def test_hawor(tmp_path: Path, mano_folder: Path, side: Side) -> None:
         "init_betas": known.betas[None],
         "init_trans": np.column_stack([z[:, None] * (u - centre) / focal, z])[None],
     }
-    for name, more in (("6_8.json", {}), ("0_2.json", {"first": 7})):  # it counts from 0
+    for name, first in (("6_8.json", 1), ("0_2.json", 7)):  # it counts from 0
         path = tmp_path / name
         path.write_text(json.dumps({key: value.tolist() for key, value in record.items()}))
-        hands = read([path], "hawor", reading(side, mano_folder, focal=focal, **more))
+        hands = read([path], HaWoR(focal, first), request(side, mano_folder))
         np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
     with pytest.raises(UsageError, match="--estimator-focal"):
-        read([path], "hawor", reading(side, mano_folder, first=7))
+        read([path], HaWoR(first=7), request(side, mano_folder))
 
 
 def frankmocap_record(known: Known, n: int, mean: ndarray | float = 0.0) -> dict[str, Any]:
@@ -289,22 +296,22 @@ def test_frankmocap(tmp_path: Path, mano_folder: Path, side: Side) -> None:
     for n, name in enumerate(FRAMES):
         paths.append(tmp_path / f"{name}_prediction_result.pkl")
         paths[-1].write_bytes(pickle.dumps(frankmocap_record(flat, n, mean)))
-    hands = read(paths, "frankmocap", reading(side, mano_folder))
+    hands = read(paths, FrankMocap(), request(side, mano_folder))
     np.testing.assert_allclose(joints_of(hands), flat.joints, atol=1e-6)
     with pytest.raises(UsageError, match="--mano"):
-        read(paths, "frankmocap", reading(side))
+        read(paths, FrankMocap(), request(side))
     with pytest.raises(InputError, match=f"no {'left' if side == 'right' else 'right'} hand"):
-        read(paths, "frankmocap", reading("left" if side == "right" else "right", mano_folder))
+        read(paths, FrankMocap(), request("left" if side == "right" else "right", mano_folder))
     other = frankmocap_record(flat, 0)
     del other["pred_output_list"][0][f"{side}_hand"]["pred_vertices_smpl"]
     paths[0].write_bytes(pickle.dumps(other))
     with pytest.raises(InputError, match="--save_mesh"):
-        read(paths, "frankmocap", reading(side, mano_folder))
+        read(paths, FrankMocap(), request(side, mano_folder))
     other = frankmocap_record(flat, 0)
     other["pred_output_list"][0][f"{side}_hand"]["pred_hand_pose"] = np.full((1, 48), 1.0)
     paths[0].write_bytes(pickle.dumps(other))
     with pytest.raises(InputError, match="pred_vertices_smpl"):
-        read(paths, "frankmocap", reading(side, mano_folder))
+        read(paths, FrankMocap(), request(side, mano_folder))
 
 
 @pytest.mark.parametrize("mean", ["flat", "mean"])
@@ -320,32 +327,62 @@ def test_plain_parameters(tmp_path: Path, mano_folder: Path, side: Side, pose: A
         values = se3.exp_so3(values.reshape(3, 15, 3))
     content = {"global_orient": se3.log_so3(known.R), "hand_pose": values, "betas": known.betas, "transl": known.t}
     path = write_npz(tmp_path / "hands.npz", content)
-    hands = read([path], "mano", reading(side, mano_folder, pose=pose, mean=mean))
+    hands = read([path], ManoParameters(pose, mean), request(side, mano_folder))
     np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
     assert "guess" in hands.provenance["hands_focal"]
 
 
-def test_what_no_file_tells_is_asked_for(tmp_path: Path) -> None:
+def test_what_no_file_states_is_asked_for(tmp_path: Path) -> None:
     path = write_npz(tmp_path / "hands.npz", {"transl": np.zeros((3, 3))})
-    for source, more, word in [
-        ("mano", {"mean": "flat"}, "--pose"),
-        ("mano", {"pose": "pca"}, "--mean"),
-        ("joints", {}, "--order"),
+    for tracker, word in [
+        (ManoParameters(mean="flat"), "--pose"),
+        (ManoParameters(pose="pca"), "--mean"),
+        (Joints(), "--order"),
     ]:
         with pytest.raises(UsageError, match=word):
-            read([path], source, reading("right", **more))  # type: ignore[arg-type]
+            read([path], tracker, request("right"))
+
+
+def test_trackers_are_chosen_by_name() -> None:
+    for name, tracker in TRACKERS.items():
+        assert choose(name) is tracker
+    with pytest.raises(UsageError, match="'hammer', expected one of hamer, wilor, hawor, frankmocap, mano, joints"):
+        choose("hammer")
+
+
+def test_the_command_takes_what_the_table_lists(run: Run) -> None:
+    status, out, _ = run("import", "hands", "--help")
+    assert status == 0
+    assert f"--from {{{','.join(TRACKERS)}}}" in out
+    for tracker in TRACKERS.values():
+        for option in vars(tracker):
+            assert f"--{option.replace('_', '-')} " in out
+    status, _, err = run("import", "hands", "x.npz", "--from", "hammer", "--clip", "x")
+    assert status == 2
+    assert all(name in err for name in TRACKERS)
+
+
+def test_options_of_another_tracker_are_refused() -> None:
+    given = TRACKERS | {"hawor": HaWoR(estimator_focal=600.0)}
+    assert choose("hawor", given) == HaWoR(600.0)
+    with pytest.raises(UsageError, match=r"--estimator-focal: got 600\.0, expected none: it belongs to --from hawor"):
+        choose("hamer", given)
 
 
 @pytest.mark.parametrize("side", SIDES)
 def test_joints(tmp_path: Path, side: Side) -> None:
-    """Joints of a generic hand, in either order, give that hand back but for what the prior takes."""
+    """Joints of a generic hand give that hand back but for what the prior takes, in whatever order the frames are."""
     known = Known(side, None)
     given_joints = np.empty_like(known.joints)
     given_joints[:, ORDERS["ho3d"]] = known.joints
     content = {"joints": given_joints[[2, 0]], "frames": np.array(["000009", "frame_7"])}
-    hands = read([write_npz(tmp_path / "j.npz", content)], "joints", reading(side, order="ho3d"))
-    assert hands.found == (2, 0)
-    assert np.abs(joints_of(hands) - known.joints[[2, 0]]).max() < 0.01
+    path = write_npz(tmp_path / "j.npz", content)
+    hands = read([path], Joints("ho3d"), request(side))
+    assert hands.found == (0, 2)
+    assert np.abs(joints_of(hands) - known.joints[[0, 2]]).max() < 0.01
+    write_npz(path, content | {"frames": np.array(["000009", "frame_9"])})
+    with pytest.raises(InputError, match="a second hand in frame 000009"):
+        read([path], Joints("ho3d"), request(side))
 
 
 @pytest.mark.parametrize("flipped", [False, True])
@@ -360,7 +397,7 @@ def test_keypoints_serve_where_there_is_no_mano(tmp_path: Path, side: Side, flip
             joints = joints * MIRROR
         record = hamer_record(known, n, "crop") | {"pred_keypoints_3d": joints}
         paths.append(write_npz(tmp_path / f"{name}.npz", record))
-    hands = read(paths, "hamer", reading(side))
+    hands = read(paths, HaMeR(), request(side))
     assert np.abs(joints_of(hands) - known.joints).max() < 0.01
     assert "fitted" in hands.provenance["hands"]
 
@@ -372,11 +409,11 @@ def test_several_hands_in_one_record(tmp_path: Path) -> None:
     both = {key: np.stack([r[key] for r in records]) for key in records[0]}
     path = write_npz(tmp_path / "000007.npz", both)
     for side, known in (("right", right), ("left", left)):
-        hands = read([path], "hamer", reading(side))  # type: ignore[arg-type]
+        hands = read([path], HaMeR(), request(side))  # type: ignore[arg-type]
         np.testing.assert_allclose(joints_of(hands), known.joints[:1], atol=1e-6)
     write_npz(path, both | {"right": np.ones(2)})
     with pytest.raises(InputError, match="2 right hands"):
-        read([path], "hamer", reading("right"))
+        read([path], HaMeR(), request("right"))
 
 
 def test_weak_perspective_keeps_what_is_seen() -> None:
@@ -407,7 +444,7 @@ def test_scripts_write_what_the_importer_makes(tmp_path: Path, mano_folder: Path
     spec.loader.exec_module(hand_file)
     records = [hamer_record(known, n, "crop") for n in range(3)]
     paths = [write_npz(tmp_path / f"{name}.npz", r) for name, r in zip(FRAMES, records, strict=True)]
-    expected = read(paths, "hamer", reading(side, mano_folder)).track
+    expected = read(paths, HaMeR(), request(side, mano_folder)).track
     right = mano.load(mano_folder / "MANO_RIGHT.pkl", "right").model
     vertices, joints, poses = [], [], []
     for n, record in enumerate(records):
@@ -424,7 +461,7 @@ def test_scripts_write_what_the_importer_makes(tmp_path: Path, mano_folder: Path
     pads = hand_file.fingertip_pads(right.template, right.joints, right.faces, right.weights)
     path = tmp_path / "hand.npz"
     hand_file.write(path, vertices, joints, poses, right.faces, pads, side, [7, 8, 9], K, "known")
-    written = arrays.read(path, lambda _: True)  # the made-up faces are no surface's, so not by read_hand
+    written = arrays.read(path, lambda _: True)  # the synthetic faces are no surface's, so not by read_hand
     for field in ("vertices", "T_cam_hand", "joints", "faces"):
         np.testing.assert_allclose(written[field], getattr(expected, field), atol=1e-6)
     hand = generic.load("right")  # a surface, on which normals weighted by area and by angle agree
@@ -465,7 +502,7 @@ BROKEN: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
 def test_what_is_wrong_is_named(tmp_path: Path, refused: Callable[..., str], key: str) -> None:
     record = BROKEN[key](hamer_record(Known("right", None), 0, "crop"))
     path = write_npz(tmp_path / "000007.npz", record)
-    refused(lambda: read([path], "hamer", reading("right")), str(path), key)
+    refused(lambda: read([path], HaMeR(), request("right")), str(path), key)
 
 
 def test_no_code_is_run(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
@@ -476,25 +513,25 @@ def test_no_code_is_run(tmp_path: Path, mano_folder: Path, refused: Callable[...
     path = tmp_path / "000007_prediction_result.pkl"
     for content in (Hostile(), {"pred_output_list": [Hostile()]}):
         path.write_bytes(pickle.dumps(content))
-        refused(lambda: read([path], "frankmocap", reading("right", mano_folder)), str(path), "nothing in it was run")
+        refused(lambda: read([path], FrankMocap(), request("right", mano_folder)), str(path), "nothing in it was run")
     np.save(tmp_path / "j.npy", np.array([Hostile()], dtype=object), allow_pickle=True)
-    refused(lambda: read([tmp_path / "j.npy"], "joints", reading("right", order="openpose")), "j.npy")
+    refused(lambda: read([tmp_path / "j.npy"], Joints("openpose"), request("right")), "j.npy")
     assert not (tmp_path / "was-run").exists()
 
 
 def test_nested_and_lying_files(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
     bomb = tmp_path / "6_8.json"
     bomb.write_text('{"init_trans":' + "[" * 100_000 + "]" * 100_000 + "}")
-    refused(lambda: read([bomb], "hawor", reading("right", focal=600.0)), str(bomb))
+    refused(lambda: read([bomb], HaWoR(600.0), request("right")), str(bomb))
     itself: dict[str, Any] = {}
     itself["pred_output_list"] = [itself]
     path = tmp_path / "000007.pkl"
     path.write_bytes(pickle.dumps(itself))
-    refused(lambda: read([path], "frankmocap", reading("right", mano_folder)), str(path))
+    refused(lambda: read([path], FrankMocap(), request("right", mano_folder)), str(path))
     header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999, 21, 3), }".ljust(117) + b"\n"
     lying = tmp_path / "j.npy"
     lying.write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + b"\0" * 64)
-    refused(lambda: read([lying], "joints", reading("right", order="openpose")), str(lying))
+    refused(lambda: read([lying], Joints("openpose"), request("right")), str(lying))
 
 
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -523,7 +560,8 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path, mano_folder: Path, da
             content[a], content[b] = content[b], content[a]
     path.write_bytes(bytes(content))
     try:
-        hands = read([path], source, reading("right", mano_folder if source == "frankmocap" else None, focal=600.0))
+        tracker = {"hamer": HaMeR(), "hawor": HaWoR(600.0), "frankmocap": FrankMocap()}[source]
+        hands = read([path], tracker, request("right", mano_folder if source == "frankmocap" else None))
     except InputError as error:
         assert path.name in str(error)  # noqa: PT017
     else:
@@ -550,5 +588,5 @@ def test_small_pickles_that_are_large_in_memory(tmp_path: Path, mano_folder: Pat
         hand = frankmocap_record(Known("right", mano_folder), 0)
         hand["pred_output_list"][0]["right_hand"]["pred_camera"] = value
         path.write_bytes(pickle.dumps(hand))
-        said = refused(lambda: read([path], "frankmocap", reading("right", mano_folder)), str(path))
+        said = refused(lambda: read([path], FrankMocap(), request("right", mano_folder)), str(path))
         assert re.search(words, said)

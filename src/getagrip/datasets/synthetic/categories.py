@@ -1,4 +1,4 @@
-"""What made-up clips can hold: for each category the object and the ways to take it."""
+"""What synthetic clips can hold: for each category the object and the ways to take it."""
 
 from __future__ import annotations
 

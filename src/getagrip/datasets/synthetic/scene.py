@@ -38,7 +38,7 @@ DRAWS = 3
 
 @dataclass(frozen=True)
 class Options(Noise):
-    """What a made-up clip is like; the noise on top of its truth is ``Noise``'s."""
+    """What a synthetic clip is like; the noise on top of its truth is ``Noise``'s."""
 
     frames: int = 30
     fps: float = 30.0

@@ -14,6 +14,7 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import MIRROR, Side
 
+ONE_CAMERA = "one camera tells neither the size nor the depth of a hand"
 ROUNDED = 0.05
 """Entries of a matrix so far from the nearest rotation's are no rounding."""
 
@@ -27,40 +28,66 @@ class Camera(NamedTuple):
     """Width and height of the images [px]."""
 
 
-class Seen(NamedTuple):
-    """A hand in one frame, as it is: rotations and joints of a left hand are those of the left hand."""
+@dataclass(frozen=True)
+class Request:
+    """The hand that is asked for: which one, in which frames, before which camera."""
+
+    side: Side
+    frames: tuple[str, ...]
+    """Names of the clip's frames."""
+    K: Float[ndarray, "T 3 3"]
+    """The clip's intrinsics in each of them [px]."""
+    size: tuple[int, int]
+    """Width and height of the clip's images [px]."""
+    mano: Path | None = None
+    """Folder of the user's MANO files."""
+
+    def camera(self, frame: int) -> Camera:
+        """The camera in a frame, by its index."""
+        return Camera(self.K[frame], self.size)
+
+
+class Parameters(NamedTuple):
+    """MANO's parameters of a hand as it is: rotations of a left hand are those of the left hand."""
 
     R: Float[ndarray, "3 3"]
-    """MANO's global rotation, hand to camera."""
+    """Global rotation, hand to camera."""
     pose: Float[ndarray, "45"]
     """Rotation vectors of the fingers, relative to the flat hand [rad]."""
     betas: Float[ndarray, "10"]
-    """MANO's shape."""
+    """Shape."""
     t: Float[ndarray, "3"]
-    """MANO's translation before the clip's camera [m]: the hand is turned about its root joint, then moved by it."""
+    """Translation before the clip's camera [m]: the hand is turned about its root joint, then moved by it."""
+
+
+class Estimate(NamedTuple):
+    """A hand in one frame: MANO's parameters, joints, or both."""
+
+    path: Path
+    """The file that holds it."""
+    frame: int
+    """Index of the frame among those of the ``Request``."""
+    depth: str
+    """Where its depth comes from, in words."""
+    mano: Parameters | None
     joints: Float[ndarray, "21 3"] | None = None
     """The 21 joints, where the estimator gives them, before the clip's camera [m]; this package's order."""
     vertices: Float[ndarray, "778 3"] | None = None
-    """The surface where it is not that of ``betas``: ``t`` is then where the origin of these is, their mean counts."""
-
-
-class NamedHand(NamedTuple):
-    """A hand and the frame in which it was seen."""
-
-    path: Path
-    frame: str
-    seen: Seen
+    """The surface where it is not that of ``mano.betas``: ``mano.t`` is then where the origin of these is, their mean
+    counts."""
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """One hand over the frames in which it was seen."""
+    """One hand over the frames in which it was found."""
 
     side: Side
-    hands: tuple[NamedHand, ...]
-    left_model: Literal["mirrored", "own"]
+    hands: tuple[Estimate, ...]
+    left_model: Literal["mirrored", "own"] = "mirrored"
     """The surface of a left hand: MANO's right one mirrored, as networks have it that know right hands only, or the
     left one's own."""
+    scale: str = ""
+    """Where the size comes from, in words; empty where it is that of the shape parameters or of the generic hand."""
 
 
 def rotations(

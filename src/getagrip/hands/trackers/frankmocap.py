@@ -4,7 +4,7 @@ A list ``pred_output_list`` of people, each with ``left_hand`` and ``right_hand`
 of 224 px, which is ``bbox_scale_ratio`` times as large as in the image and has its corner at ``bbox_top_left``;
 ``pred_hand_pose`` (48) as rotation vectors, the global one first, the fingers' relative to MANO's mean pose (its model
 is SMPL-X with ``flat_hand_mean=False``); and, where it was run with ``--save_mesh``, ``pred_vertices_smpl`` (778, 3),
-turned, about an origin of its own. A hand that was not seen is an empty dictionary, or None. A vertex X is seen at
+turned, about an origin of its own. A hand that was not found is an empty dictionary, or None. A vertex X is seen at
 (``convert_smpl_to_bbox``, ``convert_bbox_to_oriIm``)
 
     (u, v) = bbox_top_left + (112 / ratio) (1 + s (X + tx, Y + ty)).
@@ -15,7 +15,8 @@ used: the hand keeps the mean shape, and is put where the mean of FrankMocap's v
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +26,33 @@ from numpy import ndarray
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side, mirrored_pose
-from getagrip.hands.trackers.estimates import Camera, Seen
+from getagrip.hands.trackers.estimates import ONE_CAMERA, Camera, Estimate, Estimates, Parameters, Request
 from getagrip.hands.trackers.hand import load_mano
 from getagrip.hands.trackers.records import Record, numbers
+from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.hands.trackers.weak_perspective import WeakPerspective
 from getagrip.io.files import shown
 
 CROP = 224.0
 """Side of FrankMocap's crops [px]."""
+
+
+@dataclass(frozen=True)
+class FrankMocap(Tracker):
+    """FrankMocap's hand module."""
+
+    name = "FrankMocap"
+    takes = "its prediction results, one for each image"
+
+    def read(self, paths: Sequence[Path], request: Request) -> Estimates:
+        """The hand of the side that is asked for, in the results of the clip's frames."""
+        mean = mean_pose(request.mano, request.side)
+        found = []
+        for path, frame, record in per_image(paths, request):
+            hand = of_side(path, record, request.side)
+            if hand is not None:
+                found.append(estimate(path, frame, hand, request.camera(frame), mean))
+        return Estimates(request.side, tuple(found), scale=f"the mean hand; {ONE_CAMERA}")
 
 
 def of_side(path: Path, record: Record, side: Side) -> Record | None:
@@ -62,11 +82,8 @@ def mean_pose(folder: Path | None, side: Side) -> Float[ndarray, "45"]:
     return mirrored_pose(model.mean) if side == "left" else model.mean
 
 
-def seen(path: Path, record: Record, camera: Camera, mean: Float[ndarray, "45"]) -> tuple[Seen, str]:
-    """The hand of one record, and where its depth comes from; ``mean`` is that of ``mean_pose``.
-
-    Raises ``InputError``.
-    """
+def estimate(path: Path, frame: int, record: Record, camera: Camera, mean: Float[ndarray, "45"]) -> Estimate:
+    """The hand of one record; ``mean`` is that of ``mean_pose``. Raises ``InputError``."""
     if "pred_vertices_smpl" not in record:
         raise InputError(path, "pred_vertices_smpl", "no such key", "the key: run FrankMocap with --save_mesh")
     cam = numbers(path, record, "pred_camera", (3,))
@@ -80,6 +97,6 @@ def seen(path: Path, record: Record, camera: Camera, mean: Float[ndarray, "45"])
     pose = numbers(path, record, "pred_hand_pose", (48,))
     vertices = numbers(path, record, "pred_vertices_smpl", (778, 3))
     t = weak.before(camera)
-    R = se3.exp_so3(pose[:3])
+    parameters = Parameters(se3.exp_so3(pose[:3]), pose[3:] + mean, np.zeros(10), t)
     depth = "weak perspective (pred_camera, bbox_top_left, bbox_scale_ratio) and the clip's focal length"
-    return Seen(R, pose[3:] + mean, np.zeros(10), t, vertices=vertices + t), depth
+    return Estimate(path, frame, depth, parameters, vertices=vertices + t)

@@ -1,4 +1,4 @@
-"""HaMeR and WiLoR: dictionaries as their demos hold them, one hand or several to a record.
+"""HaMeR, and WiLoR, whose records are alike: dictionaries as their demos hold them, one hand or several to a record.
 
 Read are ``global_orient`` (3, 3), ``hand_pose`` (15, 3, 3) and ``betas`` (10), at the top or in ``pred_mano_params``,
 and where the hand is, from the first of these that is there:
@@ -17,7 +17,8 @@ already. ``wilor_preds`` (WiLoR-mini) holds left hands' rotations, vectors, turn
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,18 +28,44 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import MIRROR, Side
-from getagrip.hands.trackers.estimates import Camera, Seen, mirror_rotation, rotations
+from getagrip.hands.trackers.estimates import (
+    Camera,
+    Estimate,
+    Estimates,
+    Parameters,
+    Request,
+    mirror_rotation,
+    rotations,
+)
 from getagrip.hands.trackers.records import Record, child, numbers
+from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.hands.trackers.weak_perspective import WeakPerspective, hamer_focal, vitdet_side
 
 LATER_SIZE = (456, 256)
 """Images in which the later code's boxes are [px]."""
 
 
+@dataclass(frozen=True)
+class HaMeR(Tracker):
+    """HaMeR's records."""
+
+    name = "HaMeR"
+    takes = "a record for each image, as its demo holds it"
+
+    def read(self, paths: Sequence[Path], request: Request) -> Estimates:
+        """The hand of the side that is asked for, in the records of the clip's frames."""
+        found = []
+        for path, frame, record in per_image(paths, request):
+            hand = of_side(path, record, request.side)
+            if hand is not None:
+                found.append(estimate(path, frame, hand, request))
+        return Estimates(request.side, tuple(found))
+
+
 def of_side(path: Path, record: Record, side: Side) -> Record | None:
     """The record of one side's hand, or nothing where it holds none.
 
-    Raises ``InputError`` for records that do not tell the side, or hold two hands of it.
+    Raises ``InputError`` for records that do not state the side, or hold two hands of it.
     """
     if not record:  # the later code's, of an image without hands
         return None
@@ -67,8 +94,9 @@ def _taken(record: Record, row: int, of: int) -> Iterator[tuple[str, object]]:
             yield key, value[row] if each else value
 
 
-def seen(path: Path, record: Record, side: Side, camera: Camera) -> tuple[Seen, str]:
-    """The hand of one record, and where its depth comes from. Raises ``InputError``."""
+def estimate(path: Path, frame: int, record: Record, request: Request) -> Estimate:
+    """The hand of one record. Raises ``InputError``."""
+    side, camera = request.side, request.camera(frame)
     turned_back = "wilor_preds" in record
     inner = child(path, record, "wilor_preds") if turned_back else record
     inner = {**record, **inner}
@@ -84,7 +112,7 @@ def seen(path: Path, record: Record, side: Side, camera: Camera) -> tuple[Seen, 
     t = weak.before(camera)
     pose = se3.log_so3(fingers).reshape(45)
     joints = _joints(path, inner, side, R, pose, betas) if "pred_keypoints_3d" in inner else None
-    return Seen(R, pose, betas, t, None if joints is None else joints + t), depth
+    return Estimate(path, frame, depth, Parameters(R, pose, betas, t), None if joints is None else joints + t)
 
 
 def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakPerspective, str]:

@@ -38,14 +38,15 @@ def load_mano(folder: Path | None, side: Side) -> mano.Mano | None:
 def track(estimates: Estimates, folder: Path | None) -> tuple[HandTrack, str]:
     """The hand in every frame, and in words which one it is.
 
-    With a ``folder`` of MANO files it is MANO's. Without one it is the generic hand: fitted to the joints where the
-    estimator gives them, turned like the estimator's where not. Raises ``InputError``.
+    With a ``folder`` of MANO files and MANO's parameters it is MANO's hand. Else it is the generic hand: fitted to the
+    joints where the estimator gives them, turned like the estimator's where not. Raises ``InputError``.
     """
-    side, seen = estimates.side, [hand.seen for hand in estimates.hands]
-    joints = [hand.joints for hand in seen if hand.joints is not None]
-    if folder is None and len(joints) == len(seen):
-        return fitted(estimates.hands[0].path, side, np.array(joints))
-    R, pose, betas, t = (np.array([getattr(hand, key) for hand in seen]) for key in ("R", "pose", "betas", "t"))
+    side, hands = estimates.side, estimates.hands
+    joints = [hand.joints for hand in hands if hand.joints is not None]
+    parameters = [hand.mano for hand in hands if hand.mano is not None]
+    if len(joints) == len(hands) and (folder is None or not parameters):
+        return fitted(hands[0].path, side, np.array(joints))
+    R, pose, betas, t = (np.array(values) for values in zip(*parameters, strict=True))
     if folder is None:
         shaped = generic.load(side).with_shape()
         posed, root = shaped.with_pose(pose), shaped.joints[0]
@@ -58,7 +59,7 @@ def track(estimates: Estimates, folder: Path | None) -> tuple[HandTrack, str]:
         posed, root = shaped.with_pose(pose), shaped.joints[:, 0]
         what = f"MANO's {side} hand"
     T_cam_hand = root_transform(R, t, root)
-    if all(hand.vertices is not None for hand in seen):
+    if all(hand.vertices is not None for hand in hands):
         T_cam_hand = _onto_vertices(estimates, posed, T_cam_hand)
     return hand_track(posed, T_cam_hand), what
 
@@ -102,7 +103,7 @@ def _onto_vertices(
 
     Raises ``InputError`` where the vertices then still are far from the estimator's.
     """
-    given = np.array([hand.seen.vertices for hand in estimates.hands])
+    given = np.array([hand.vertices for hand in estimates.hands])
     ours = se3.transform(T_cam_hand, posed.vertices)
     shift = given.mean(axis=1) - ours.mean(axis=1)
     off = np.sqrt(np.mean(np.sum((ours + shift[:, None] - given) ** 2, axis=-1), axis=1))

@@ -8,17 +8,62 @@ middle. That focal length is not in the file, so it is asked for: another one wo
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from tyro.conf import arg
 
-from getagrip.errors import InputError
+from getagrip.clip.naming import frame_of
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.hands.trackers.estimates import Camera, Seen, rotations
+from getagrip.hands.trackers import records
+from getagrip.hands.trackers.estimates import Camera, Estimate, Estimates, Parameters, Request, rotations
 from getagrip.hands.trackers.records import Record, numbers
+from getagrip.hands.trackers.tracker import Tracker, frames_of_rows
 from getagrip.hands.trackers.weak_perspective import WeakPerspective
 
 KEYS = ("init_root_orient", "init_hand_pose", "init_trans", "init_betas")
+
+
+@dataclass(frozen=True)
+class HaWoR(Tracker):
+    """HaWoR's hands before the camera. Its focal length is needed."""
+
+    name = "HaWoR"
+    takes = "its cam_space files"
+
+    estimator_focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """The focal length that it was run with."""
+    first: Annotated[int, arg(metavar="N", help_behavior_hint="(default: 1, the video's first)")] = 1
+    """The number of the first frame that it was run on, which it calls 0."""
+
+    def read(self, paths: Sequence[Path], request: Request) -> Estimates:
+        """The hand in those of the files' frames that the clip has."""
+        if self.estimator_focal is None:
+            raise UsageError("--estimator-focal: got nothing, expected the focal length that HaWoR was run with [px]")
+        found = []
+        for path in paths:
+            record = records.read(path)
+            T = length(path, record)
+            for n, frame in enumerate(self._frames(path, record, T, request)):
+                if frame is not None:
+                    parameters = row(path, record, n, T)
+                    found.append(estimate(path, frame, parameters, request.camera(frame), self.estimator_focal))
+        return Estimates(request.side, tuple(found))
+
+    def _frames(self, path: Path, record: Record, count: int, request: Request) -> list[int | None]:
+        """The index of the frame that each row is of, by the file's name where it holds no ``frames``."""
+        named = re.fullmatch(r"(\d{1,9})_(\d{1,9})", path.stem)
+        if "frames" in record or named is None:
+            return frames_of_rows(path, record, count, request)
+        first, last = int(named[1]), int(named[2])
+        if last - first + 1 != count:
+            raise InputError(path, "init_trans", f"{count} frames", f"{last - first + 1}, as the file's name says")
+        return [frame_of(str(n + self.first), request.frames) for n in range(first, last + 1)]
 
 
 def length(path: Path, record: Record) -> int:
@@ -33,8 +78,8 @@ def row(path: Path, record: Record, n: int, frames: int) -> Record:
     return {key: numbers(path, record, key, *((frames, *s) for s in shapes[key]))[n] for key in KEYS}
 
 
-def seen(path: Path, record: Record, camera: Camera, focal: float) -> tuple[Seen, str]:
-    """The hand of one frame, and where its depth comes from; ``focal`` [px] is HaWoR's own. Raises ``InputError``."""
+def estimate(path: Path, frame: int, record: Record, camera: Camera, focal: float) -> Estimate:
+    """The hand of one frame; ``focal`` [px] is HaWoR's own. Raises ``InputError``."""
     t = numbers(path, record, "init_trans", (3,))
     if not t[2] > 0:
         raise InputError(path, "init_trans", f"the depth {t[2]:g}", "a hand before the camera, above 0")
@@ -44,4 +89,5 @@ def seen(path: Path, record: Record, camera: Camera, focal: float) -> tuple[Seen
     R = rotations(path, "init_root_orient", numbers(path, record, "init_root_orient", (3, 3), (3,)), 0)
     weak = WeakPerspective.of_translation(t, focal, np.array(camera.size) / 2.0)
     depth = f"HaWoR's translation, its focal length {focal:.6g} px divided out and the clip's put in"
-    return Seen(R, pose, numbers(path, record, "init_betas", (10,)), weak.before(camera)), depth
+    betas = numbers(path, record, "init_betas", (10,))
+    return Estimate(path, frame, depth, Parameters(R, pose, betas, weak.before(camera)))

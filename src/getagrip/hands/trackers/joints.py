@@ -1,0 +1,49 @@
+"""Plain joints, over all frames in one file, already before the clip's camera: ``joints`` (T, 21, 3) [m]."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from getagrip.errors import InputError, UsageError
+from getagrip.hands.fit import ORDERS, JointOrder
+from getagrip.hands.trackers import records
+from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
+from getagrip.hands.trackers.records import numbers
+from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
+from getagrip.io import files
+
+DEPTH = "joints before the camera, as the file has them; that it was the clip's camera is a guess"
+
+
+@dataclass(frozen=True)
+class Joints(Tracker):
+    """Plain joints. Their order is needed."""
+
+    name = "joints from a file"
+    takes = "21 of them in metres, before the camera"
+
+    order: JointOrder | None = None
+    """Their order (docs/hands.md)."""
+
+    def read(self, paths: Sequence[Path], request: Request) -> Estimates:
+        """The joints in those of the file's frames that the clip has."""
+        if self.order is None:
+            raise UsageError("--order: got nothing, expected openpose or ho3d: the order of the joints is in no file")
+        path = only_file(paths, "joints")
+        record = records.read(path)
+        joints = numbers(path, record, "joints", (-1, 21, 3))[:, ORDERS[self.order]]
+        frames = frames_of_rows(path, record, len(joints), request)
+        found = [
+            Estimate(path, frame, DEPTH, None, hand)
+            for frame, hand in zip(frames, joints, strict=True)
+            if frame is not None
+        ]
+        if not found:
+            given = f"hands in other frames ({files.plain(str(np.asarray(record['frames'])[0]))}, ...)"
+            named = " to ".join(files.plain(frame) for frame in (request.frames[0], request.frames[-1]))
+            raise InputError(path, "frames", given, f"hands in the clip's, {named}")
+        return Estimates(request.side, tuple(found), scale="the joints, as the file has them")

@@ -1,0 +1,85 @@
+"""Plain MANO parameters, over all frames in one file, already before the clip's camera.
+
+``global_orient`` (T, 3) or (T, 3, 3), ``hand_pose`` (T, P), ``betas`` (10) or (T, 10), ``transl`` (T, 3) [m]. What
+``hand_pose`` means is in no such file and has to be stated: rotation vectors, principal components or matrices;
+relative to the flat hand or to MANO's mean pose. The wrong choice still looks like a hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.errors import UsageError
+from getagrip.geometry import se3
+from getagrip.hands.mano import Mano
+from getagrip.hands.trackers import records
+from getagrip.hands.trackers.estimates import Estimate, Estimates, Parameters, Request, rotations
+from getagrip.hands.trackers.hand import load_mano
+from getagrip.hands.trackers.records import Record, numbers
+from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
+
+Encoding = Literal["axis-angle", "pca", "matrix"]
+Mean = Literal["flat", "mean"]
+DEPTH = "transl, as the file has it; that the file was made with the clip's focal length is a guess"
+
+
+@dataclass(frozen=True)
+class ManoParameters(Tracker):
+    """Plain MANO parameters. Both options are needed."""
+
+    name = "MANO parameters"
+    takes = "plain parameters"
+
+    pose: Encoding | None = None
+    """What hand_pose holds."""
+    mean: Mean | None = None
+    """Whether poses are relative to the flat hand or to MANO's mean pose."""
+
+    def read(self, paths: Sequence[Path], request: Request) -> Estimates:
+        """The hand in those of the file's frames that the clip has."""
+        if self.pose is None or self.mean is None:
+            missing = "--pose" if self.pose is None else "--mean"
+            choices = "axis-angle, pca or matrix" if self.pose is None else "flat or mean"
+            raise UsageError(f"{missing}: got nothing, expected {choices}: what MANO's pose numbers are is in no file")
+        path = only_file(paths, "parameters")
+        record = records.read(path)
+        hands = parameters(path, record, self.pose, self.mean, load_mano(request.mano, request.side))
+        frames = frames_of_rows(path, record, len(hands), request)
+        found = [
+            Estimate(path, frame, DEPTH, hand) for frame, hand in zip(frames, hands, strict=True) if frame is not None
+        ]
+        return Estimates(request.side, tuple(found), left_model="own")
+
+
+def parameters(path: Path, record: Record, encoding: Encoding, mean: Mean, model: Mano | None) -> list[Parameters]:
+    """The hands of a file of MANO parameters. Raises ``InputError``, and ``UsageError`` where MANO's file is needed."""
+    t = numbers(path, record, "transl", (-1, 3))
+    T = len(t)
+    R = rotations(path, "global_orient", numbers(path, record, "global_orient", (T, 3), (T, 3, 3)), 1)
+    betas = np.broadcast_to(numbers(path, record, "betas", (T, 10), (10,)), (T, 10))
+    if encoding == "matrix":
+        matrices = numbers(path, record, "hand_pose", (T, 15, 3, 3))
+        values = se3.log_so3(rotations(path, "hand_pose", matrices, 2)).reshape(T, 45)
+    elif encoding == "axis-angle":
+        values = numbers(path, record, "hand_pose", (T, 45), (T, 15, 3)).reshape(T, 45)
+    else:
+        counts = range(1, 46)
+        values = numbers(path, record, "hand_pose", *((T, count) for count in counts))
+    return [Parameters(*each) for each in zip(R, _flat(values, encoding, mean, model), betas, t, strict=True)]
+
+
+def _flat(values: Float[ndarray, "T P"], encoding: Encoding, mean: Mean, model: Mano | None) -> Float[ndarray, "T 45"]:
+    """Poses as rotation vectors relative to the flat hand [rad]."""
+    if encoding != "pca" and mean == "flat":
+        return values
+    if model is None:
+        what = "principal components" if encoding == "pca" else "the mean pose"
+        raise UsageError(f"--mano: got nothing, expected the folder of your MANO files: {what} stand in them")
+    return model.pose(values, "pca" if encoding == "pca" else "axis_angle", flat_hand_mean=mean == "flat")

@@ -1,0 +1,41 @@
+"""The hand trackers whose files ``getagrip import hands --from <name>`` reads: a line for each.
+
+The class stands with its reader: its fields are options of the command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from getagrip.errors import UsageError
+from getagrip.hands.trackers.frankmocap import FrankMocap
+from getagrip.hands.trackers.hamer import HaMeR
+from getagrip.hands.trackers.hawor import HaWoR
+from getagrip.hands.trackers.joints import Joints
+from getagrip.hands.trackers.mano_parameters import ManoParameters
+from getagrip.hands.trackers.tracker import Tracker
+from getagrip.hands.trackers.wilor import WiLoR
+
+TRACKERS: dict[str, Tracker] = {
+    "hamer": HaMeR(),
+    "wilor": WiLoR(),
+    "hawor": HaWoR(),
+    "frankmocap": FrankMocap(),
+    "mano": ManoParameters(),
+    "joints": Joints(),
+}
+
+
+def choose(name: str, given: Mapping[str, Tracker] = TRACKERS) -> Tracker:
+    """The tracker of a name, with its options as ``given``.
+
+    Raises ``UsageError`` for an unknown name, and for options that are given to another tracker.
+    """
+    if name not in given:
+        raise UsageError(f"--from: got {name!r}, expected one of {', '.join(given)}")
+    for other, tracker in given.items():
+        for option, value in vars(tracker).items():
+            if other != name and value != vars(TRACKERS[other])[option]:
+                dashed = option.replace("_", "-")
+                raise UsageError(f"--{dashed}: got {value}, expected none: it belongs to --from {other}, not {name}")
+    return given[name]

@@ -1,0 +1,68 @@
+"""What a hand tracker is to the import of hands: a dataclass of options, and how its files are read.
+
+A tracker subclasses ``Tracker`` in a file of its own. ``table`` lists them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from getagrip.clip.naming import frame_of
+from getagrip.errors import InputError, UsageError
+from getagrip.hands.trackers import records
+from getagrip.hands.trackers.estimates import Estimates, Request
+from getagrip.io import files
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """An estimator of hands. Its fields are the options of the command: what the files do not say themselves."""
+
+    name: ClassVar[str]
+    """What it is called in a clip's provenance."""
+    takes: ClassVar[str]
+    """Its files in a few words, for the command's help."""
+
+    def read(self, paths: Sequence[Path], request: Request) -> Estimates:
+        """The hand in some of the frames that are asked for. Files of other frames are skipped.
+
+        Raises ``InputError`` for files that are missing, malformed or hostile, ``UsageError`` for options that are
+        needed and not given.
+        """
+        raise NotImplementedError
+
+
+def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, int, records.Record]]:
+    """Files of one image each that are named like a frame of the request: the file, the frame's index, the content."""
+    for path in paths:
+        frame = frame_of(path.stem, request.frames)
+        if frame is not None:
+            yield path, frame, records.read(path)
+
+
+def frames_of_rows(path: Path, record: records.Record, count: int, request: Request) -> list[int | None]:
+    """The index of the frame that each row of a file is of; None for frames that the clip does not have.
+
+    ``frames`` in the file names them; without it, the rows are the clip's frames. Raises ``InputError``.
+    """
+    if "frames" in record:
+        names = np.asarray(record["frames"])
+        if names.dtype.kind not in "Uiu" or names.shape != (count,):
+            raise InputError(path, "frames", files.shown(record["frames"]), f"{count} names or numbers of frames")
+        return [frame_of(str(name), request.frames) for name in names]
+    if count != len(request.frames):
+        expected = f"{len(request.frames)} as the clip has, or an array frames with their names"
+        raise InputError(path, "frames", f"{count} hands and no names of frames", expected)
+    return list(range(count))
+
+
+def only_file(paths: Sequence[Path], what: str) -> Path:
+    """The one file that is given. Raises ``UsageError`` for several."""
+    if len(paths) != 1:
+        raise UsageError(f"FILE: got {len(paths)} files, expected one, with the {what} of all frames")
+    return paths[0]
