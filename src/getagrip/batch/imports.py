@@ -11,7 +11,7 @@ from typing import Any
 
 from getagrip.batch.clips import FEW, tell
 from getagrip.batch.job import Outcome, failure
-from getagrip.batch.pool import cores, in_processes
+from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.clip import write_clip
 from getagrip.datasets.dataset import Dataset, Draft, Part
 from getagrip.io.terminal import progress_bar

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.clip import read_clip, read_masks
+from getagrip.commands.import_epic import ImportEpic
 from getagrip.datasets.epic import clips, tables
 from getagrip.datasets.epic.images import Frames
 from getagrip.datasets.synthetic.categories import CATEGORIES
@@ -74,6 +76,13 @@ def test_clips_that_the_disk_has_no_room_for_are_told_and_made_the_next_time(
     assert status == 0
     assert "1 clips, 0 already there" in out
     assert all(cv2.imread(str(image)) is not None for image in (epic_folder / "out" / NAME / "frames").iterdir())
+
+
+def test_videos_can_be_sent_to_other_processes(epic_folder: Path) -> None:
+    dataset = ImportEpic(csv=epic_folder / "grasps.csv", visor=epic_folder / "visor", frames=epic_folder / "images")
+    parts = dataset.parts(print)
+    assert pickle.loads(pickle.dumps(parts)) == parts
+    assert [part.name for part in parts] == [V]
 
 
 def test_masks_are_the_polygons_and_hands_and_things_in_front_are_ignored(run: Run, epic_folder: Path) -> None:
