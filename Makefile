@@ -5,13 +5,15 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
-SOURCES := $(shell find src -name '*.py')
+KERNELS := $(shell grep -rl --include='*.py' '^@njit' src)
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
-.PHONY: help demo test check lint imports types bench lock clean
+.PHONY: help demo test quick check lint imports types bench lock clean
 
 help:
 	@echo "make demo    install, then reconstruct and evaluate a synthetic clip into out/demo"
-	@echo "make test    install, then run the tests"
+	@echo "make test    install, then run all tests, on every core"
+	@echo "make quick   those that are quick and need no browser"
 	@echo "make check   lint, layering and types"
 	@echo "make bench   measure speed against a peer, which it installs, and write docs/benchmarks.md"
 	@echo "make lock    recompile requirements.lock from pyproject.toml"
@@ -20,8 +22,11 @@ help:
 demo: $(VENV)/warm
 	$(BIN)/getagrip demo --out out/demo
 
-test: $(VENV)/kernels
-	$(BIN)/python -m pytest
+test: $(VENV)/warm
+	$(PYTEST)
+
+quick: $(VENV)/warm
+	$(PYTEST) -m 'not slow and not browser'
 
 check: lint imports types
 
@@ -52,12 +57,12 @@ $(BIN)/python:
 		|| { echo "getagrip needs Python 3.11 or later; name one: make PYTHON=python3.12 ..." >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-# numba does not see that a kernel called from another file changed: drop what it compiled whenever a source is newer.
-$(VENV)/kernels: $(VENV)/installed $(SOURCES)
+# numba does not see that a kernel called from another file changed: drop what it compiled whenever a kernel's file is newer.
+$(VENV)/kernels: $(VENV)/installed $(KERNELS)
 	@find src -name '*.nb[ci]' -delete
 	@touch $@
 
-# A failure is told but stops nothing: kernels are also compiled when first used.
+# Compiled once here, not by every worker. A failure is told but stops nothing: kernels are also compiled when first used.
 $(VENV)/warm: $(VENV)/kernels
 	$(BIN)/getagrip doctor || echo "getagrip doctor found something wrong; see above" >&2
 	@touch $@

@@ -168,7 +168,7 @@ def _of_key(frame: int, labels: UInt8[ndarray, "H W"], size: tuple[int, int]) ->
     return _cut(frame, (0, 0), inside, np.ones(inside.shape[1:], np.float32), 1.0)
 
 
-def _resized(image: Image, size: tuple[int, int]) -> Image:
+def _resized(image: Image, size: tuple[int, int]) -> UInt8[ndarray, "h w 3"]:
     import cv2
 
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -144,10 +144,10 @@ def _hand(path: Path, arrays: dict[str, ndarray], side: Side) -> Mano:
 
 
 def regions(
-    template: Float[ndarray, "778 3"],
+    template: Float[ndarray, "V 3"],
     faces: Int[ndarray, "F 3"],
     joints: Float[ndarray, "16 3"],
-    weights: Float[ndarray, "778 16"],
+    weights: Float[ndarray, "V 16"],
 ) -> dict[str, Int[ndarray, "_"]]:
     """Contact regions of a flat hand of either side, skinned to MANO's joints; see ``hands.regions``.
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Real
 from numpy import ndarray
 
 from getagrip.clip import FINGERS
@@ -93,7 +93,7 @@ _HOLDS = {
 }
 
 
-def _frame(into: Float[ndarray, "3"], aside: Float[ndarray, "3"], at: Float[ndarray, "3"]) -> Float[ndarray, "4 4"]:
+def _frame(into: Real[ndarray, "3"], aside: Real[ndarray, "3"], at: Real[ndarray, "3"]) -> Float[ndarray, "4 4"]:
     """Frame with x along ``into`` and y as near to ``aside`` as can be."""
     x = np.asarray(into, dtype=float) / np.linalg.norm(into)
     z = np.cross(x, aside)

@@ -90,12 +90,10 @@ class Estimates:
     """Where the size comes from, in words; empty where it is that of the shape parameters or of the generic hand."""
 
 
-def rotations(
-    path: Path, key: str, values: Float[ndarray, "*n 3"] | Float[ndarray, "*n 3 3"], axes: int
-) -> Float[ndarray, "*n 3 3"]:
-    """Rotation matrices from rotation vectors [rad], or from matrices that a network has rounded (made exact).
+def rotations(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) -> Float[ndarray, "... 3 3"]:
+    """Rotation matrices (..., 3, 3) from rotation vectors [rad] (..., 3), or from matrices that a network has rounded.
 
-    ``axes`` is the number of leading axes, n: three vectors are no matrix. Raises ``InputError`` for other matrices.
+    ``axes`` is the number of leading axes: three vectors are no matrix. Raises ``InputError`` for other matrices.
     """
     if values.ndim == axes + 1:
         return se3.exp_so3(values)
