@@ -140,14 +140,14 @@ def test_nobody_starts_from_their_own_grasps(tmp_path: Path, refused: Callable[.
     for clip in (held("d"), held("d", "Cid")):
         poses, notes = poses_for(clip, options)
         assert len(poses) == 3
-        assert notes == ("started from 3 poses of poses.npz, and 9 rotations spread evenly",)
+        assert notes == ("started from 3 poses of poses.npz, and 9 uniform rotations",)
 
 
 def test_an_object_without_poses_starts_from_even_rotations_and_the_result_says_so(tmp_path: Path) -> None:
     options = poses_file(tmp_path / "poses.npz", held("a", "Ann"))
     clip, masks = replace(held("b", "Bob"), side="left"), small_clip()[1]
     problem = prepare(clip, masks, options)
-    assert "poses.npz has no poses of box in a left hand: 12 rotations spread evenly" in problem.notes
+    assert "poses.npz has no poses of box in a left hand: 12 uniform rotations" in problem.notes
     starts = initial_poses(clip, masks, 12, 0, problem.poses)
     assert np.array_equal(starts.R, initial_poses(clip, masks, 12).R)
 

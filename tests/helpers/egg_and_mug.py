@@ -11,7 +11,7 @@ import trimesh
 from getagrip.clip import FINGERS, Clip, HandTrack, Masks, Truth, input_sha256, write_clip
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
-from getagrip.metrics.mask import object_mask
+from getagrip.geometry.depth import covered
 from getagrip.result import Candidates, Reconstruction, write_result
 
 FRAMES = 5
@@ -40,7 +40,8 @@ def egg_and_mug() -> tuple[Clip, Masks]:
         truth=Truth(T_cam_hand @ T_hand_obj, 1.0, T_cam_hand, vertices),
     )
     assert clip.truth is not None
-    drawn = [object_mask(clip.mesh, 1.0, T, K, clip.size) for T, K in zip(clip.truth.T_cam_obj, clip.K, strict=True)]
+    posed = se3.transform(clip.truth.T_cam_obj, clip.mesh.vertices)
+    drawn = [covered(vertices, clip.mesh.faces, K, clip.size) for vertices, K in zip(posed, clip.K, strict=True)]
     return clip, Masks(np.stack(drawn), np.zeros((FRAMES, 240, 320), dtype=bool))
 
 

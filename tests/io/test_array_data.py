@@ -100,7 +100,7 @@ TRIANGLE = np.array([[0, 1, 2]])
 
 
 def test_numbers_of_another_width_are_converted_and_others_kept_as_they_are() -> None:
-    mesh = Mesh(np.eye(3, dtype=np.float32), TRIANGLE.astype(np.uint16))
+    mesh = Mesh(np.eye(3, dtype=np.float32), TRIANGLE.astype(np.int16))
     assert (mesh.vertices.dtype, mesh.faces.dtype) == (np.float64, np.int64)
     own = np.eye(3)
     assert Mesh(own, TRIANGLE).vertices is own

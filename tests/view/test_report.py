@@ -81,7 +81,7 @@ def test_an_empty_image_is_named(tmp_path: Path) -> None:
     image.parent.mkdir(parents=True)
     image.touch()
     with pytest.raises(InputError, match=image.name):
-        write_report(replace(clip, folder=tmp_path / "clip"), masks, result_of(clip, axis), tmp_path / "report.png")
+        write_report(result_of(clip, axis), replace(clip, folder=tmp_path / "clip"), masks, tmp_path / "report.png")
     assert not (tmp_path / "report.png").exists()
 
 

@@ -72,12 +72,12 @@ class ClickedHands:
 
 
 def hands_from_clicks(
-    clicks: Mapping[int, Float[ndarray, "21 2"]], K: Float[ndarray, "3 3"], side: Side, first: int, last: int
+    clicks: Mapping[int, Float[ndarray, "..."]], K: Float[ndarray, "3 3"], side: Side, first: int, last: int
 ) -> ClickedHands:
     """The hand in the frames ``first`` to ``last``, both included, from joints clicked on some of them [px].
 
-    ``clicks`` are wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, NaN where not clicked.
-    Raises ``UsageError`` for no clicked frame, for one with fewer than ``FEWEST`` joints or outside the interval, and
+    ``clicks`` (21, 2) are wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, NaN where not
+    clicked. Raises ``UsageError`` for no clicked frame, for one with fewer than ``FEWEST`` joints or outside the interval, and
     for clicks that no hand looks like.
     """
     _check(clicks, first, last)
@@ -96,7 +96,7 @@ def hands_from_clicks(
     return ClickedHands(hand_track(posed, T), keys, residuals, doubtful, found.shape)
 
 
-def _check(clicks: Mapping[int, Float[ndarray, "21 2"]], first: int, last: int) -> None:
+def _check(clicks: Mapping[int, Float[ndarray, "..."]], first: int, last: int) -> None:
     if not clicks:
         raise UsageError("joints: got no frame with any, expected one at least")
     for n, points in clicks.items():

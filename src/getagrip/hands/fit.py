@@ -54,8 +54,8 @@ class HandFit:
     """Whether the last step changed next to nothing."""
 
 
-def fit_joints(model: HandModel, joints_cam: Float[ndarray, "T 21 3"], order: JointOrder) -> HandFit:
-    """Fit a hand to joints in the camera frame [m].
+def fit_joints(model: HandModel, joints_cam: Float[ndarray, "..."], order: JointOrder) -> HandFit:
+    """Fit a hand to joints (T, 21, 3) in the camera frame [m].
 
     Raises ``UsageError`` for an unknown order, another shape, numbers that are not finite, or a hand of absurd size.
     """
@@ -182,7 +182,7 @@ def _place(model: HandModel, Y: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 4
     return se3.rigid(R, palm.mean(axis=1) - R @ X.mean(axis=0))
 
 
-def _checked(joints_cam: Float[ndarray, "T 21 3"], order: JointOrder) -> Float[ndarray, "T 21 3"]:
+def _checked(joints_cam: Float[ndarray, "..."], order: JointOrder) -> Float[ndarray, "T 21 3"]:
     if order not in ORDERS:
         raise UsageError(f"joint order: got {order!r}, expected one of {', '.join(ORDERS)}")
     Y = np.asarray(joints_cam, dtype=float)

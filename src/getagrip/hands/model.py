@@ -95,7 +95,7 @@ class HandModel:
     pose_directions: Float[ndarray, "V 3 135"] | None = None
     """Displacement of the vertices per unit of each entry of R - I, R the rotations of the 15 finger joints."""
 
-    def with_shape(self, shape: Float[ndarray, "*batch S"] | None = None) -> ShapedHand:
+    def with_shape(self, shape: Float[ndarray, "..."] | None = None) -> ShapedHand:
         """The flat hand of one person, or of several; the mean hand when no shape is given.
 
         Raises ``UsageError`` where the last axis is not as long as ``shape_names``.
@@ -119,11 +119,11 @@ class ShapedHand:
     vertices: Float[ndarray, "*batch V 3"]
     joints: Float[ndarray, "*batch 16 3"]
 
-    def with_pose(self, pose: Float[ndarray, "*batch 45"] | None = None) -> PosedHand:
+    def with_pose(self, pose: Float[ndarray, "..."] | None = None) -> PosedHand:
         """The hand with its fingers turned; the flat hand when no pose is given.
 
-        ``pose`` holds a rotation vector [rad] for each joint but the wrist, in MANO's order, relative to the flat hand
-        and in its axes. Raises ``UsageError`` where the last axis is not of length 45.
+        ``pose`` (..., 45) holds a rotation vector [rad] for each joint but the wrist, in MANO's order, relative to the
+        flat hand and in its axes. Raises ``UsageError`` where the last axis is not of length 45.
         """
         model = self.model
         pose = np.zeros(45) if pose is None else np.asarray(pose, dtype=float)

@@ -218,7 +218,7 @@ def _axis_line(
     T_view_hand: Float[ndarray, "4 4"],
     both: Float[ndarray, "V 3"],
     K: Float[ndarray, "3 3"],
-    parts: tuple[Float[ndarray, "V 3"], Float[ndarray, "W 3"]],
+    parts: tuple[Float[ndarray, "_ 3"], Float[ndarray, "_ 3"]],
 ) -> None:
     """The latent axis: a line where it is visible, dots where something is in front of it."""
     axis = view.result.axis

@@ -69,7 +69,7 @@ def test_clips_that_the_disk_has_no_room_for_are_told_and_made_the_next_time(
     with full_disk(100_000):
         status, out, err = import_epic(run, epic_folder)
     assert status == 1
-    assert "0 clips, 0 already there, 1 failed" in out
+    assert "0 clips, 0 already there, 1 videos failed" in out
     assert str(epic_folder / "out" / NAME / "frames" / "0000001000.jpg") in err
     assert list((epic_folder / "out").iterdir()) == []
     status, out, _ = import_epic(run, epic_folder)

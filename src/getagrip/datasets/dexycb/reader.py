@@ -66,7 +66,7 @@ class Hand:
 class FittedTrack(Track):
     """A track of DexYCB that says how well its hand fits; its clips are named without the side."""
 
-    residuals: Float[ndarray, "T 21"]
+    residuals: Float[ndarray, "_ 21"]
     """Distances of the hand's joints from the true ones [m]."""
     others: bool
     """Whether other objects are on the table."""

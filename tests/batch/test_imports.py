@@ -80,7 +80,9 @@ class Shelf:
             note(f"{name}: nothing is visible: skipped")
             return None
         if self.handless:
-            clip = replace(clip, hand=replace(clip.hand, vertices=clip.hand.vertices[:, :0]))
+            clip = replace(
+                clip, hand=replace(clip.hand, vertices=clip.hand.vertices[:, :0], faces=clip.hand.faces[:0], regions={})
+            )
         return replace(clip, name=name), masks
 
 
