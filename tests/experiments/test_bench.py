@@ -235,7 +235,7 @@ def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: 
         status, text, _ = run(*call, "--methods", "one-dof", "static")
     assert text.count("0 done, 2 already done") == 2
 
-    rows = list(csv.DictReader((out / "methods-clips.csv").open()))
+    rows = list(csv.DictReader((out / "methods-clips.csv").read_text().splitlines()))
     names = ["box-right-0000", "can-right-0000"]
     assert [(row["clip"], row["method"]) for row in rows] == [(n, m) for n in names for m in ("one-dof", "static")]
     result, record = read_result(out / "results" / "one-dof" / names[0])
@@ -255,7 +255,7 @@ def test_an_ablation_changes_clips_and_draws_a_plot(made: Path, tmp_path: Path, 
     status, _, _ = run(*call, "--ablation", "mask-noise", "--methods", "static")
     assert status == 0
     assert (tmp_path / "mask-noise.png").stat().st_size > 10_000
-    rows = list(csv.DictReader((tmp_path / "mask-noise-clips.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "mask-noise-clips.csv").read_text().splitlines()))
     assert [row["setting"] for row in rows] == ["none", "0.5 px", "1 px", "2 px", "4 px"]
     assert len({row["add_mm"] for row in rows}) == 5
     noisy = tmp_path / "results" / "static+mask-noise-4-px"
@@ -301,7 +301,7 @@ def test_what_fails_is_named_and_the_rest_done(made: Path, tmp_path: Path, run: 
     assert "failed: can-right-0000" in err
     assert "failed: box-right-0000: static: nothing is seen" in err
     assert "1 done, 0 already done, 1 failed" in out
-    rows = list(csv.DictReader((tmp_path / "out" / "methods-clips.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "out" / "methods-clips.csv").read_text().splitlines()))
     assert [row["status"].startswith("failed") for row in rows] == [False, True, True]
 
 

@@ -148,7 +148,7 @@ def test_an_object_without_poses_starts_from_even_rotations_and_the_result_says_
     clip, masks = replace(held("b", "Bob"), side="left"), small_clip()[1]
     problem = prepare(clip, masks, options)
     assert "poses.npz has no poses of box in a left hand: 12 uniform rotations" in problem.notes
-    starts = initial_poses(clip, masks, 12, 0, problem.poses)
+    starts = initial_poses(clip, masks, 12, 0, problem.prior_poses)
     assert np.array_equal(starts.R, initial_poses(clip, masks, 12).R)
 
 

@@ -77,8 +77,8 @@ def hands_from_clicks(
     """The hand in the frames ``first`` to ``last``, both included, from joints clicked on some of them [px].
 
     ``clicks`` (21, 2) are wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, NaN where not
-    clicked. Raises ``UsageError`` for no clicked frame, for one with fewer than ``FEWEST`` joints or outside the interval, and
-    for clicks that no hand looks like.
+    clicked. Raises ``UsageError`` for no clicked frame, for one with fewer than ``FEWEST`` joints or outside the
+    interval, and for clicks that no hand looks like.
     """
     _check(clicks, first, last)
     keys = tuple(sorted(clicks))
