@@ -19,7 +19,10 @@ from helpers.annotation_page import CHROMIUM, Served, chromium, saved, until
 from helpers.labelled_scene import circle, joints, middle, write_scene
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine"),
+]
 
 FIRST, LAST = 2, 11
 MARK = "the-marked-grasp"

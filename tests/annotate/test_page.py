@@ -14,7 +14,10 @@ from helpers.annotation_page import CHROMIUM, Served, chromium, saved
 from helpers.numbered_footage import BITS, FRAMES, write_video
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine"),
+]
 
 READ_CANVAS = f"""() => {{
   const canvas = document.getElementById("picture"), context = canvas.getContext("2d");

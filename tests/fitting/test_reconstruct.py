@@ -1,4 +1,4 @@
-"""Laws of whole reconstructions, on small made-up clips: what is recovered, what does not matter, what is refused."""
+"""Laws of whole reconstructions, on small synthetic clips: what is recovered, what does not matter, what is refused."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """From outlines drawn on a few frames to masks of every frame: dense optical flow, GrabCut along the border.
 
 Each mask is carried as a signed distance from its border, frame by frame: from the key before forwards, from the key
-after backwards; it depends on these two keys alone. Where a pixel of the new frame was in the old one is told by dense
+after backwards; it depends on these two keys alone. Where a pixel of the new frame was in the old one is found by dense
 inverse search (DIS; Kroeger, Timofte, Dai, Van Gool, "Fast Optical Flow using Dense Inverse Search", ECCV 2016). After
 each step GrabCut (Rother, Kolmogorov, Blake, SIGGRAPH 2004) draws the border anew in a narrow band, so that errors do
 not grow. The two are blended, each the more the nearer its key is; what has come into the image since one key is known

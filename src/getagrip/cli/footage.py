@@ -16,7 +16,7 @@ Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate
 
 @dataclass(frozen=True, kw_only=True)
 class ClipCommand(Command):
-    """Make a clip of your own video, in one go or in steps: what is missing is told, and how to get it."""
+    """Make a clip of your own video, in one go or in steps. What is missing is listed, with how to get it."""
 
     action: Positional[Literal["new"]]
     """new: make one."""

@@ -15,7 +15,7 @@ from getagrip.errors import InputError, UsageError
 
 @dataclass(frozen=True)
 class Lens:
-    """What a command is told of a camera."""
+    """The camera options of a command."""
 
     K: tuple[float, float, float, float] | None = None
     """fx, fy, cx, cy [px]."""

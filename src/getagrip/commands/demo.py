@@ -1,4 +1,4 @@
-"""``getagrip demo``: the whole way on a made-up clip, from hands, masks and a mesh to a report."""
+"""``getagrip demo``: the whole way on a synthetic clip, from hands, masks and a mesh to a report."""
 
 from __future__ import annotations
 

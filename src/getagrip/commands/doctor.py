@@ -33,7 +33,7 @@ def run() -> int:
     try:
         _try_out()
     except Exception as error:  # whatever it is, the user wants it told, not raised
-        print(f"BROKEN   a made-up clip cannot be reconstructed: {type(error).__name__}: {error}")
+        print(f"BROKEN   a synthetic clip cannot be reconstructed: {type(error).__name__}: {error}")
         return 1
     return 0
 

@@ -1,7 +1,7 @@
 """``getagrip clip new``: a clip from the user's own video, masks, hands and mesh, as far as they are there.
 
 A clip can be made in steps: without hands or masks it is written with its images, for which an estimator or a
-segmentation can then be run; what is missing is told, and how to get it.
+segmentation can then be run; what is missing is listed, with how to get it.
 """
 
 from __future__ import annotations

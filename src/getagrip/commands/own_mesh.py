@@ -16,7 +16,7 @@ from getagrip.geometry.mesh import SUFFIXES, Mesh, checked_mesh, diameter, parse
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a command is told of a mesh."""
+    """The mesh options of a command."""
 
     path: Path
     """A file or, where there is none of that name, a kind of object."""

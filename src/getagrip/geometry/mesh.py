@@ -310,7 +310,7 @@ def write_mesh(mesh: Mesh, path: str | Path) -> Path:
 
 
 def decimate(mesh: Mesh, faces: int) -> Mesh:
-    """A mesh of about ``faces`` faces with nearly the same outline (quadric edge collapse), or the mesh itself."""
+    """A mesh of about ``faces`` faces with nearly the same shape (quadric edge collapse), or the mesh itself."""
     if len(mesh.faces) <= faces:
         return mesh
     import fast_simplification

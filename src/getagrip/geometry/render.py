@@ -18,7 +18,7 @@ Colour = tuple[float, float, float]
 """Red, green, blue in [0, 1]."""
 
 HIDES = 0.01
-"""Share of the held object's outline that another object must cover to count as in front of it. Less is noise of the
+"""Share of the held object's silhouette that another object must cover to count as in front of it. Less is noise of the
 poses, such as a keyboard that cuts into the mouse on it."""
 LIGHT = np.array([-0.35, -0.6, -0.72])
 """Direction to the light in the camera frame: from above the left shoulder."""
@@ -31,17 +31,17 @@ def true_masks(
 
     Ignored is every pixel whose nearest surface is a hand, or another object that hides part of the held one; objects
     that hide nothing are background, which does say where the held object is not. An object in front is ignored as
-    a whole, so that the ignored area does not betray the outline of what it hides.
+    a whole, so that the ignored area does not betray the silhouette of what it hides.
     """
     surfaces = [held, *hands, *others]
     vertices, faces, first = _joined(surfaces)
     _, face = depth_and_face(vertices, faces, K, size)
     part = np.searchsorted(first, face, side="right") - 1  # -1: nothing, 0: held, then hands, then others
-    outline = depth_and_face(*held, K, size)[1] >= 0
+    silhouette = depth_and_face(*held, K, size)[1] >= 0
     ignore = (part > 0) & (part <= len(hands))
     for k in range(1 + len(hands), len(surfaces)):
         covers = part == k
-        if np.count_nonzero(covers & outline) > HIDES * np.count_nonzero(outline):
+        if np.count_nonzero(covers & silhouette) > HIDES * np.count_nonzero(silhouette):
             ignore |= covers
     return part == 0, ignore
 

@@ -2,7 +2,7 @@
 
 Fingers are never far from the object, so a grid of about 10^5 nodes around it suffices. A plain distance grid would
 round off walls thinner than its cells (a mug's, a plate's); the distance to the nearest of the faces that the nodes
-around a point remember does not. Inside is told from outside by the pseudonormal of the face, edge or corner that is
+around a point remember does not. The sign is that of the pseudonormal of the face, edge or corner that is
 nearest (Baerentzen and Aanaes, "Signed Distance Computation Using the Angle Weighted Pseudonormal", 2005): by the
 faces' own normals, points far off a thin edge, a spoon's, would lie deep inside.
 ``reference.signed_distance`` is the readable specification.

@@ -1,4 +1,4 @@
-"""Made-up clips with known truth: a generic hand holds a procedural object in front of a moving, egocentric camera.
+"""Synthetic clips with ground truth: a generic hand holds a procedural object in front of a moving, egocentric camera.
 
 The grasp comes from contact (``grasp``); the object turns in the hand about a line near the contacts (Eq. 3 of the
 paper) and departs from that by a small smooth residual, and the fingers follow it; hand and head move smoothly.
