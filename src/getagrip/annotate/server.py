@@ -1,7 +1,8 @@
 """The page over HTTP, for this machine only.
 
 The server listens on 127.0.0.1. A page of another site that a browser has open could still send requests here: those
-are recognised by the name they ask for (``Host``) and by where they come from (``Origin``, ``Sec-Fetch-Site``), and refused.
+are recognised by the name they ask for (``Host``) and by where they come from (``Origin``, ``Sec-Fetch-Site``), and are
+refused.
 """
 
 from __future__ import annotations
