@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.cli import main
 from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import METHODS, Method, OnStage
 from getagrip.fitting.objective import energy_of
@@ -32,6 +31,8 @@ def coarse_static(problem: Problem, on_stage: OnStage) -> MethodResult:
 METHODS["coarse-static"] = Method("Coarse static", coarse_static)  # at the top: the benchmark's processes run it, too
 
 if __name__ == "__main__":
+    from getagrip.cli import main  # after METHODS is complete: the choices of --methods are made from it
+
     out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/own-method")
     methods = ["static", "soft-hinge", "coarse-static"]
     sys.exit(main(["bench", "synthetic", "--clips", "4", "--out", str(out), "--methods", *methods]))

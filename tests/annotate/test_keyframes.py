@@ -240,6 +240,7 @@ json_values = st.recursive(
 
 
 @given(json_values, st.sampled_from(["joints", "outlines", "hidden", "deleted", "points", "point"]))
+@pytest.mark.slow
 def test_any_json_is_kept_or_refused(video: Path, tmp_path_factory: Any, value: Any, where: str) -> None:
     made = Clicking(video, tmp_path_factory.mktemp("any"))
     whole = {"of": "object", "closed": True, "points": value}
@@ -337,6 +338,7 @@ def word(basis: dict[str, Any], draft: dict[str, Any]) -> str:
     return str(found)
 
 
+@pytest.mark.slow
 def test_frames_between_are_filled_in_and_again_after_a_correction(clicking: Clicking) -> None:
     clicking.label(FIRST)
     clicking.label(LAST)
@@ -385,6 +387,7 @@ def test_clicks_that_are_no_hand_are_told_by_the_frame_that_is_shown_and_outline
     assert [(one["kind"], one["frame"]) for one in drafts] == [("masks", n) for n in range(FIRST, LAST + 1)]
 
 
+@pytest.mark.slow
 def test_files_make_a_clip_and_labels_are_taken_back(clicking: Clicking, video: Path, run: Run, tmp_path: Path) -> None:
     for frame in (FIRST, LAST):
         clicking.label(frame)

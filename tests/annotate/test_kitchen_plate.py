@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from getagrip.annotate import labels
 from getagrip.annotate.clicked_hands import hands_from_clicks
@@ -43,6 +44,7 @@ def test_the_labels_are_of_one_hand_and_one_plate() -> None:
 
 
 @needs(VIDEO)
+@pytest.mark.slow
 def test_from_video_to_reconstruction(tmp_path: Path, run: Run) -> None:
     whole = labels.read(LABELS)
     first, last = 93, 111  # a part of it, for the sake of time

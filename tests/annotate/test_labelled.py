@@ -100,6 +100,7 @@ def test_a_blank_image_moves_nothing() -> None:
     np.testing.assert_allclose(followed.hand.T_cam_hand, clicked.hand.T_cam_hand, atol=5e-3)
 
 
+@pytest.mark.slow
 def test_labels_become_a_clip(tmp_path: Path, run: Run) -> None:
     video = tmp_path / "shaken.mp4"
     with av.open(str(video), "w") as container:

@@ -83,6 +83,7 @@ def worst(found: dict[int, Scored]) -> tuple[float, float]:
     return min(each.iou for each in found.values()), min(each.confidence for each in found.values())
 
 
+@pytest.mark.slow
 def test_a_moving_thing_is_kept_between_two_keys() -> None:
     found = carried((0, LAST))
     assert list(found) == list(range(LAST + 1))
@@ -114,6 +115,7 @@ def test_what_is_in_front_stays_in_front() -> None:
     assert worst(found)[0] > 0.9
 
 
+@pytest.mark.slow
 def test_what_enters_the_image_comes_from_the_key_that_shows_it() -> None:
     def entering(n: int) -> tuple[ndarray, ndarray]:
         return drawn(n, offset=-72.0)
@@ -123,6 +125,7 @@ def test_what_enters_the_image_comes_from_the_key_that_shows_it() -> None:
     assert worst(carried((0, LAST), entering))[0] > 0.85
 
 
+@pytest.mark.slow
 def test_a_cut_is_seen_by_the_confidence() -> None:
     def cut(n: int) -> tuple[ndarray, ndarray]:
         image, labels = drawn(n)
@@ -158,6 +161,7 @@ def test_every_frame_is_in_one_stretch_with_the_keys_about_it(keys: set[int], en
             assert {*one.keys} == {*about}
 
 
+@pytest.mark.slow
 def test_a_changed_key_changes_the_frames_up_to_its_neighbours_only() -> None:
     """The others need not be made again."""
     keys = {n: drawn(n)[1] for n in (1, 4, 6)}

@@ -67,6 +67,7 @@ def test_a_clip_in_no_folder_has_no_masks_to_read(refused: Refused) -> None:
     refused(lambda: reconstruct(CLIP), "small: masks", "in no folder")
 
 
+@pytest.mark.slow
 def test_a_result_of_some_frames_is_evaluated_against_the_whole_clip() -> None:
     clip, masks = synthesise("mug", seed=3, options=ClipOptions(frames=9))
     result = reconstruct(clip, masks, Options(inits=4, frames=4))

@@ -95,6 +95,7 @@ def test_places_that_cannot_be_written_are_refused_first(run: Run, out: str, tmp
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     status, said, _ = run("reconstruct", made, "--out", out, *QUICK, "--workers", 2)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from getagrip.cli import main
 from getagrip.evaluation import evaluate_result
 from helpers.paths import DATA, needs
@@ -14,6 +16,7 @@ HOLDS = ("P0003_c701bd11-coffee_pot-left", "P0003_c701bd11-mug_white-right", "P0
 
 
 @needs(HOT3D)
+@pytest.mark.slow
 def test_the_three_holds_are_reconstructed(tmp_path: Path) -> None:
     clips, results = tmp_path / "clips", tmp_path / "results"
     assert main(["import", "hot3d", str(HOT3D), "--out", str(clips)]) == 0

@@ -171,6 +171,7 @@ def test_wrong_definitions_and_clips_without_truth_are_refused() -> None:
 # The command.
 
 
+@pytest.mark.slow
 def test_all_is_written_and_said(run: Run, tmp_path: Path) -> None:
     write(three_grasps("a"), tmp_path / "clips" / "a")
     write(replace(three_grasps("b"), side="left", fps=10.0, category="[bold]x"), tmp_path / "clips" / "b")
@@ -277,6 +278,7 @@ def test_a_picture_is_drawn_of_any_length(frames: int, tmp_path: Path) -> None:
 
 
 @needs(HOT3D)
+@pytest.mark.slow
 def test_the_pot_of_hot3d_is_held_from_first_to_last_frame(tmp_path: Path) -> None:
     from getagrip.datasets.dataset import clips
     from getagrip.datasets.hot3d.reader import Hot3d

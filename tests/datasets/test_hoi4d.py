@@ -138,6 +138,7 @@ def test_frames_without_a_hand_are_gaps(root: Path, mano: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["mask", "shift_mask"])
+@pytest.mark.slow
 def test_labels_are_masks(root: Path, mano: Path, kind: str) -> None:
     write_labels(root, kind)
     (piece,) = cutting.pieces(read(root, mano), print, DEFINITION, False)

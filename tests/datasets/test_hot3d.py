@@ -296,6 +296,7 @@ def test_what_is_no_list_is_refused(tmp_path, content):
 
 
 @needs(HOT3D)
+@pytest.mark.slow
 def test_the_three_holds_of_the_samples():
     from scipy.spatial import cKDTree
 

@@ -92,6 +92,7 @@ def test_new_meshes_in_every_frame_are_compared_by_the_hand_s_points_only(scene:
 
 
 @given(st.integers(0, 2**32 - 1))
+@pytest.mark.slow
 def test_the_order_of_vertices_and_faces_does_not_matter(seed: int) -> None:
     rng = np.random.default_rng(seed)
     hand = trimesh.creation.icosphere(subdivisions=2, radius=0.04)

@@ -207,6 +207,7 @@ def test_all_methods_where_none_is_named() -> None:
     assert [variant.folder for variant in method_variants([], Options())] == list(METHODS)
 
 
+@pytest.mark.slow
 def test_scale_made_free_and_known_again() -> None:
     clip, masks = synthesise("can", 0, ClipOptions(frames=2))
     free, _ = ScaleFree()(clip, masks, 0)
@@ -221,6 +222,7 @@ def test_scale_made_free_and_known_again() -> None:
 # ---------------------------------------------------------------- runs
 
 
+@pytest.mark.slow
 def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     out, told = tmp_path / "out", tmp_path / "all.json"
     call = ("bench", made, "--out", out, "--workers", "1", "--inits", "8", "--json", told)
@@ -250,6 +252,7 @@ def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: 
     assert run("evaluate", out / "results" / "static")[0] == 0  # they are results like any other
 
 
+@pytest.mark.slow
 def test_an_ablation_changes_clips_and_draws_a_plot(made: Path, tmp_path: Path, run: Run) -> None:
     call = ("bench", made, "--out", tmp_path, "--workers", "1", "--inits", "8", "--clips", "1")
     status, _, _ = run(*call, "--ablation", "mask-noise", "--methods", "static")

@@ -65,6 +65,7 @@ def test_planted_clusters_are_found_the_fullest_first(way: clusters.Way) -> None
 
 
 @given(SEEDS)
+@pytest.mark.slow
 def test_clusters_on_so3_turn_with_what_they_are_made_of(seed: int) -> None:
     R, (hand, cad) = rotations(20, seed), rotations(2, seed + 1)
     assert np.allclose(clustered(hand @ R @ cad, 5), hand @ clustered(R, 5) @ cad, atol=1e-6)

@@ -43,6 +43,7 @@ frame_numbers = st.lists(st.integers(0, FRAMES - 1), max_size=FRAMES)
 
 
 @given(unseen=frame_numbers, hidden=frame_numbers, frames=st.integers(2, FRAMES + 3))
+@pytest.mark.slow
 def test_what_is_read_in_part_is_what_is_read_whole(
     tmp_path_factory: Any, unseen: list[int], hidden: list[int], frames: int
 ) -> None:

@@ -61,6 +61,7 @@ def apart(a: ndarray, b: ndarray) -> float:
 
 
 @pytest.mark.parametrize(("category", "seed"), [("mug", 2), ("box", 1), ("spoon", 1), ("kettle", 1)])
+@pytest.mark.slow
 def test_a_hinged_object_is_recovered(category: str, seed: int) -> None:
     clip, masks = made(category, seed)
     result = found(category, seed)
@@ -72,6 +73,7 @@ def test_a_hinged_object_is_recovered(category: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize(("category", "seed"), [("mug", 2), ("box", 1), ("kettle", 1)])
+@pytest.mark.slow
 def test_an_unknown_scale_is_recovered(category: str, seed: int) -> None:
     options = replace(SMALL, scale="free")
     metrics = scores(found(category, seed, options), *made(category, seed, options))
@@ -80,12 +82,14 @@ def test_an_unknown_scale_is_recovered(category: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize(("category", "seed"), [("mug", 2), ("box", 1)])
+@pytest.mark.slow
 def test_the_dynamic_method_recovers_a_free_motion(category: str, seed: int) -> None:
     result = found(category, seed, SMALL, Options(method="dynamic"))
     assert scores(result, *made(category, seed))["add_sym_success"] == 1.0
     assert result.axis is None
 
 
+@pytest.mark.slow
 def test_the_static_method_recovers_a_still_object() -> None:
     result = found("mug", 2, STILL, Options(method="static"))
     metrics = scores(result, *made("mug", 2, STILL))
@@ -101,6 +105,7 @@ def test_a_still_object_is_found_still() -> None:
     assert np.ptp(np.degrees(se3.angle_between(result.T_hand_obj[:1, :3, :3], result.T_hand_obj[:, :3, :3]))) < 5.0
 
 
+@pytest.mark.slow
 def test_noise_on_hands_and_masks_is_borne() -> None:
     noisy = replace(SMALL, hand_jitter_deg=1.0, hand_jitter_mm=2.0, mask_ragged_px=0.7)
     assert scores(found("kettle", 1, noisy), *made("kettle", 1, noisy))["add_sym_success"] == 1.0
@@ -110,6 +115,7 @@ def test_noise_on_hands_and_masks_is_borne() -> None:
 
 
 @pytest.mark.parametrize("method", ["soft-hinge", "one-dof", "static", "dynamic"])
+@pytest.mark.slow
 def test_what_a_result_holds(method: Any) -> None:
     clip, _ = made("mug", 2)
     result = found("mug", 2, SMALL, Options(method=method))
@@ -142,6 +148,7 @@ def test_the_axis_tells_the_motion() -> None:
     np.testing.assert_allclose(turn @ result.T_hand_obj[0], result.T_hand_obj, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_axis_through_the_hand() -> None:
     axis = found("mug", 2, SMALL, Options(axis="hand")).axis
     assert axis is not None
@@ -173,6 +180,7 @@ def test_the_truth_explains_clean_masks() -> None:
 # What does not matter
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_result_to_the_bit() -> None:
     a, b = (reconstruct(*made("spoon", 1), Options(seed=4)) for _ in range(2))
     np.testing.assert_array_equal(a.T_hand_obj, b.T_hand_obj)
@@ -180,6 +188,7 @@ def test_the_same_seed_gives_the_same_result_to_the_bit() -> None:
     assert a.energy == b.energy
 
 
+@pytest.mark.slow
 def test_another_seed_finds_the_same() -> None:
     a, b = (reconstruct(*made("kettle", 1), Options(seed=seed)) for seed in (0, 1))
     mesh = made("kettle", 1)[0].mesh
@@ -199,6 +208,7 @@ def _reframed(clip: Clip, T_new_old: ndarray) -> Clip:
     ],
     ids=["shifted", "turned"],
 )
+@pytest.mark.slow
 def test_the_frame_of_the_cad_does_not_matter(T: ndarray, tolerance: float) -> None:
     """Turned, the search starts from other poses of the object, and ends where it did."""
     clip, masks = made("kettle", 1)
@@ -207,6 +217,7 @@ def test_the_frame_of_the_cad_does_not_matter(T: ndarray, tolerance: float) -> N
     assert apart(posed(a, clip.mesh), posed(b, other.mesh)) < tolerance * clip.mesh.diameter
 
 
+@pytest.mark.slow
 def test_turning_the_camera_about_its_axis_does_not_matter() -> None:
     """A quarter turn: pixel (u, v) of a picture of width W becomes (v, W - u)."""
     clip, masks = made("kettle", 1)

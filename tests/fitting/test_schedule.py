@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import pytest
+
 from getagrip.datasets.synthetic.scene import Options as ClipOptions
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.fitting.options import Options
@@ -11,6 +13,7 @@ from getagrip.fitting.reconstruct import reconstruct
 from getagrip.fitting.schedule import THOROUGH, USUAL
 
 
+@pytest.mark.slow
 def test_the_longer_search_finds_no_worse_and_says_what_it_was() -> None:
     clip, masks = synthesise("mug", 2, ClipOptions(frames=8, size=(320, 240), focal=300.0))
     usual, longer = (reconstruct(clip, masks, Options(inits=20, thorough=thorough)) for thorough in (False, True))

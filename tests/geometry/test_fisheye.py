@@ -80,6 +80,7 @@ def test_bad_parameters_are_refused(bad):
         Fisheye624.from_parameters(bad, SIZE)
 
 
+@pytest.mark.slow
 def test_undistorted_images_agree_with_the_pinhole():
     # An image whose value is a smooth function of the ray: the pinhole's image must be that function of its own rays.
     camera = lens()

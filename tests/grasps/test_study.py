@@ -79,6 +79,7 @@ def test_angles_are_the_best_of_all(seed: int) -> None:
 
 @settings(max_examples=6)
 @given(seeds)
+@pytest.mark.slow
 def test_an_exact_hinge_is_found_exactly(seed: int) -> None:
     rng = np.random.default_rng(seed)
     for through in (None, AT_HAND):
@@ -94,6 +95,7 @@ def test_an_exact_hinge_is_found_exactly(seed: int) -> None:
 
 @settings(max_examples=10)
 @given(seeds, st.sampled_from([0.0, 0.03, 0.3, 3.0]))
+@pytest.mark.slow
 def test_a_hinge_is_never_worse_than_one_pose(seed: int, noise: float) -> None:
     rng = np.random.default_rng(seed)
     R, c = noisy(rng, noise)
@@ -124,6 +126,7 @@ def test_no_hinge_fits_rotations_better(seed: int, noise: float) -> None:
 
 @pytest.mark.parametrize("noise", [0.05, 0.5])
 @pytest.mark.parametrize("through", [None, AT_HAND], ids=["anywhere", "at the hand"])
+@pytest.mark.slow
 def test_random_restarts_find_no_better_hinge(noise: float, through: np.ndarray | None) -> None:
     rng = np.random.default_rng(int(100 * noise))
     R, c = noisy(rng, noise)
@@ -251,6 +254,7 @@ def test_spread_leaves_out_what_has_no_value() -> None:
 # The command.
 
 
+@pytest.mark.slow
 def test_all_is_written_and_said(run: Run, tmp_path: Path) -> None:
     write_clip(turning("a"), None, tmp_path / "clips" / "a")
     write_clip(replace(turning("b", "left"), category="[bold]x"), None, tmp_path / "clips" / "b")

@@ -116,6 +116,7 @@ def test_symmetries_of_known_objects(mesh: Mesh, expected: str) -> None:
     assert find_symmetries(moved(mesh, np.random.default_rng(1), scale=0.7)).describe() == expected
 
 
+@pytest.mark.slow
 def test_a_cube_has_24_turns_and_a_ball_all() -> None:
     cube = trimesh.creation.box((0.05, 0.05, 0.05)).subdivide().subdivide()
     assert len(find_symmetries(Mesh(np.array(cube.vertices), np.array(cube.faces))).elements) == 24
@@ -137,6 +138,7 @@ def test_symmetries_map_the_surface_onto_itself() -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(seeds, st.floats(0.3, 2.8), st.floats(0.8, 1.2))
+@pytest.mark.slow
 def test_a_turn_that_cannot_be_seen_is_forgiven(seed: int, angle: float, scale: float) -> None:
     symmetries = find_symmetries(CAN)
     T = poses(np.random.default_rng(seed))
@@ -171,6 +173,7 @@ def test_one_symmetry_serves_all_frames() -> None:
     assert still.add[0] < 1e-6
 
 
+@pytest.mark.slow
 def test_the_turn_of_a_ball_is_never_an_error() -> None:
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.04)
     mesh = Mesh(ball.vertices + np.array([0.01, 0.0, 0.0]), np.array(ball.faces))

@@ -52,6 +52,7 @@ def drawn(path: Path) -> np.ndarray:
     return picture
 
 
+@pytest.mark.slow
 def test_every_part_of_the_picture_is_drawn(tmp_path: Path) -> None:
     clip, masks, axis = given()
     metrics = {"add_mm": 1.0, "add_sym_mm": 1.0, "rotation_sym_deg": 2.0}
@@ -93,6 +94,7 @@ def test_a_result_of_another_clip_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "report.png").exists()
 
 
+@pytest.mark.slow
 def test_the_demo_finds_the_mug_and_can_be_run_again(tmp_path: Path) -> None:
     for _ in range(2):
         demo.run(tmp_path)

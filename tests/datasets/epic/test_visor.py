@@ -166,6 +166,7 @@ def test_text_that_is_no_annotation_is_refused(
     refused(lambda: frames(path), str(path), words)
 
 
+@pytest.mark.slow
 def test_a_file_is_read_in_little_memory(tmp_path: Path) -> None:
     one = json.dumps(sparse(V, 7, thing("b", "cup", 13, box(0, 0, 5, 5) * 500)))
     path = tmp_path / f"{V}.json"

@@ -34,6 +34,7 @@ def hand_gaps(clip: Clip) -> np.ndarray:
     return distance(se3.transform(se3.inverse(in_hand(clip)), clip.truth.hand_vertices))
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_clip() -> None:
     options = replace(FEW, hand_jitter_deg=2.0, hand_jitter_mm=3.0, mask_ragged_px=1.5)
     (a, masks_a), (b, masks_b) = (synthesise("spoon", 5, options) for _ in range(2))
@@ -66,6 +67,7 @@ def test_the_object_turns_about_the_axis_alone_without_a_residual(side: str) -> 
     np.testing.assert_allclose(T, line @ T[0], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_residual_and_the_turn_keep_to_their_limits() -> None:
     options = replace(FEW, frames=8, residual_deg=1.0, residual_mm=1.0, turn_deg=(15.0, 40.0))
     for category, seed in [("bowl", 0), ("spoon", 1)]:
@@ -80,6 +82,7 @@ def test_the_residual_and_the_turn_keep_to_their_limits() -> None:
 
 
 @pytest.mark.parametrize("category", sorted(CATEGORIES))
+@pytest.mark.slow
 def test_grasps_touch_and_do_not_cut_in(category: str) -> None:
     clip, masks = synthesise(category, 0, FEW)
     gaps = hand_gaps(clip)
@@ -90,6 +93,7 @@ def test_grasps_touch_and_do_not_cut_in(category: str) -> None:
     assert not (masks.object & masks.ignore).any()
 
 
+@pytest.mark.slow
 def test_noise_leaves_the_truth_alone() -> None:
     noisy = replace(FEW, hand_bias_deg=3.0, hand_bias_mm=6.0)
     (clean, _), (other, _) = synthesise("cup", 2, FEW), synthesise("cup", 2, noisy)
@@ -129,6 +133,7 @@ def test_ragged_masks_move_by_the_given_distance() -> None:
     assert abs(np.mean(height)) < 0.7
 
 
+@pytest.mark.slow
 def test_a_mean_cad_is_aligned_with_the_object_it_stands_for() -> None:
     options = replace(FEW, cad="mean", vary=0.15, scale="free")
     scene = make_scene("mug", 3, options)
@@ -161,6 +166,7 @@ def test_alignment_undoes_any_similarity(seed: int, size: float, w: list[float])
     assert factor == pytest.approx(size)
 
 
+@pytest.mark.slow
 def test_grips_vary_where_they_are_asked_to() -> None:
     poses = [in_hand(make_scene("bottle", seed, replace(FEW, grip_deg=15.0)).clip)[0] for seed in range(3)]
     usual = [in_hand(make_scene("bottle", seed, FEW).clip)[0] for seed in range(3)]
@@ -183,6 +189,7 @@ def test_splits_are_disjoint_and_hold_every_category_and_both_hands(preset: str)
     assert split("test", preset) == test
 
 
+@pytest.mark.slow
 def test_presets_share_their_truth() -> None:
     (category, seed, clean), (_, _, noisy) = (split("test", preset)[4] for preset in ("clean", "hamer"))
     few = {"frames": 3, "size": (160, 120), "focal": 150.0}

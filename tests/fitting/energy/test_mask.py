@@ -87,6 +87,7 @@ def test_a_finer_energy_is_what_the_specification_says() -> None:
 
 
 @pytest.mark.parametrize("occluded", [False, True])
+@pytest.mark.slow
 def test_the_contour_gives_the_gradient_of_e_mask(occluded: bool) -> None:
     """Away from the observed outline and the occluder's, that is: there E_mask has kinks, which delta rounds off."""
     cosines, ratios = [], []

@@ -43,6 +43,7 @@ def scores(result: Reconstruction, clip: Clip, masks: Masks) -> dict[str, float]
 
 
 @pytest.mark.parametrize("method", BASELINES)
+@pytest.mark.slow
 def test_a_kettle_is_recovered(method: str) -> None:
     metrics = scores(found(method, "kettle", 1), *made("kettle", 1))
     assert metrics["add_sym_success"] == 1.0
@@ -50,6 +51,7 @@ def test_a_kettle_is_recovered(method: str) -> None:
 
 
 @pytest.mark.parametrize("method", BASELINES)
+@pytest.mark.slow
 def test_an_unknown_scale_is_recovered(method: str) -> None:
     options = replace(SMALL, scale="free")
     metrics = scores(found(method, "kettle", 1, options), *made("kettle", 1, options))
@@ -70,6 +72,7 @@ def test_what_a_result_holds(method: str) -> None:
     assert sum(v for k, v in result.energy.items() if k != "total") == pytest.approx(result.energy["total"])
 
 
+@pytest.mark.slow
 def test_a_single_frame_knows_nothing_of_the_others() -> None:
     clip, masks = made("spoon", 1)
     back = np.arange(len(clip))[::-1]
@@ -79,6 +82,7 @@ def test_a_single_frame_knows_nothing_of_the_others() -> None:
     np.testing.assert_allclose(reverse.T_hand_obj[back], forth.T_hand_obj, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_consistency_holds_the_object_stiller_than_dynamic() -> None:
     def spread(result: Reconstruction) -> float:
         held = se3.transform(result.T_hand_obj, made("mug", 2)[0].mesh.vertices)

@@ -536,6 +536,7 @@ def test_nested_and_lying_files(tmp_path: Path, mano_folder: Path, refused: Call
 
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
+@pytest.mark.slow
 def test_damaged_files_are_refused_or_read(tmp_path: Path, mano_folder: Path, data: st.DataObject) -> None:
     """Truncated files and swapped bytes: an error of this package's that names the file, or plausible numbers."""
     known = Known("right", None)
