@@ -89,7 +89,7 @@ class Scene:
         return (held, self.object.faces), hands
 
 
-def synthesise(category: str, seed: int, options: Options | None = None) -> tuple[Clip, Masks]:
+def synthesise(category: str, seed: int = 0, options: Options | None = None) -> tuple[Clip, Masks]:
     """A clip of one category and its masks; the same for the same seed and options.
 
     Raises ``UsageError`` for an unknown category.
