@@ -20,8 +20,8 @@ from benchmarks.problem import Problem
 from getagrip.clip.sampling import frame_indices
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.noise import NOISE
-from getagrip.datasets.synthetic.scene import Options as ClipOptions
 from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.methods import all_frames, homan, homan_refine, single_frame
 from getagrip.fitting.observation import observe
 from getagrip.fitting.options import Options
@@ -39,7 +39,7 @@ METHODS = (
 )
 FACTORS = ((1, 1), (2, 1), (4, 1), (1, 2), (1, 4))
 """Of starts and of iterations."""
-CONDITIONS = {"exact": ClipOptions(), "hamer": ClipOptions(**vars(NOISE["hamer"]))}
+CONDITIONS = {"exact": SceneOptions(), "hamer": SceneOptions(**vars(NOISE["hamer"]))}
 CLOSE = 1.02
 """An energy within this factor of the least that the method found with any setting counts as found."""
 

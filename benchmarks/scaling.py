@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks.page import DOCS, table
 from benchmarks.problem import reconstruction
 from benchmarks.timing import timed, typical
-from getagrip.datasets.synthetic.scene import Options as ClipOptions
 from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.options import Options
 from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.result import Reconstruction
@@ -47,7 +47,7 @@ class Curve:
 
 def section() -> str:
     """Measure and draw docs/images/scaling.png; the section's text."""
-    long, long_masks = synthesise(CATEGORY, 0, ClipOptions(frames=max(FRAMES)))
+    long, long_masks = synthesise(CATEGORY, 0, SceneOptions(frames=max(FRAMES)))
     clip, masks = synthesise(CATEGORY, 0)
     fine = _subdivided(clip.mesh, max(FACES))
     curves = [

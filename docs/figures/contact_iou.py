@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.datasets.synthetic.scene import Options, make_scene
+from getagrip.datasets.synthetic.scene import make_scene
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.geometry import se3
 from getagrip.grasps.stable import Definition, segment
 from getagrip.view.matrix import write_matrix
@@ -18,7 +19,7 @@ DEFINITION = Definition(contact=0.005, points="area")
 
 
 def main() -> None:
-    clip = make_scene("can", 0, Options(frames=FRAMES)).clip
+    clip = make_scene("can", 0, SceneOptions(frames=FRAMES)).clip
     assert clip.truth is not None
     n = np.arange(FRAMES)
     away = np.interp(n, [20, 35, 185, 200, 220, 235, 280, 295], [1, 0, 0, 1, 1, 0, 0, 1])

@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 
 from getagrip.datasets.synthetic.categories import CATEGORIES
-from getagrip.datasets.synthetic.scene import Options, make_scene, pictures
+from getagrip.datasets.synthetic.scene import make_scene, pictures
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 
 OUT = Path(__file__).resolve().parents[1] / "images" / "synthetic-clips.png"
-OPTIONS = Options(frames=10, size=(240, 200), focal=280.0)
+OPTIONS = SceneOptions(frames=10, size=(240, 200), focal=280.0)
 COLUMNS = 6
 
 

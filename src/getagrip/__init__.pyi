@@ -7,6 +7,7 @@ from .clip import read_clip as read_clip
 from .clip import read_masks as read_masks
 from .clip import write_clip as write_clip
 from .datasets.synthetic.scene import synthesise as synthesise
+from .datasets.synthetic.scene_options import SceneOptions as SceneOptions
 from .errors import GetagripError as GetagripError
 from .errors import InputError as InputError
 from .errors import UsageError as UsageError

@@ -44,35 +44,42 @@ class Ending(Enum):
 
 @dataclass(frozen=True)
 class Rules:
-    """How damping follows success and failure, and when a problem is done."""
+    """How damping follows success and failure, and when a problem is done.
+
+    Attributes:
+        damping: damping at the first step.
+        success: factor on the damping after a step that lowered the cost.
+        failure: factor on the damping after a step that did not.
+        least: smallest damping.
+        most: largest damping; beyond it a problem is stuck.
+        rejections: number of rejected steps in a row after which a problem is stuck.
+        tolerance: a step that gains less than this share of the cost is small.
+        small_steps: number of small steps in a row after which a problem has converged.
+    """
 
     damping: float = 1e-2
-    """At the first step."""
     success: float = 0.3
-    """Factor on the damping after a step that lowered the cost."""
     failure: float = 6.0
-    """And after one that did not."""
     least: float = 1e-7
-    """Smallest damping."""
     most: float = 1e7
-    """Stuck beyond this damping."""
     rejections: float = 4
-    """Stuck after so many rejected steps in a row."""
     tolerance: float = 1e-3
-    """A step that gains less than this share of the cost is small."""
     small_steps: int = 2
-    """Converged after so many small steps in a row."""
 
 
 @dataclass(frozen=True)
 class Minimum(Generic[S]):
-    """Where the iterations led."""
+    """Where the iterations led.
+
+    Attributes:
+        state: the state of least cost that was found.
+        endings: how each problem ended.
+        evaluations: number of problems evaluated, all iterations together.
+    """
 
     state: S
     endings: list[Ending]
-    """Of each problem."""
     evaluations: int
-    """Problems evaluated, all iterations together."""
 
 
 DEFAULT = Rules()

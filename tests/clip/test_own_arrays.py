@@ -11,7 +11,7 @@ from conftest import small_clip
 
 from getagrip import Clip, Mesh, Reconstruction, UsageError, evaluate, reconstruct, synthesise, write_report
 from getagrip.clip import check_clip, check_masks, find_masks
-from getagrip.datasets.synthetic.scene import Options as ClipOptions
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.options import Options
 
 Refused = Callable[..., str]
@@ -69,7 +69,7 @@ def test_a_clip_in_no_folder_has_no_masks_to_read(refused: Refused) -> None:
 
 @pytest.mark.slow
 def test_a_result_of_some_frames_is_evaluated_against_the_whole_clip() -> None:
-    clip, masks = synthesise("mug", seed=3, options=ClipOptions(frames=9))
+    clip, masks = synthesise("mug", seed=3, options=SceneOptions(frames=9))
     result = reconstruct(clip, masks, Options(inits=4, frames=4))
     index = clip.index_of(result.frames)
     assert clip.take(index).frames == result.frames

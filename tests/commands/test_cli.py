@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from getagrip.clip import read_clip, read_masks, write_clip
-from getagrip.datasets.synthetic.scene import Options, synthesise
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.result import read_result
 from helpers.command_line import Run
 
@@ -25,7 +26,7 @@ def made(tmp_path_factory: Any) -> Path:
     """A folder of two clips, a can and a box; nothing in it is changed by tests."""
     folder: Path = tmp_path_factory.mktemp("made") / "clips"
     for name in ("can", "box"):
-        clip, masks = synthesise(name, 0, Options(frames=4))
+        clip, masks = synthesise(name, 0, SceneOptions(frames=4))
         write_clip(clip, masks, folder / name)
     return folder
 

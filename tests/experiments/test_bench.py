@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from getagrip.cli import main
 from getagrip.clip import read_clip, write_clip
-from getagrip.datasets.synthetic.scene import Options as ClipOptions
 from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.datasets.synthetic.splits import PRESETS
 from getagrip.errors import GetagripError, UsageError
 from getagrip.experiments import trials
@@ -39,7 +39,7 @@ def made(tmp_path_factory: Any) -> Path:
     """A folder of two clips; nothing in it is changed by tests."""
     folder: Path = tmp_path_factory.mktemp("made") / "clips"
     for category in ("can", "box"):
-        write_clip(*synthesise(category, 0, ClipOptions(frames=4)), folder / category)
+        write_clip(*synthesise(category, 0, SceneOptions(frames=4)), folder / category)
     return folder
 
 
@@ -209,7 +209,7 @@ def test_all_methods_where_none_is_named() -> None:
 
 @pytest.mark.slow
 def test_scale_made_free_and_known_again() -> None:
-    clip, masks = synthesise("can", 0, ClipOptions(frames=2))
+    clip, masks = synthesise("can", 0, SceneOptions(frames=2))
     free, _ = ScaleFree()(clip, masks, 0)
     assert free.scale == "free"
     assert free.truth is not None
@@ -357,7 +357,7 @@ def test_a_folder_of_made_up_clips_belongs_to_one_preset(tmp_path: Path) -> None
 
 def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
     folder = tmp_path / "clips"
-    clip, masks = synthesise("can", 0, ClipOptions(frames=2))
+    clip, masks = synthesise("can", 0, SceneOptions(frames=2))
     for n in range(7):
         name = f"subject-{n}--sequence--can"
         write_clip(replace(clip, name=name), masks, folder / name)

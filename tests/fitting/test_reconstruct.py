@@ -13,8 +13,8 @@ from numpy import ndarray
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.scene import Options as ClipOptions
 from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.evaluation import evaluate
 from getagrip.fitting.options import Options
@@ -24,12 +24,12 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.result import Reconstruction
 from helpers.clips import small_clip
 
-SMALL = ClipOptions(frames=8, size=(320, 240), focal=300.0)
+SMALL = SceneOptions(frames=8, size=(320, 240), focal=300.0)
 STILL = replace(SMALL, turn_deg=(0.0, 0.0), residual_deg=0.0, residual_mm=0.0)
 
 
 @cache
-def made(category: str, seed: int, options: ClipOptions = SMALL) -> tuple[Clip, Masks]:
+def made(category: str, seed: int, options: SceneOptions = SMALL) -> tuple[Clip, Masks]:
     return synthesise(category, seed, options)
 
 
@@ -37,7 +37,7 @@ DEFAULT = Options()
 
 
 @cache
-def found(category: str, seed: int, clip_options: ClipOptions = SMALL, options: Options = DEFAULT) -> Reconstruction:
+def found(category: str, seed: int, clip_options: SceneOptions = SMALL, options: Options = DEFAULT) -> Reconstruction:
     return reconstruct(*made(category, seed, clip_options), options)
 
 

@@ -20,7 +20,7 @@ from getagrip.datasets.dexycb.reader import DexYcb
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.grasps.approximation import Hinge, _refined, mean_rotation, pose_hinge, rotation_hinge
+from getagrip.grasps.approximation import AxisRotation, _refined, mean_rotation, pose_hinge, rotation_hinge
 from getagrip.grasps.stable import Definition, PairwiseIou
 from getagrip.grasps.study import MEASURES, TIMES, Spread, fingers, kept_contact, mean_curves, study
 from helpers.clips import small_clip
@@ -38,10 +38,12 @@ def unit(rng: np.random.Generator) -> np.ndarray:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def exact(rng: np.random.Generator, through: np.ndarray | None = None, frames: int = 20) -> tuple[Hinge, PosesInCamera]:
+def exact(
+    rng: np.random.Generator, through: np.ndarray | None = None, frames: int = 20
+) -> tuple[AxisRotation, PosesInCamera]:
     """A random hinge and poses on it, less than a full turn apart."""
     point = 0.1 * rng.normal(size=3) if through is None else through
-    hinge = Hinge(se3.exp_so3(2.0 * rng.normal(size=3)), unit(rng), point, 0.1 * rng.normal(size=3), SIZE)
+    hinge = AxisRotation(se3.exp_so3(2.0 * rng.normal(size=3)), unit(rng), point, 0.1 * rng.normal(size=3), SIZE)
     return hinge, hinge.at(rng.uniform(-1.2, 1.2, frames))
 
 

@@ -48,6 +48,6 @@ def small_clip(frames: int = 3, seed: int = 0) -> tuple[Clip, Masks]:
         scale="known",
         hand=hand,
         truth=Truth(T_cam_obj=T, scale=1.0, T_cam_hand=hand.T_cam_hand, hand_vertices=hand.vertices),
-        provenance={"hands": "made up"},
+        provenance={"hands": "synthetic"},
     )
     return clip, Masks(seen, ignore)

@@ -16,6 +16,7 @@ from conftest import small_clip
 
 import getagrip
 from getagrip import Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, UsageError
+from getagrip.hands.model import HandModel, PosedHand, ShapedHand
 from getagrip.io.array_data import ArrayData, same
 
 DATACLASSES = [kind for name in getagrip.__all__ if is_dataclass(kind := getattr(getagrip, name))]
@@ -39,7 +40,7 @@ ARRAY_CLASSES = [Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction,
 
 def test_all_public_dataclasses_with_arrays_are_meant() -> None:
     assert {kind for kind in DATACLASSES if issubclass(kind, ArrayData)} == {*ARRAY_CLASSES}
-    assert {kind.__name__ for kind in DATACLASSES if not issubclass(kind, ArrayData)} == {"Options"}
+    assert {kind.__name__ for kind in DATACLASSES if not issubclass(kind, ArrayData)} == {"Options", "SceneOptions"}
 
 
 # Equality.
@@ -174,12 +175,12 @@ def test_a_clip_needs_little() -> None:
 # help().
 
 
-@pytest.mark.parametrize("kind", DATACLASSES)
+@pytest.mark.parametrize("kind", [*DATACLASSES, HandModel, PosedHand, ShapedHand])
 def test_help_shows_every_field_and_the_shape_of_every_array(kind: type) -> None:
     described = dict(re.findall(r"^    (\w+): (.+)$", inspect.getdoc(kind) or "", re.MULTILINE))
     assert list(described) == [field.name for field in fields(kind)]
     for name, hint in get_type_hints(kind).items():
         array = next((h for h in (hint, *getattr(hint, "__args__", ())) if hasattr(h, "dim_str")), None)
         if array is not None and not isinstance(hint, dict) and "dict" not in str(hint):
-            axes = array.dim_str.replace(" ", ", ") + ("," if " " not in array.dim_str else "")
+            axes = array.dim_str.replace("*batch", "...").replace(" ", ", ") + ("," if " " not in array.dim_str else "")
             assert described[name].startswith(f"({axes}) ")

@@ -12,7 +12,8 @@ import pytest
 
 from getagrip.clip import Clip, Masks, read_clip
 from getagrip.commands import demo
-from getagrip.datasets.synthetic.scene import Options, make_scene, synthesise
+from getagrip.datasets.synthetic.scene import make_scene, synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.result import Axis, Candidates, Reconstruction, read_result
@@ -21,7 +22,7 @@ from getagrip.view.report import write_report
 
 @lru_cache
 def given() -> tuple[Clip, Masks, Axis]:
-    options = Options(frames=6, scale="free")
+    options = SceneOptions(frames=6, scale="free")
     clip, masks = synthesise("mug", 0, options)
     return clip, masks, make_scene("mug", 0, options).axis
 

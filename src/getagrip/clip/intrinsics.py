@@ -15,14 +15,17 @@ from getagrip.errors import InputError, UsageError
 
 @dataclass(frozen=True)
 class Lens:
-    """The camera options of a command."""
+    """The camera options of a command.
+
+    Attributes:
+        K: (4,) fx, fy, cx, cy [px]; None where they are not given.
+        focal: focal length [px], with the principal point in the middle; None where it is not given.
+        guess_focal: whether the focal length may be guessed.
+    """
 
     K: tuple[float, float, float, float] | None = None
-    """fx, fy, cx, cy [px]."""
     focal: float | None = None
-    """Focal length [px], the principal point in the middle."""
     guess_focal: bool = False
-    """Whether a guess is wanted."""
 
     @property
     def given(self) -> bool:
@@ -32,9 +35,9 @@ class Lens:
 
 def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], str]:
     """The pinhole of images of some size [px], and where it comes from. Raises ``UsageError``."""
-    told = [lens.K is not None, lens.focal is not None, lens.guess_focal]
-    if sum(told) != 1:
-        raise UsageError(f"--K, --focal, --guess-focal: got {sum(told)} of them, expected one")
+    given = [lens.K is not None, lens.focal is not None, lens.guess_focal]
+    if sum(given) != 1:
+        raise UsageError(f"--K, --focal, --guess-focal: got {sum(given)} of them, expected one")
     width, height = size
     if lens.K is not None:
         fx, fy, cx, cy = lens.K

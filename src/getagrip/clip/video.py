@@ -26,12 +26,17 @@ FORMATS = "mov,mp4,matroska,webm,avi,mpegts"
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """What is known of a video before its frames are decoded."""
+    """What is known of a video before its frames are decoded.
+
+    Attributes:
+        path: the video file.
+        fps: frames per second.
+        size: width and height as shown [px]; an upright video of a telephone is stored rotated.
+    """
 
     path: Path
     fps: float
     size: tuple[int, int]
-    """Width and height as shown [px]: a telephone's upright video is stored lying, and turned."""
 
 
 def video_info(path: Path) -> VideoInfo:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from getagrip.clip import Clip, input_sha256, read_clip, read_masks, write_clip
 from getagrip.datasets.synthetic.noise import perturbed
-from getagrip.datasets.synthetic.scene import Options as ClipOptions
 from getagrip.datasets.synthetic.scene import clip_name, make_scene, pictures, seen_masks
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.evaluation import evaluate, tables
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.io.terminal import console, progress_bar
@@ -15,7 +15,7 @@ from getagrip.result import write_result
 from getagrip.view.report import write_report
 
 CATEGORY, SEED = "mug", 2
-CLIP = ClipOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)
+CLIP = SceneOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)
 """Small noise on hands and masks; everything else as usual: 30 frames, 1-DoF motion with a small residual."""
 
 

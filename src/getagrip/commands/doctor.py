@@ -73,13 +73,14 @@ def _try_out() -> None:
     """Make a small clip and take it through every step, twice; only the first time is anything compiled."""
     from getagrip.batch.job import Job, reconstruct_one
     from getagrip.clip import read_clip, read_masks, write_clip
-    from getagrip.datasets.synthetic import scene as synthetic
+    from getagrip.datasets.synthetic.scene import synthesise
+    from getagrip.datasets.synthetic.scene_options import SceneOptions
     from getagrip.evaluation import evaluate_result
     from getagrip.fitting.options import Options
 
     with TemporaryDirectory() as folder:
         clip = Path(folder) / "clip"
-        write_clip(*synthetic.synthesise("can", 0, synthetic.Options(frames=6)), clip)
+        write_clip(*synthesise("can", 0, SceneOptions(frames=6)), clip)
         read_masks(read_clip(clip))
         for n, words in enumerate(("compiling included", "compiled")):
             began = perf_counter()

@@ -39,10 +39,13 @@ class Comparison:
 
     Each part is computed when a metric first reads it. Reading a part that cannot be known (there is no ground truth,
     there are no masks, no vertices that correspond) raises ``MissingPartError``.
+
+    Attributes:
+        clip: the clip, in the frames of the reconstruction.
+        masks: its masks, in the same frames.
     """
 
     clip: Clip
-    """In the frames of the reconstruction."""
     masks: Masks | None
 
     @property

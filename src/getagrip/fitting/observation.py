@@ -25,22 +25,27 @@ TARGETS = 28
 
 @dataclass(frozen=True)
 class Observation:
-    """The observed masks of N frames in square crops of 256 pixels."""
+    """The observed masks of N frames in square crops of 256 pixels.
+
+    Attributes:
+        crops: the windows of the image.
+        K: (N, 4) fx, fy, cx, cy of the crops [px of the crop].
+        observed: per level, (N, n, n): the object's mask as bits.
+        valid: per level, (N, n, n): pixels that count (the paper's C_o).
+        field: (N, 128, 128) signed distance to the visible contour [px of the crop], negative inside. Inside it is the
+            distance to visible background, so that borders with an occluder do not attract.
+        targets: (N, 28, 5) points on the visible contour: position, outward normal, and the length of contour each
+            stands for [px].
+        area: (N,) pixels of the object's mask in the crop.
+    """
 
     crops: Crops
     K: Float[ndarray, "N 4"]
-    """fx, fy, cx, cy of the crops [px of the crop]."""
     observed: dict[int, UInt64[ndarray, "N _ _"]]
-    """Per level: the object's mask as bits."""
     valid: dict[int, UInt64[ndarray, "N _ _"]]
-    """Per level: pixels that count (the paper's C_o)."""
     field: Float32[ndarray, "N 128 128"]
-    """Signed distance to the visible contour [px of the crop], negative inside. Inside it is the distance to visible
-    background, so that borders with an occluder do not attract."""
     targets: Float[ndarray, "N 28 5"]
-    """Points on the visible contour: position, outward normal, and the length of contour each stands for [px]."""
     area: Float[ndarray, "N"]
-    """Pixels of the object's mask in the crop."""
 
     def take(self, index: Int[ndarray, "n"]) -> Observation:
         """The observation at some of its frames."""

@@ -28,15 +28,21 @@ FARTHEST = 2.0
 
 @dataclass(frozen=True)
 class Priors:
-    """Poses of objects in hands: N of them."""
+    """Poses of objects in hands: N of them.
+
+    Attributes:
+        category: category of the object of each pose.
+        side: ``left`` or ``right`` hand of each pose.
+        T_hand_obj: (N, 4, 4) poses, object frame to hand frame [m].
+        clips: names of the clips they were learnt from; empty for poses from elsewhere.
+        subjects: people whose hands were in those clips.
+    """
 
     category: tuple[str, ...]
     side: tuple[str, ...]
     T_hand_obj: Float[ndarray, "N 4 4"]
     clips: tuple[str, ...] = ()
-    """Names of the clips that they were learnt from; none of poses brought along."""
     subjects: tuple[str, ...] = ()
-    """Whose hands were in them."""
 
     def of(self, category: str, side: str) -> Float[ndarray, "k 4 4"]:
         """The poses of a category in a hand, those of most grasps first."""

@@ -21,7 +21,17 @@ from getagrip.result import Axis
 
 @dataclass(frozen=True)
 class Problem:
-    """A clip at the frames that are used."""
+    """A clip at the frames that are used.
+
+    Attributes:
+        clip: the clip, in the frames that are used.
+        masks: its masks, in the same frames.
+        observation: its masks as crops, with contours.
+        surface: surface of the object.
+        options: options of the reconstruction.
+        prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations.
+        notes: dropped frames, guesses, initial poses, what stands in for missing masks.
+    """
 
     clip: Clip
     masks: Masks
@@ -29,24 +39,26 @@ class Problem:
     surface: ObjectSurface
     options: Options
     prior_poses: Float[ndarray, "k 4 4"]
-    """``T_hand_obj`` to start from, before uniform rotations."""
     notes: tuple[str, ...]
-    """Dropped frames, guesses, initial poses, what stands in for missing masks."""
 
 
 @dataclass(frozen=True)
 class MethodResult:
-    """Solutions of a method, best first, no two alike: K of them, in T frames."""
+    """Solutions of a method, best first, no two alike: K of them, in T frames.
+
+    Attributes:
+        poses: poses of the object about the mesh's centre, in the hand frame.
+        energy: (K,) energy of each solution [px^2 of the 256-pixel crop].
+        terms: energy of the best one, per term.
+        status: how the minimisation ended.
+        axis: axis of the best one, where the method has one.
+    """
 
     poses: PosesInHand
-    """The object about the mesh's centre, in the hand frame."""
     energy: Float[ndarray, "K"]
-    """Of each solution [px^2 of the 256-pixel crop]."""
     terms: dict[str, float]
-    """The best one's energy per term."""
     status: str
     axis: Axis | None = None
-    """The best one's, where the method has one."""
 
 
 def prepare(clip: Clip, masks: Masks | None, options: Options) -> Problem:

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Rotations:
-    """Rotations of the object that lead from one local minimum to another, from and to how many degrees."""
+    """Rotations of the object that lead from one local minimum to another, from and to how many degrees.
+
+    Attributes:
+        random: smallest and largest rotation about a random axis [degrees].
+        principal: rotations about each of the three principal axes, either way [degrees].
+    """
 
     random: tuple[float, float]
-    """About any axis."""
     principal: tuple[float, float]
-    """About one of the three principal axes, either way."""
 
 
 FAR = Rotations(random=(10.0, 40.0), principal=(180.0, 180.0))
@@ -26,40 +29,50 @@ ALL = 10**9
 
 @dataclass(frozen=True)
 class Stage:
-    """One resolution: how many frames, which level, how long, and how many hypotheses go on to the next."""
+    """One resolution: how many frames, which level, how long, and how many hypotheses go on to the next.
+
+    Attributes:
+        name: name, as in progress reports.
+        level: side of the masks [px]: 64, 128 or 256.
+        frames: largest number of frames that are used.
+        iterations: most iterations of the solver.
+        keep: number of hypotheses that the next stage takes over.
+        rounds: how often the best hypotheses of the stage are rotated and fitted again.
+        parents: number of hypotheses that are rotated.
+        rotations: rotations of each of them.
+    """
 
     name: str
     level: int
-    """Side of the masks [px]: 64, 128 or 256."""
     frames: int
     iterations: int
     keep: int
     rounds: int = 0
-    """How often the best of the stage are rotated and fitted again."""
     parents: int = 8
-    """How many of them."""
     rotations: Rotations = FAR
-    """And by how much."""
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """The whole search."""
+    """The whole search.
+
+    Attributes:
+        static_iterations: iterations of the first fit, with one pose for all frames.
+        relaxed_iterations: iterations of the second fit, in which each frame may deviate from that pose.
+        coarse: stages that see some of the frames. The first two fits are made at the first one's frames and level.
+        fine: stages that see all frames.
+    """
 
     static_iterations: int = 6
-    """Of the first fit, with one pose for all frames."""
     relaxed_iterations: int = 3
-    """Of the second, in which each frame may deviate from it."""
     coarse: tuple[Stage, ...] = (
         Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3),
         Stage("middle", level=64, frames=15, iterations=6, keep=6, rounds=1, parents=6, rotations=NEAR),
     )
-    """Stages that see some of the frames. The first two fits are made at the first one's frames and level."""
     fine: tuple[Stage, ...] = (
         Stage("fine", level=128, frames=ALL, iterations=8, keep=4),
         Stage("finest", level=256, frames=ALL, iterations=8, keep=4),
     )
-    """Stages that see all frames."""
 
 
 USUAL = Schedule()

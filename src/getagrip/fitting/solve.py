@@ -48,15 +48,21 @@ STATUS = {
 
 @dataclass(frozen=True)
 class Solution(Generic[M]):
-    """The best parameters found from each start."""
+    """The best parameters found from each start.
+
+    Attributes:
+        motion: the best motion of each hypothesis.
+        energy: (B,) energy of each, priors included [px^2 of the 256-pixel crop].
+        terms: per term, (B,): its energy summed over frames; ``prior`` is the motion model's own.
+        status: how each minimisation ended.
+        evaluations: frames evaluated, in all.
+    """
 
     motion: M
     energy: Float[ndarray, "B"]
     terms: dict[str, Float[ndarray, "B"]]
-    """Energy per term, summed over frames; ``prior`` is the motion model's own."""
     status: list[Status]
     evaluations: int
-    """Frame evaluations spent."""
 
     def take(self, index: Int[ndarray, "n"]) -> Solution[M]:
         """Some of the solutions."""

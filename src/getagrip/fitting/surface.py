@@ -20,18 +20,21 @@ POINTS = 48
 
 @dataclass(frozen=True)
 class ObjectSurface:
-    """The surface of a rigid object."""
+    """The surface of a rigid object.
+
+    Attributes:
+        coarse: the mesh, decimated.
+        solid: its surface about the centre of the mesh as it was given.
+        points: (P, 3) points of the surface, about that centre.
+        axes: (3, 3) principal axes of the vertices, one a row.
+        diameter: of the mesh [m].
+    """
 
     coarse: Mesh
-    """The mesh, decimated."""
     solid: FaceGrid
-    """Its surface about the centre of the mesh as it was given."""
     points: Float[ndarray, "P 3"]
-    """Points of the surface, about that centre."""
     axes: Float[ndarray, "3 3"]
-    """Principal axes of the vertices, one a row."""
     diameter: float
-    """Of the mesh [m]."""
 
     @staticmethod
     def of(mesh: Mesh) -> ObjectSurface:

@@ -27,14 +27,17 @@ def backproject(
 
 @dataclass(frozen=True)
 class Crops:
-    """One square window per frame, all of the same side, resampled to ``size`` x ``size`` pixels."""
+    """One square window per frame, all of the same side, resampled to ``size`` x ``size`` pixels.
+
+    Attributes:
+        corner: (T, 2) top left corners (u, v) in the image [px]; windows may leave the image.
+        side: side of the windows in the image [px].
+        size: side of the resampled crop [px].
+    """
 
     corner: Float[ndarray, "T 2"]
-    """Top left corners (u, v) in the image [px]; windows may leave the image."""
     side: float
-    """Side of the windows in the image [px]."""
     size: int
-    """Side of the resampled crop [px]."""
 
     @property
     def zoom(self) -> float:

@@ -28,17 +28,23 @@ NEWTON_STEPS = 15
 
 @dataclass(frozen=True)
 class Fisheye624:
-    """A fisheye camera; see the module for the equations."""
+    """A fisheye camera; see the module for the equations.
+
+    Attributes:
+        f: focal length [px].
+        c: (2,) principal point (u, v) [px].
+        k: (6,) radial coefficients.
+        p: (2,) tangential coefficients.
+        s: (4,) thin prism coefficients.
+        size: width and height of the image [px].
+    """
 
     f: float
-    """Focal length [px]."""
     c: Float[ndarray, "2"]
-    """Principal point (u, v) [px]."""
     k: Float[ndarray, "6"]
     p: Float[ndarray, "2"]
     s: Float[ndarray, "4"]
     size: tuple[int, int]
-    """Width and height of the image [px]."""
 
     @classmethod
     def from_parameters(cls, parameters: Sequence[float], size: tuple[int, int]) -> Fisheye624:
@@ -103,14 +109,17 @@ class Fisheye624:
 
 @dataclass(frozen=True)
 class Pinhole:
-    """A pinhole camera that takes the place of a fisheye camera: the same centre, perhaps turned about its axis."""
+    """A pinhole camera that takes the place of a fisheye camera: the same centre, perhaps turned about its axis.
+
+    Attributes:
+        K: (3, 3) intrinsics [px].
+        size: width and height [px].
+        T_fisheye_pinhole: (4, 4) pinhole camera to fisheye camera: a rotation about the optical axis.
+    """
 
     K: Float[ndarray, "3 3"]
-    """Intrinsics [px]."""
     size: tuple[int, int]
-    """Width and height [px]."""
     T_fisheye_pinhole: Float[ndarray, "4 4"]
-    """Pinhole camera to fisheye camera: a rotation about the optical axis."""
 
     def source(self, camera: Fisheye624) -> Float[ndarray, "h w 2"]:
         """Where in the fisheye image (u, v) each pixel comes from."""

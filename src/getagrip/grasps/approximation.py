@@ -31,22 +31,24 @@ TRIAL, LONGEST = 20, 200
 
 
 @dataclass(frozen=True)
-class Hinge:
+class AxisRotation:
     """A rotation of the object about one line of the hand frame.
 
     At the angle w it has ``R(w) = exp(w direction) R`` and ``c(w) = point + exp(w direction) arm``.
+
+    Attributes:
+        R: (3, 3) rotation of the object at angle 0.
+        direction: (3,) unit vector along the axis.
+        point: (3,) a point of the axis [m].
+        arm: (3,) from there to the object's centre at angle 0 [m].
+        size: unit of length of E [m]; infinite where rotations alone count.
     """
 
     R: Float[ndarray, "3 3"]
-    """Rotation of the object at angle 0."""
     direction: Float[ndarray, "3"]
-    """Unit vector along the axis."""
     point: Float[ndarray, "3"]
-    """A point of the axis [m]."""
     arm: Float[ndarray, "3"]
-    """From there to the object's centre at angle 0 [m]."""
     size: float
-    """Unit of length of E [m]; infinite where rotations alone count."""
 
     def angles(self, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
         """The angle [rad] nearest to each of some poses: E is a sine wave of it."""
@@ -80,14 +82,14 @@ def mean_rotation(R: Float[ndarray, "N 3 3"]) -> Float[ndarray, "3 3"]:
     return se3.nearest_rotation(R.sum(axis=0))
 
 
-def rotation_hinge(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> Hinge:
+def rotation_hinge(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> AxisRotation:
     """The hinge whose rotations are nearest to R; its line is then the nearest to the centres."""
     return next(_circles(R, c, np.inf, None))
 
 
 def pose_hinge(
     R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float, through: Float[ndarray, "3"] | None = None
-) -> Hinge:
+) -> AxisRotation:
     """The hinge of least E, anywhere or through a point of the hand frame [m].
 
     E is minimised over the hinge, the angles always the best ones, by Levenberg-Marquardt from four initial guesses:
@@ -103,7 +105,7 @@ def pose_hinge(
 
 def _circles(
     R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float, through: Float[ndarray, "3"] | None
-) -> Iterator[Hinge]:
+) -> Iterator[AxisRotation]:
     """Hinges through the mean rotation, the nearest to the rotations first."""
     q = se3.quaternion(R)
     _, vectors = np.linalg.eigh(q.T @ q)
@@ -113,9 +115,9 @@ def _circles(
         w, v = mean[0], mean[1:]
         direction = w * other[1:] - other[0] * v - np.cross(other[1:], v)  # other times mean's conjugate
         direction /= np.linalg.norm(direction)
-        angle = Hinge(R_mean, direction, np.zeros(3), np.zeros(3), np.inf).angles(R, c)
+        angle = AxisRotation(R_mean, direction, np.zeros(3), np.zeros(3), np.inf).angles(R, c)
         point, arm = _line(direction, angle, c, through)
-        yield Hinge(R_mean, direction, point, arm, size)
+        yield AxisRotation(R_mean, direction, point, arm, size)
 
 
 def _line(
@@ -135,16 +137,20 @@ def _line(
 
 
 def _still(
-    hinge: Hinge, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], through: Float[ndarray, "3"] | None
-) -> Hinge:
+    hinge: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], through: Float[ndarray, "3"] | None
+) -> AxisRotation:
     """The same direction through the mean centre, or through the given point, with the mean pose at angle 0."""
     point = c.mean(axis=0) if through is None else through
     return replace(hinge, R=mean_rotation(R), point=point, arm=c.mean(axis=0) - point)
 
 
 def _refined(
-    start: Hinge, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], through: Float[ndarray, "3"] | None, steps: int
-) -> Hinge:
+    start: AxisRotation,
+    R: Float[ndarray, "N 3 3"],
+    c: Float[ndarray, "N 3"],
+    through: Float[ndarray, "3"] | None,
+    steps: int,
+) -> AxisRotation:
     """The hinge to which so many steps at most lead from another; E never rises."""
     from scipy.optimize import least_squares
 
@@ -159,7 +165,7 @@ def _refined(
     return moved(solution.x)
 
 
-def _moves(start: Hinge, free: bool) -> Callable[[Float[ndarray, "k"]], Hinge]:
+def _moves(start: AxisRotation, free: bool) -> Callable[[Float[ndarray, "k"]], AxisRotation]:
     """Hinges around one: rotation of R (3), tilt of the axis (2), step of the arm (3) and of the point (3 if free).
 
     Some of these move nothing (a rotation of R and arm about the axis, a step of the point along it): the solver takes
@@ -167,7 +173,7 @@ def _moves(start: Hinge, free: bool) -> Callable[[Float[ndarray, "k"]], Hinge]:
     """
     tilts = np.linalg.svd(start.direction[None])[2][1:]
 
-    def moved(x: Float[ndarray, "k"]) -> Hinge:
+    def moved(x: Float[ndarray, "k"]) -> AxisRotation:
         direction = start.direction + x[3:5] @ tilts
         return replace(
             start,

@@ -45,18 +45,21 @@ OPENED = np.radians(5.0)
 
 @dataclass(frozen=True)
 class Definition:
-    """What a stable grasp is."""
+    """What a stable grasp is.
+
+    Attributes:
+        tau: every pair of frames has a contact IOU above this.
+        contact: points of the object are in contact within this signed distance of the hand's surface [m].
+        points: number of points of the object.
+        rule: which pairs of frames are compared.
+        shortest: number of frames of the shortest grasp.
+    """
 
     tau: float = 0.5
-    """Every pair of frames has a contact IOU above this."""
     contact: float = 0.0
-    """Points of the object so near to the hand's surface, or inside it, are in contact [m]."""
     points: Points = "vertices"
-    """Points of the object whose contact counts."""
     rule: Rule = "all-pairs"
-    """Which pairs are tested."""
     shortest: int = 20
-    """Frames of the shortest grasp."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.tau < 1.0:
@@ -127,16 +130,18 @@ class PairwiseIou:
     """Contact IOU of pairs of frames, computed where it is asked for: ``iou[rows, columns]`` with two slices.
 
     Sums of counts, and of weights rounded as ``of`` does, are exact in any order: a pair has the same IOU in any slice.
+
+    Attributes:
+        sets: (T, Q) 1 where a point is in contact; points that never are have been left out.
+        weighted: (T, Q) the same times the points' weights.
+        size: (T,) weight of each frame's set.
+        articulation: (T,) angle of the object's joint [rad]; frames that differ by more than ``OPENED`` have IOU 0.
     """
 
     sets: Float[ndarray, "T Q"]
-    """1 where a point is in contact; points that never are have been left out."""
     weighted: Float[ndarray, "T Q"]
-    """The same times the points' weights."""
     size: Float[ndarray, "T"]
-    """Weight of each frame's set."""
     articulation: Float[ndarray, "T"]
-    """Angle of the object's joint [rad]; frames that differ by more than ``OPENED`` have IOU 0."""
 
     @staticmethod
     def of(

@@ -23,7 +23,7 @@ from numpy import ndarray
 from getagrip.clip import FINGERS, Clip, Truth
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.grasps.approximation import Hinge, mean_rotation, pose_hinge, rotation_hinge
+from getagrip.grasps.approximation import AxisRotation, mean_rotation, pose_hinge, rotation_hinge
 from getagrip.grasps.stable import Definition, PairwiseIou, segment
 
 MARGIN = 0.5
@@ -34,13 +34,17 @@ TIMES: Float[ndarray, "S"] = np.linspace(-MARGIN, 1.0 + MARGIN, 81)
 
 @dataclass(frozen=True)
 class Measure:
-    """Something measured in every frame."""
+    """Something measured in every frame.
+
+    Attributes:
+        label: name in tables and figures.
+        unit: unit in which it is shown.
+        factor: from SI to this unit.
+    """
 
     label: str
     unit: str
-    """In which it is shown."""
     factor: float
-    """From SI to this unit."""
 
 
 _DEGREES, _MM = float(np.degrees(1.0)), 1e3
@@ -61,40 +65,55 @@ MEASURES = {
 
 @dataclass(frozen=True)
 class StudiedGrasp:
-    """A stable grasp, measured. All in SI units."""
+    """A stable grasp, measured. All in SI units.
+
+    Attributes:
+        clip: name of the clip.
+        side: ``left`` or ``right`` hand.
+        object: name of the object.
+        start: first frame.
+        end: last frame, included.
+        duration: duration [s].
+        inside: per measure, its mean over the grasp's frames; NaN where it has no value.
+        outside: per measure, its mean over the frames within ``MARGIN`` before and after that do not belong to the
+            grasp.
+        curves: per measure, (S,): its value at ``TIMES``; NaN where the sequence has no frame.
+        turned: range of the angle about the best axis of the rotations [rad].
+        hinge: best rotation about one axis for the full poses, the axis anywhere.
+    """
 
     clip: str
     side: str
     object: str
     start: int
     end: int
-    """First and last frame, both included."""
     duration: float
     inside: dict[str, float]
-    """Mean of each measure over the grasp's frames; not a number where it has no value."""
     outside: dict[str, float]
-    """Mean over the frames within ``MARGIN`` before and after, without those that belong to it."""
     curves: dict[str, Float[ndarray, "S"]]
-    """Each measure at ``TIMES``; not a number where the sequence has no frame."""
     turned: float
-    """Range of the angle about the best axis of the rotations [rad]."""
-    hinge: Hinge
-    """The best one of the full pose, its axis anywhere."""
+    hinge: AxisRotation
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A measure over grasps."""
+    """A measure over grasps.
+
+    Attributes:
+        mean: mean.
+        std: standard deviation of these grasps, divided by n.
+        low: first quartile.
+        middle: median.
+        high: third quartile.
+        grasps: number of grasps that have a value.
+    """
 
     mean: float
     std: float
-    """Standard deviation of these grasps, divided by n."""
     low: float
     middle: float
     high: float
-    """Quartiles."""
     grasps: int
-    """Grasps that have a value."""
 
     @staticmethod
     def of(values: Sequence[float] | Float[ndarray, "n"]) -> Spread:
@@ -156,7 +175,7 @@ def study_grasp(clip: Clip, iou: PairwiseIou, first: int, last: int) -> StudiedG
 
 
 def _errors(
-    hinge: Hinge, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]
+    hinge: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]
 ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
     """Angle [rad] and distance of the centre [m] between poses and a hinge's nearest."""
     R_found, c_found = hinge.nearest(R, c)

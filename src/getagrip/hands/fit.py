@@ -42,16 +42,21 @@ STEPS = 40
 
 @dataclass(frozen=True)
 class HandFit:
-    """A hand model fitted to joints."""
+    """A hand model fitted to joints.
+
+    Attributes:
+        hand: the hand with the fitted shape.
+        shape: (S,) shape parameters, one set for all frames.
+        pose: (T, 45) rotation vectors relative to the flat hand [rad].
+        residuals: (T, 21) distance of each fitted joint from the given one [m], in this package's order.
+        converged: whether the last step changed next to nothing.
+    """
 
     hand: HandTrack
     shape: Float[ndarray, "S"]
     pose: Float[ndarray, "T 45"]
-    """Rotation vectors relative to the flat hand [rad]."""
     residuals: Float[ndarray, "T 21"]
-    """Distance of each fitted joint from the given one [m], in this package's order."""
     converged: bool
-    """Whether the last step changed next to nothing."""
 
 
 def fit_joints(model: HandModel, joints_cam: Float[ndarray, "..."], order: JointOrder) -> HandFit:

@@ -46,13 +46,17 @@ THUMB_FACES = np.array([0.0, -1.0, -2.0])
 
 @dataclass(frozen=True)
 class Mano:
-    """A MANO hand and its principal components of pose."""
+    """A MANO hand and its principal components of pose.
+
+    Attributes:
+        model: the skinned hand.
+        components: (45, 45) principal components as rows.
+        mean: (45,) the mean pose, as rotation vectors [rad].
+    """
 
     model: HandModel
     components: Float[ndarray, "45 45"]
-    """Principal components as rows."""
     mean: Float[ndarray, "45"]
-    """The mean pose, as rotation vectors [rad]."""
 
     def pose(
         self, values: Float[ndarray, "*batch P"], encoding: Literal["axis_angle", "pca"], flat_hand_mean: bool

@@ -48,17 +48,22 @@ MIRROR = np.array([-1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class PosedHand:
-    """Hands in the hand frame; every hand model, skinned here or not, ends in this."""
+    """Hands in the hand frame; every hand model, skinned here or not, ends in this.
+
+    Attributes:
+        side: ``left`` or ``right``.
+        vertices: (..., V, 3) vertices in the hand frame [m].
+        faces: (F, 3) vertex ids of the corners of each face, counter-clockwise seen from outside.
+        joints: (..., 21, 3) joints in the hand frame [m]: wrist, then thumb, index, middle, ring, pinky, each from the
+            palm to the tip.
+        regions: contact regions by name, (n,) vertex ids each: the five ``FINGERS``, then ``palm_*``.
+    """
 
     side: Side
     vertices: Float[ndarray, "*batch V 3"]
-    """Vertices [m]."""
     faces: Int[ndarray, "F 3"]
-    """Faces, outward."""
     joints: Float[ndarray, "*batch 21 3"]
-    """Joints [m]: wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip."""
     regions: dict[str, Int[ndarray, "_"]]
-    """Contact regions as vertex ids: the five ``FINGERS``, then ``palm_*``."""
 
     @cached_property
     def normals(self) -> Float[ndarray, "*batch V 3"]:
@@ -68,32 +73,38 @@ class PosedHand:
 
 @dataclass(frozen=True)
 class HandModel:
-    """A hand that shape and pose deform."""
+    """A hand that shape and pose deform.
+
+    Attributes:
+        name: name, for messages.
+        side: ``left`` or ``right``.
+        template: (V, 3) vertices of the flat mean hand, in the hand frame [m].
+        faces: (F, 3) vertex ids of the corners of each face, counter-clockwise seen from outside.
+        joints: (16, 3) joints of the flat mean hand, in the hand frame [m], in the order of ``JOINTS``.
+        weights: (V, 16) skinning weights; rows sum to one.
+        tips: (5,) the vertex at the tip of each of the ``FINGERS``.
+        regions: contact regions by name, (n,) vertex ids each.
+        shape_names: what each shape parameter means.
+        shape_directions: (V, 3, S) displacement of the vertices per unit of each shape parameter [m].
+        joint_directions: (16, 3, S) displacement of the joints per unit of each shape parameter [m].
+        shape_spread: (S,) standard deviation of each shape parameter among people.
+        pose_directions: (V, 3, 135) displacement of the vertices per unit of each entry of R - I, R the rotations of
+            the 15 finger joints.
+    """
 
     name: str
     side: Side
     template: Float[ndarray, "V 3"]
-    """Vertices of the flat mean hand [m]."""
     faces: Int[ndarray, "F 3"]
-    """Faces, outward."""
     joints: Float[ndarray, "16 3"]
-    """Joints of the flat mean hand [m], in the order of ``JOINTS``."""
     weights: Float[ndarray, "V 16"]
-    """Skinning weights; rows sum to one."""
     tips: Int[ndarray, "5"]
-    """The vertex at the tip of each of the ``FINGERS``."""
     regions: dict[str, Int[ndarray, "_"]]
-    """Contact regions as vertex ids."""
     shape_names: tuple[str, ...]
-    """What each shape parameter means."""
     shape_directions: Float[ndarray, "V 3 S"]
-    """Displacement of the vertices per unit of each shape parameter [m]."""
     joint_directions: Float[ndarray, "16 3 S"]
-    """Displacement of the joints per unit of each shape parameter [m]."""
     shape_spread: Float[ndarray, "S"]
-    """Standard deviation of each shape parameter among people."""
     pose_directions: Float[ndarray, "V 3 135"] | None = None
-    """Displacement of the vertices per unit of each entry of R - I, R the rotations of the 15 finger joints."""
 
     def with_shape(self, shape: Float[ndarray, "..."] | None = None) -> ShapedHand:
         """The flat hand of one person, or of several; the mean hand when no shape is given.
@@ -113,7 +124,13 @@ class HandModel:
 
 @dataclass(frozen=True)
 class ShapedHand:
-    """A flat hand of given shape."""
+    """A flat hand of given shape.
+
+    Attributes:
+        model: the model that was shaped.
+        vertices: (..., V, 3) vertices of the flat hand, in the hand frame [m].
+        joints: (..., 16, 3) its joints, in the hand frame [m].
+    """
 
     model: HandModel
     vertices: Float[ndarray, "*batch V 3"]

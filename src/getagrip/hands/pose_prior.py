@@ -30,12 +30,17 @@ LIMIT_STIFFNESS = 0.05
 
 
 class PosePrior(NamedTuple):
-    """Gaussians and limits for the joints of the five ``FINGERS``."""
+    """Gaussians and limits for the joints of the five ``FINGERS``.
+
+    Attributes:
+        axes: (5, 3, 3, 3) rows: along the bone, the hinge, across both.
+        mean: (5, 3, 3) most likely rotation vectors, in the hand frame's axes [rad].
+        spread: (5, 3, 3) standard deviations of twist, bend and spread [rad].
+        limits: (5, 3, 2) smallest and largest bend [rad].
+    """
 
     axes: Float[ndarray, "5 3 3 3"]
-    """Rows: along the bone, the hinge, across both."""
     mean: Float[ndarray, "5 3 3"]
-    """Most likely rotation vectors, in the hand frame's axes [rad]."""
     spread: Float[ndarray, "5 3 3"]
     limits: Float[ndarray, "5 3 2"]
 

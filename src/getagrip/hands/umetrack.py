@@ -50,18 +50,21 @@ ROOT_IN_WRIST = np.array([0.0160, -0.0036, -0.0001])
 
 @dataclass(frozen=True)
 class UmeTrackHand:
-    """One person's hand at rest, in the UmeTrack wrist frame of the left hand."""
+    """One person's hand at rest, in the UmeTrack wrist frame of the left hand.
+
+    Attributes:
+        rest: the left hand's mesh [m], closed at the wrist, faces outward.
+        weights: (V, 17) skinning weights of root, wrist and three bones for each of the ``FINGERS``.
+        pivots: (20, 3) a point on the axis of each hinge [m]: four hinges for each of the ``FINGERS``.
+        axes: (20, 3) directions of the hinges, unit.
+        tips: (5, 3) fingertips [m].
+    """
 
     rest: Mesh
-    """The left hand's mesh [m], closed at the wrist, faces outward."""
     weights: Float[ndarray, "V 17"]
-    """Skinning weights of root, wrist and three bones for each of the ``FINGERS``."""
     pivots: Float[ndarray, "20 3"]
-    """A point on the axis of each hinge [m]: four hinges for each of the ``FINGERS``."""
     axes: Float[ndarray, "20 3"]
-    """Directions of the hinges, unit."""
     tips: Float[ndarray, "5 3"]
-    """Fingertips [m]."""
 
     def with_pose(self, side: Side, angles: Float[ndarray, "*batch 22"]) -> PosedHand:
         """The posed hand in the package's hand frame (see ``hands.model``); ``angles`` are HOT3D's [rad]."""

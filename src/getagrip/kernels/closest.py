@@ -23,20 +23,24 @@ SLACK = 0.867
 
 @dataclass(frozen=True)
 class FaceGrid:
-    """Which face is near, at the nodes of a regular grid; mesh and grid in the same frame."""
+    """Which face is near, at the nodes of a regular grid; mesh and grid in the same frame.
+
+    Attributes:
+        corners: (F, 3, 3) corners of each face [m].
+        normals: (F, 7, 3) unit pseudonormals, outward: at the corners a, b, c of each face, its edges ab, bc, ca, and
+            itself.
+        face: (X, Y, Z) the nearest face of each node.
+        distance: (X, Y, Z) the signed distance of each node [m].
+        origin: (3,) the first node [m].
+        spacing: distance of neighbouring nodes [m].
+    """
 
     corners: np.ndarray
-    """(F, 3, 3) corners of each face [m]."""
     normals: np.ndarray
-    """(F, 7, 3) unit pseudonormals, outward: at the corners a, b, c of each face, its edges ab, bc, ca, and itself."""
     face: np.ndarray
-    """(X, Y, Z) the nearest face of each node."""
     distance: np.ndarray
-    """(X, Y, Z) the signed distance of each node [m]."""
     origin: np.ndarray
-    """(3,) the first node [m]."""
     spacing: float
-    """Distance of neighbouring nodes [m]."""
 
     @property
     def tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:

@@ -39,11 +39,15 @@ _POINTS: dict[Side, str] = {"object": "object vertices", "hand": "hand vertices"
 
 @dataclass(frozen=True)
 class ContactDefinition:
-    """What counts as contact: whose points, and how near."""
+    """What counts as contact: whose points, and how near.
+
+    Attributes:
+        side: whose points are tested: a field of ``ContactDistances``.
+        threshold: largest signed distance to the other surface [m].
+    """
 
     side: Side
     threshold: float
-    """Largest signed distance to the other surface [m]."""
 
     @property
     def distance(self) -> str:
@@ -67,14 +71,17 @@ CONTACT_DEFINITIONS = tuple(ContactDefinition(side, threshold) for side in SIDES
 
 @dataclass(frozen=True)
 class ContactDistances:
-    """Signed distances [m] between hand and object in each frame, negative inside; exact up to ``MAX_DISTANCE``."""
+    """Signed distances [m] between hand and object in each frame, negative inside; exact up to ``MAX_DISTANCE``.
+
+    Attributes:
+        object: (T, Vo) object vertices to the hand.
+        hand: (T, Vh) hand vertices to the object.
+        area: (T, P) points sampled evenly over the object to the hand.
+    """
 
     object: Float[ndarray, "T Vo"]
-    """Object vertices to the hand."""
     hand: Float[ndarray, "T Vh"]
-    """Hand vertices to the object."""
     area: Float[ndarray, "T P"]
-    """Points sampled evenly over the object to the hand."""
 
     def contact(self, side: Side, threshold: float) -> Bool[ndarray, "T _"]:
         """The points in contact: signed distance at most ``threshold`` [m]."""
@@ -182,14 +189,17 @@ def close_holes(
 
 @dataclass(frozen=True)
 class StableContact:
-    """How stable contact is, by one definition of it."""
+    """How stable contact is, by one definition of it.
+
+    Attributes:
+        sca: stable contact area: mean over pairs of different frames.
+        diagonal: the same with each frame paired with itself, too.
+        share: (T,) share of the points in contact, in each frame.
+    """
 
     sca: float
-    """Stable contact area: mean over pairs of different frames."""
     diagonal: float
-    """The same with each frame paired with itself, too."""
     share: Float[ndarray, "T"]
-    """Share of the points in contact, in each frame."""
 
 
 def stable_contact(distances: ContactDistances, definition: ContactDefinition) -> StableContact:

@@ -24,14 +24,18 @@ CROP = 256
 
 @dataclass(frozen=True)
 class MaskIou:
-    """IOU of each frame; NaN where no pixel of the object is observed."""
+    """IOU of each frame; NaN where no pixel of the object is observed.
+
+    Attributes:
+        crop: (T,) in 256 x 256 crops, 1.8 times the largest mask, around each observed mask: the paper's.
+        soft: (T,) the same with partly covered pixels counted in part, as the authors' code does: sum p r / sum min(p +
+            r, 1).
+        full: (T,) on the whole image, so that a prediction outside the crop counts, too.
+    """
 
     crop: Float[ndarray, "T"]
-    """In 256 x 256 crops, 1.8 times the largest mask, around each observed mask: the paper's."""
     soft: Float[ndarray, "T"]
-    """The same with partly covered pixels counted in part, as the authors' code does: sum p r / sum min(p + r, 1)."""
     full: Float[ndarray, "T"]
-    """On the whole image, so that a prediction outside the crop counts, too."""
 
 
 def _rendered(mesh: Mesh | None, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> Bool[ndarray, "H W"]:

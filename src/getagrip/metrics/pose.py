@@ -32,16 +32,19 @@ class ObjectTrack:
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Errors of each frame in the hand frame."""
+    """Errors of each frame in the hand frame.
+
+    Attributes:
+        add: (T,) mean distance between corresponding vertices, each object at its own scale [m].
+        rotation: (T,) angle between the rotations [rad].
+        translation: (T,) distance between the objects' centres (middles of the bounding box) [m].
+        diameter: of the true object, at its true scale [m].
+    """
 
     add: Float[ndarray, "T"]
-    """Mean distance between corresponding vertices, each object at its own scale [m]."""
     rotation: Float[ndarray, "T"]
-    """Angle between the rotations [rad]."""
     translation: Float[ndarray, "T"]
-    """Distance between the objects' centres (middles of the bounding box) [m]."""
     diameter: float
-    """Of the true object, at its true scale [m]."""
 
     @property
     def frame_success(self) -> Float[ndarray, "T"]:

@@ -33,14 +33,17 @@ POINTS, FACES = 600, 2000
 
 @dataclass(frozen=True)
 class Symmetries:
-    """All symmetries of an object: ``about(angles) @ elements[i]``, maps of its own frame (before scaling)."""
+    """All symmetries of an object: ``about(angles) @ elements[i]``, maps of its own frame (before scaling).
+
+    Attributes:
+        elements: (S, 4, 4) discrete rotations, the identity first.
+        axes: (k, 3) unit axes of continuous rotations: none, one, or three for a ball.
+        centre: (3,) a point on all axes [m].
+    """
 
     elements: Float[ndarray, "S 4 4"]
-    """Discrete rotations, the identity first."""
     axes: Float[ndarray, "k 3"]
-    """Unit axes of continuous rotations: none, one, or three for a ball."""
     centre: Float[ndarray, "3"]
-    """A point on all axes [m]."""
 
     def about(self, angles: Float[ndarray, "*batch k"]) -> Float[ndarray, "*batch 4 4"]:
         """The continuous rotation by the rotation vector ``angles`` [rad] in the axes' span."""

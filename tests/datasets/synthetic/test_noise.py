@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.fingers import bent, finger_weights
 from getagrip.datasets.synthetic.noise import NOISE, Noise, noisy_hand, perturbed, ragged
-from getagrip.datasets.synthetic.scene import Options, synthesise
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands import generic
@@ -21,7 +22,7 @@ from getagrip.hands.model import KNUCKLES
 
 @pytest.fixture(scope="module")
 def made() -> tuple[Clip, Masks]:
-    return synthesise("can", 0, Options(frames=120, size=(160, 120), focal=150.0))
+    return synthesise("can", 0, SceneOptions(frames=120, size=(160, 120), focal=150.0))
 
 
 def displaced(clip: Clip, noise: Noise, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,13 +13,14 @@ from getagrip.clip import Clip, read_clip, read_masks, write_clip
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.grasp import SignedDistance
 from getagrip.datasets.synthetic.noise import ragged
-from getagrip.datasets.synthetic.scene import Options, aligned, clip_name, make_scene, pictures, synthesise
+from getagrip.datasets.synthetic.scene import aligned, clip_name, make_scene, pictures, synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.datasets.synthetic.splits import PRESETS, split
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 
-FEW = Options(frames=4, size=(320, 240), focal=300.0)
+FEW = SceneOptions(frames=4, size=(320, 240), focal=300.0)
 
 
 def in_hand(clip: Clip) -> np.ndarray:
@@ -109,7 +110,7 @@ def test_noise_leaves_the_truth_alone() -> None:
 
 
 def test_jitter_has_the_given_size() -> None:
-    clip, _ = synthesise("spoon", 0, Options(frames=200, size=(64, 48), focal=60.0, hand_jitter_deg=2.0))
+    clip, _ = synthesise("spoon", 0, SceneOptions(frames=200, size=(64, 48), focal=60.0, hand_jitter_deg=2.0))
     assert clip.truth is not None
     off = se3.inverse(clip.truth.T_cam_hand) @ clip.hand.T_cam_hand
     rms = np.sqrt(np.mean(np.sum(se3.log_so3(off[:, :3, :3]) ** 2, axis=1)))
@@ -213,8 +214,10 @@ def test_clips_survive_their_folder(tmp_path) -> None:
     assert images[0].shape == (240, 320, 3)
 
 
-def test_unknown_categories_name_the_known_ones() -> None:
+def test_impossible_scenes_are_refused_by_name() -> None:
     with pytest.raises(UsageError, match="bottle"):
         synthesise("teapot", 0)
-    with pytest.raises(UsageError, match="frames"):
-        synthesise("can", 0, Options(frames=1))
+    with pytest.raises(UsageError, match="frames: got 1"):
+        synthesise("can", 0, SceneOptions(frames=1))
+    with pytest.raises(UsageError, match="seed: got -1, expected 0 or more"):
+        synthesise("can", -1)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.scene import Options as ClipOptions
 from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError
 from getagrip.evaluation import evaluate
 from getagrip.fitting.energy import Energy
@@ -24,17 +24,17 @@ from getagrip.geometry import se3
 from getagrip.result import Reconstruction
 from helpers.clips import small_clip
 
-SMALL = ClipOptions(frames=8, size=(320, 240), focal=300.0)
+SMALL = SceneOptions(frames=8, size=(320, 240), focal=300.0)
 BASELINES = ("single-frame", "homan", "contact-consistency")
 
 
 @cache
-def made(category: str, seed: int, options: ClipOptions = SMALL) -> tuple[Clip, Masks]:
+def made(category: str, seed: int, options: SceneOptions = SMALL) -> tuple[Clip, Masks]:
     return synthesise(category, seed, options)
 
 
 @cache
-def found(method: Any, category: str, seed: int, options: ClipOptions = SMALL) -> Reconstruction:
+def found(method: Any, category: str, seed: int, options: SceneOptions = SMALL) -> Reconstruction:
     return reconstruct(*made(category, seed, options), Options(method=method))
 
 

@@ -30,28 +30,32 @@ from getagrip.geometry.camera import bounding_boxes
 
 @dataclass(frozen=True)
 class Noise:
-    """How far a clip's hands and masks are off."""
+    """How far a clip's hands and masks are off.
+
+    Attributes:
+        hand_bias_deg: rotation of the hand about a random axis, the same in all frames [degrees].
+        hand_bias_mm: translation of the hand in a random direction of the hand's frame, the same in all frames [mm].
+        hand_bias_depth_mm: translation of the hand along the camera's ray, towards the camera or away, the same in all
+            frames [mm].
+        finger_bias_deg: root mean square bend of each finger joint, the same in all frames [degrees].
+        hand_jitter_deg: root mean square rotation of the hand that changes from frame to frame [degrees].
+        hand_jitter_mm: root mean square translation that changes from frame to frame [mm].
+        hand_jitter_depth_mm: root mean square translation along the camera's ray that changes from frame to frame [mm].
+        finger_jitter_deg: root mean square bend of each finger joint that changes from frame to frame [degrees].
+        jitter_memory_s: time after which the correlation of the jitter has fallen to 1/e [s]; zero: new in every frame.
+        mask_ragged_px: root mean square distance of the masks' boundaries from the true ones [px].
+    """
 
     hand_bias_deg: float = 0.0
-    """Turn of the hand, the same in all frames, about a random axis."""
     hand_bias_mm: float = 0.0
-    """Shift of the hand, the same in all frames, in a random direction of the hand's frame."""
     hand_bias_depth_mm: float = 0.0
-    """Shift of the hand along the camera's ray, the same in all frames, towards the camera or away."""
     finger_bias_deg: float = 0.0
-    """Root mean square bend of each finger joint, the same in all frames."""
     hand_jitter_deg: float = 0.0
-    """Root mean square turn of the hand that changes from frame to frame."""
     hand_jitter_mm: float = 0.0
-    """Root mean square shift that changes from frame to frame."""
     hand_jitter_depth_mm: float = 0.0
-    """Root mean square shift along the camera's ray that changes from frame to frame."""
     finger_jitter_deg: float = 0.0
-    """Root mean square bend of each finger joint that changes from frame to frame."""
     jitter_memory_s: float = 0.0
-    """Time after which the correlation of the jitter has fallen to 1/e [s]; zero: new in every frame."""
     mask_ragged_px: float = 0.0
-    """Root mean square distance of the masks' boundaries from the true ones [px]."""
 
 
 NOISE: dict[str, Noise] = {

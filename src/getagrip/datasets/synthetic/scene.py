@@ -2,15 +2,14 @@
 
 The grasp comes from contact (``grasp``); the object turns in the hand about a line near the contacts (Eq. 3 of the
 paper) and departs from that by a small smooth residual, and the fingers follow it; hand and head move smoothly.
-Everything is drawn for a right hand; the left hand's clip is its exact mirror image. The truth depends on the seed, the
-category and the options of the scene; noise has its own random stream, so it can be turned on for the same truth
-(it is not mirrored).
+Everything is drawn for a right hand; the left hand's clip is its exact mirror image. The ground truth depends on the
+seed, the category and the options of the scene. Noise has its own random stream, so the same ground truth can be had
+with and without it (noise is not mirrored).
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -20,7 +19,8 @@ from getagrip.clip import Clip, HandTrack, Masks, Truth
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.egocentric import about, other_hand, seen_from_head, smooth
 from getagrip.datasets.synthetic.grasp import NEAR, Grasper, Grip, SignedDistance, looseness, thumb_miss, varied
-from getagrip.datasets.synthetic.noise import Noise, perturbed
+from getagrip.datasets.synthetic.noise import perturbed
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
@@ -37,46 +37,22 @@ DRAWS = 3
 
 
 @dataclass(frozen=True)
-class Options(Noise):
-    """What a synthetic clip is like; the noise on top of its truth is ``Noise``'s."""
-
-    frames: int = 30
-    fps: float = 30.0
-    size: tuple[int, int] = (640, 480)
-    """Width and height of the images [px]."""
-    focal: float = 600.0
-    """Focal length [px]."""
-    side: Literal["left", "right"] = "right"
-    scale: Literal["known", "free"] = "known"
-    """Free: the clip's mesh is the true object divided by an unknown scale between 0.8 and 1.25."""
-    vary: float = 0.08
-    """How much each axis of the object may be stretched or shrunk."""
-    cad: Literal["exact", "mean"] = "exact"
-    """Whether the clip's mesh is the object that is seen, or only the mean shape of its category."""
-    grip_deg: float = 0.0
-    """Root mean square turn of the object in the hand from a usual grip; above zero, rarer grips occur as well."""
-    turn_deg: tuple[float, float] = (10.0, 60.0)
-    """Least and largest range of the angle about the axis over the clip."""
-    residual_deg: float = 1.0
-    """Largest turn of the object in the hand besides the one about the axis."""
-    residual_mm: float = 1.0
-    """Largest shift of the object in the hand."""
-    other_hand: bool = False
-    """Whether the other hand comes in front."""
-
-
-@dataclass(frozen=True)
 class Scene:
-    """A clip without noise, and what a clip does not hold."""
+    """A clip without noise, and what a clip does not hold.
+
+    Attributes:
+        clip: the clip, with ground truth and without noise.
+        object: the object that the images show, at its true size, in the frame of ``truth.T_cam_obj`` [m].
+        axis: the axis that the object turns about, in the hand frame.
+        other_hand: (T, V, 3) vertices of the other hand in the camera frame [m]; None where it is not in the images.
+        options: what the scene was made with.
+    """
 
     clip: Clip
     object: Mesh
-    """The object that is seen, at its true size, in the frame of ``truth.T_cam_obj`` [m]."""
     axis: Axis
-    """The line that the object turns about, in the hand frame."""
     other_hand: Float[ndarray, "T V 3"] | None
-    """Vertices of the other hand in the camera frame [m]."""
-    options: Options
+    options: SceneOptions
 
     def surfaces(self, frame: int) -> tuple[Surface, list[Surface]]:
         """The held object and the hands in the camera frame."""
@@ -89,12 +65,21 @@ class Scene:
         return (held, self.object.faces), hands
 
 
-def synthesise(category: str, seed: int = 0, options: Options | None = None) -> tuple[Clip, Masks]:
-    """A clip of one category and its masks; the same for the same seed and options.
+def synthesise(category: str, seed: int = 0, options: SceneOptions | None = None) -> tuple[Clip, Masks]:
+    """A synthetic clip with ground truth, and its masks, in memory.
 
-    Raises ``UsageError`` for an unknown category.
+    A generic hand grasps an object of the category and turns it about one axis, nearly, before a moving camera. The
+    clip holds the noisy hand (``options.hand_*`` and ``finger_*``), the mesh and, in ``clip.truth``, the ground truth.
+
+    Args:
+        category: kind of object, such as "mug": a key of ``getagrip.datasets.synthetic.categories.CATEGORIES``.
+        seed: seed of all that is random, 0 or more. The same seed and options give the same clip.
+        options: length, camera, motion and noise of the clip; by default 30 frames of 640 x 480 pixels without noise.
+
+    Raises:
+        UsageError: for an unknown category, a negative seed, or fewer than 2 frames.
     """
-    scene = make_scene(category, seed, options or Options())
+    scene = make_scene(category, seed, options or SceneOptions())
     return perturbed(scene.clip, seen_masks(scene), scene.options, noise_seed(category, seed))
 
 
@@ -103,10 +88,12 @@ def noise_seed(category: str, seed: int) -> list[int]:
     return [seed, *category.encode(), 1]
 
 
-def make_scene(category: str, seed: int, options: Options) -> Scene:
-    """The true motion. Raises ``UsageError`` for an unknown category or fewer than two frames."""
+def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
+    """The scene, without noise. Raises ``UsageError`` as ``synthesise`` does."""
     if category not in CATEGORIES:
         raise UsageError(f"category: got {category!r}, expected one of {', '.join(sorted(CATEGORIES))}")
+    if seed < 0:
+        raise UsageError(f"seed: got {seed}, expected 0 or more")
     if options.frames < 2:
         raise UsageError(f"frames: got {options.frames}, expected at least 2")
     kind = CATEGORIES[category]
@@ -146,7 +133,7 @@ def make_scene(category: str, seed: int, options: Options) -> Scene:
         scale=options.scale,
         hand=track,
         truth=Truth(T_cam_hand @ T_hand_held @ T_held_cad, size * unknown, T_cam_hand, track.vertices),
-        provenance={"source": "made up by getagrip", "seed": seed, "options": asdict(options)},
+        provenance={"source": "synthetic, by getagrip", "seed": seed, "options": asdict(options)},
     )
     other = other_hand(grasper, T_cam_hand, middle, moves) if options.other_hand else None
     seen = Mesh(se3.transform(se3.inverse(T_held_cad), held.vertices), held.faces)
@@ -169,7 +156,9 @@ def aligned(cad: Mesh, held: Mesh, resize: bool) -> tuple[Float[ndarray, "4 4"],
     return se3.rigid(R, x0 - size * R @ y0), size
 
 
-def _drawn_grip(category: str, seed: int, stretch: Float[ndarray, "3"], options: Options, grasper: Grasper) -> Grip:
+def _drawn_grip(
+    category: str, seed: int, stretch: Float[ndarray, "3"], options: SceneOptions, grasper: Grasper
+) -> Grip:
     """Any grip of the category, at random off the usual: of a few draws the one that holds the object best."""
     kind = CATEGORIES[category]
     rng = np.random.default_rng([seed, *category.encode(), 2])
@@ -186,7 +175,7 @@ def _drawn_grip(category: str, seed: int, stretch: Float[ndarray, "3"], options:
 
 
 def _turned(
-    grasper: Grasper, T_base: Float[ndarray, "4 4"], axis: Axis, options: Options, rng: np.random.Generator
+    grasper: Grasper, T_base: Float[ndarray, "4 4"], axis: Axis, options: SceneOptions, rng: np.random.Generator
 ) -> tuple[Float[ndarray, "T 4 4"], PosedHand]:
     """``T_hand_obj`` of the object as it turns about the axis, nearly, and the hand that follows it."""
     line = se3.rotation_about_line(axis.point, axis.direction, axis.angle)
@@ -205,12 +194,12 @@ def _turned(
     return residual @ line @ T_base, grasper.posed(bent.reshape(-1, 5, 3))
 
 
-def clip_name(category: str, seed: int, options: Options) -> str:
+def clip_name(category: str, seed: int, options: SceneOptions) -> str:
     """What the clip is called."""
     return f"{category}-{options.side}-{seed:04d}"
 
 
-def _axis(grasper: Grasper, T_base: Float[ndarray, "4 4"], options: Options, rng: np.random.Generator) -> Axis:
+def _axis(grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions, rng: np.random.Generator) -> Axis:
     """A line near the contacts about which the object can turn with the least way into the open hand."""
     closed = grasper.posed(grasper.close(T_base[None]))
     gap = grasper.distance(se3.transform(se3.inverse(T_base), closed.vertices[0]))

@@ -13,16 +13,16 @@ import numpy as np
 
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.noise import NOISE
-from getagrip.datasets.synthetic.scene import Options
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import UsageError
 
 Split = Literal["train", "test"]
 
-PRESETS: dict[str, Options] = {
-    "clean": Options(),
-    "hamer": Options(**asdict(NOISE["hamer"])),
-    "frankmocap": Options(**asdict(NOISE["frankmocap"])),
-    "wild": Options(**asdict(NOISE["hamer"]), cad="mean", vary=0.15, scale="free"),
+PRESETS: dict[str, SceneOptions] = {
+    "clean": SceneOptions(),
+    "hamer": SceneOptions(**asdict(NOISE["hamer"])),
+    "frankmocap": SceneOptions(**asdict(NOISE["frankmocap"])),
+    "wild": SceneOptions(**asdict(NOISE["hamer"]), cad="mean", vary=0.15, scale="free"),
 }
 """What is known: everything; hands and masks with noise; and in the wild no more than the mean shape, without its size.
 """
@@ -32,7 +32,7 @@ BOTH_HANDS = 0.3
 """Share of clips in which the other hand comes in front."""
 
 
-def split(name: Split, preset: str = "clean") -> list[tuple[str, int, Options]]:
+def split(name: Split, preset: str = "clean") -> list[tuple[str, int, SceneOptions]]:
     """Category, seed and options of every clip of a split, as ``synthesise`` takes them.
 
     Left and right hands alternate. Grips vary, and the object departs from its axis by up to 4 degrees and 2 mm.

@@ -11,7 +11,7 @@ from getagrip.experiments.sources.source import ClipSource, Sample
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
-    from getagrip.datasets.synthetic.scene import Options
+    from getagrip.datasets.synthetic.scene_options import SceneOptions
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Synthetic(ClipSource):
         return found, []
 
 
-def _make(category: str, seed: int, options: Options, folder: Path) -> None:
+def _make(category: str, seed: int, options: SceneOptions, folder: Path) -> None:
     """Make a clip."""
     from getagrip.clip import write_clip
     from getagrip.datasets.synthetic.scene import synthesise

@@ -27,6 +27,17 @@ class Hinge(Batch):
 
     S = 6 + scale + 2 (direction) + 2 (location), L = 1. A common offset of the angles and the base pose do the same;
     the solver's damping keeps them still and ``zero_mean`` settles it.
+
+    Attributes:
+        R: (B, 3, 3) rotation of the base pose, object to hand.
+        centre: (B, 3) the object's centre in the base pose, in the hand frame [m].
+        log_scale: (B,) natural logarithm of the scale.
+        point: (B, 3) a point on the axis, in the hand frame [m].
+        direction: (B, 3) unit vector along the axis, in the hand frame.
+        angle: (B, N) angle about the axis in each frame [rad].
+        free_scale: whether the scale is a parameter.
+        free_location: whether the point is a parameter.
+        ridge: energy of the angles per rad^2, times 1/2.
     """
 
     R: Float[ndarray, "B 3 3"]
@@ -38,7 +49,6 @@ class Hinge(Batch):
     free_scale: bool = False
     free_location: bool = True
     ridge: float = 0.0
-    """Energy of the angles per rad^2, times 1/2."""
 
     @staticmethod
     def nearest(

@@ -22,12 +22,16 @@ class Soft(Batch, Generic[Core]):
     Deviations (v, w) shift the object and turn it about its centre, in the hand frame:
     ``R_n = exp(w_n) R_core, centre_n = centre_core + v_n``. They take up what the model inside cannot: an object that
     is not quite on a hinge, a hand that the estimator has put a little wrong.
+
+    Attributes:
+        core: the motion to deviate from.
+        deviation: (B, N, 6) translation [m] and rotation vector [rad] of each frame, in the hand frame.
+        ridge: energy per m^2 and per rad^2 of deviation, times 1/2 [px^2].
     """
 
     core: Core
     deviation: Float[ndarray, "B N 6"]
     ridge: tuple[float, float]
-    """Energy per m^2 and per rad^2 of deviation, times 1/2."""
 
     @staticmethod
     def around(core: Core, poses: PosesInHand, ridge: tuple[float, float]) -> Soft[Core]:

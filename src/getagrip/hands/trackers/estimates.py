@@ -20,27 +20,34 @@ ROUNDED = 0.05
 
 
 class Camera(NamedTuple):
-    """The clip's camera in one frame."""
+    """The clip's camera in one frame.
+
+    Attributes:
+        K: (3, 3) pinhole intrinsics [px].
+        size: width and height of the images [px].
+    """
 
     K: Float[ndarray, "3 3"]
-    """Pinhole intrinsics [px]."""
     size: tuple[int, int]
-    """Width and height of the images [px]."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """The hand that is asked for: which one, in which frames, before which camera."""
+    """The hand that is asked for: which one, in which frames, before which camera.
+
+    Attributes:
+        side: ``left`` or ``right`` hand.
+        frames: names of the clip's frames.
+        K: (T, 3, 3) the clip's intrinsics in each of them [px].
+        size: width and height of the clip's images [px].
+        mano: folder of the user's MANO files.
+    """
 
     side: Side
     frames: tuple[str, ...]
-    """Names of the clip's frames."""
     K: Float[ndarray, "T 3 3"]
-    """The clip's intrinsics in each of them [px]."""
     size: tuple[int, int]
-    """Width and height of the clip's images [px]."""
     mano: Path | None = None
-    """Folder of the user's MANO files."""
 
     def camera(self, frame: int) -> Camera:
         """The camera in a frame, by its index."""
@@ -48,46 +55,60 @@ class Request:
 
 
 class Parameters(NamedTuple):
-    """MANO's parameters of a hand as it is: rotations of a left hand are those of the left hand."""
+    """MANO's parameters of a hand as it is: rotations of a left hand are those of the left hand.
+
+    Attributes:
+        R: (3, 3) global rotation, hand to camera.
+        pose: (45,) rotation vectors of the fingers, relative to the flat hand [rad].
+        betas: (10,) shape.
+        t: (3,) translation before the clip's camera [m]: the hand is turned about its root joint, then moved by it.
+    """
 
     R: Float[ndarray, "3 3"]
-    """Global rotation, hand to camera."""
     pose: Float[ndarray, "45"]
-    """Rotation vectors of the fingers, relative to the flat hand [rad]."""
     betas: Float[ndarray, "10"]
-    """Shape."""
     t: Float[ndarray, "3"]
-    """Translation before the clip's camera [m]: the hand is turned about its root joint, then moved by it."""
 
 
 class Estimate(NamedTuple):
-    """A hand in one frame: MANO's parameters, joints, or both."""
+    """A hand in one frame: MANO's parameters, joints, or both.
+
+    Attributes:
+        path: the file that holds it.
+        frame: index of the frame among those of the ``Request``.
+        depth: where its depth comes from, in words.
+        mano: MANO's parameters; None where the tracker gives joints only.
+        joints: (21, 3) the 21 joints, where the estimator gives them, before the clip's camera [m]; this package's
+            order.
+        vertices: (778, 3) the surface where it is not that of ``mano.betas``: ``mano.t`` is then where the origin of
+            these is, their mean counts.
+    """
 
     path: Path
-    """The file that holds it."""
     frame: int
-    """Index of the frame among those of the ``Request``."""
     depth: str
-    """Where its depth comes from, in words."""
     mano: Parameters | None
     joints: Float[ndarray, "21 3"] | None = None
-    """The 21 joints, where the estimator gives them, before the clip's camera [m]; this package's order."""
     vertices: Float[ndarray, "778 3"] | None = None
-    """The surface where it is not that of ``mano.betas``: ``mano.t`` is then where the origin of these is, their mean
-    counts."""
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """One hand over the frames in which it was found."""
+    """One hand over the frames in which it was found.
+
+    Attributes:
+        side: ``left`` or ``right`` hand.
+        hands: the hand in each frame in which it was found.
+        left_model: the surface of a left hand: MANO's right one mirrored, as networks have it that know right hands
+            only, or the left one's own.
+        scale: where the size comes from, in words; empty where it is that of the shape parameters or of the generic
+            hand.
+    """
 
     side: Side
     hands: tuple[Estimate, ...]
     left_model: Literal["mirrored", "own"] = "mirrored"
-    """The surface of a left hand: MANO's right one mirrored, as networks have it that know right hands only, or the
-    left one's own."""
     scale: str = ""
-    """Where the size comes from, in words; empty where it is that of the shape parameters or of the generic hand."""
 
 
 def rotations(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) -> Float[ndarray, "... 3 3"]:

@@ -1,0 +1,57 @@
+"""What a synthetic clip is like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from getagrip.datasets.synthetic.noise import Noise
+
+
+@dataclass(frozen=True)
+class SceneOptions(Noise):
+    """What a synthetic clip is like; the first fields, those of ``Noise``, say how far hands and masks are off.
+
+    Attributes:
+        hand_bias_deg: rotation of the hand about a random axis, the same in all frames [degrees].
+        hand_bias_mm: translation of the hand in a random direction of the hand's frame, the same in all frames [mm].
+        hand_bias_depth_mm: translation of the hand along the camera's ray, towards the camera or away, the same in all
+            frames [mm].
+        finger_bias_deg: root mean square bend of each finger joint, the same in all frames [degrees].
+        hand_jitter_deg: root mean square rotation of the hand that changes from frame to frame [degrees].
+        hand_jitter_mm: root mean square translation that changes from frame to frame [mm].
+        hand_jitter_depth_mm: root mean square translation along the camera's ray that changes from frame to frame [mm].
+        finger_jitter_deg: root mean square bend of each finger joint that changes from frame to frame [degrees].
+        jitter_memory_s: time after which the correlation of the jitter has fallen to 1/e [s]; zero: new in every frame.
+        mask_ragged_px: root mean square distance of the masks' boundaries from the true ones [px].
+        frames: number of frames, at least 2.
+        fps: frames per second.
+        size: width and height of the images [px].
+        focal: focal length [px].
+        side: ``left`` or ``right`` hand.
+        scale: ``known``: the mesh of the clip has the size of the object. ``free``: it is divided by an unknown scale
+            between 0.8 and 1.25.
+        vary: largest share by which each axis of the object is stretched or shrunk.
+        cad: ``exact``: the mesh of the clip has the shape of the object. ``mean``: it has the mean shape of the
+            category.
+        grip_deg: root mean square rotation of the object in the hand away from a usual grip [degrees]; above zero,
+            rarer grips occur as well.
+        turn_deg: smallest and largest range of the angle about the axis over the clip [degrees].
+        residual_deg: largest rotation of the object in the hand besides the one about the axis [degrees].
+        residual_mm: largest translation of the object in the hand besides that of the axis [mm].
+        other_hand: (T, V, 3) vertices of the other hand in the camera frame [m]; None where it is not in the images.
+    """
+
+    frames: int = 30
+    fps: float = 30.0
+    size: tuple[int, int] = (640, 480)
+    focal: float = 600.0
+    side: Literal["left", "right"] = "right"
+    scale: Literal["known", "free"] = "known"
+    vary: float = 0.08
+    cad: Literal["exact", "mean"] = "exact"
+    grip_deg: float = 0.0
+    turn_deg: tuple[float, float] = (10.0, 60.0)
+    residual_deg: float = 1.0
+    residual_mm: float = 1.0
+    other_hand: bool = False
