@@ -15,8 +15,8 @@ from .evaluation import evaluate as evaluate
 from .fitting.options import Options as Options
 from .fitting.reconstruct import reconstruct as reconstruct
 from .geometry.mesh import Mesh as Mesh
-from .geometry.mesh import read_mesh as read_mesh
-from .geometry.mesh import write_mesh as write_mesh
+from .geometry.mesh_files import read_mesh as read_mesh
+from .geometry.mesh_files import write_mesh as write_mesh
 from .result import Axis as Axis
 from .result import Candidates as Candidates
 from .result import Reconstruction as Reconstruction

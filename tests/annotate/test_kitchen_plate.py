@@ -18,7 +18,7 @@ from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.datasets.synthetic.shapes import plate
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
-from getagrip.geometry.mesh import write_mesh
+from getagrip.geometry.mesh_files import write_mesh
 from helpers.command_line import Run
 from helpers.paths import DATA, ROOT, needs
 

@@ -21,7 +21,7 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
-from getagrip.geometry.mesh import write_mesh
+from getagrip.geometry.mesh_files import write_mesh
 from getagrip.hands import generic
 from helpers.clips import box
 from helpers.command_line import Run

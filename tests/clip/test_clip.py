@@ -32,7 +32,7 @@ from getagrip.clip import (
 )
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry.mesh import write_mesh
+from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files
 from getagrip.io.images import write_image, write_mask
 from helpers.clips import small_clip

@@ -20,7 +20,7 @@ from getagrip.clip.video import video_frames, video_info
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import read_mesh, write_mesh
+from getagrip.geometry.mesh_files import read_mesh, write_mesh
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track
 from getagrip.io import arrays, files

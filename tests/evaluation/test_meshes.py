@@ -16,7 +16,8 @@ from getagrip.clip import Clip, Masks, input_sha256, write_clip
 from getagrip.evaluation import evaluate, evaluate_meshes
 from getagrip.evaluation.meshes import MeshFrame, read_meshes
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh, write_mesh
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import write_mesh
 from getagrip.metrics.contact import pairwise_iou, stable_contact_area
 from getagrip.metrics.meshes import mesh_distances
 from getagrip.result import write_result

@@ -16,7 +16,7 @@ from getagrip.datasets.synthetic import shapes
 from getagrip.errors import InputError
 from getagrip.evaluation.metric import METRICS
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import write_mesh
+from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, SIDES
 from getagrip.result import write_result

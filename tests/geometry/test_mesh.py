@@ -18,17 +18,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.distance import pdist
 
 from getagrip.errors import UsageError
-from getagrip.geometry.mesh import (
-    SUFFIXES,
-    Mesh,
-    decimate,
-    diameter,
-    edge_table,
-    merged,
-    read_mesh,
-    vertex_normals,
-    write_mesh,
-)
+from getagrip.geometry.mesh import Mesh, decimate, diameter, edge_table, merged, vertex_normals
+from getagrip.geometry.mesh_files import SUFFIXES, read_mesh, write_mesh
 from getagrip.geometry.obj import parse_obj
 from helpers.clips import box
 

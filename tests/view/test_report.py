@@ -9,15 +9,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from getagrip.clip import Clip, Masks, read_clip
 from getagrip.commands import demo
 from getagrip.datasets.synthetic.scene import make_scene, synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.result import Axis, Candidates, Reconstruction, read_result
-from getagrip.view.report import write_report
+from getagrip.view.report import TILES, report_figure, write_report
+from getagrip.view.style import AXIS, FOUND, TRUE
 
 
 @lru_cache
@@ -28,7 +33,7 @@ def given() -> tuple[Clip, Masks, Axis]:
 
 
 def result_of(clip: Clip, axis: Axis | None) -> Reconstruction:
-    """The truth as if it had been found."""
+    """The ground truth as a result."""
     assert clip.truth is not None
     T = se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
     return Reconstruction(
@@ -47,34 +52,76 @@ def result_of(clip: Clip, axis: Axis | None) -> Reconstruction:
     )
 
 
-def drawn(path: Path) -> np.ndarray:
-    picture = cv2.imread(str(path))
-    assert picture is not None
-    return picture
+def texts(figure: Figure) -> set[str]:
+    return {text.get_text() for text in figure.findobj(Text)} - {""}
+
+
+def near(picture: np.ndarray, colour: str) -> np.ndarray:
+    """The pixels of a colour."""
+    return np.abs(picture / 255.0 - to_rgb(colour)).max(axis=-1) < 0.06
+
+
+def pixels(figure: Figure) -> np.ndarray:
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba())[..., :3]  # type: ignore[attr-defined]
+
+
+def panel(picture: np.ndarray, axes: Axes) -> np.ndarray:
+    """The part of the picture that some axes take."""
+    height, width, _ = picture.shape
+    box = axes.get_position()
+    rows = slice(int((1.0 - box.y1) * height), int((1.0 - box.y0) * height))
+    return picture[rows, int(box.x0 * width) : int(box.x1 * width)]
 
 
 @pytest.mark.slow
 def test_every_part_of_the_picture_is_drawn(tmp_path: Path) -> None:
     clip, masks, axis = given()
-    metrics = {"add_mm": 1.0, "add_sym_mm": 1.0, "rotation_sym_deg": 2.0}
-    picture = drawn(write_report(result_of(clip, axis), clip, masks, tmp_path / "report.png", metrics))
-    height, width, _ = picture.shape
-    assert min(height, width) > 1000
-    # No row of tiles and no plot is empty, nor do their contents touch the picture's border.
-    for band in np.array_split(picture, 8):
-        assert band.std() > 2.0
+    metrics = {"add_mm": 1.25, "add_sym_mm": 1.0, "rotation_sym_deg": 2.0}
+    result = result_of(clip, axis)
+    figure = report_figure(result, clip, masks, metrics)
+    assert len(figure.axes) == 3 * TILES + 2
+    assert texts(figure) >= {
+        clip.name,
+        "input and fitted contour",
+        "75.0 %",
+        "1.2 mm",
+        "2.0°",
+        "angle of the object about the axis [°]",
+    }
+    picture = pixels(figure)
+    tiles = [panel(picture, axes) for axes in figure.axes[:-2]]
+    for over, camera, side in zip(tiles[:TILES], tiles[TILES : 2 * TILES], tiles[2 * TILES :], strict=True):
+        assert near(over, FOUND).sum() > 100  # the fitted contour
+        assert all(near(tile, AXIS).sum() > 50 for tile in (camera, side))
+    angle, iou = (panel(picture, axes) for axes in figure.axes[-2:])
+    assert near(angle, TRUE).sum() > 50
+    assert near(iou, FOUND).sum() > 50
     border = np.concatenate([picture[:5].reshape(-1, 3), picture[-5:].reshape(-1, 3), picture[:, -5:].reshape(-1, 3)])
-    assert (border == 255).all()
+    assert (border == 255).all()  # nothing is cut off
+    written = cv2.imread(str(write_report(result, clip, masks, tmp_path / "report.png", metrics)))
+    assert written is not None
+    np.testing.assert_array_equal(written[..., ::-1], picture)
 
 
 @pytest.mark.parametrize("with_masks", [True, False])
-def test_results_without_axis_truth_masks_or_many_frames(with_masks: bool, tmp_path: Path) -> None:
+def test_results_without_axis_truth_masks_or_many_frames(with_masks: bool) -> None:
     clip, masks, _ = given()
-    two = clip.take(np.array([1, 4]))
-    result = result_of(two, None)
-    blind = replace(clip, truth=None)
-    report = write_report(result, blind, masks if with_masks else None, tmp_path / "report.png")
-    assert drawn(report).std() > 5.0
+    result = result_of(clip.take(np.array([1, 4])), None)
+    figure = report_figure(result, replace(clip, truth=None), masks if with_masks else None)
+    assert [axes.get_title() for axes in figure.axes[:2]] == [clip.frames[1], clip.frames[4]]
+    assert len(figure.axes) == 3 * 2 + 2
+    assert "rotation of the object in the hand since the first frame [°]" in texts(figure)
+    assert "ground truth" not in texts(figure)
+    tile = panel(pixels(figure), figure.axes[0])
+    assert near(tile, FOUND).any()
+    assert near(tile, "#7e9eb8").any() == with_masks  # the observed mask
+
+
+def test_an_unknown_method_is_refused(tmp_path: Path) -> None:
+    clip, masks, axis = given()
+    with pytest.raises(UsageError, match="method: got 'foo', expected one of"):
+        write_report(replace(result_of(clip, axis), method="foo"), clip, masks, tmp_path / "report.png")
 
 
 def test_an_empty_image_is_named(tmp_path: Path) -> None:
@@ -104,4 +151,6 @@ def test_the_demo_finds_the_mug_and_can_be_run_again(tmp_path: Path) -> None:
     result, record = read_result(tmp_path / name)
     assert result.clip == clip.name
     assert record["metrics"]["add_success"] == 1.0
-    assert drawn(tmp_path / "report.png").std() > 5.0
+    report = cv2.imread(str(tmp_path / "report.png"))
+    assert report is not None
+    assert near(report[..., ::-1], AXIS).sum() > 500

@@ -12,7 +12,7 @@ from getagrip.clip.data import Clip, HandTrack
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
-from getagrip.geometry.mesh import check_size
+from getagrip.geometry.mesh_files import check_size
 
 NEAREST, FARTHEST = 0.05, 20.0
 """Plausible distances from the camera [m]."""

@@ -15,7 +15,8 @@ from numpy import ndarray
 from getagrip.clip.data import FINGERS, Clip, HandTrack, Truth
 from getagrip.clip.plausible import check_hand, check_in_hand, check_in_view, check_intrinsics, check_poses
 from getagrip.errors import InputError
-from getagrip.geometry.mesh import Mesh, check_size, read_mesh
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import check_size, read_mesh
 from getagrip.io import arrays, files
 
 VERSION = 1

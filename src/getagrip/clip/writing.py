@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from getagrip.clip.data import Clip, HandTrack, Masks, Truth
 from getagrip.clip.reading import VERSION
-from getagrip.geometry.mesh import write_mesh
+from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import arrays, files
 from getagrip.io.images import write_image, write_mask
 

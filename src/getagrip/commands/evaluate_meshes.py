@@ -14,7 +14,7 @@ from getagrip.clip import find_masks, read_clip
 from getagrip.errors import InputError
 from getagrip.evaluation import evaluate_meshes
 from getagrip.evaluation.meshes import MeshFrame, read_meshes
-from getagrip.geometry.mesh import SUFFIXES
+from getagrip.geometry.mesh_files import SUFFIXES
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from numpy import ndarray
 
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry.mesh import SUFFIXES, Mesh, checked_mesh, diameter, parse_mesh, with_area
+from getagrip.geometry.mesh import Mesh, diameter
+from getagrip.geometry.mesh_files import SUFFIXES, checked_mesh, parse_mesh, with_area
 
 
 @dataclass(frozen=True)

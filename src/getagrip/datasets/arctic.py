@@ -34,7 +34,8 @@ from getagrip.datasets.pickled import numbers, read_dict
 from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import LARGEST_FILE, Mesh, checked_mesh, with_area
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import LARGEST_FILE, checked_mesh, with_area
 from getagrip.geometry.obj import parse_obj
 from getagrip.grasps.stable import Definition
 from getagrip.hands.model import Side

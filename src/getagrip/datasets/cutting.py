@@ -23,7 +23,7 @@ from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
 from getagrip.datasets.tracks import BETWEEN, MaskPair, Piece, Source, Track
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import checked_mesh
+from getagrip.geometry.mesh_files import checked_mesh
 from getagrip.grasps.stable import Definition, PairwiseIou, stable_grasps
 from getagrip.io.arguments import Flag
 from getagrip.io.files import is_plain_name

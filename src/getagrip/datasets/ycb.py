@@ -9,7 +9,8 @@ from typing import Annotated
 from tyro.conf import arg
 
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry.mesh import SUFFIXES, Mesh, read_mesh
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import SUFFIXES, read_mesh
 
 Models = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: ROOT/models)")]
 """The option that names their folder."""

@@ -24,7 +24,8 @@ from getagrip.errors import InputError
 from getagrip.evaluation.comparison import Comparison
 from getagrip.evaluation.results import evaluation
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import SUFFIXES, Mesh, checked_mesh, parse_mesh, with_area
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import SUFFIXES, checked_mesh, parse_mesh, with_area
 from getagrip.metrics.contact import ContactDistances, Side
 from getagrip.metrics.mask import MaskIou, iou_of_meshes
 from getagrip.metrics.meshes import mesh_distances

@@ -93,9 +93,15 @@ def _closed(it: Comparison) -> float:
     return float(np.mean(closed))
 
 
+ADD_MM = Metric("add_mm", lambda it, _: 1e3 * it.errors.add, "mm", "ADD", needs_truth=True)
+ADD_SYM_MM = Metric("add_sym_mm", lambda it, _: 1e3 * it.errors_sym.add, "mm", "sym", "ADD sym., mm", needs_truth=True)
 ADD_SYM = Metric(
     "add_sym_success", lambda it, _: float(it.errors_sym.success), "%", "sym", "ADD sym.", decimals=0, needs_truth=True
 )
+ROTATION_SYM = Metric(
+    "rotation_sym_deg", lambda it, _: np.degrees(it.errors_sym.rotation), "deg", "rot", "rotation sym., °",
+    needs_truth=True,
+)  # fmt: skip
 SCA = Metric("sca", lambda it, contact: it.contact(contact).sca, heading="SCA", label="SCA", by_contact=True)
 TRUE_SCA = Metric(
     "truth_sca", lambda it, contact: it.true_contact(contact).sca, heading="truth's", label="truth's SCA",
@@ -106,18 +112,15 @@ METRICS: tuple[Metric, ...] = (
     Metric("iou", lambda it, _: it.iou.crop, heading="IOU", label="IOU"),
     Metric("iou_soft", lambda it, _: it.iou.soft),
     Metric("iou_full", lambda it, _: it.iou.full, heading="full"),
-    Metric("add_mm", lambda it, _: 1e3 * it.errors.add, "mm", "ADD", needs_truth=True),
+    ADD_MM,
     Metric("add_success", lambda it, _: float(it.errors.success), "%", "ADD", "ADD", decimals=0, needs_truth=True),
     Metric("add_frame_success", lambda it, _: mean_of(it.errors.frame_success), needs_truth=True),
     Metric("rotation_deg", lambda it, _: np.degrees(it.errors.rotation), "deg", needs_truth=True),
     Metric("translation_mm", lambda it, _: 1e3 * it.errors.translation, "mm", needs_truth=True),
-    Metric("add_sym_mm", lambda it, _: 1e3 * it.errors_sym.add, "mm", "sym", "ADD sym., mm", needs_truth=True),
+    ADD_SYM_MM,
     ADD_SYM,
     Metric("add_sym_frame_success", lambda it, _: mean_of(it.errors_sym.frame_success), needs_truth=True),
-    Metric(
-        "rotation_sym_deg", lambda it, _: np.degrees(it.errors_sym.rotation), "deg", "rot", "rotation sym., °",
-        needs_truth=True,
-    ),
+    ROTATION_SYM,
     Metric("translation_sym_mm", lambda it, _: 1e3 * it.errors_sym.translation, "mm", "trans", needs_truth=True),
     Metric("scale_error", lambda it, _: it.scale_error, "%", "scale", needs_truth=True),
     Metric("diameter_mm", lambda it, _: 1e3 * it.errors.diameter, "mm", needs_truth=True),

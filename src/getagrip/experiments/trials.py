@@ -23,7 +23,7 @@ from getagrip.experiments.settings import AS_GIVEN, Variant
 from getagrip.experiments.sources import Sample
 from getagrip.fitting.options import Options
 from getagrip.io import files
-from getagrip.result import Reconstruction, is_result, read_record, software, write_result
+from getagrip.result import is_result, read_record, software, write_result
 
 
 @dataclass(frozen=True)
@@ -113,13 +113,18 @@ def _made(trial: Trial, clip: Clip, variants: list[Variant], checksum: str) -> d
 
 
 def _try(trial: Trial, variant: Variant, changed: tuple[Clip, Masks], masks: Masks, checksum: str) -> Score:
-    """Reconstruct, evaluate and write the result. A method's error becomes its score; ``InputError`` is raised."""
+    """Reconstruct, evaluate and write the result: against the clip as the variant has it, and the masks as they are.
+
+    A method's error becomes its score; ``InputError`` is raised.
+    """
+    from getagrip.evaluation import evaluate
     from getagrip.fitting.reconstruct import reconstruct
 
     clip, place = changed[0], _place(trial, variant)
     try:
         result = reconstruct(*changed, variant.options)
-        write_result(result, place, checksum, evaluated(result, clip, masks), clip_folder=clip.folder, overwrite=True)
+        metrics = evaluate(result, clip, masks)["metrics"]
+        write_result(result, place, checksum, metrics, clip_folder=clip.folder, overwrite=True)
     except InputError:
         raise
     except Exception as error:
@@ -137,18 +142,6 @@ def _score(variant: Variant, record: dict[str, Any]) -> Score:
 def _place(trial: Trial, variant: Variant) -> Path:
     """The folder of a variant's result."""
     return trial.results / variant.folder / trial.sample.name
-
-
-def evaluated(result: Reconstruction, clip: Clip, masks: Masks) -> dict[str, float]:
-    """The metrics of a result, against the clip as it was reconstructed and the masks as they were given."""
-    from getagrip.evaluation import evaluate
-
-    place = {name: n for n, name in enumerate(clip.frames)}
-    index = np.array([place[name] for name in result.frames])
-    metrics: dict[str, float] = evaluate(result, clip.take(index), Masks(masks.object[index], masks.ignore[index]))[
-        "metrics"
-    ]
-    return metrics
 
 
 def _checksum(checksum: str, variant: Variant) -> str:

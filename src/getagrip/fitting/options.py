@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from getagrip.errors import UsageError
-from getagrip.fitting.methods import METHODS
+from getagrip.fitting.methods import method_of
 
 Init = Literal["uniform", "clusters", "priors"]
 
@@ -56,8 +56,7 @@ class Options:
     occlusion: bool = True
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise UsageError(f"method: got {self.method!r}, expected one of {', '.join(METHODS)}")
+        method_of(self.method)
         if self.inits < 1 or self.frames < 2:
             raise UsageError(f"inits and frames: got {self.inits} and {self.frames}, expected at least 1 and 2")
         if (self.init == "uniform") != (self.priors is None):

@@ -25,7 +25,8 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh, check_size, edge_table
+from getagrip.geometry.mesh import Mesh, edge_table
+from getagrip.geometry.mesh_files import check_size
 from getagrip.hands.generic_skeleton import WRIST
 from getagrip.hands.model import MIRROR, PosedHand, Side, mirrored
 from getagrip.hands.regions import contact_regions, position_on_palm

@@ -14,7 +14,8 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, check_masks
 from getagrip.errors import InputError
-from getagrip.fitting.methods import METHODS
+from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, ROTATION_SYM
+from getagrip.fitting.methods import method_of
 from getagrip.geometry import se3
 from getagrip.geometry.camera import Crops, project
 from getagrip.geometry.depth import depth_and_face
@@ -32,6 +33,8 @@ TILE = 320
 """Side of a tile [px]."""
 SIDE_VIEW = np.radians(80.0)
 """The side view looks from this far to the left."""
+SHOWN = {"ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "rotation": ROTATION_SYM}
+"""Metrics in the title, each under a short name."""
 HAND, OBJECT = (0.87, 0.72, 0.63), (0.44, 0.58, 0.69)
 OBSERVED, IGNORED = (126, 158, 184), (216, 200, 186)
 
@@ -43,20 +46,26 @@ def write_report(
     path: str | Path,
     metrics: Mapping[str, float] | None = None,
 ) -> Path:
-    """Write the picture as a PNG and return its path.
+    """Write ``report_figure`` as a PNG and return its path. Raises as it does."""
+    report_figure(result, clip, masks, metrics).savefig(path, facecolor="white")
+    return Path(path)
 
-    ``clip`` and ``masks`` may have more frames than the result; ``metrics`` are those of ``evaluate``, of which ADD and
-    IOU are shown if given. Images are read from the clip's folder where it has them; without images the masks are
+
+def report_figure(
+    result: Reconstruction, clip: Clip, masks: Masks | None, metrics: Mapping[str, float] | None = None
+) -> Figure:
+    """The picture as a matplotlib figure: three rows of tiles, one tile per frame shown, above two plots over time.
+
+    ``clip`` and ``masks`` may have more frames than the result. ``metrics`` are those of ``evaluate``; those in
+    ``SHOWN`` are shown if given. Images are read from the clip's folder where it has them; without images the masks are
     drawn. Raises ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for masks of
-    another clip.
+    another clip or an unknown method.
     """
     if masks is not None:
         check_masks(clip, masks)
     index = clip.index_of(result.frames)
     view = _View(clip.take(index), None if masks is None else masks.take(index), result)
-    figure = _draw(view, metrics or {})
-    figure.savefig(path, facecolor="white")
-    return Path(path)
+    return _draw(view, metrics or {})
 
 
 @dataclass(frozen=True)
@@ -128,7 +137,7 @@ def _title(figure: Figure, view: _View, metrics: Mapping[str, float], x: float, 
     result, clip = view.result, view.clip
     figure.text(x, y, clip.name, fontsize=15, fontweight="bold", va="top")
     facts = [
-        METHODS[result.method].label if result.method in METHODS else result.method,
+        method_of(result.method).label,
         f"{len(result.frames)} frames",
         f"{clip.side} hand",
     ]
@@ -137,13 +146,10 @@ def _title(figure: Figure, view: _View, metrics: Mapping[str, float], x: float, 
     figure.text(x, y - 2.0 * step, result.status, color=INK, fontsize=9.5, va="top")
 
     numbers = [("IOU", f"{100 * np.mean(result.iou):.1f} %")]
-    for name, key, unit in (
-        ("ADD", "add_mm", " mm"),
-        ("ADD sym.", "add_sym_mm", " mm"),
-        ("rotation", "rotation_sym_deg", "°"),
-    ):
-        if key in metrics:
-            numbers.append((name, f"{metrics[key]:.1f}{unit}"))
+    for name, metric in SHOWN.items():
+        if metric.name in metrics:
+            unit = "°" if metric.unit == "deg" else f" {metric.unit}"
+            numbers.append((name, f"{metric.text(metrics[metric.name])}{unit}"))
     if "total" in result.seconds:
         numbers.append(("time", f"{result.seconds['total']:.2f} s"))
     right = 0.98

@@ -126,7 +126,7 @@ def test_hand_files_may_say_which_frames_and_camera_they_have(run: Run, epic_fol
 
 
 def test_meshes_and_cameras_are_brought_along(run: Run, epic_folder: Path, refused: Callable[..., str]) -> None:
-    from getagrip.geometry.mesh import write_mesh
+    from getagrip.geometry.mesh_files import write_mesh
 
     (epic_folder / "cad").mkdir()
     write_mesh(CATEGORIES["can"].make(), epic_folder / "cad" / "bottle.obj")

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from getagrip.datasets.synthetic import appliances, shapes
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.loft import Tube, loft, together, torus
-from getagrip.geometry.mesh import LARGEST, Mesh
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import LARGEST
 
 PARTS = {"scissors": 4, "capsule_machine": 4, "espresso_machine": 4, "microwave": 2, "mixer": 3}
 """How many closed parts, where it is not one."""

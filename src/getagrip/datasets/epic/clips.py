@@ -22,7 +22,8 @@ from getagrip.datasets.epic import visor
 from getagrip.datasets.epic.tables import EpicGrasp, numbering_rate, subject_of
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.errors import InputError
-from getagrip.geometry.mesh import SUFFIXES, Mesh, read_mesh
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import SUFFIXES, read_mesh
 from getagrip.io import arrays, json_stream
 from getagrip.io.files import shown
 

@@ -29,7 +29,8 @@ from getagrip.datasets.hot3d.recording import Recording, find, read_recording
 from getagrip.datasets.tracks import MaskPair, Source, Track
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import SUFFIXES, Mesh, read_mesh
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import SUFFIXES, read_mesh
 from getagrip.hands.model import Side
 from getagrip.io.arguments import OptionalFile
 from getagrip.io.files import is_plain_name, plain, read_json, shown

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from getagrip.errors import UsageError
+
 if TYPE_CHECKING:
     from getagrip.fitting.problem import MethodResult, Problem
 
@@ -32,6 +34,13 @@ class Method:
     """Whether its results have a latent axis."""
     baseline: bool = False
     """Whether it is another system's method, to compare with."""
+
+
+def method_of(name: str) -> Method:
+    """The method of a name. Raises ``UsageError`` for one that is not in ``METHODS``."""
+    if name not in METHODS:
+        raise UsageError(f"method: got {name!r}, expected one of {', '.join(METHODS)}")
+    return METHODS[name]
 
 
 def _in(file: str, function: str = "fit") -> Fit:

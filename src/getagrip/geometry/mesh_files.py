@@ -1,0 +1,160 @@
+"""Mesh files: reading, checking, writing."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry.mesh import Mesh, merged
+from getagrip.geometry.obj import parse_obj
+from getagrip.io import files
+
+SUFFIXES = (".obj", ".ply", ".stl", ".glb")
+LARGEST, SMALLEST = 2.0, 0.005
+"""Plausible sizes of hands and objects [m]."""
+LARGEST_FILE = 128 * 2**20
+"""Limit in bytes: parsing takes several times as much memory."""
+
+
+def read_mesh(path: str | Path) -> Mesh:
+    """Read and check a triangle mesh in metres (.obj, .ply, .stl, .glb), its parts where the file's own transforms put
+    them.
+
+    Closed meshes that are wound inward are turned outward. Raises ``InputError`` for an unreadable file, no faces,
+    degenerate faces, non-finite vertices or an absurd size.
+    """
+    path = Path(path)
+    return checked_mesh(path, *parse_mesh(path))
+
+
+def parse_mesh(path: Path) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
+    """Vertices and faces of a mesh file, not checked, in the file's own unit. Raises ``InputError``."""
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(path, "mesh", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")
+    if not path.is_file():
+        raise InputError(path, "mesh", "no such file", "a triangle mesh")
+    content = files.read_bytes(path, LARGEST_FILE)
+    vertices, faces = parse_obj(path, content) if suffix == ".obj" else _parse(path, suffix, content)
+    if suffix == ".ply" and len(faces) < (promised := _ply_faces(content)):
+        raise InputError(path, "faces", f"{len(faces)} faces", f"{promised}, as its header says; is it cut short?")
+    return vertices, faces
+
+
+def _parse(path: Path, suffix: str, content: bytes) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
+    """Vertices and faces of a .ply, .stl or .glb file, by trimesh. ``path`` is only named in errors."""
+    import trimesh
+
+    kind, stream = suffix[1:], io.BytesIO(content)  # without a path nothing beside the file is ever opened
+    if suffix == ".glb":
+        _check_glb(path, content)
+    binary = len(content) >= 84 and len(content) == 84 + 50 * int.from_bytes(content[80:84], "little")
+    if suffix == ".stl" and not binary:
+        kind, stream = "stl_ascii", io.BytesIO(content.decode("utf-8", "replace").encode())
+        if not stream.getvalue().lstrip().startswith(b"solid"):
+            raise InputError(path, "mesh", "a file that does not parse", "a whole .stl file, binary or text")
+    try:
+        loaded = trimesh.load(stream, file_type=kind, force="mesh", process=False, skip_materials=True)
+    except Exception as error:  # trimesh's readers raise whatever their parsers meet
+        raise InputError(path, "mesh", f"a file that does not parse ({error})", f"a whole {suffix} file") from error
+    vertices, faces = getattr(loaded, "vertices", ()), getattr(loaded, "faces", ())
+    return np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64)
+
+
+_PLY_FACES = re.compile(rb"^element face (\d{1,18})\s*$", re.MULTILINE)
+
+
+def _ply_faces(content: bytes) -> int:
+    """How many faces the header of a .ply file promises."""
+    found = _PLY_FACES.search(content[: content.find(b"end_header")])
+    return int(found[1]) if found else 0
+
+
+def _check_glb(path: Path, content: bytes) -> None:
+    """Refuse a .glb whose vertices or faces are not stored plainly (trimesh reads zeros), or too often repeated."""
+    try:
+        if content[:4] != b"glTF" or content[16:20] != b"JSON":
+            raise ValueError("no glTF header")
+        tree = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+        compressed = [name for name in tree.get("extensionsRequired", []) if "compress" in name]
+        corners = []
+        for mesh in tree.get("meshes", []):
+            used = [(part["attributes"]["POSITION"], part.get("indices")) for part in mesh["primitives"]]
+            arrays = [[tree["accessors"][n] for n in pair if n is not None] for pair in used]
+            stored = all("bufferView" in array for pair in arrays for array in pair)
+            compressed += [] if stored else ["arrays without data"]
+            corners.append(sum(pair[-1]["count"] for pair in arrays))
+        total = sum(corners[node["mesh"]] for node in tree.get("nodes", []) if "mesh" in node)
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(path, "mesh", f"a file that does not parse ({error})", "a whole .glb file") from error
+    if compressed:
+        raise InputError(path, "mesh", files.plain(str(compressed[0])), "a .glb exported without compression")
+    if total > LARGEST_FILE // 12:
+        raise InputError(path, "nodes", f"{total} corners of faces in all", f"at most {LARGEST_FILE // 12}")
+
+
+def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Mesh:
+    """The mesh, vertices merged and wound outward, or an ``InputError`` that says what is wrong with it."""
+    if faces.size == 0 or vertices.size == 0:
+        raise InputError(path, "faces", "no faces", "a mesh with faces")
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise InputError(path, "vertices", f"the shape {vertices.shape}", "three coordinates for each vertex")
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise InputError(path, "faces", f"the shape {faces.shape}", "triangles")
+    if not np.isfinite(vertices).all():
+        raise InputError(path, "vertices", "NaN or infinite coordinates", "finite coordinates [m]")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        bad = faces.min() if faces.min() < 0 else faces.max()
+        raise InputError(path, "faces", f"the vertex index {bad}", f"0 to {len(vertices) - 1}, counted from 0")
+    used, remapped = np.unique(merged(vertices)[faces], return_inverse=True)  # formats like .stl repeat vertices
+    vertices, faces = vertices[used], remapped.reshape(faces.shape)
+    extent = float(np.ptp(vertices, axis=0).max())
+    check_size(path, "vertices", extent, "the object")
+    corners = vertices[faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    bad = np.flatnonzero(area < 1e-12 * extent**2)
+    if bad.size:
+        raise InputError(path, "faces", f"{bad.size} faces without area (first: {bad[0]})", "triangles with an area")
+    mesh = Mesh(vertices, faces)
+    return Mesh(mesh.vertices, mesh.faces[:, ::-1].copy()) if mesh.is_closed and mesh.volume < 0 else mesh
+
+
+def with_area(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Int[ndarray, "..."]:
+    """The faces that have an area: scans and CADs hold some that have none, which show nothing.
+
+    All are returned where they are no triangles of these vertices: ``checked_mesh`` says what is wrong with them.
+    """
+    if vertices.ndim != 2 or faces.ndim != 2 or not faces.size or faces.min() < 0 or faces.max() >= len(vertices):
+        return faces
+    with np.errstate(invalid="ignore", over="ignore"):
+        a, b, c = np.moveaxis(vertices[faces[:, :3]], 1, 0)
+        doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        return faces[doubled > 1e-11 * np.ptp(vertices, axis=0).max(initial=0.0) ** 2]
+
+
+def check_size(path: Path, key: str, extent: float, what: str) -> None:
+    """Raise ``InputError`` when a hand or an object is absurdly large or small."""
+    if extent > LARGEST:
+        raise InputError(path, key, f"{what} {extent:.4g} m large", f"at most {LARGEST:g} m; are these millimetres?")
+    if extent < SMALLEST:
+        raise InputError(path, key, f"{what} {extent:.4g} m large", f"at least {SMALLEST:g} m; is the unit the metre?")
+
+
+def write_mesh(mesh: Mesh, path: str | Path) -> Path:
+    """Write a mesh as .obj, .ply, .stl or .glb, and return its path. Raises ``UsageError`` for other suffixes."""
+    import trimesh
+
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"{path}: got the suffix {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
+    stream = io.BytesIO()
+    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(stream, file_type=path.suffix[1:].lower())
+    files.write_bytes(path, stream.getvalue())
+    return path
