@@ -70,7 +70,7 @@ class Clicking:
     def state(self) -> dict[str, Any]:
         return self.project.labels(self.about)
 
-    def said(self) -> list[dict[str, Any]]:
+    def labels(self) -> list[dict[str, Any]]:
         return self.state()["keyframes"]
 
     def label(self, frame: int) -> None:
@@ -102,7 +102,7 @@ def clicking(video: Path, tmp_path: Path) -> Iterator[Clicking]:
 def test_what_was_clicked_is_there_when_the_file_is_opened_again(clicking: Clicking) -> None:
     clicking.click(4, joints={"0": [10, 20.126], "1": "unseen"}, outlines=disc(4))
     clicking.click(9, hidden=True)
-    before = clicking.said()
+    before = clicking.labels()
     assert [one["frame"] for one in before] == [4, 9]
     assert before[0]["joints"] == {"0": [10.0, 20.13], "1": "unseen"}
     assert before[0]["number"] == 5
@@ -115,13 +115,13 @@ def test_two_tabs_that_click_on_one_frame_lose_nothing(clicking: Clicking) -> No
     clicking.click(4, "tab-one-", joints={"0": [10, 20], "1": [30, 40]})
     clicking.click(4, "tab-two-", joints={"2": [50, 60]}, outlines=disc(4, closed=False))
     clicking.click(4, "tab-one-", joints={"1": [31, 41]}, outlines={"another-": disc(5)["the-disc"]})
-    (frame,) = clicking.said()
+    (frame,) = clicking.labels()
     assert frame["joints"] == {"0": [10.0, 20.0], "1": [31.0, 41.0], "2": [50.0, 60.0]}
     assert frame["outlines"].keys() == {"the-disc", "another-"}
     with pytest.raises(RefusedError, match="another tab"):
         clicking.undo("tab-two-")
     assert clicking.undo("tab-one-")["frame"] == 4
-    (frame,) = clicking.said()
+    (frame,) = clicking.labels()
     assert frame["joints"]["1"] == [30.0, 40.0]
 
 
@@ -147,13 +147,13 @@ def test_undo_goes_back_through_every_state(
     tmp_path_factory: Any, video: Path, steps: list[tuple[int, dict[str, Any]]]
 ) -> None:
     made = Clicking(video, tmp_path_factory.mktemp("undo"))
-    states = [made.said()]
+    states = [made.labels()]
     for frame, sets in steps:
         made.click(frame, **sets)
-        states.append(made.said())
+        states.append(made.labels())
     for state in reversed(states[:-1]):
         assert made.undo()["undone"]
-        assert made.said() == state
+        assert made.labels() == state
     assert not made.undo()["undone"]
     assert len(made.project.marks(VIDEO, "ann")["marks"]) == 1  # of clicks, not of the grasp
     made.project.close()
@@ -162,11 +162,11 @@ def test_undo_goes_back_through_every_state(
 def test_a_frame_without_anything_is_no_key_frame_and_can_be_begun_again(clicking: Clicking) -> None:
     clicking.click(4, joints={"0": [10, 20], "1": [1, 1]}, outlines=disc(4))
     clicking.click(4, deleted=True)
-    assert clicking.said() == []
+    assert clicking.labels() == []
     clicking.click(4, joints={"2": [10, 20]})
-    assert clicking.said()[0]["joints"] == {"2": [10.0, 20.0]}
+    assert clicking.labels()[0]["joints"] == {"2": [10.0, 20.0]}
     clicking.click(4, joints={"2": None})
-    assert clicking.said() == []
+    assert clicking.labels() == []
 
 
 def test_a_click_that_is_sent_twice_is_made_once(clicking: Clicking) -> None:
@@ -200,7 +200,7 @@ POINTS: list[Any] = [
     [NAN, 1], [1, INFINITE], [1], [1, 2, 3], "12", [True, 1], ["1", 2], {}, [[1, 2]], 7, [-WIDTH - 1, 0], [0, 1e300],
     [10**400, 0],
 ]  # fmt: skip
-OUTLINES: list[Any] = [
+POLYGONS: list[Any] = [
     [], "x", 3, {"of": "object", "closed": True}, {"of": "hand", "closed": True, "points": circle(3)},
     {"of": "object", "closed": 1, "points": circle(3)}, {"of": "object", "closed": True, "points": circle(3)[:2]},
     {"of": "object", "closed": False, "points": []}, {"of": "object", "closed": True, "points": "abc"},
@@ -215,7 +215,7 @@ SETS: list[Any] = [
     {"joints": {"0.0": [1, 2]}}, {"joints": {"": [1, 2]}}, {"outlines": [1]}, {"outlines": {"../../x": None}},
     {"outlines": {"a": disc(3)["the-disc"]}}, {"hidden": 1}, {"hidden": None}, {"deleted": "yes"},
     {"outlines": {f"outline-{n}": disc(3)["the-disc"] for n in range(101)}},
-    *({"joints": {"0": point}} for point in POINTS), *({"outlines": {"the-disc": one}} for one in OUTLINES),
+    *({"joints": {"0": point}} for point in POINTS), *({"outlines": {"the-disc": one}} for one in POLYGONS),
 ]  # fmt: skip
 
 
@@ -378,7 +378,9 @@ def test_too_little_to_work_with_is_told(clicking: Clicking) -> None:
         clicking.project.work(clicking.about | {"work": "propagate"})
 
 
-def test_clicks_that_are_no_hand_are_told_by_the_frame_that_is_shown_and_outlines_filled_in(clicking: Clicking) -> None:
+def test_clicks_that_are_no_hand_are_reported_with_the_number_of_their_frame_and_masks_filled_in(
+    clicking: Clicking,
+) -> None:
     clicking.click(FIRST, joints={str(n): [150.0, 100.0] for n in range(21)}, outlines=disc(FIRST))
     job = clicking.work("propagate")
     assert job["state"] == "failed"
@@ -437,7 +439,7 @@ shapes = st.lists(
 
 
 @given(shapes)
-def test_traced_outlines_give_the_mask_again(shapes: list[tuple[int, int, int, int, bool]]) -> None:
+def test_traced_polygons_give_the_mask_again(shapes: list[tuple[int, int, int, int, bool]]) -> None:
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     mask = np.zeros((HEIGHT, WIDTH), bool)
     for x, y, a, b, adds in shapes:
@@ -449,7 +451,7 @@ def test_traced_outlines_give_the_mask_again(shapes: list[tuple[int, int, int, i
     assert all(len(one) >= 3 for one in found)
 
 
-def test_a_ring_has_one_outline_with_its_hole() -> None:
+def test_a_ring_has_one_polygon_with_its_hole() -> None:
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     distance = np.hypot(u - 150, v - 120)
     ring = (distance < 80) & (distance > 40)

@@ -27,19 +27,19 @@ VIDEO = DATA / "egocentric" / "kitchen_plate.mp4"
 
 
 def test_the_labels_are_of_one_hand_and_one_plate() -> None:
-    said = labels.read(LABELS)
-    K, _ = intrinsics(Lens(guess_focal=True), said.size)
-    found = hands_from_clicks(said.clicks, K, said.side, said.first, said.last)
+    given = labels.read(LABELS)
+    K, _ = intrinsics(Lens(guess_focal=True), given.size)
+    found = hands_from_clicks(given.clicks, K, given.side, given.first, given.last)
     assert np.sqrt(np.nanmean(found.residuals**2)) < 4.0
     assert not found.doubtful.any()
     assert np.abs(found.shape).max() < 0.25
     assert found.hand.joints is not None
     tips = project(K, se3.transform(found.hand.T_cam_hand, found.hand.joints))[:, 4]
-    outlines = said.label_maps()
-    assert sorted(outlines) == sorted(said.frames)
+    outlines = given.label_maps()
+    assert sorted(outlines) == sorted(given.frames)
     for n, drawn in outlines.items():  # the thumb lies on the rim
         v, u = np.nonzero(drawn == OBJECT)
-        to_plate = np.hypot(u + 0.5 - tips[n - said.first, 0], v + 0.5 - tips[n - said.first, 1]).min()
+        to_plate = np.hypot(u + 0.5 - tips[n - given.first, 0], v + 0.5 - tips[n - given.first, 1]).min()
         assert to_plate < 0.1 * np.ptp(u)
 
 
@@ -49,16 +49,16 @@ def test_from_video_to_reconstruction(tmp_path: Path, run: Run) -> None:
     whole = labels.read(LABELS)
     first, last = 93, 111  # a part of it, for the sake of time
     frames = {n: frame for n, frame in whole.frames.items() if first <= n <= last}
-    said = replace(whole, first=first, last=last, frames=frames)
+    given = replace(whole, first=first, last=last, frames=frames)
     video = Video(VIDEO)
     try:
-        made = make(said, video.image, Lens(), tmp_path / "made")
+        made = make(given, video.image, Lens(), tmp_path / "made")
     finally:
         video.close()
     assert min(made.confidence.values()) > 0.85
     write_mesh(plate(), tmp_path / "plate.obj")
     words = made.command.split()[1:]
-    words[words.index(said.video)] = str(VIDEO)
+    words[words.index(given.video)] = str(VIDEO)
     words[words.index("MESH")], words[words.index("CLIP")] = str(tmp_path / "plate.obj"), str(tmp_path / "carried")
     status, _, err = run(*words)
     assert status == 0

@@ -163,7 +163,7 @@ def test_joints_are_clicked_in_order_corrected_and_not_lost(context: Any, served
     assert len(served.grasps()) == 1
 
 
-def test_an_outline_is_drawn_closed_and_edited(context: Any, served: Served) -> None:
+def test_a_polygon_is_drawn_closed_and_edited(context: Any, served: Served) -> None:
     page, points = opened(context, served), circle(FIRST, 8)
     page.keyboard.press("o")
     for point in points:
@@ -223,7 +223,7 @@ def test_two_tabs_that_label_lose_nothing(context: Any, served: Served) -> None:
     saved(one)
     saved(two)
     for page in (one, two):
-        playwright.expect(page.locator("#keyframes li")).to_contain_text("2 joints · 1 outline")
+        playwright.expect(page.locator("#keyframes li")).to_contain_text("2 joints · 1 polygon")
     state = kept(served)[FIRST]
     assert near(state.joints["0"], [90, 80])
     assert near(state.joints["1"], [120, 100])

@@ -135,9 +135,9 @@ def test_labels_become_a_clip(tmp_path: Path, run: Run) -> None:
 
 def test_what_is_in_front_or_may_be_is_ignored(tmp_path: Path) -> None:
     front = scene(0).square + np.array([20.0, 0.0])
-    said = labels_of(0)
+    given = labels_of(0)
     frames = {0: FrameLabels(scene(0).uv, (scene(0).square,), (front,))}
-    make(Labels(said.video, SIZE, said.side, said.fps, 0, 0, frames), image, Lens(focal=FOCAL), tmp_path / "made")
+    make(Labels(given.video, SIZE, given.side, given.fps, 0, 0, frames), image, Lens(focal=FOCAL), tmp_path / "made")
     mask = cv2.imread(str(tmp_path / "made" / "masks" / "000001.png"), cv2.IMREAD_UNCHANGED)
     assert mask[50, 125] == OBJECT
     assert mask[50, 170] == FRONT
@@ -158,7 +158,7 @@ def test_only_what_was_made_of_labels_is_overwritten(tmp_path: Path) -> None:
 
 
 def test_too_little_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
-    for frames, words in (({0: FrameLabels(scene(0).uv)}, "outlines"), ({0: FrameLabels(object=())}, "joints")):
+    for frames, words in (({0: FrameLabels(scene(0).uv)}, "polygons"), ({0: FrameLabels(object=())}, "joints")):
         with pytest.raises(UsageError, match=words):
             make(Labels("a.mp4", SIZE, "right", 25.0, 0, 1, frames), image, Lens(), tmp_path / "made")
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""Marks: nothing that was ever said is lost, changes of different fields go together, exports read back."""
+"""Marks: nothing that was ever entered is lost, changes of different fields go together, exports read back."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ def test_other_files_are_no_databases_of_marks(tmp_path: Path, refused: Callable
 # ---- agreement and export ----------------------------------------------------------------------------------------
 
 
-def said(start: int, end: int, who: str = "ann", side: str = "left", task: str = "t") -> Mark:
+def a_mark(start: int, end: int, who: str = "ann", side: str = "left", task: str = "t") -> Mark:
     return Mark(new(), task, who, start, end, side, "mug")
 
 
@@ -206,26 +206,26 @@ def test_temporal_iou_is_that_of_the_sets_of_frames(a: tuple[int, int], b: tuple
 
 @given(st.lists(intervals, max_size=4), st.lists(intervals, max_size=4))
 def test_agreement_is_mutual(a: list[tuple[int, int]], b: list[tuple[int, int]]) -> None:
-    ours, theirs = ([said(*one) for one in some] for some in (a, b))
+    ours, theirs = ([a_mark(*one) for one in some] for some in (a, b))
     assert sum(matched(ours, theirs)) == pytest.approx(sum(matched(theirs, ours)))
     assert matched(ours, ours) == [1.0] * len(ours)
 
 
 def test_agreement_of_known_marks() -> None:
-    marks = [said(0, 9), said(20, 29), said(0, 9, "bob"), said(25, 34, "bob"), said(50, 59, "bob")]
+    marks = [a_mark(0, 9), a_mark(20, 29), a_mark(0, 9, "bob"), a_mark(25, 34, "bob"), a_mark(50, 59, "bob")]
     marks += [Mark(new(), "u", who, reason=REASONS[0]) for who in ("ann", "bob")]
-    marks += [said(0, 9, task="v"), Mark(new(), "v", "bob", reason=REASONS[1]), said(0, 9, "ann", task="w")]
+    marks += [a_mark(0, 9, task="v"), Mark(new(), "v", "bob", reason=REASONS[1]), a_mark(0, 9, "ann", task="w")]
     (found,) = agreements(marks)
     assert (found.tasks, found.both_discarded, found.one_discarded, found.grasps) == (3, 1, 1, 4)
     assert found.iou == pytest.approx((1 + 5 / 15 + 0 + 0) / 4)
     assert found.above_half == pytest.approx(1 / 4)
-    assert matched([said(0, 9)], [said(0, 9, side="right")]) == [0.0, 0.0]
+    assert matched([a_mark(0, 9)], [a_mark(0, 9, side="right")]) == [0.0, 0.0]
 
 
 def test_the_table_is_read_back_as_epic_grasps(project: Project, tmp_path: Path) -> None:
     grasp(project, 12, 45, task="candidate", entity="red mug")
     grasp(project, 5, 9)
-    grasp(project, 5, 9)  # said twice
+    grasp(project, 5, 9)  # marked twice
     project.change(change(new(), {"start": 50}))  # no end yet
     grasp(project, 1, 30, "bob", "candidate")
     assert write_files(project, tmp_path) == 0

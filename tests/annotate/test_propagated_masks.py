@@ -1,4 +1,4 @@
-"""Outlines carried from key frames: a textured thing that moves over a textured ground, its true mask known."""
+"""Masks propagated from key frames: a textured thing that moves over a textured ground, its true mask known."""
 
 from __future__ import annotations
 

@@ -23,11 +23,11 @@ from getagrip.clip import (
     Clip,
     Masks,
     input_sha256,
+    observed_frames,
     read_clip,
     read_masks,
     read_name,
-    read_seen,
-    seen_frames,
+    read_observed,
     write_clip,
 )
 from getagrip.clip.writing import write_hand
@@ -216,7 +216,7 @@ def test_unseen_frames_are_dropped_and_named() -> None:
     clip, masks = small_clip(4)
     masks.object[1] = False
     masks.ignore[2] = True
-    short = seen_frames(clip, masks.seen)
+    short = observed_frames(clip, masks.observed)
     assert (short.frames, short.left_out) == (("0000", "0003"), ("0001", "0002"))
     assert len(short.hand.vertices) == 2
 
@@ -225,7 +225,7 @@ def test_unseen_frames_are_dropped_and_named() -> None:
 def test_reading_some_frames_is_reading_all_and_choosing(five_frames: Path, hidden: list[bool]) -> None:
     clip = read_clip(five_frames)
     whole = read_masks(clip)
-    np.testing.assert_array_equal(read_seen(clip), whole.seen)
+    np.testing.assert_array_equal(read_observed(clip), whole.observed)
     index = np.flatnonzero(hidden)
     if index.size:
         some = read_masks(clip.take(index))
@@ -246,7 +246,7 @@ def five_frames(tmp_path_factory: Any) -> Path:
 def test_one_seen_frame_is_too_few(refused: Refused) -> None:
     clip, masks = small_clip(3)
     masks.object[1:] = False
-    refused(lambda: seen_frames(clip, masks.seen), "masks/object", "1 of 3 masks", "at least 2")
+    refused(lambda: observed_frames(clip, masks.observed), "masks/object", "1 of 3 masks", "at least 2")
 
 
 # Everything that can be wrong. Each case: how to break the clip, the file that is named, and words of the message.

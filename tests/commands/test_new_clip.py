@@ -156,7 +156,7 @@ def test_in_steps(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "no hand in 1 of 6 frames" in told
     clip = read_clip(folder)
     assert clip.frames == ("000003", "000004", "000006", "000007", "000008")
-    assert read_masks(clip).seen.all()
+    assert read_masks(clip).observed.all()
     assert clip.hand.joints is not None
     seen = se3.transform(clip.hand.T_cam_hand, clip.hand.joints)
     assert np.abs(seen - joints).max() < 0.01

@@ -75,10 +75,10 @@ def saved(page: Any) -> None:
     expect(page.locator("#saved")).to_have_text("All saved")
 
 
-def until(page: Any, said: str) -> None:
+def until(page: Any, condition: str) -> None:
     """Wait for JavaScript that says true. (Playwright's own wait compiles it in the page, which the page forbids.)"""
     for _ in range(200):
-        if page.evaluate(said):
+        if page.evaluate(condition):
             return
         page.wait_for_timeout(50)
-    raise AssertionError(f"never true: {said}")
+    raise AssertionError(f"never true: {condition}")

@@ -53,7 +53,7 @@ def middle(n: int) -> np.ndarray:
 
 
 def circle(n: int, corners: int = 16) -> list[list[float]]:
-    """An outline of the disc."""
+    """A polygon around the disc."""
     angle = 2 * np.pi * np.arange(corners) / corners
     return [[round(float(x), 2) for x in middle(n) + RADIUS * np.array([np.cos(a), np.sin(a)])] for a in angle]
 

@@ -1,9 +1,9 @@
 """A local web page on which people mark stable grasps and label frames.
 
-``tasks`` says what to look through; ``footage``, ``video`` and ``decoding`` show its frames. What is said are ``marks``
-(where a grasp is) and ``keyframes`` (joints and outlines on some of its frames): ``versions`` keeps every change that
-was ever made of them, ``store`` puts them into a file. ``labelling`` makes ``labels`` of a grasp's key frames and has
-``drafting`` fill in the frames between, in the ``background``: ``clicked_hands`` and ``steadied_hands`` fit hands,
-``propagated_masks`` carries outlines, ``tracing`` draws them. ``labelled`` writes the files that a clip is made of.
+``tasks`` says what to look through; ``footage``, ``video`` and ``decoding`` show its frames. What people enter are
+``marks`` (where a grasp is) and ``keyframes`` (joints and polygons on some of its frames): ``versions`` keeps every
+change that was ever made of them, ``store`` puts them into a file. ``labelling`` makes ``labels`` of a grasp's key
+frames and has ``drafting`` fill in the frames between, in the ``background``: ``clicked_hands`` and ``steadied_hands``
+fit hands, ``propagated_masks`` makes masks, ``tracing`` polygons of them. ``labelled`` writes the files of a clip.
 ``project`` joins all this and ``server`` gives it to the page; ``export`` and ``agreement`` read what is kept.
 """

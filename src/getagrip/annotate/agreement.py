@@ -55,11 +55,11 @@ def matched(ours: Sequence[Mark], theirs: Sequence[Mark]) -> list[float]:
 
 def agreements(marks: Sequence[Mark]) -> list[Agreement]:
     """The agreement of every two people who have looked at the same tasks."""
-    said: dict[str, dict[str, list[Mark]]] = {}
+    marked: dict[str, dict[str, list[Mark]]] = {}
     for mark in marks:
         if mark.interval or mark.reason:  # a start without an end says nothing yet
-            said.setdefault(mark.annotator, {}).setdefault(mark.task, []).append(mark)
-    found = [_agreement(a, b, said[a], said[b]) for a, b in combinations(sorted(said), 2)]
+            marked.setdefault(mark.annotator, {}).setdefault(mark.task, []).append(mark)
+    found = [_agreement(a, b, marked[a], marked[b]) for a, b in combinations(sorted(marked), 2)]
     return [one for one in found if one.tasks]
 
 

@@ -1,4 +1,4 @@
-"""Work that takes longer than a request: in one thread, one piece after the other, each piece told how far it is."""
+"""Work that takes longer than a request: in one thread, one piece after the other, with its progress."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Job:
         if self.stop.is_set():
             raise CancelledError
 
-    def told(self) -> dict[str, Any]:
+    def status(self) -> dict[str, Any]:
         """What the page shows."""
         return {key: getattr(self, key) for key in ("what", "state", "done", "total", "message")}
 
@@ -87,5 +87,5 @@ def _run(job: Job, work: Work) -> None:
         job.state = "cancelled"
     except (GetagripError, OSError, MemoryError) as error:
         job.state, job.message = "failed", str(error)
-    except Exception as error:  # a thread's errors are seen by nobody: the page has to tell
+    except Exception as error:  # nobody sees a thread's errors: the page shows them
         job.state, job.message = "failed", f"an error of the program: {type(error).__name__}: {error}"

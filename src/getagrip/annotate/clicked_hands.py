@@ -9,7 +9,7 @@ by Levenberg-Marquardt on the block-arrow normal equations of ``hands.fit``, wit
 (Cauchy), so that a few wrong clicks count little. The fingers of a hand that holds something hardly move: joints that
 are hidden in one frame are known from the others.
 
-One view tells neither the size of a hand nor its distance. The size is that of the generic hand, a guess, and the
+One view determines neither the size of a hand nor its distance. The size is that of the generic hand, a guess, and the
 distance follows from it. Between clicked frames the hand moves smoothly; before the first and after the last it stays.
 """
 
@@ -146,7 +146,7 @@ class Guess(NamedTuple):
 def _fit(model: HandModel, chains: Chains, prior: PosePrior, clicks: Clicks, curl: Curl) -> tuple[Guess, float]:
     """The best hands from fingers that are bent by ``curl``, and their cost.
 
-    What is known of the grasp after a fit tells better which way the hands are turned: they are placed and fitted anew
+    After a fit the orientation of the hands is known better: they are placed and fitted anew
     as long as that helps.
     """
     grasp, shape = prior.mean.copy(), np.zeros(len(model.shape_names))

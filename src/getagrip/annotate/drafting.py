@@ -1,4 +1,4 @@
-"""Drafts of a grasp's frames from its labels: the fitted hand as the camera sees it, and the outlines of masks."""
+"""Drafts of a grasp's frames from its labels: the silhouette of the fitted hand, and masks, as polygons."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
 
 HAND_SIDE = 640
-"""The hand's outline is drawn from an image whose longer side is so long [px]."""
+"""The hand's silhouette is drawn in an image whose longer side is so long [px]."""
 
 
 def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, dict[str, Any]]:
-    """By frame: where the fitted hand's joints and outline are seen [px], and which clicks do not fit the others.
+    """By frame: joints and silhouette of the fitted hand [px], and which clicks do not fit the others.
 
     Raises ``UsageError`` as ``hands_from_clicks`` does.
     """
@@ -37,7 +37,7 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
         mask = covered(se3.transform(T, vertices), track.faces, np.diag([zoom, zoom, 1.0]) @ K, small)
         out[labels.first + n] = {
             "joints": _rounded(project(K, se3.transform(T, joints))),
-            "outlines": _outlines(mask, 1.0 / zoom),
+            "outlines": _polygons(mask, 1.0 / zoom),
             "doubtful": [],
         }
     for frame, doubtful in zip(found.keys, found.doubtful, strict=True):
@@ -46,7 +46,7 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
 
 
 def masks(labels: Labels, image: Images, known: Container[int] = ()) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Each frame with the outlines of the object and of what is in front of it [px], and how sure they are (0 to 1).
+    """Each frame with polygons around the object and what is in front of it [px], and how sure they are (0 to 1).
 
     Stretches between key frames of which all frames are ``known`` are left out. Raises ``UsageError`` as ``propagate``
     does.
@@ -55,14 +55,14 @@ def masks(labels: Labels, image: Images, known: Container[int] = ()) -> Iterator
         yield (
             frame,
             {
-                "object": _outlines(drawn == OBJECT),
-                "front": _outlines(drawn == FRONT),
+                "object": _polygons(drawn == OBJECT),
+                "front": _polygons(drawn == FRONT),
                 "confidence": round(float(confidence), 3),
             },
         )
 
 
-def _outlines(mask: Bool[ndarray, "H W"], zoom: float = 1.0) -> list[list[list[float]]]:
+def _polygons(mask: Bool[ndarray, "H W"], zoom: float = 1.0) -> list[list[list[float]]]:
     return [_rounded(zoom * shape) for shape in traced(mask)]
 
 

@@ -1,4 +1,4 @@
-"""What was computed from key frames: for each frame the masks' outlines, and the fitted hand as it is seen.
+"""What was computed from key frames: the polygons of the masks and the silhouette of the fitted hand, frame by frame.
 
 A draft says from what it was made (``basis``); where the key frames have changed since, it is out of date. It is shown
 until it is overwritten.

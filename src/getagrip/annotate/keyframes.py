@@ -1,6 +1,6 @@
-"""A key frame: what one person has clicked on one frame of a grasp, the joints of the hand and outlines.
+"""A key frame: what one person has clicked on one frame of a grasp, the joints of the hand and polygons.
 
-A change names the joints and outlines that it touches; null takes one away:
+A change names the joints and polygons (``outlines``) that it touches; null takes one away:
 
     {"joints": {"4": [x, y], "5": "unseen", "6": null},
      "outlines": {"<its name>": {"of": "object", "closed": true, "points": [[x, y], ...]}},
@@ -62,18 +62,18 @@ class KeyFrame:
     joints: dict[str, Any] = field(default_factory=dict)
     """By number, "0" to "20": a point, or ``UNSEEN``."""
     outlines: dict[str, Any] = field(default_factory=dict)
-    """By a name that the page makes up: ``of``, ``closed`` and ``points``."""
+    """Polygons by a name that the page chooses: ``of``, ``closed`` and ``points``."""
     hidden: bool = False
-    """Nothing of the object is to be seen."""
+    """The object is not visible."""
     deleted: bool = False
 
     def polygons(self, kind: str) -> Polygons:
-        """The closed outlines of "object" or "front"."""
+        """The closed polygons of "object" or "front"."""
         shapes = [one["points"] for one in self.outlines.values() if one["of"] == kind and one["closed"]]
         return tuple(np.array(points, dtype=float) for points in shapes)
 
     def labels(self) -> FrameLabels:
-        """What a file of labels says of it."""
+        """Its labels, as a file has them."""
         objects, front = self.polygons("object"), self.polygons("front")
         clicked = any(point != UNSEEN for point in self.joints.values())
         return FrameLabels(
@@ -95,12 +95,12 @@ def versions(database: Database) -> Versions[KeyFrame]:
 
 
 def blank(task: str, annotator: str, grasp: str, frame: int) -> KeyFrame:
-    """A frame of which nothing has been said."""
+    """A frame without labels."""
     return KeyFrame(f"{grasp}:{frame}", task, annotator, grasp, frame)
 
 
 def from_labels(frame: FrameLabels) -> dict[str, Any]:
-    """The change that makes a blank key frame say what a file of labels does."""
+    """The change that gives a blank key frame the labels of a file."""
     joints = {} if frame.joints is None else {
         str(n): UNSEEN if np.isnan(point).any() else point.tolist() for n, point in enumerate(frame.joints)
     }  # fmt: skip

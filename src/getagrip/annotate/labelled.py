@@ -22,7 +22,7 @@ from getagrip.io import files
 from getagrip.io.images import write_image
 
 BESIDE = 0.004
-"""The fitted hand is so far off its true outline: pixels beside it say nothing either [m]."""
+"""The fitted hand is so far off its true silhouette: pixels beside it say nothing either [m]."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def command(labels: Labels, out: Path) -> str:
 def _extra(labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera: str) -> dict[str, ndarray]:
     """What a hand file says of its frames, its camera and where it comes from."""
     off = float(np.sqrt(np.nanmean(hands.residuals**2)))
-    told = {
+    provenance = {
         "hands": f"joints clicked on {len(hands.keys)} frames, the generic hand fitted ({off:.1f} px off, root mean "
         "square), in between moved with the footage",
         "hands_scale": SCALE,
@@ -92,4 +92,4 @@ def _extra(labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera
     }
     numbers = np.arange(labels.first + 1, labels.last + 2)
     extra = {"frames": numbers, "K": K, "side": np.array(labels.side)}
-    return extra | {f"provenance_{key}": np.array(text) for key, text in told.items()}
+    return extra | {f"provenance_{key}": np.array(text) for key, text in provenance.items()}

@@ -54,7 +54,7 @@ class Grasp:
 
     @property
     def side(self) -> Side:
-        """Which hand. Raises ``RefusedError`` where it is not said."""
+        """Which hand. Raises ``RefusedError`` where the mark does not have it."""
         if self.mark.side not in ("left", "right"):
             raise RefusedError("say first which hand holds the object")
         return cast(Side, self.mark.side)
@@ -76,7 +76,7 @@ class Labelling:
         self.background = Background()
 
     def state(self, grasp: Grasp) -> dict[str, Any]:
-        """All that is said of a grasp's frames, what drafts would be made of now, and how far the work on it is."""
+        """The labels of a grasp's frames, what drafts would be made of now, and the progress of the work on it."""
         newest = self.store.keyframes.newest(grasp.mark.mark, grasp.mark.annotator)  # before the frames, as with marks
         own = self._own(grasp)
         job = self.background.job(grasp.mark.mark)
@@ -93,7 +93,7 @@ class Labelling:
             ],
             "basis": self._basis(grasp, own),
             "drafts": self.store.drafts.newest(grasp.mark.mark),
-            "job": None if job is None else job.told(),
+            "job": None if job is None else job.status(),
         }
 
     def change(self, grasp: Grasp, content: Mapping[str, Any]) -> None:
@@ -111,57 +111,57 @@ class Labelling:
         return {"undone": undone is not None, "frame": None if undone is None else undone.frame}
 
     def labels(self, grasp: Grasp) -> Labels:
-        """What is said of the frames of a grasp, as a file has it."""
+        """The labels of a grasp, as a file has them."""
         (first, last), footage = grasp.extent, grasp.footage
         frames = {one.frame: one.labels() for one in self._own(grasp) if first <= one.frame <= last}
         video = (grasp.task.path or Path(grasp.task.video)).name
         return Labels(video, footage.size, grasp.side, footage.fps, first, last, frames)
 
-    def take(self, grasp: Grasp, said: Labels) -> None:
-        """Put what a file of labels says in the place of what is said of its frames. Raises ``RefusedError``."""
+    def take(self, grasp: Grasp, given: Labels) -> None:
+        """Replace the labels of a grasp by those of a file. Raises ``RefusedError``."""
         (width, height), tab = grasp.footage.size, str(uuid4())
-        if said.size != (width, height):
-            raise RefusedError(f"labels of {said.size[0]} x {said.size[1]} pixels, footage of {width} x {height}")
+        if given.size != (width, height):
+            raise RefusedError(f"labels of {given.size[0]} x {given.size[1]} pixels, footage of {width} x {height}")
 
         def replaced(old: KeyFrame, sets: Mapping[str, Any]) -> KeyFrame:
             blank = keyframes.blank(old.task, old.annotator, old.grasp, old.frame)
-            return keyframes.changed(blank, sets, said.size)
+            return keyframes.changed(blank, sets, given.size)
 
-        for n, frame in said.frames.items():
+        for n, frame in given.frames.items():
             blank = keyframes.blank(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, n)
             change = versions.Change(str(uuid4()), tab, keyframes.from_labels(frame))
             self.store.keyframes.apply(change, blank, replaced)
 
     def propagate(self, grasp: Grasp) -> None:
         """Begin to make the drafts that are not up to date. Raises ``RefusedError`` where there is nothing."""
-        basis, said = self._basis(grasp, self._own(grasp)), self.labels(grasp)
+        basis, given = self._basis(grasp, self._own(grasp)), self.labels(grasp)
         if not any(basis.values()):
-            raise RefusedError("nothing to fill in yet: click joints, or draw the object's outline, on a frame")
-        self._check_joints(grasp, said)
-        self._start(grasp, "propagate", lambda job: self._draft(grasp, said, basis, job))
+            raise RefusedError("nothing to fill in yet: click joints, or draw a polygon around the object, on a frame")
+        self._check_joints(grasp, given)
+        self._start(grasp, "propagate", lambda job: self._draft(grasp, given, basis, job))
 
     def make(self, grasp: Grasp) -> None:
         """Begin to write the files that a clip is made of. Raises ``RefusedError`` where something is missing."""
-        said = self.labels(grasp)
-        self._check_joints(grasp, said)
-        if not said.clicks or not said.label_maps():
-            raise RefusedError("a clip needs joints on one frame at least, and the object's outline on one")
-        self._start(grasp, "files", lambda job: self.write(grasp, said, job))
+        given = self.labels(grasp)
+        self._check_joints(grasp, given)
+        if not given.clicks or not given.label_maps():
+            raise RefusedError("a clip needs joints on one frame at least, and a polygon around the object on one")
+        self._start(grasp, "files", lambda job: self.write(grasp, given, job))
 
-    def write(self, grasp: Grasp, said: Labels, job: Job) -> str:
+    def write(self, grasp: Grasp, given: Labels, job: Job) -> str:
         """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; the command that makes a clip of them."""
         from getagrip.annotate.labelled import make
 
         self.out.mkdir(parents=True, exist_ok=True)
-        labels.write(said, self.out / f"labels-{grasp.name}.json")
+        labels.write(given, self.out / f"labels-{grasp.name}.json")
         with closing(open_footage(_path(grasp))) as footage:
 
             def image(n: int) -> UInt8[ndarray, "H W 3"]:
-                job.report(max(job.done, n - said.first), said.last - said.first + 1)
+                job.report(max(job.done, n - given.first), given.last - given.first + 1)
                 return footage.image(n)
 
-            made = make(said, image, self.lens, self.out / grasp.name, overwrite=True)
-        return made.command.replace(f" new {said.video} ", f" new {shlex.quote(str(_path(grasp)))} ", 1)
+            made = make(given, image, self.lens, self.out / grasp.name, overwrite=True)
+        return made.command.replace(f" new {given.video} ", f" new {shlex.quote(str(_path(grasp)))} ", 1)
 
     def close(self) -> None:
         """End what is being done."""
@@ -174,13 +174,13 @@ class Labelling:
             n = int(found[1])
             return f"frame {grasp.footage.number(n) if n < grasp.footage.frames else n}"
 
-        def told(job: Job) -> str:
+        def renumbered(job: Job) -> str:
             try:
                 return work(job)
             except UsageError as error:
                 raise UsageError(re.sub(r"frame ([0-9]{1,9})", numbered, str(error))) from error
 
-        self.background.start(grasp.mark.mark, what, told)
+        self.background.start(grasp.mark.mark, what, renumbered)
 
     def _own(self, grasp: Grasp) -> list[KeyFrame]:
         return self.store.keyframes.standing(grasp.mark.mark, grasp.mark.annotator)
@@ -190,45 +190,45 @@ class Labelling:
         first, last = grasp.extent
         frames = [(one, one.labels()) for one in own if first <= one.frame <= last]
         masks = {
-            one.frame: [[shape.tolist() for shape in shapes or ()] for shapes in (said.object, said.front)]
-            for one, said in frames
-            if said.object is not None
+            one.frame: [[shape.tolist() for shape in shapes or ()] for shapes in (labelled.object, labelled.front)]
+            for one, labelled in frames
+            if labelled.object is not None
         }
-        hand = {one.frame: one.joints for one, said in frames if said.joints is not None}
+        hand = {one.frame: one.joints for one, labelled in frames if labelled.joints is not None}
         between = stretches(masks, first, last) if masks else ()
         return {
             "masks": [(one.first, one.last, _word({n: masks[n] for n in one.keys})) for one in between],
             "hand": [(first, last, _word(first, last, hand, grasp.side, asdict(self.lens)))] if hand else [],
         }
 
-    def _check_joints(self, grasp: Grasp, said: Labels) -> None:
+    def _check_joints(self, grasp: Grasp, given: Labels) -> None:
         """Raise ``RefusedError`` for a frame with too few joints, by the number that the page shows."""
-        for n, joints in said.clicks.items():
+        for n, joints in given.clicks.items():
             count = int(np.isfinite(joints).all(axis=1).sum())
             if count < FEWEST:
                 number = grasp.footage.number(n)
                 raise RefusedError(f"frame {number} has {count} joints: click {FEWEST} at least, or delete them")
 
-    def _draft(self, grasp: Grasp, said: Labels, basis: Basis, job: Job) -> str:
+    def _draft(self, grasp: Grasp, given: Labels, basis: Basis, job: Job) -> str:
         """Make drafts of both kinds where those that are there were made of something else."""
         from getagrip.annotate import drafting
 
-        drafts, key, frames = self.store.drafts, grasp.mark.mark, said.last - said.first + 1
+        drafts, key, frames = self.store.drafts, grasp.mark.mark, given.last - given.first + 1
         words = {kind: {n: word for a, b, word in rows for n in range(a, b + 1)} for kind, rows in basis.items()}
         made = {kind: drafts.bases(key, kind) for kind in basis}
         known = {kind: {n for n, word in rows.items() if made[kind].get(n) == word} for kind, rows in words.items()}
         wrong: UsageError | None = None
         with closing(open_footage(_path(grasp))) as footage:
             if len(known["hand"]) < len(words["hand"]):
-                K, _ = intrinsics(self.lens, said.size)
+                K, _ = intrinsics(self.lens, given.size)
                 try:
-                    drafts.put(key, "hand", words["hand"][said.first], drafting.hand(said, K, footage.image))
-                except UsageError as error:  # outlines can be filled in nevertheless
+                    drafts.put(key, "hand", words["hand"][given.first], drafting.hand(given, K, footage.image))
+                except UsageError as error:  # masks can be filled in nevertheless
                     wrong = error
             if len(known["masks"]) < len(words["masks"]):
-                for n, content in drafting.masks(said, footage.image, known["masks"]):
+                for n, content in drafting.masks(given, footage.image, known["masks"]):
                     drafts.put(key, "masks", words["masks"][n], {n: content | {"number": footage.number(n)}})
-                    job.report(n - said.first + 1, frames)
+                    job.report(n - given.first + 1, frames)
         if wrong is not None:
             raise wrong
         return ""

@@ -1,4 +1,4 @@
-"""What a person has clicked on some frames: the joints of the hand, the outline of the object, what is in front of it.
+"""What a person has clicked on some frames: the joints of the hand, the object, what is in front of it.
 
 As JSON, one file for one grasp:
 
@@ -7,9 +7,9 @@ As JSON, one file for one grasp:
 
 Frames are counted from 0, first and last included; points are in pixels of the footage, the middle of its first pixel
 at (0.5, 0.5). ``joints`` are 21, wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, null
-where not clicked. ``object`` are polygons around what is seen of the object, ``front`` around whatever else than the
-hand that holds it hides it; where both overlap, ``front`` counts. A frame may have joints, or polygons, or both: a key
-that is left out says nothing, an empty list of polygons says that there is nothing to be seen.
+where not clicked. ``object`` are polygons around the visible parts of the object, ``front`` around whatever hides it
+besides the hand that holds it; where both overlap, ``front`` counts. A frame may have joints, or polygons, or both. A
+missing key means that there is no label, an empty list of polygons that nothing of it is visible.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Labels:
         return {n: frame.joints for n, frame in sorted(self.frames.items()) if frame.joints is not None}
 
     def label_maps(self) -> dict[int, UInt8[ndarray, "H W"]]:
-        """Of each frame on which the object was outlined, or said not to be seen: 0, ``OBJECT`` or ``FRONT``."""
+        """Of each frame on which the object has polygons, or is marked as not visible: 0, ``OBJECT`` or ``FRONT``."""
         return {n: _label_map(frame, self.size) for n, frame in sorted(self.frames.items()) if frame.object is not None}
 
 

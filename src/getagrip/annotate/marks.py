@@ -11,7 +11,7 @@ from getagrip.annotate.versions import Database, RefusedError, Versions
 from getagrip.io.files import shown
 
 REASONS = ("no stable grasp", "out of view", "other CAD")
-"""Why a task is discarded: nothing is held stably, hand and object are not seen, the thing is unlike its mesh."""
+"""Why a task is discarded: nothing is held stably, hand and object are not visible, the thing is unlike its mesh."""
 SETTABLE = frozenset({"start", "end", "side", "category", "entity", "reason", "deleted"})
 """What the page may change."""
 SCHEMA = """

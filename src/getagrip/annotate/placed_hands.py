@@ -44,7 +44,7 @@ class Clicks(NamedTuple):
 
     @staticmethod
     def of(K: Float[ndarray, "3 3"], points: Float[ndarray, "n 21 2"]) -> Clicks:
-        """The noise is known in metres; the hand's extent tells how many pixels these are."""
+        """The noise is known in metres; the extent of the hand in the image converts them to pixels."""
         there = ~np.isnan(points).any(axis=-1)
         flat = generic.load("right").with_shape().with_pose().joints
         per_metre = np.array([_spread(y[seen]) / _spread(flat[seen]) for y, seen in zip(points, there, strict=True)])

@@ -27,7 +27,7 @@ MOST_OPEN = 4
 
 
 class Project:
-    """Tasks and the store of what is said of them."""
+    """Tasks and the store of their marks and labels."""
 
     def __init__(self, tasks: list[Task], store: Store, lens: Lens | None = None) -> None:
         """``lens`` is the camera of all footage; without one the focal length is guessed."""
@@ -94,7 +94,7 @@ class Project:
         return self.marks(task.key, name) | {"undone": undone is not None}
 
     def labels(self, content: Mapping[str, Any]) -> dict[str, Any]:
-        """What is said of the frames of a grasp. Raises ``RefusedError``."""
+        """The labels of a grasp. Raises ``RefusedError``."""
         return self.labelling.state(self._grasp(content))
 
     def label(self, content: Mapping[str, Any]) -> dict[str, Any]:
@@ -133,36 +133,38 @@ class Project:
         return text, f"labels-{grasp.name}.json"
 
     def labelled(self) -> Iterator[Grasp]:
-        """The finished grasps of these tasks of whose frames something is said. Raises ``InputError``."""
-        said = {one.grasp for one in self.store.keyframes.standing()}
+        """The finished grasps of these tasks that have labels. Raises ``InputError``."""
+        with_labels = {one.grasp for one in self.store.keyframes.standing()}
         for mark in self.known():
             task = self.tasks[mark.task]
-            if mark.mark in said and mark.interval and mark.side and task.path is not None:
+            if mark.mark in with_labels and mark.interval and mark.side and task.path is not None:
                 yield Grasp(task, self.footage(task), mark)
 
-    def import_labels(self, said: Labels, annotator: str) -> Grasp:
+    def import_labels(self, given: Labels, annotator: str) -> Grasp:
         """Take a file of labels as an annotator's own, of a grasp that is marked if it is not yet.
 
         Raises ``RefusedError`` where it is of other footage.
         """
-        tasks = [task for task in self.tasks.values() if task.path is not None and task.path.name == said.video]
+        tasks = [task for task in self.tasks.values() if task.path is not None and task.path.name == given.video]
         if not tasks:
-            raise RefusedError(f"video: got {files.plain(said.video)}, expected footage that is given here")
+            raise RefusedError(
+                f"video: got {files.plain(given.video)}, expected the name of a video given to this command"
+            )
         footage = self.footage(tasks[0])
-        inside = [task for task in tasks if _holds(task.extent(footage), (said.first, said.last))]
+        inside = [task for task in tasks if _holds(task.extent(footage), (given.first, given.last))]
         task, name = (inside or tasks)[0], versions.annotator(annotator)
-        sets = {"start": said.first, "end": said.last, "side": said.side}
+        sets = {"start": given.first, "end": given.last, "side": given.side}
         same = [
             mark
             for mark in self.store.marks.standing(task.key, name)
-            if mark.interval == (said.first, said.last) and mark.side == said.side
+            if mark.interval == (given.first, given.last) and mark.side == given.side
         ]
         if not same:
             blank, about = Mark(str(uuid4()), task.key, name), {"category": task.category, "entity": task.entity}
             change = Change(str(uuid4()), str(uuid4()), sets | {key: text for key, text in about.items() if text})
             same = [self.store.marks.apply(change, blank, lambda mark, sets: marks.changed(mark, sets, footage))]
         grasp = Grasp(task, footage, same[0])
-        self.labelling.take(grasp, said)
+        self.labelling.take(grasp, given)
         return grasp
 
     def known(self, annotator: str | None = None) -> list[Mark]:

@@ -1,4 +1,4 @@
-"""From outlines drawn on a few frames to masks of every frame: dense optical flow, GrabCut along the border.
+"""From polygons on a few frames to masks of every frame: dense optical flow, GrabCut along the border.
 
 Each mask is carried as a signed distance from its border, frame by frame: from the key before forwards, from the key
 after backwards; it depends on these two keys alone. Where a pixel of the new frame was in the old one is found by dense
@@ -121,12 +121,12 @@ def _filled(image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], stretch: S
 
 def _check(keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int) -> None:
     if not any((labels == OBJECT).any() for labels in keys.values()):
-        raise UsageError("outlines: got no frame with the object's, expected one at least")
+        raise UsageError("polygons: got no frame with one around the object, expected one at least")
     outside = [n for n in keys if not first <= n <= last]
     if outside:
-        raise UsageError(f"outlines: got some on frame {outside[0]}, expected them on frames {first} to {last}")
+        raise UsageError(f"polygons: got some on frame {outside[0]}, expected them on frames {first} to {last}")
     if len({labels.shape for labels in keys.values()}) > 1:
-        raise UsageError("outlines: got masks of different sizes, expected one size")
+        raise UsageError("polygons: got masks of different sizes, expected one size")
 
 
 def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]]) -> tuple[int, int]:
@@ -178,7 +178,7 @@ def _step(now: Carried, before: Image, after: Image, frame: int) -> Carried:
     """A mask in the next frame."""
     import cv2
 
-    if not now.inside.size:  # nothing is seen of it
+    if not now.inside.size:  # it is not visible
         return now._replace(frame=frame)
     height, width = before.shape[:2]
     (left, top), (h, w) = now.corner, now.inside.shape[1:]

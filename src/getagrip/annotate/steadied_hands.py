@@ -1,6 +1,6 @@
 """Hands between clicked frames moved to where the footage shows them: a head shakes in ways that no spline knows.
 
-Points of the hand's surface that are seen on a clicked frame are followed to the next one, and back, by sparse optical
+Points of the hand's surface that are visible on a clicked frame are followed to the next one, and back, by optical
 flow (Lucas, Kanade, IJCAI 1981; pyramids after Bouguet). In each frame in between, the turn, the size and the shift in
 the image that take the hand's own points to the followed ones are applied to the hand; before the first clicked frame
 and after the last, too.

@@ -1,4 +1,4 @@
-"""What people have said, in an SQLite file: marks and key frames, every version of them, and drafts made from these.
+"""Marks and key frames in an SQLite file, every version of them, and drafts made from these.
 
 ``versions`` and ``keyframe_versions`` hold all versions, the views ``marks`` and ``keyframes`` what stands. ``drafts``
 are computed and can be computed again: they are overwritten.

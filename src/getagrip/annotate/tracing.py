@@ -1,4 +1,4 @@
-"""Outlines of masks, as a person could have drawn them: few corners, no specks."""
+"""Masks as polygons, as a person could have drawn them: few corners, no specks."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 COARSE = 1 / 1280
-"""An outline leaves the mask's border by at most so much of the image's longer side."""
+"""Largest distance of a polygon from the mask's border, as a share of the image's longer side."""
 SPECK = 0.002
 """Parts smaller than this share of the largest one are left out, as are holes."""
 
-Outline = Float[ndarray, "_n 2"]
+Polygon = Float[ndarray, "_n 2"]
 
 
-def traced(mask: Bool[ndarray, "H W"]) -> list[Outline]:
+def traced(mask: Bool[ndarray, "H W"]) -> list[Polygon]:
     """Polygons around the parts of a mask [px]; filled (``clip.segments.polygons``) they give it again, nearly.
 
     A part with a hole has a polygon with a slit: along its border, in to the hole, around it and back out.

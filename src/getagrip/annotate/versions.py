@@ -91,7 +91,7 @@ class Versions(Generic[Kind]):
     table: str
     view: str
     key: str
-    """Column of what tells states apart."""
+    """Column of the key: states with the same value are versions of one thing."""
     scope: str
     """Column of what is undone together, and asked for together."""
     order: str

@@ -25,7 +25,7 @@ FEW = 3
 def reconstruct_clips(
     paths: Sequence[Path], out: Path, options: Options, workers: int | None, overwrite: bool, debug: bool
 ) -> int:
-    """Reconstruct clips into ``out/<clip name>/`` and tell what became of each; 1 if any failed, else 0.
+    """Reconstruct clips into ``out/<clip name>/`` and print the outcome of each; 1 if any failed, else 0.
 
     Raises ``UsageError`` where there is nothing to do, or where two clips have the same name.
     """
@@ -35,11 +35,11 @@ def reconstruct_clips(
         raise UsageError(f"--workers: got {workers}, expected 1 or more")
     jobs, failed = plan(paths, out, options, overwrite)
     for outcome in failed:
-        tell(outcome, debug)
+        print_outcome(outcome, debug)
     counts = {"done": 0, "kept": 0, "failed": len(failed)}
     with progress_bar() as bar:
         for outcome in _outcomes(jobs, workers, bar):
-            tell(outcome, debug)
+            print_outcome(outcome, debug)
             counts[outcome.state] += 1
     if len(jobs) + len(failed) > 1:
         print(f"{counts['done']} done, {counts['kept']} already done, {counts['failed']} failed")
@@ -77,7 +77,7 @@ def _side_by_side(jobs: Sequence[Job], workers: int) -> Iterator[Outcome]:
         yield outcome or Outcome(job.name, "failed", DIED)
 
 
-def tell(outcome: Outcome, debug: bool) -> None:
+def print_outcome(outcome: Outcome, debug: bool) -> None:
     """One line about a clip: failures on stderr, the rest on stdout."""
     failed = outcome.state == "failed"
     parts = ["failed"] * failed + [outcome.name] * bool(outcome.name) + [outcome.message]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from getagrip.batch.clips import FEW, tell
+from getagrip.batch.clips import FEW, print_outcome
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.clip import write_clip
@@ -51,7 +51,7 @@ def import_clips(dataset: Dataset, out: Path, debug: bool) -> int:
         for imported in _outcomes(jobs):
             for outcome in imported.clips:
                 if outcome.state == "failed":
-                    tell(outcome, debug)
+                    print_outcome(outcome, debug)
                 else:
                     print(outcome.message)
             for note in imported.notes:

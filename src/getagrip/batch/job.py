@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from getagrip.fitting.options import Options
 
 Progress = Callable[[str, float], None]
-"""Told the stage in words, and how much of it is done, 0 to 1."""
+"""Called with the stage in words, and how much of it is done, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class Outcome:
 
 def failure(name: str, error: Exception) -> Outcome:
     """The outcome of a clip that raised an error."""
-    told = isinstance(error, GetagripError | OSError)
-    message = str(error) if told else f"unexpected {type(error).__name__}: {error}"
+    expected = isinstance(error, GetagripError | OSError)
+    message = str(error) if expected else f"unexpected {type(error).__name__}: {error}"
     return Outcome(name, "failed", " ".join(message.split()), "".join(traceback.format_exception(error)))
 
 

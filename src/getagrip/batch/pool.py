@@ -17,7 +17,7 @@ J = TypeVar("J")
 R = TypeVar("R")
 
 DIED = "its process died twice; out of memory?"
-"""What is said of a job for which ``in_processes`` gives None."""
+"""The message for a job for which ``in_processes`` gives None."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -32,7 +32,7 @@ def in_processes(work: Callable[[J], R], jobs: Iterable[J], workers: int) -> Ite
     """Each job with what ``work`` returns for it, as they finish; None where the process died twice.
 
     When a process dies, Python gives up the whole pool. The jobs that were at work then are done again one at a time,
-    each in a process of its own, which tells the culprit from the others. An interrupt lets the jobs at work finish.
+    each in a process of its own, to find the culprit. An interrupt lets the jobs at work finish.
     """
     waiting, suspects = deque(jobs), deque[J]()
     with _one_thread_each():
@@ -73,7 +73,7 @@ def _settle_in() -> None:
 
 
 def _end_with_parent() -> None:
-    """Pools tell their processes when they close, but a parent that is killed closes nothing."""
+    """A pool that closes ends its processes, but a parent that is killed closes nothing."""
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -124,7 +124,7 @@ class Annotate(Command):
     """Serve nothing: write the grasps marked so far, each person's as a table and as JSON, and how far people agree;
     of labelled grasps the labels, hand.npz and masks, too."""
     import_labels: OptionalFile = None
-    """Serve nothing: take a labels file that was written before, in the place of what is said of its frames."""
+    """Import a labels file in the place of the labels of its frames, and exit."""
     annotator: Annotated[str, arg(metavar="NAME")] = "imported"
     """import-labels: whose labels they are from now on."""
 

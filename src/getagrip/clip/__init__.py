@@ -1,7 +1,7 @@
 """Clips: what they hold, and their folders (docs/formats.md)."""
 
-from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth, check_masks, seen_frames
-from getagrip.clip.masks import find_masks, read_masks, read_seen
+from getagrip.clip.data import FINGERS, Clip, HandTrack, Masks, Truth, check_masks, observed_frames
+from getagrip.clip.masks import find_masks, read_masks, read_observed
 from getagrip.clip.plausible import check_clip
 from getagrip.clip.reading import input_sha256, read_clip, read_name
 from getagrip.clip.writing import write_clip
@@ -16,10 +16,10 @@ __all__ = [
     "check_masks",
     "find_masks",
     "input_sha256",
+    "observed_frames",
     "read_clip",
     "read_masks",
     "read_name",
-    "read_seen",
-    "seen_frames",
+    "read_observed",
     "write_clip",
 ]

@@ -92,7 +92,7 @@ class Masks(ArrayData):
     ignore: Bool[ndarray, "T H W"]
 
     @property
-    def seen(self) -> Bool[ndarray, "T"]:
+    def observed(self) -> Bool[ndarray, "T"]:
         """Frames in which a pixel of the object is not ignored."""
         return np.asarray((self.object & ~self.ignore).any(axis=(1, 2)))
 
@@ -120,7 +120,7 @@ class Clip(ArrayData):
         truth: the ground truth; None where it is not known.
         folder: folder of the clip, with its masks and images; None for a clip that is only in memory.
         provenance: where the data comes from, as JSON values; what is a guess is kept in the result's notes.
-        left_out: names of frames that are gone because the object is not visible in them (``seen_frames``).
+        left_out: names of frames that are gone because the object is not visible in them (``observed_frames``).
     """
 
     hand: HandTrack
@@ -197,13 +197,13 @@ def check_masks(clip: Clip, masks: Masks) -> None:
         raise UsageError(f"masks: got the shape {masks.object.shape}, expected {expected}, as of the clip {clip.name}")
 
 
-def seen_frames(clip: Clip, seen: Bool[ndarray, "T"]) -> Clip:
-    """The clip at the frames in which something of the object is seen.
+def observed_frames(clip: Clip, observed: Bool[ndarray, "T"]) -> Clip:
+    """The clip at the frames in which the object is observed (``Masks.observed``).
 
     Raises ``InputError`` for fewer than two: one silhouette says nothing about a motion.
     """
-    if seen.sum() < 2:
-        given = f"{seen.sum()} of {len(clip)} masks with a pixel that is not ignored"
+    if observed.sum() < 2:
+        given = f"{observed.sum()} of {len(clip)} masks with a pixel that is not ignored"
         raise InputError(clip.origin / "masks" / "object", "", given, "at least 2")
-    unseen = tuple(name for name, is_seen in zip(clip.frames, seen, strict=True) if not is_seen)
-    return replace(clip.take(np.flatnonzero(seen)), left_out=(*clip.left_out, *unseen))
+    unobserved = tuple(name for name, is_observed in zip(clip.frames, observed, strict=True) if not is_observed)
+    return replace(clip.take(np.flatnonzero(observed)), left_out=(*clip.left_out, *unobserved))

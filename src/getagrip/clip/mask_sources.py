@@ -30,8 +30,8 @@ from getagrip.io import arrays, files
 
 LOSSY = {".jpg", ".jpeg", ".webp"}
 MaskPair = tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]
-"""Where the object is seen, and what to ignore."""
-MOST_TOLD = 12
+"""The object's mask, and what to ignore."""
+MOST_NAMED = 12
 """Labels that an error lists."""
 
 
@@ -90,16 +90,16 @@ def _thing_folders(folder: Path, wanted: Wanted, things: Sequence[str]) -> MaskR
         wrong = next((name for name in names if name not in things), None)
         if wrong is not None or (kind == "object" and not names):
             given = "nothing" if wrong is None else repr(wrong)
-            there = ", ".join(files.plain(name) for name in things[:MOST_TOLD])
+            there = ", ".join(files.plain(name) for name in things[:MOST_NAMED])
             raise UsageError(f"--{kind}: got {given}, expected the name of a folder in {folder}: {there}")
     paths = {kind: [_pngs(folder / name, wanted.frames) for name in names] for kind, names in chosen.items()}
 
     def read(n: int) -> MaskPair:
-        seen, hidden = (
+        visible, hidden = (
             union([read_labels(each[n], wanted.size) != 0 for each in paths[kind]], wanted.size)
             for kind in ("object", "ignore")
         )
-        return seen, hidden & ~seen
+        return visible, hidden & ~visible
 
     return MaskReader(folder, read)
 
@@ -141,20 +141,20 @@ class _Chooser:
         """Raises ``InputError`` where no label is named and there are several."""
         ignored = np.isin(labels, self.ignore)
         if self.object:
-            seen = np.isin(labels, self.object)
-            if not seen.any() and len(self.others) < MOST_TOLD:
-                self.others.update(map(_told, np.unique(labels)[:MOST_TOLD].tolist()))
-            return seen, ignored & ~seen
-        seen = (labels != 0) & ~ignored
-        there = np.unique(labels[seen])
+            visible = np.isin(labels, self.object)
+            if not visible.any() and len(self.others) < MOST_NAMED:
+                self.others.update(map(_label_name, np.unique(labels)[:MOST_NAMED].tolist()))
+            return visible, ignored & ~visible
+        visible = (labels != 0) & ~ignored
+        there = np.unique(labels[visible])
         self.only = int(there[0]) if self.only is None and there.size else self.only
         if there.size > 1 or (there.size and there[0] != self.only):
-            some = ", ".join(map(_told, np.union1d(there, [self.only or there[0]])[:MOST_TOLD].tolist()))
+            some = ", ".join(map(_label_name, np.union1d(there, [self.only or there[0]])[:MOST_NAMED].tolist()))
             raise InputError(path, "labels", f"several, {some}", "one, or the object's named by --object")
-        return seen, ignored
+        return visible, ignored
 
 
-def _told(label: int) -> str:
+def _label_name(label: int) -> str:
     """A label as it can be given."""
     return str(label) if label < 2**16 else f"#{label:06x}"
 
@@ -242,7 +242,7 @@ def _coco(path: Path, wanted: Wanted) -> MaskReader:
         return pair[0], pair[1] & ~pair[0]
 
     there = {str(item["category_id"]) for item in annotations}
-    return MaskReader(path, read, {names.get(label, label) for label in sorted(there)[:MOST_TOLD]})
+    return MaskReader(path, read, {names.get(label, label) for label in sorted(there)[:MOST_NAMED]})
 
 
 def _objects(path: Path, content: dict[str, Any], key: str, needed: bool = True) -> list[dict[str, Any]]:

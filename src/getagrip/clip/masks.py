@@ -23,8 +23,8 @@ def read_masks(clip: Clip) -> Masks:
     """
     width, height = clip.size
     masks = Masks(*np.zeros((2, len(clip), height, width), dtype=bool))
-    for n, (seen, ignore) in enumerate(_each(clip)):
-        masks.object[n], masks.ignore[n] = seen, ignore
+    for n, (mask, ignore) in enumerate(_each(clip)):
+        masks.object[n], masks.ignore[n] = mask, ignore
     _check_some(clip, bool(masks.object.any()))
     return masks
 
@@ -34,14 +34,14 @@ def find_masks(clip: Clip) -> Masks | None:
     return None if clip.folder is None or not (clip.folder / "masks" / "object").exists() else read_masks(clip)
 
 
-def read_seen(clip: Clip) -> Bool[ndarray, "T"]:
-    """Frames in which something of the object is seen: ``read_masks(clip).seen``, one frame at a time in memory."""
-    any_object, seen = False, np.zeros(len(clip), dtype=bool)
+def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
+    """``read_masks(clip).observed``, with one frame at a time in memory."""
+    any_object, observed = False, np.zeros(len(clip), dtype=bool)
     for n, (mask, ignore) in enumerate(_each(clip)):
         any_object |= bool(mask.any())
-        seen[n] = (mask & ~ignore).any()
+        observed[n] = (mask & ~ignore).any()
     _check_some(clip, any_object)
-    return seen
+    return observed
 
 
 def _each(clip: Clip) -> Iterator[tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]]:
@@ -51,9 +51,9 @@ def _each(clip: Clip) -> Iterator[tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W
     width, height = clip.size
     hidden = (clip.folder / "masks" / "ignore").exists()
     for frame in clip.frames:
-        seen = _read(clip.folder, "object", frame, clip.size)
+        mask = _read(clip.folder, "object", frame, clip.size)
         ignore = _read(clip.folder, "ignore", frame, clip.size) if hidden else np.zeros((height, width), dtype=bool)
-        yield seen, ignore
+        yield mask, ignore
 
 
 def _read(folder: Path, kind: str, frame: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:

@@ -206,7 +206,7 @@ def read_hand(path: Path, frames: int) -> HandTrack:
 
 
 def _regions(path: Path, given: dict[str, ndarray], count: int) -> dict[str, Int[ndarray, "_"]]:
-    """Contact regions of a hand; a bare mesh does not tell where they are."""
+    """Contact regions of a hand; they cannot be found from a bare mesh."""
     missing = [f"region_{finger}" for finger in FINGERS if f"region_{finger}" not in given]
     if missing:
         expected = f"{', '.join(missing)}: the vertex ids of each fingertip's pad"

@@ -82,7 +82,7 @@ def _fields(clip: Clip) -> dict[str, object]:
 
 
 def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Float[ndarray, "..."]]:
-    """The truth, of the hand only what differs from the clip's."""
+    """The ground truth, of the hand only what differs from the clip's."""
     out = {"T_cam_obj": truth.T_cam_obj, "scale": np.array(truth.scale)}
     if not np.array_equal(truth.T_cam_hand, clip.hand.T_cam_hand):
         out["T_cam_hand"] = truth.T_cam_hand

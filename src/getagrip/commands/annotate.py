@@ -50,29 +50,29 @@ def annotate(source: Path, videos: Path | None, out: Path, port: int, lens: Lens
         print(f"{len(tasks)} candidates, {missing}", file=sys.stderr)
     if wanted.export and wanted.labels is None and not (out / DATABASE).is_file():
         raise UsageError(f"--export: nothing has been marked in {out}")
-    said = None if wanted.labels is None else labels.read(wanted.labels)
+    given = None if wanted.labels is None else labels.read(wanted.labels)
     out.mkdir(parents=True, exist_ok=True)
     project = Project(tasks, Store(out / DATABASE), lens)
     try:
         if lens.given and (there := next((task for task in tasks if task.path is not None), None)):
             intrinsics(lens, project.footage(there).size)  # refused now rather than once joints are clicked
-        if said is not None:
-            grasp = take_labels(project, said, wanted)
-            frames = f"{len(said.frames)} key frames of {grasp.task.key}, {grasp.mark.start_number}"
+        if given is not None:
+            grasp = take_labels(project, given, wanted)
+            frames = f"{len(given.frames)} key frames of {grasp.task.key}, {grasp.mark.start_number}"
             print(f"{wanted.annotator}: {frames} to {grasp.mark.end_number}")
         if wanted.export:
             return max(write_files(project, out), write_labels(project))
-        if said is None:
+        if given is None:
             serve(project, port)
         return 0
     finally:
         project.close()
 
 
-def take_labels(project: Project, said: Labels, wanted: Wanted) -> Grasp:
+def take_labels(project: Project, given: Labels, wanted: Wanted) -> Grasp:
     """Take labels that were read from a file. Raises ``InputError`` where they are not of the footage."""
     try:
-        return project.import_labels(said, wanted.annotator)
+        return project.import_labels(given, wanted.annotator)
     except RefusedError as error:
         assert wanted.labels is not None
         raise InputError(wanted.labels, "", f"labels that do not fit ({error})", "labels of the footage") from error

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from getagrip.batch.clips import tell
+from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import Outcome
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.errors import UsageError
@@ -73,7 +73,7 @@ def bench(plan: Plan, debug: bool) -> int:
     trials = [Trial(sample, distinct, results, plan.overwrite) for sample in clips]
     failures = len(bad)
     for outcome in bad:
-        tell(outcome, debug)
+        print_outcome(outcome, debug)
     with progress_bar(counted=True) as bar:
         shown = bar.add_task("clips", total=len(trials))
         for clip in _outcomes(trials, plan.workers or cores()):
@@ -100,12 +100,12 @@ def _outcomes(trials: Sequence[Trial], workers: int) -> Iterator[Scores]:
 def _report(clip: Scores, variants: Sequence[Variant], debug: bool) -> int:
     """A line for the clip and one for each failure; how many those are."""
     if clip.failure:
-        tell(Outcome(clip.clip, "failed", clip.failure, clip.trace), debug)
+        print_outcome(Outcome(clip.clip, "failed", clip.failure, clip.trace), debug)
         return 1
     failed = [score for score in clip.scores if score.failed]
     label = {variant.folder: variant.label for variant in variants}
     for score in failed:
-        tell(Outcome(f"{clip.clip}: {label[score.variant]}", "failed", score.status), debug)
+        print_outcome(Outcome(f"{clip.clip}: {label[score.variant]}", "failed", score.status), debug)
     done = f"{clip.made - len(failed)} done, {len(clip.scores) - clip.made} already done"
     print(f"{clip.clip}: {done}{f', {len(failed)} failed' if failed else ''}")
     return len(failed)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from getagrip.clip import Clip, input_sha256, read_clip, read_masks, write_clip
 from getagrip.datasets.synthetic.noise import perturbed
-from getagrip.datasets.synthetic.scene import clip_name, make_scene, pictures, seen_masks
+from getagrip.datasets.synthetic.scene import clip_name, ground_truth_masks, make_scene, pictures
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.evaluation import evaluate, tables
 from getagrip.fitting.reconstruct import reconstruct
@@ -20,7 +20,7 @@ CLIP = SceneOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)
 
 
 def run(out: Path) -> None:
-    """Make a clip, reconstruct it, print its metrics against the truth, and draw ``out/report.png``.
+    """Make a clip, reconstruct it, print its metrics against the ground truth, and draw ``out/report.png``.
 
     The clip goes to ``out/clips/``, the result to ``out/<clip name>/``. What an earlier demo left there is used again
     (the clip) or replaced (result and report). Raises ``UsageError`` where something else is in the way.
@@ -55,5 +55,5 @@ def _clip(folder: Path) -> Clip:
     there = folder / clip_name(CATEGORY, SEED, CLIP)
     if not there.exists():
         scene = make_scene(CATEGORY, SEED, CLIP)
-        write_clip(*perturbed(scene.clip, seen_masks(scene), CLIP, SEED), there, pictures(scene))
+        write_clip(*perturbed(scene.clip, ground_truth_masks(scene), CLIP, SEED), there, pictures(scene))
     return read_clip(there)

@@ -32,7 +32,7 @@ def run() -> int:
         return 1
     try:
         _try_out()
-    except Exception as error:  # whatever it is, the user wants it told, not raised
+    except Exception as error:  # whatever it is, it is reported, not raised
         print(f"BROKEN   a synthetic clip cannot be reconstructed: {type(error).__name__}: {error}")
         return 1
     return 0

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from getagrip.batch.clips import tell
+from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import failure
 from getagrip.datasets.epic import candidates, tables, visor
 from getagrip.errors import InputError, UsageError
@@ -44,7 +44,7 @@ def find_candidates(
                 found += candidates.candidates(video, touching, actions.get(video, []))
                 unlabelled += video not in actions
             except InputError as error:
-                tell(failure(video, error), debug)
+                print_outcome(failure(video, error), debug)
                 failed += 1
             bar.advance(task)
     chosen = [candidate for candidate in found if not categories or candidate.category in categories]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from getagrip.batch.clips import FEW, tell
+from getagrip.batch.clips import FEW, print_outcome
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.commands.evaluate_meshes import Meshes, MeshJob, evaluate_clip_meshes, mesh_jobs
@@ -60,7 +60,7 @@ def evaluate_results(
                 evaluations += [] if made is None else [made]
                 problems += failed
     for outcome in problems:
-        tell(outcome, debug)
+        print_outcome(outcome, debug)
     if evaluations:
         for table in tables(evaluations):
             console().print(table)

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from getagrip.batch.clips import tell
+from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import by_name, failure
 from getagrip.clip import read_clip
 from getagrip.errors import UsageError
@@ -34,7 +34,7 @@ def learn(
         except Exception as error:  # one clip's trouble must not end the others
             failed.append(failure(name, error))
     for outcome in failed:
-        tell(outcome, debug)
+        print_outcome(outcome, debug)
     subjects = {hold.subject for hold in holds}
     unknown = sorted({*leave_out} - subjects)
     if unknown:

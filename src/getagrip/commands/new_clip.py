@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
-from getagrip.clip import Clip, HandTrack, read_clip, read_seen
+from getagrip.clip import Clip, HandTrack, read_clip, read_observed
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.clip.mask_sources import MaskReader, Wanted, open_masks
 from getagrip.clip.plausible import check_in_view, check_intrinsics
@@ -64,7 +64,7 @@ HOW = {
 }
 """How to get what a clip cannot be made without."""
 LATER = {
-    "masks": "where the object is seen, and the hand: SAM 2 or any segmentation of {out}/frames, as PNG labels, COCO "
+    "masks": "masks of the object and the hand: SAM 2 or any segmentation of {out}/frames, as PNG labels, COCO "
     "or .npz; then getagrip import masks PATH --object LABEL --ignore LABEL --clip {out}. Without a segmentation: "
     "getagrip annotate {video} (docs/annotate.md)",
     "hands": "run an estimator on {out}/frames (docs/estimators.md); then getagrip import hands FILE... --from ... "
@@ -121,14 +121,14 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
         provenance={
             "source": f"{given.video.name}, frames {numbers[0]} to {numbers[-1]}",
             "camera": camera,
-            **found.told,
+            **found.provenance,
             "masks": provenance(given.masks, given.object, given.ignore) if given.masks else "none yet",
             **of_hands,
         },
     )
     reader = None if given.masks is None else _masks(given, numbers[rows], info.size)
     _write(clip, given.video, numbers, set(rows.tolist()), reader, out, overwrite)
-    return _tell(clip, given, len(numbers), out)
+    return _summary(clip, given, len(numbers), out)
 
 
 def _numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
@@ -144,7 +144,7 @@ def _camera(lens: Lens, hands: _HandFile | None, size: tuple[int, int]) -> tuple
     if lens.given or hands is None or hands.K is None:
         return intrinsics(lens, size)
     check_intrinsics(hands.path, hands.K[None], size)
-    return hands.K, f"the hand file's: {hands.told.get('camera', 'it does not say from where')}"
+    return hands.K, f"the hand file's: {hands.provenance.get('camera', 'it does not say from where')}"
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class _HandFile:
     numbers: tuple[int, ...] | None
     K: Float[ndarray, "3 3"] | None
     side: str | None
-    told: dict[str, str]
+    provenance: dict[str, str]
     """Where its hands come from."""
 
     @staticmethod
@@ -169,18 +169,18 @@ class _HandFile:
                 raise InputError(path, "frames", f"{array.dtype} of shape {array.shape}", "each frame's number once")
             numbers = tuple(array.tolist())
         texts = {key: str(value) for key, value in given.items() if value.dtype.kind == "U" and value.shape == ()}
-        told = {key.removeprefix("provenance_"): text for key, text in texts.items() if key != "side"}
+        sources = {key.removeprefix("provenance_"): text for key, text in texts.items() if key != "side"}
         K = arrays.floats(path, given, "K", (3, 3)) if "K" in given else None
-        return _HandFile(path, numbers, K, texts.get("side"), told)
+        return _HandFile(path, numbers, K, texts.get("side"), sources)
 
     def at(self, wanted: Int[ndarray, "T"], side: Side) -> tuple[Int[ndarray, "n"], HandTrack, dict[str, str]]:
         """The rows of the wanted frames that have a hand, and the hand in them. Raises ``InputError``."""
         if self.side not in (None, side):
             raise InputError(self.path, "side", f"a {self.side} hand", f"a {side} hand, as --side says")
-        told = {"hands": f"from {self.path.name}", **self.told}
-        told.pop("camera", None)
+        sources = {"hands": f"from {self.path.name}", **self.provenance}
+        sources.pop("camera", None)
         if self.numbers is None:
-            return np.arange(len(wanted)), read_hand(self.path, len(wanted)), told
+            return np.arange(len(wanted)), read_hand(self.path, len(wanted)), sources
         track = read_hand(self.path, len(self.numbers))
         place = {number: row for row, number in enumerate(self.numbers)}
         rows = np.array([row for row, number in enumerate(wanted.tolist()) if number in place], dtype=int)
@@ -190,7 +190,7 @@ class _HandFile:
         index = [place[int(wanted[row])] for row in rows]
         joints = None if track.joints is None else track.joints[index]
         picked = replace(track, vertices=track.vertices[index], T_cam_hand=track.T_cam_hand[index], joints=joints)
-        return rows, picked, told
+        return rows, picked, sources
 
 
 def _no_hand(frames: int) -> HandTrack:
@@ -231,7 +231,7 @@ def _check(made: Path, masks: bool, out: Path) -> None:
     try:
         clip = read_clip(made)
         if masks:
-            read_seen(clip)
+            read_observed(clip)
     except InputError as error:
         inside = error.path.relative_to(made) if error.path.is_relative_to(made) else error.path
         raise InputError(out / inside, error.key, error.given, error.expected) from error
@@ -246,8 +246,8 @@ def _wanted(clip: Clip, video: Path, numbers: Int[ndarray, "T"], rows: set[int])
             yield image
 
 
-def _tell(clip: Clip, given: Ingredients, frames: int, out: Path) -> int:
-    """Say what was made, what is a guess and what is missing."""
+def _summary(clip: Clip, given: Ingredients, frames: int, out: Path) -> int:
+    """Print what was made, what is a guess and what is missing; 1 where something is."""
     print(f"{out}: {len(clip)} frames")
     if len(clip) < frames:
         print(f"warning: no hand in {frames - len(clip)} of {frames} frames, which are left out", file=sys.stderr)

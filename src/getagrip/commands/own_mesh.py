@@ -42,7 +42,7 @@ class Found:
     mesh: Mesh
     sized: bool
     """Whether it has the object's size; else that is to be found with its pose."""
-    told: dict[str, str]
+    provenance: dict[str, str]
     """Where it and its size come from."""
 
 
@@ -54,14 +54,14 @@ def own_mesh(wanted: Wanted) -> Found:
     if wanted.kind is not None and wanted.known_scale:
         expected = "--size-mm or --diameter-mm: nobody knows how large the one in your video is"
         raise UsageError(f"--known-scale: got it with this package's own {wanted.kind}, expected {expected}")
-    vertices, faces, told = _shape(wanted)
+    vertices, faces, provenance = _shape(wanted)
     kept = with_area(vertices, faces)  # generated meshes are full of slivers
     if len(kept) < len(faces):
-        told["mesh"] += f", {len(faces) - len(kept)} faces without area left out"
+        provenance["mesh"] += f", {len(faces) - len(kept)} faces without area left out"
     vertices, scale = _rescaled(vertices, wanted)
     if scale:
-        told["scale"] = scale
-    return Found(checked_mesh(wanted.path, vertices, kept), bool(scale) or wanted.known_scale, told)
+        provenance["scale"] = scale
+    return Found(checked_mesh(wanted.path, vertices, kept), bool(scale) or wanted.known_scale, provenance)
 
 
 def _shape(wanted: Wanted) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], dict[str, str]]:
@@ -90,5 +90,5 @@ def _rescaled(vertices: Float[ndarray, "..."], wanted: Wanted) -> tuple[Float[nd
     now = 0.0
     if vertices.ndim == 2 and vertices.size > 0 and np.isfinite(vertices).all():
         now = float(np.ptp(vertices, axis=0).max() if option == "--size-mm" else diameter(vertices))
-    factor = value / 1e3 / now if now > 0 else 1.0  # what is wrong with the others, checked_mesh tells
+    factor = value / 1e3 / now if now > 0 else 1.0  # checked_mesh reports what is wrong with the others
     return vertices * factor, f"the mesh rescaled by {factor:.6g}, to {option} {value:g}"

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from getagrip.batch.clips import FEW, tell
+from getagrip.batch.clips import FEW, print_outcome
 from getagrip.batch.job import Outcome, Progress, by_name, failure
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.clip import read_clip
@@ -81,7 +81,7 @@ def segment_clips(
         raise UsageError(f"--workers: got {workers}, expected 1 or more")
     clips, failed = by_name(paths)
     for outcome in failed:
-        tell(outcome, debug)
+        print_outcome(outcome, debug)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     jobs = {
@@ -95,7 +95,7 @@ def segment_clips(
             if isinstance(result, SegmentedClip):
                 found[job.clip] = result
             else:
-                tell(result, debug)
+                print_outcome(result, debug)
                 failures += 1
     in_order = [found[folder] for folder in jobs if folder in found]
     if in_order:

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from getagrip.batch.clips import tell
+from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import Outcome, Progress, by_name, failure
 from getagrip.clip import read_clip
 from getagrip.commands.segment import SegmentJob, describe, outcomes
@@ -36,14 +36,14 @@ def study_clips(
         raise UsageError(f"--workers: got {workers}, expected 1 or more")
     clips, failed = by_name(paths)
     for outcome in failed:
-        tell(outcome, debug)
+        print_outcome(outcome, debug)
     jobs = [SegmentJob(folder, definition) for folder in clips.values()]
     done: dict[Path, list[StudiedGrasp]] = {}
     failures = len(failed)
     with progress_bar() as bar:
         for job, result in outcomes(study_one, jobs, workers, bar):
             if isinstance(result, Outcome):
-                tell(result, debug)
+                print_outcome(result, debug)
                 failures += 1
             else:
                 done[job.clip] = result

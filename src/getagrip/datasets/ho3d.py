@@ -135,8 +135,8 @@ def _frame(file: Path, with_mano: bool) -> Frame | None:
     given = read_dict(file, "the labels of a frame of HO-3D")
     if not file.stem.isdigit():
         raise InputError(file, "", f"the name {file.name!r}", "<number>.pkl")
-    rotation, seen = given.get("objRot", 0), given.get("handJoints3D", 0)
-    if rotation is None or seen is None or (isinstance(seen, ndarray) and seen.size == 3):
+    rotation, joints = given.get("objRot", 0), given.get("handJoints3D", 0)
+    if rotation is None or joints is None or (isinstance(joints, ndarray) and joints.size == 3):
         return None
     name = given.get("objName")
     if not isinstance(name, str) or not is_plain_name(name):

@@ -113,7 +113,7 @@ class Track:
             angles = f"between {low:.1f} and {high:.1f} degrees"
             out["articulation"] = f"the joint is {angles}; the mesh has it at the mean, the masks as it was"
         if len(self) < len(piece.track):
-            out["dropped"] = f"{len(piece.track) - len(self)} frames in which the object is not seen"
+            out["dropped"] = f"{len(piece.track) - len(self)} frames in which the object is not visible"
         return out
 
 

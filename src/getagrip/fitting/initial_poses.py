@@ -1,5 +1,6 @@
-"""Where the search starts: poses that are given, then rotations spread uniformly over SO(3), at a place that hand and
-masks tell. The ground truth is never used.
+"""Initial poses: those that are given, then a uniform grid of rotations over SO(3), placed by the hand and the masks.
+
+The ground truth is never used.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks, read_masks, read_seen, seen_frames
+from getagrip.clip import Clip, Masks, observed_frames, read_masks, read_observed
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting import pose_priors
@@ -86,8 +86,8 @@ def _sampled(clip: Clip, masks: Masks | None, frames: int) -> tuple[Clip, Masks]
     """The frames that are used, and their masks. Masks of other frames are read one by one, and not kept."""
     if masks is None and len(clip) <= frames:
         masks = read_masks(clip)
-    observed = read_seen(clip) if masks is None else masks.seen
-    visible = seen_frames(clip, observed)
+    observed = read_observed(clip) if masks is None else masks.observed
+    visible = observed_frames(clip, observed)
     index = frame_indices(len(visible), frames)
     clip = visible.take(index)
     if masks is None:

@@ -1,4 +1,4 @@
-"""A z-buffer: the depth and the face seen at every pixel centre. For true masks and pictures, not for fitting.
+"""A z-buffer: the depth and the visible face at every pixel centre. For true masks and pictures, not for fitting.
 
 Triangles are rasterised in homogeneous coordinates (Olano and Greer, "Triangle Scan Conversion using 2D Homogeneous
 Coordinates", 1997). With p_i = K X_i the corners of a face, the ray through pixel q = (u, v, 1) meets its plane where
@@ -51,7 +51,7 @@ def barycentric(
     K: Float[ndarray, "3 3"],
     face: Int[ndarray, "H W"],
 ) -> Float[ndarray, "n 3"]:
-    """Weights of the corners of the seen face, for every pixel with ``face >= 0`` in row-major order."""
+    """Weights of the corners of the visible face, for every pixel with ``face >= 0`` in row-major order."""
     rows, cols = np.nonzero(face >= 0)
     q = np.stack([cols + 0.5, rows + 0.5, np.ones(len(rows))], axis=-1)
     p = (vertices_cam @ K.T)[faces]

@@ -27,7 +27,7 @@ LIGHT = np.array([-0.35, -0.6, -0.72])
 def true_masks(
     held: Surface, hands: Sequence[Surface], others: Sequence[Surface], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
-    """Where the held object is seen, and which pixels say nothing about it (1 - C_o of the paper's Eq. 4).
+    """The visible pixels of the held object, and the pixels that say nothing about it (1 - C_o of the paper's Eq. 6).
 
     Ignored is every pixel whose nearest surface is a hand, or another object that hides part of the held one; objects
     that hide nothing are background, which does say where the held object is not. An object in front is ignored as
@@ -69,10 +69,10 @@ def render_rgb(
         colours = np.repeat([colour for _, _, colour in meshes], [len(f) for _, f, _ in meshes], axis=0)
         K2 = np.diag([2.0, 2.0, 1.0]) @ K
         _, face = depth_and_face(vertices, faces, K2, (2 * width, 2 * height))
-        seen = face >= 0
+        covered = face >= 0
         weights = barycentric(vertices, faces, K2, face)
-        light = np.sum(weights * brightness[faces[face[seen]]], axis=1)
-        picture[seen] = np.clip(light[:, None] * colours[face[seen]], 0.0, 1.0)
+        light = np.sum(weights * brightness[faces[face[covered]]], axis=1)
+        picture[covered] = np.clip(light[:, None] * colours[face[covered]], 0.0, 1.0)
     mean = (picture[::2, ::2] + picture[::2, 1::2] + picture[1::2, ::2] + picture[1::2, 1::2]) / 4.0
     return np.asarray(np.round(255.0 * mean), dtype=np.uint8)
 

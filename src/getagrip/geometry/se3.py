@@ -143,7 +143,7 @@ def angle_between(Ra: Float[ndarray, "*#batch 3 3"], Rb: Float[ndarray, "*#batch
 
 
 def super_fibonacci(n: int) -> Float[ndarray, "n 3 3"]:
-    """n rotations spread evenly over SO(3) (Alexa, "Super-Fibonacci Spirals", CVPR 2022)."""
+    """n rotations (n, 3, 3), nearly uniform over SO(3) (Alexa, "Super-Fibonacci Spirals", CVPR 2022)."""
     phi, psi = np.sqrt(2.0), 1.533751168755204288118041
     s = np.arange(n) + 0.5
     t = s / n

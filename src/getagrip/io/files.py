@@ -171,7 +171,9 @@ def check_folder(option: str, folder: Path) -> None:
     """Raise ``UsageError``, in the name of an option, where a folder cannot be made or written; leaves no trace."""
     try:
         there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-        os.rmdir(tempfile.mkdtemp(prefix=".getagrip.", dir=there))  # permissions alone do not tell: /proc, full disks
+        os.rmdir(
+            tempfile.mkdtemp(prefix=".getagrip.", dir=there)
+        )  # permissions alone are not enough: /proc, full disks
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise UsageError(f"{option}: got {folder}, expected a folder that can be written ({reason})") from error

@@ -74,7 +74,7 @@ def iou_of_meshes(meshes: Sequence[Mesh | None], K: Float[ndarray, "T 3 3"], mas
     """IOU of a mesh for each frame, in the camera frame, with the observed masks; 0 where there is no mesh."""
     T, H, W = masks.object.shape
     out = MaskIou(*np.full((3, T), np.nan))
-    frames = np.flatnonzero(masks.seen)
+    frames = np.flatnonzero(masks.observed)
     if not frames.size:
         return out
     crops = crops_around(masks.object[frames], size=CROP)

@@ -20,11 +20,11 @@ export const state = {
 // (count, reason), "task" (another one is opened), "marks" (they have changed), "label" (a mark is to be labelled).
 const listeners = new Map();
 export const on = (name, act) => listeners.set(name, [...(listeners.get(name) ?? []), act]);
-export const tell = (name, ...about) => (listeners.get(name) ?? []).forEach((act) => act(...about));
-const teller = (name) => (...about) => tell(name, ...about);
+export const emit = (name, ...about) => (listeners.get(name) ?? []).forEach((act) => act(...about));
+const emitter = (name) => (...about) => emit(name, ...about);
 
-export const player = new Player($("picture"), teller("shown"), teller("waiting"), teller("problem"));
-export const saving = new Saving(teller("answer"), teller("refused"), teller("pending"));
+export const player = new Player($("picture"), emitter("shown"), emitter("waiting"), emitter("problem"));
+export const saving = new Saving(emitter("answer"), emitter("refused"), emitter("pending"));
 
 export async function ask(path, parameters) {
   const answer = await fetch(`${path}?${new URLSearchParams(parameters)}`);
@@ -39,7 +39,7 @@ export function element(name, properties, ...children) {
   return made;
 }
 
-export const problem = teller("problem");
+export const problem = emitter("problem");
 export const pick = (from, ...keys) => Object.fromEntries(keys.map((key) => [key, from[key] ?? ""]));
 export const clock = (seconds) => `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(2).padStart(5, "0")}`;
 export const many = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;

@@ -1,11 +1,11 @@
 // Marking where stable grasps start and end, in what hand, of what object; or why there are none.
 
-import { $, ask, element, many, move, on, pick, player, problem, saving, state, tell } from "./app.js";
+import { $, ask, element, many, move, on, pick, player, problem, saving, state, emit } from "./app.js";
 import { fresh, tab } from "./saving.js";
 
 const REASONS = {
   "no stable grasp": "the hold changes all the time, or nothing is held",
-  "out of view": "neither hand nor object is seen",
+  "out of view": "neither hand nor object is visible",
   "other CAD": "the thing has not the shape of its kind",
 };
 const COMPARE = 1500; // ms after the last change until people are compared again
@@ -114,7 +114,7 @@ function row(mark, n) {
   const number = (value, index) => value ?? (index === null ? "…" : `#${index}`);
   const button = (text, title, act) => element("button", { textContent: text, title, onclick: (event) => { event.stopPropagation(); act(); } });
   const remove = button("✕", "Delete this grasp", () => change(mark.mark, { deleted: true }));
-  const open = button("Label", "Click joints and outlines on its frames, to make a clip of it (l)", () => tell("label", mark));
+  const open = button("Label", "Click joints and polygons on its frames, to make a clip of it (l)", () => emit("label", mark));
   open.hidden = mark.end === null;
   const about = [mark.side, mark.entity ?? mark.category ?? "object?", mark.seconds && `${mark.seconds.toFixed(2)} s`];
   const text = element("span", { className: "text" }, `${number(mark.start_number, mark.start)} – ${number(mark.end_number, mark.end)}`, element("small", { textContent: about.filter(Boolean).join(" · ") }));

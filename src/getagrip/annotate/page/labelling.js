@@ -1,6 +1,6 @@
 // Labelling the frames of a grasp: tools, keys and the mouse.
 
-import { $, move, on, player, problem, state, tell } from "./app.js";
+import { $, move, on, player, problem, state, emit } from "./app.js";
 import { drawHand, next, tool as joints, unseen } from "./joints.js";
 import * as labels from "./labels.js";
 import { tool as outlines } from "./outlines.js";
@@ -36,7 +36,7 @@ export async function begin(mark) {
   view.fitted = true;
   player.look(true);
   $("label-title").textContent = `Frames ${mark.start_number} – ${mark.end_number}`;
-  tell("mode");
+  emit("mode");
   draw();
   const here = Math.min(Math.max(player.wanted, mark.start), mark.end);
   await player.show(state.labels.keyframes.size ? here : mark.start);
@@ -48,7 +48,7 @@ export function end() {
   view.fitted = true;
   $("layer").replaceChildren();
   player.look(false);
-  tell("mode");
+  emit("mode");
   player.show(player.wanted);
 }
 

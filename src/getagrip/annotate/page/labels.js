@@ -1,6 +1,6 @@
-// The key frames of one grasp, with joints and outlines, and the drafts that the server makes from them.
+// The key frames of one grasp, with joints and polygons, and the drafts that the server makes from them.
 
-import { ask, on, player, problem, saving, state, tell } from "./app.js";
+import { ask, on, player, problem, saving, state, emit } from "./app.js";
 import { fresh, tab } from "./saving.js";
 
 const SETTLE = 600; // ms after the last of several small moves until they are sent as one
@@ -13,7 +13,7 @@ const blank = (frame) => ({ frame, joints: {}, outlines: {}, hidden: false, outl
 let moved = null; // {frame, set}: moved here, not sent yet
 let settling;
 
-/** What is said of a frame. */
+/** The labels of a frame. */
 export const at = (frame) => state.labels.keyframes.get(frame) ?? blank(frame);
 export const here = () => at(player.wanted);
 export const draft = (kind, frame) => state.labels.drafts[kind].get(frame);
@@ -54,7 +54,7 @@ function take(answer) {
     labels.keyframes = new Map(answer.keyframes.map((one) => [one.frame, { ...one, outlined: outlined(one) }]));
   }
   if (answer.drafts > labels.seen) fetchDrafts(labels);
-  tell("labels");
+  emit("labels");
 }
 
 async function fetchDrafts(labels) {
@@ -70,7 +70,7 @@ async function fetchDrafts(labels) {
       }
       if (state.labels !== labels) return;
     }
-    tell("labels");
+    emit("labels");
   } catch { /* asked again */ } finally {
     labels.fetching = false;
   }
@@ -84,14 +84,14 @@ export async function refresh() {
     const answer = await ask("/api/labels", who());
     const same = answer.newest === labels.newest && answer.drafts === labels.seen && JSON.stringify(answer.extent) === JSON.stringify(labels.extent);
     if (!same || JSON.stringify(answer.job) !== JSON.stringify(labels.job)) take(answer);
-  } catch { /* the server is away: saving tells */ }
+  } catch { /* the server is away: saving reports it */ }
 }
 
 // ---- changes -------------------------------------------------------------------------------------------------------
 
 const without = (values) => Object.fromEntries(Object.entries(values).filter(([, value]) => value !== null));
 
-/** Lay a change over what is said of a frame, as the server does. */
+/** Apply a change to the labels of a frame, as the server does. */
 function lay(frame, set) {
   const old = set.deleted ? blank(frame) : at(frame);
   const one = {
@@ -112,7 +112,7 @@ export function change(frame, set) {
   settle();
   problem(null);
   lay(frame, set);
-  tell("labels");
+  emit("labels");
   send(frame, set);
 }
 
@@ -121,7 +121,7 @@ export function adjust(frame, set) {
   if (moved && moved.frame !== frame) settle();
   moved = { frame, set: { joints: { ...moved?.set.joints, ...set.joints }, outlines: { ...moved?.set.outlines, ...set.outlines } } };
   lay(frame, set);
-  tell("labels");
+  emit("labels");
   clearTimeout(settling);
   settling = setTimeout(settle, SETTLE);
 }
@@ -160,7 +160,7 @@ export async function work(what) {
 on("answer", (path, sent, answer) => {
   if (!["/api/label", "/api/unlabel"].includes(path) || sent.grasp !== state.labels?.grasp) return;
   take(answer);
-  if (path === "/api/unlabel") tell("undone", answer.undone, answer.frame);
+  if (path === "/api/unlabel") emit("undone", answer.undone, answer.frame);
 });
 on("refused", () => state.labels && ask("/api/labels", who()).then(take, () => {}));
 addEventListener("pagehide", () => state.labels && settle());

@@ -1,4 +1,4 @@
-// Outlines of what is seen of the object, and of what is in front of it: polygons, drawn point by point.
+// Polygons around the visible parts of the object, and around what is in front of it, drawn point by point.
 
 import { player } from "./app.js";
 import { adjust, change, draft, here } from "./labels.js";
@@ -25,10 +25,10 @@ function apart(point, a, b) {
 const put = (id, one) => change(player.wanted, { outlines: { [id]: one } });
 const moved = (one, n, point) => ({ ...one, points: one.points.map((old, k) => (k === n ? point : old)) });
 
-/** Whether an outline is being drawn. */
+/** Whether a polygon is being drawn. */
 export const drawing = (of) => Boolean(open(of));
 
-/** The tool that draws outlines "of" the object, or of what is in front. */
+/** The tool that draws polygons "of" the object, or of what is in front. */
 export const tool = (of) => ({
   grab(point, reach) {
     const near = mine(of).flatMap(([id, one]) => one.points.map((where, n) => ({ id, n, far: distance(where, point) })))
@@ -82,7 +82,7 @@ export const tool = (of) => ({
     chosen = null;
     if (drawn && drawn[1].points.length > 2) put(drawn[0], { ...drawn[1], closed: true });
   },
-  /** The outlines that were filled in on this frame, to be corrected. */
+  /** The polygons that were filled in on this frame, to be corrected. */
   take() {
     const masks = draft("masks", player.wanted);
     if (!masks) return "Nothing is filled in on this frame yet.";

@@ -1,4 +1,4 @@
-// What is drawn over the picture: what was filled in, and the joints and outlines of this frame's labels.
+// What is drawn over the picture: what was filled in, and the joints and polygons of this frame's labels.
 
 import { $, player, state } from "./app.js";
 import { BONES, NAMES, colour, selected as joint } from "./joints.js";
@@ -20,7 +20,7 @@ const svg = (name, attributes, title) => {
 };
 const path = (points, closed = true) => `M${points.map((point) => point.join(" ")).join("L")}${closed ? "Z" : ""}`;
 
-/** Masks and hand as the server has drafted them; a key frame's own outlines stand instead of its masks. */
+/** Masks and hand as the server has drafted them; a key frame's own polygons stand instead of its masks. */
 function drafts(frame, own) {
   const made = [], masks = draft("masks", frame), hand = draft("hand", frame);
   const old = (kind) => (stale(kind, frame) ? " stale" : "");

@@ -5,7 +5,7 @@ import { NAMES } from "./joints.js";
 import { change, here, missing, settle, stale, work } from "./labels.js";
 import { drawing, remove } from "./outlines.js";
 
-const UNSURE = 0.85; // outlines less sure than this are named
+const UNSURE = 0.85; // masks less sure than this are named
 const NAMED = 6; // so many of them
 
 const clicked = (one) => Object.values(one.joints).filter(Array.isArray).length;
@@ -30,14 +30,14 @@ function nextStep(joint) {
   const withJoints = keys.filter(clicked), outlined = keys.filter((one) => one.outlined);
   if (!within(player.wanted)) return "This frame is not part of the grasp. Home goes to its start.";
   if (state.tool !== "joints" && drawing(state.tool)) return "Click point after point along the border. To close it, click its first point again, or press Enter.";
-  if (state.tool === "joints" && Object.keys(own.joints).length && joint !== null) return `Click the ${NAMES[joint].toLowerCase()}; x where you cannot tell where it is.`;
+  if (state.tool === "joints" && Object.keys(own.joints).length && joint !== null) return `Click the ${NAMES[joint].toLowerCase()}; x where it cannot be located.`;
   if (busy()) return job.what === "files" ? "Writing the files …" : "Filling in …";
   if (!withJoints.length) return "Go to the first frame, or one near it that shows the hand well, and click the joints in the order of the picture below. The mouse wheel brings it closer.";
   const few = withJoints.find((one) => clicked(one) < fewest);
   if (few) return `A frame needs ${fewest} joints at least: click some more on frame ${few.number}, or delete them.`;
-  if (!outlined.length) return "Draw round what is seen of the object (o): the hand does not belong to it. Then draw round whatever else hides it (f), if anything does.";
+  if (!outlined.length) return "Draw a polygon around the visible part of the object (o): the hand does not belong to it. Then draw polygons around whatever else hides it (f), if anything does.";
   if (withJoints.length < 2 || outlined.length < 2) {
-    const what = withJoints.length < 2 ? (outlined.length < 2 ? "both" : "joints") : "an outline";
+    const what = withJoints.length < 2 ? (outlined.length < 2 ? "both" : "joints") : "a polygon";
     return `Now ${what} on the last frame or near it, and in the middle where the grasp is long or turns. The frames between are filled in (g).`;
   }
   if (unfilled()) return "Fill in the other frames (g).";
@@ -48,7 +48,7 @@ function nextStep(joint) {
 function drawKeyframes() {
   const rows = [...state.labels.keyframes.values()].sort((a, b) => a.frame - b.frame).map((one) => {
     const joints = clicked(one), drawn = Object.values(one.outlines).length;
-    const about = [joints && many(joints, "joint"), drawn && many(drawn, "outline"), one.hidden && "object not seen", !within(one.frame) && "outside of the grasp"];
+    const about = [joints && many(joints, "joint"), drawn && many(drawn, "polygon"), one.hidden && "object not visible", !within(one.frame) && "outside of the grasp"];
     const away = element("button", { textContent: "✕", title: "Delete what is labelled on this frame", onclick: (event) => { event.stopPropagation(); change(one.frame, { deleted: true }); } });
     const text = element("span", { className: "text" }, `${one.number ?? "…"} `, element("small", { textContent: about.filter(Boolean).join(" · ") }));
     return element("li", { className: one.frame === player.wanted ? "chosen" : "", onclick: () => move(one.frame) }, text, away);
@@ -60,7 +60,7 @@ function drawKeyframes() {
 function drawOutlines() {
   const own = here(), names = { object: "Object", front: "In front" };
   const rows = Object.entries(own.outlines).map(([id, one]) => {
-    const away = element("button", { textContent: "✕", title: "Delete this outline", onclick: () => remove(id) });
+    const away = element("button", { textContent: "✕", title: "Delete this polygon", onclick: () => remove(id) });
     return element("li", { className: one.of }, element("span", { className: "text" }, names[one.of], element("small", { textContent: one.closed ? many(one.points.length, "point") : "not closed yet" })), away);
   });
   $("outline-list").replaceChildren(...rows);
@@ -83,9 +83,9 @@ function drawWork() {
   $("progress-bar").max = job?.total || 1;
   $("progress-bar").value = job?.done ?? 0;
   const away = unfilled(), frames = last - first + 1;
-  const told = { waiting: "waiting …", running: job?.total ? `${job.done} of ${job.total} frames` : "fitting the hand …", failed: `It did not work: ${job?.message}`, cancelled: "Stopped." };
+  const texts = { waiting: "waiting …", running: job?.total ? `${job.done} of ${job.total} frames` : "fitting the hand …", failed: `It did not work: ${job?.message}`, cancelled: "Stopped." };
   const now = !basis.masks.length && !basis.hand.length ? "" : away ? `${away} of ${many(frames, "frame")} to be filled in${drafts.masks.size || drafts.hand.size ? " again" : ""}.` : `All ${many(frames, "frame")} filled in.`;
-  $("fill-state").textContent = told[job?.state] ?? now;
+  $("fill-state").textContent = texts[job?.state] ?? now;
   $("fill-state").className = job?.state === "failed" ? "failed" : "";
   const unsure = [...drafts.masks.values()].filter((one) => within(one.frame) && !stale("masks", one.frame) && one.content.confidence < UNSURE)
     .sort((a, b) => a.content.confidence - b.content.confidence).slice(0, NAMED).sort((a, b) => a.frame - b.frame);

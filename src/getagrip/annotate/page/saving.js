@@ -11,7 +11,7 @@ export const tab = sessionStorage.getItem("getagrip-tab") ?? fresh();
 sessionStorage.setItem("getagrip-tab", tab);
 
 export class Saving {
-  /** `onAnswer(path, sent, answer)`, `onRefused(text)`, `onPending(count)` tell the page how it goes. */
+  /** `onAnswer(path, sent, answer)`, `onRefused(text)`, `onPending(count)` report progress to the page. */
   constructor(onAnswer, onRefused, onPending) {
     Object.assign(this, { onAnswer, onRefused, onPending });
     this.sending = null;

@@ -1,6 +1,6 @@
 // The list of clips, and opening one of them.
 
-import { $, ask, element, on, pick, player, problem, saving, state, tell } from "./app.js";
+import { $, ask, element, on, pick, player, problem, saving, state, emit } from "./app.js";
 
 export async function overview() {
   const { project, tasks, categories, reasons } = await ask("/api/tasks", { annotator: state.annotator });
@@ -15,7 +15,7 @@ export async function openTask(task) {
   location.hash = encodeURIComponent(task.key);
   problem(null);
   player.close();
-  tell("task");
+  emit("task");
   drawTasks();
   $("where").textContent = `${task.key} · opening …`;
   try {
@@ -27,7 +27,7 @@ export async function openTask(task) {
     await refresh(true);
     const own = state.marks.filter((mark) => mark.category);
     if (!task.category && own.length) state.defaults = pick(own.at(-1), "side", "category", "entity");
-    tell("task");
+    emit("task");
     if (player.shown === null) await player.show(player.wanted);
   } catch (error) {
     if (state.task !== task) return;
@@ -54,7 +54,7 @@ function take(answer) {
     state.task.state = now;
     drawTasks();
   }
-  tell("marks");
+  emit("marks");
 }
 
 export async function refresh(always) {
@@ -63,7 +63,7 @@ export async function refresh(always) {
   try {
     const answer = await ask("/api/marks", { task, annotator: state.annotator });
     if (task === state.task.key && (always || answer.newest !== state.newest)) take(answer);
-  } catch { /* the server is away: saving tells */ }
+  } catch { /* the server is away: saving reports it */ }
 }
 
 on("answer", (path, sent, answer) => {

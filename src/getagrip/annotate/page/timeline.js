@@ -3,7 +3,7 @@
 import { $, clock, element, move, player, state } from "./app.js";
 import { stale } from "./labels.js";
 
-const DOUBTFUL = 0.7; // outlines less sure than this are to be looked at
+const DOUBTFUL = 0.7; // masks less sure than this are to be looked at
 
 /** First and last frame on the timeline: the rough extent with some of what is around it. */
 function view(extent) {
@@ -57,14 +57,14 @@ function labelled(place, part) {
   };
   const hand = (n) => (drafts.hand.has(n) ? (stale("hand", n) ? "stale" : "fresh") : "");
   const titles = { fresh: "filled in", stale: "filled in before the labels were changed", doubtful: "filled in, but not sure: look here" };
-  const bands = [["masks", "Outlines", masks], ["hand", "Hand", hand]].flatMap(([kind, what, word]) =>
+  const bands = [["masks", "Masks", masks], ["hand", "Hand", hand]].flatMap(([kind, what, word]) =>
     stretches(word, ...state.labels.extent).map(([now, from, to]) => {
       const band = element("div", { className: `band ${kind} ${now}`, title: `${what}: ${titles[now]}` });
       place(band, from, to);
       return band;
     }));
   const keys = [...keyframes.values()].flatMap((one) => [
-    one.outlined && ["outlined", "Outlined here"], one.joints && Object.keys(one.joints).length && ["clicked", "Joints clicked here"],
+    one.outlined && ["outlined", "Polygons drawn here"], one.joints && Object.keys(one.joints).length && ["clicked", "Joints clicked here"],
   ].filter(Boolean).map(([className, title]) => {
     const key = element("i", { className, title });
     key.style.left = part(one.frame + 0.5);

@@ -102,7 +102,7 @@ class FittedTrack(Track):
             + ", ".join(f"{finger} {1e3 * d:.1f}" for finger, d in zip(FINGERS, pads, strict=True))
             + f" mm from the object (median over frames; negative: inside), at most {-1e3 * depth.min():.1f} mm inside",
             "stable_contact_area": f"{piece.stable_area:.3f} at {1e3 * DEFINITION.contact:.0f} mm",
-            "dropped": f"{len(piece.track) - len(self)} frames in which the object is not seen",
+            "dropped": f"{len(piece.track) - len(self)} frames in which the object is not visible",
         }
 
     def hand_depth(self) -> Float[ndarray, "T V"]:

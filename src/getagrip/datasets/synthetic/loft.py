@@ -108,7 +108,7 @@ def _fan(pole: int, ring: Int[ndarray, "N"]) -> Int[ndarray, "N 3"]:
 
 
 def _hole(rings: Float[ndarray, "R N 3"], taken: ndarray, at: Float[ndarray, "3"]) -> Int[ndarray, "8"]:
-    """Take the four quads around the vertex nearest to ``at`` out; their outline, counter-clockwise from outside."""
+    """Take the four quads around the vertex nearest to ``at`` out; their boundary, counter-clockwise from outside."""
     N = rings.shape[1]
     i, j = divmod(int(np.argmin(np.linalg.norm(rings[1:-1] - at, axis=-1))), N)
     i += 1

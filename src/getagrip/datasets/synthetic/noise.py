@@ -1,13 +1,13 @@
-"""Errors of hand trackers and of masks, put on clips whose truth is known.
+"""Errors of hand trackers and of masks, added to clips with ground truth.
 
 A tracker's hand in frame n is the true one, displaced:
 
     T_cam_hand' = shift(d_n r) . T_cam_hand . turn_and_shift(w_n, s_n)
 
 w_n turns the hand about its middle, s_n shifts it in any direction, and d_n shifts it along the camera's ray r through
-its middle: what a single picture tells least. The fingers' joints are bent besides. Every error has a **bias**, the
-same in all frames, and **jitter**, an autoregressive process: e_n = a e_(n-1) + sqrt(1 - a^2) white noise, with
-a = exp(-1 / (fps memory)), so that a tracker that errs in one frame errs alike in the next.
+its middle: the direction that one image constrains least. The fingers' joints are bent as well. Every error has a
+**bias**, the same in all frames, and **jitter**, an autoregressive process: e_n = a e_(n-1) + sqrt(1 - a^2) white
+noise, with a = exp(-1 / (fps memory)), so that errors of neighbouring frames are alike.
 
 The levels are named after the trackers that they imitate. They are assumptions, not measurements: see docs/datasets.md.
 """
@@ -91,8 +91,8 @@ NOISE: dict[str, Noise] = {
 def perturbed(clip: Clip, masks: Masks, noise: Noise, seed: int | Sequence[int]) -> tuple[Clip, Masks]:
     """The clip with its given hand displaced, and its masks with their boundaries moved.
 
-    The truth, where the clip has one, keeps the true hand. The same seed draws the same errors, larger or smaller, for
-    every noise. Raises ``InputError`` where fingers are to be bent and the clip has no joints.
+    The ground truth, where the clip has one, keeps the true hand. The same seed draws the same errors, larger or
+    smaller, for every noise. Raises ``InputError`` where fingers are to be bent and the clip has no joints.
     """
     rng = np.random.default_rng(seed)
     hand = noisy_hand(clip, noise, rng)
@@ -132,9 +132,9 @@ def noisy_masks(masks: Masks, noise: Noise, rng: np.random.Generator) -> Masks:
     if noise.mask_ragged_px == 0.0:
         return masks
     pairs = []
-    for seen, ignore in zip(masks.object, masks.ignore, strict=True):
+    for mask, ignore in zip(masks.object, masks.ignore, strict=True):
         hidden = ragged(ignore, noise.mask_ragged_px, rng)
-        pairs.append((ragged(seen, noise.mask_ragged_px, rng) & ~hidden, hidden))
+        pairs.append((ragged(mask, noise.mask_ragged_px, rng) & ~hidden, hidden))
     objects, ignored = zip(*pairs, strict=True)
     return Masks(np.stack(objects), np.stack(ignored))
 

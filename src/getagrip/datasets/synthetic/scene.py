@@ -80,7 +80,7 @@ def synthesise(category: str, seed: int = 0, options: SceneOptions | None = None
         UsageError: for an unknown category, a negative seed, or fewer than 2 frames.
     """
     scene = make_scene(category, seed, options or SceneOptions())
-    return perturbed(scene.clip, seen_masks(scene), scene.options, noise_seed(category, seed))
+    return perturbed(scene.clip, ground_truth_masks(scene), scene.options, noise_seed(category, seed))
 
 
 def noise_seed(category: str, seed: int) -> list[int]:
@@ -136,8 +136,8 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
         provenance={"source": "synthetic, by getagrip", "seed": seed, "options": asdict(options)},
     )
     other = other_hand(grasper, T_cam_hand, middle, moves) if options.other_hand else None
-    seen = Mesh(se3.transform(se3.inverse(T_held_cad), held.vertices), held.faces)
-    scene = Scene(clip, seen, axis, other, options)
+    shown = Mesh(se3.transform(se3.inverse(T_held_cad), held.vertices), held.faces)
+    scene = Scene(clip, shown, axis, other, options)
     return scene if options.side == "right" else _mirror_image(scene)
 
 
@@ -252,7 +252,7 @@ def _flipped(mesh: Mesh) -> Mesh:
     return Mesh(mesh.vertices * np.array([1.0, -1.0, 1.0]), mesh.faces[:, ::-1].copy())
 
 
-def seen_masks(scene: Scene) -> Masks:
+def ground_truth_masks(scene: Scene) -> Masks:
     """True masks of the scene."""
     pairs = []
     for n in range(len(scene.clip)):

@@ -52,13 +52,13 @@ def slab(size: tuple[float, float, float], power: float, bevel: float, columns: 
     lx, ly, lz = (s / 2.0 for s in size)
     s = (np.arange(columns) + 0.5) * 2.0 * np.pi / columns
     c, sn = np.cos(s), np.sin(s)
-    outline = np.stack([np.sign(c) * np.abs(c) ** (2 / power), np.sign(sn) * np.abs(sn) ** (2 / power)], axis=-1)
+    section = np.stack([np.sign(c) * np.abs(c) ** (2 / power), np.sign(sn) * np.abs(sn) ** (2 / power)], axis=-1)
     shrink = 1.0 - bevel / min(lx, ly)
     caps = np.array([0.25, 0.6]) * shrink
     heights = np.linspace(-lz + bevel, lz - bevel, layers + 1)
     factor = np.concatenate([caps, [shrink], np.ones(layers + 1), [shrink], caps[::-1]])
     z = np.concatenate([np.full(3, -lz), heights, np.full(3, lz)])
-    rings = factor[:, None, None] * outline * np.array([lx, ly])
+    rings = factor[:, None, None] * section * np.array([lx, ly])
     return loft(np.concatenate([rings, np.broadcast_to(z[:, None, None], (*rings.shape[:2], 1))], axis=-1))
 
 
@@ -202,9 +202,9 @@ def spoon(length: float = 0.19, width: float = 0.046) -> Mesh:
     """A table spoon, its bowl at +x."""
     s = np.linspace(0.0, 1.0, 26)
     x = length * (s - 0.5)
-    outline = [0.07, 0.13, 0.16, 0.17, 0.13, 0.09, 0.08, 0.10, 0.30, 0.45, 0.5, 0.46, 0.34, 0.12]
+    section = [0.07, 0.13, 0.16, 0.17, 0.13, 0.09, 0.08, 0.10, 0.30, 0.45, 0.5, 0.46, 0.34, 0.12]
     places = [0.0, 0.02, 0.06, 0.12, 0.3, 0.5, 0.6, 0.66, 0.73, 0.80, 0.87, 0.94, 0.98, 1.0]
-    half = width * np.interp(s, places, outline)
+    half = width * np.interp(s, places, section)
     hollow = 0.26 * width * np.interp(s, [0.66, 0.80, 0.92, 1.0], [0.0, 1.0, 0.9, 0.25])
     bend = 0.07 * length * (np.cos(np.pi * np.clip(s / 0.75, 0, 1)) * 0.5 + 0.5) - hollow
     phi = np.arange(16) * np.pi / 8.0

@@ -1,6 +1,6 @@
 """The clips of the ``synthetic`` benchmark: which categories, seeds and options its splits hold.
 
-Each preset has the same motions and grasps (``wild`` has other shapes), seen through other hands and masks. The seeds
+Each preset has the same motions and grasps (``wild`` has other shapes), observed with other hands and masks. The seeds
 of train and test differ, and with them all that is drawn: a clip's random stream comes from its category and seed.
 """
 

@@ -14,7 +14,7 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import MIRROR, Side
 
-ONE_CAMERA = "one camera tells neither the size nor the depth of a hand"
+ONE_CAMERA = "one camera determines neither the size nor the depth of a hand"
 ROUNDED = 0.05
 """Entries of a matrix so far from the nearest rotation's are no rounding."""
 
