@@ -1,4 +1,7 @@
-"""The paper's way to minimise: Adam on the 1-DoF parameters, the same number of iterations from every start."""
+"""Adam on the 1-DoF parameters, as in the code that the paper's authors published later (the paper names no optimiser).
+
+Every initial pose gets the same number of iterations.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ METRES = 0.1
 
 @dataclass(frozen=True)
 class Descent:
-    """The best iterate from each of B starts."""
+    """The best iterate from each of B initial poses."""
 
     motion: Hinge
     energy: Float[ndarray, "B"]

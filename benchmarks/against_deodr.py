@@ -21,13 +21,13 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.solve import in_camera
 from getagrip.geometry import se3
 
-STARTS = 50
+INITIAL_POSES = 50
 NEAR = np.radians(30.0)
 RATES = (2.0, 4.0, 8.0, 16.0)
 """Learning rates tried, in units of the authors' 0.01."""
 REPEATS = 5
-MASK_ONLY = Options(inits=STARTS, push=0.0, pull=0.0)
-ALL_TERMS = Options(inits=STARTS)
+MASK_ONLY = Options(inits=INITIAL_POSES, push=0.0, pull=0.0)
+ALL_TERMS = Options(inits=INITIAL_POSES)
 
 
 @dataclass(frozen=True)
@@ -65,19 +65,20 @@ def section() -> str:
         ]  # fmt: skip
     header = ["clip", "method", "CPU s", "wall s", "times ours", "E_mask, px per frame", "ADD, % of diameter"]
     return "\n\n".join([
-        f"On the mask term, from {STARTS} starts, ours is {min(faster):,.0f} to {max(faster):,.0f} times as fast "
-        f"(processor time) as Adam on DEODR: a factor of {min(kernels):.0f} to {max(kernels):.0f} from the silhouettes "
-        f"and the rest from the search. It ends at {min(lower):.2f} to {max(lower):.2f} times the mask energy of the "
-        f"better of the two starts from which Adam on DEODR was run. {len(problem.clip)} frames, {adam.ITERATIONS} "
-        "iterations of Adam; final energies are all the exact one at 256 pixels, without antialiasing.",
+        f"On the mask term, from {INITIAL_POSES} initial poses, ours is {min(faster):,.0f} to {max(faster):,.0f} times "
+        f"as fast (processor time) as Adam on DEODR: a factor of {min(kernels):.0f} to {max(kernels):.0f} from the "
+        f"silhouettes and the rest from the search. It ends at {min(lower):.2f} to {max(lower):.2f} times the mask "
+        f"energy of the better of the two initial poses from which Adam on DEODR was run. {len(problem.clip)} frames, "
+        f"{adam.ITERATIONS} iterations of Adam; final energies are all the exact one at 256 pixels, without "
+        "antialiasing.",
         table(header, rows),
         "\n".join(notes),
     ])  # fmt: skip
 
 
 def _compare(problem: Problem) -> tuple[list[Run], str]:
-    """Ours on the mask term (timed before and after the rest) and on all, Adam on DEODR from two starts and scaled to
-    all, Adam on our silhouettes at 256 and 64 pixels, in this order; and notes."""
+    """Ours on the mask term (timed before and after the rest) and on all terms; Adam on DEODR from two initial poses,
+    and scaled to all; Adam on our silhouettes at 256 and 64 pixels, in this order; and notes."""
     from benchmarks.deodr_term import DeodrTerm, agreement
 
     clip, masks, T_cam_hand = problem.clip, problem.masks, problem.clip.hand.T_cam_hand
@@ -86,7 +87,7 @@ def _compare(problem: Problem) -> tuple[list[Run], str]:
     before, found = timed(mask_only, REPEATS)
     full, found_full = timed(all_terms, REPEATS)
 
-    everywhere, near = _all_starts(problem), _near_start(problem)
+    everywhere, near = _all_poses(problem), _near_pose(problem)
     deodr = DeodrTerm(problem)
     cosine = agreement(deodr, in_camera(near, T_cam_hand))
     if cosine < 0.9:
@@ -100,7 +101,7 @@ def _compare(problem: Problem) -> tuple[list[Run], str]:
         return call
 
     def tried(term: Term) -> dict[float, float]:
-        """By learning rate, lowest first, the energy at which the near start ends."""
+        """By learning rate, lowest first, the final energy from the near initial pose."""
         ends = {rate: problem.energy(descend(near, term, rate)()) for rate in RATES}
         return dict(sorted(ends.items(), key=lambda end: end[1]))
 
@@ -112,39 +113,41 @@ def _compare(problem: Problem) -> tuple[list[Run], str]:
     for level in (256, 64):
         term = problem.mask_term(level)
         timing, (T,) = timed(descend(everywhere, term, next(iter(tried(term)))))
-        ours.append(Run.of(f"Adam on our silhouettes, {level} px, {STARTS} starts", timing, T))
+        ours.append(Run.of(f"Adam on our silhouettes, {level} px, {INITIAL_POSES} initial poses", timing, T))
     after, _ = timed(mask_only, REPEATS)
 
     cpu, wall = (
-        STARTS * mean(seconds) for seconds in (from_near.cpu + from_first.cpu, from_near.wall + from_first.wall)
+        INITIAL_POSES * mean(seconds) for seconds in (from_near.cpu + from_first.cpu, from_near.wall + from_first.wall)
     )
     runs = [
         Run.of("ours, mask term", before + after, found[0].T_hand_obj),
         Run.of("ours, all terms", full, found_full[0].T_hand_obj),
-        Run.of("Adam on DEODR, 1 start, 30° from the truth", from_near, T_near),
-        Run.of("Adam on DEODR, 1 start, the first of ours", from_first, T_first),
-        Run(f"Adam on DEODR, mean of the two times {STARTS}", cpu, wall, min(T_near, T_first, key=problem.energy)),
+        Run.of("Adam on DEODR, 1 initial pose, 30° from the ground truth", from_near, T_near),
+        Run.of("Adam on DEODR, 1 initial pose, the first of ours", from_first, T_first),
+        Run(
+            f"Adam on DEODR, mean of the two times {INITIAL_POSES}", cpu, wall, min(T_near, T_first, key=problem.energy)
+        ),
         *ours,
     ]
     listed = ", ".join(f"{energy:.0f} at {adam.UNIT * r:g}" for r, energy in ends.items())
     return runs, (
-        f"DEODR's gradient against differences of its own energy: cosine {cosine:.3f}; from the near start it ends at "
-        f"{listed} (learning rate), the first of which is taken"
+        f"DEODR's gradient against differences of its own energy: cosine {cosine:.3f}; from the near initial pose it "
+        f"ends at {listed} (learning rate), the first of which is taken"
     )
 
 
-def _all_starts(problem: Problem) -> Hinge:
-    """The starts of our own search."""
+def _all_poses(problem: Problem) -> Hinge:
+    """The initial poses of our own search."""
     fixed = initial_poses(problem.clip, problem.masks, MASK_ONLY.inits)
     return adam.start(fixed.R, fixed.centre, -problem.centre, len(problem.clip))
 
 
-def _near_start(problem: Problem) -> Hinge:
-    """A start whose rotation is 30 degrees from the truth of the middle frame, placed where all starts are."""
+def _near_pose(problem: Problem) -> Hinge:
+    """The position of all initial poses, with a rotation 30 degrees from the true one of the middle frame."""
     clip, truth = problem.clip, problem.clip.truth
     assert truth is not None
     T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
     axis = np.random.default_rng(0).normal(size=3)
     turn = se3.exp_so3(NEAR * axis / np.linalg.norm(axis))
     R = turn @ T_hand_obj[len(clip) // 2, :3, :3]
-    return adam.start(R[None], _all_starts(problem).centre[:1], -problem.centre, len(clip))
+    return adam.start(R[None], _all_poses(problem).centre[:1], -problem.centre, len(clip))

@@ -1,8 +1,8 @@
 """Search or energy? ``python -m benchmarks.at_truth DIR`` (as given to ``bench --out``) writes into docs/results.md.
 
 For every clip on which soft-hinge failed: the energies after fitting with the last stage, for as long, from the poses
-that it found and from the true ones, and how far off each is. A search that missed a lower energy is to blame for the
-one, the energy itself for the other; within ``ALIKE`` of each other the energy does not tell the two apart.
+that it found and from the true ones, and how far off each is. A lower energy at the true poses is a failure of the
+search, a higher one a failure of the energy; within ``ALIKE`` of each other the energy does not distinguish the two.
 """
 
 from __future__ import annotations
@@ -82,9 +82,9 @@ def main(folder: Path) -> None:
         rows.append([result.clip, shares[0], energies[0], shares[1], energies[1], blame(best, at_truth)])
     header = ["clip", "ADD sym., % of diameter", "energy per frame", "from the truth: ADD", "energy", "to blame"]
     kinds = Counter(row[-1] for row in rows)
-    said = f"{len(rows)} failures: {', '.join(f'{n} {kind}' for kind, n in sorted(kinds.items()))}.\n\n"
-    page.write(f"{folder.name}-truth", said + page.table(header, rows), "results.md")
-    print(said + page.table(header, rows))
+    summary = f"{len(rows)} failures: {', '.join(f'{n} {kind}' for kind, n in sorted(kinds.items()))}.\n\n"
+    page.write(f"{folder.name}-truth", summary + page.table(header, rows), "results.md")
+    print(summary + page.table(header, rows))
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Are the methods starved? Final energy and error against the number of starts and of iterations.
+"""Do the methods get enough computation? Final energy and error against the number of initial poses and of iterations.
 
     python -m benchmarks.baselines [clips]
 
-Puts a table into docs/results.md: each method as it is, with two and four times the starts, and with two and four times
-the iterations of every stage. A method is not starved where more of either hardly lowers its energy.
+Puts a table into docs/results.md: each method as it is, with two and four times the initial poses, and with two and
+four times the iterations of every stage. A method gets enough where more of either hardly lowers its energy.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ METHODS = (
     "single-frame",
 )
 FACTORS = ((1, 1), (2, 1), (4, 1), (1, 2), (1, 4))
-"""Of starts and of iterations."""
+"""Of initial poses and of iterations."""
 CONDITIONS = {"exact": SceneOptions(), "hamer": SceneOptions(**vars(NOISE["hamer"]))}
 CLOSE = 1.02
 """An energy within this factor of the least that the method found with any setting counts as found."""
@@ -77,10 +77,10 @@ def longer(factor: int) -> Iterator[None]:
         yield
 
 
-def score(problem: Problem, method: str, starts: int, iterations: int) -> Score:
-    """Reconstruct with so many times the starts and iterations."""
+def score(problem: Problem, method: str, poses: int, iterations: int) -> Score:
+    """Reconstruct with so many times the initial poses and iterations."""
     with longer(iterations):
-        result = reconstruct(problem.clip, problem.masks, Options(method=method, inits=starts * Options().inits))
+        result = reconstruct(problem.clip, problem.masks, Options(method=method, inits=poses * Options().inits))
     frames = len(result.frames)
     return Score(result.energy["total"] / frames, problem.add(result.T_hand_obj), result.seconds["total"])
 
@@ -91,21 +91,31 @@ def main(clips: int) -> None:
     for k, c in enumerate(frame_indices(len(CATEGORIES), clips)):
         clip, masks = synthesise(sorted(CATEGORIES)[c], 0, tuple(CONDITIONS.values())[k % 2])
         problems.append(Problem(clip, masks, observe(masks, clip.K)))
-    said = f"{len(problems)} clips of as many categories, half of them {', half '.join(CONDITIONS)}."
-    heads = ["method", "starts", "iterations", "energy per frame", "median", "found %", "ADD %", "ADD median %", "s"]
+    summary = f"{len(problems)} clips of as many categories, half of them {', half '.join(CONDITIONS)}."
+    heads = [
+        "method",
+        "initial poses",
+        "iterations",
+        "energy per frame",
+        "median",
+        "found %",
+        "ADD %",
+        "ADD median %",
+        "s",
+    ]
     rows = []
     for method in METHODS:
         scores = {factors: [score(p, method, *factors) for p in problems] for factors in FACTORS}
         least = [min(s.energy for s in of_clip) for of_clip in zip(*scores.values(), strict=True)]
-        for (starts, iterations), group in scores.items():
+        for (poses, iterations), group in scores.items():
             energies = [s.energy for s in group]
             found = mean(s.energy < CLOSE * e for s, e in zip(group, least, strict=True))
-            row = [method, f"x{starts}", f"x{iterations}", f"{mean(energies):.1f}", f"{median(energies):.1f}"]
+            row = [method, f"x{poses}", f"x{iterations}", f"{mean(energies):.1f}", f"{median(energies):.1f}"]
             row += [f"{100 * found:.0f}", f"{100 * mean(s.add < 0.1 for s in group):.0f}"]
             row += [f"{100 * median(s.add for s in group):.1f}", f"{median(s.seconds for s in group):.2f}"]
             print(" | ".join(row), flush=True)
             rows.append(row)
-    page.write("baselines", f"{page.circumstances()}\n\n{said}\n\n{page.table(heads, rows)}", "results.md")
+    page.write("baselines", f"{page.circumstances()}\n\n{summary}\n\n{page.table(heads, rows)}", "results.md")
 
 
 if __name__ == "__main__":

@@ -31,9 +31,9 @@ class DeodrTerm:
         mesh, observation = problem.clip.mesh, problem.observation
         self.vertices = mesh.vertices - problem.centre
         self.K = observation.K
-        self.seen = unpack(observation.observed[CROP], CROP).astype(float)
+        self.observed = unpack(observation.observed[CROP], CROP).astype(float)
         self.valid = unpack(observation.valid[CROP], CROP).astype(float)
-        self.topology = TriMesh(mesh.faces, self.vertices)  # outward faces, seen in an image whose y points down
+        self.topology = TriMesh(mesh.faces, self.vertices)  # outward faces, in an image whose y points down
         V, F = len(mesh.vertices), len(mesh.faces)
         faces = mesh.faces.astype(np.uint32)
         self.scene = Scene2D(
@@ -75,7 +75,7 @@ class DeodrTerm:
 def agreement(term: DeodrTerm, poses: PosesInCamera) -> float:
     """Cosine between the term's gradient and central differences of its own value, all frames together.
 
-    Edge flags of the wrong orientation leave a gradient near zero and nobody is told; this notices.
+    Edge flags of the wrong orientation silently leave a gradient near zero; this check finds them.
     """
     unit = np.array([1e-4] * 3 + [1e-3] * 4)  # the 7-vector's steps: 0.1 mm, 1 mrad, 0.1 %
     bound = np.full(1, np.inf)

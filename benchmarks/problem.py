@@ -1,4 +1,4 @@
-"""What is reconstructed: made-up clips, and how good an answer is."""
+"""What is reconstructed: synthetic clips, and how good an answer is."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Problem:
 
 
 def make(category: str, seed: int) -> Problem:
-    """A made-up clip of 30 frames."""
+    """A synthetic clip of 30 frames."""
     clip, masks = synthesise(category, seed)
     return Problem(clip, masks, observe(masks, clip.K))
 

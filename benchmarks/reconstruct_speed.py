@@ -35,8 +35,8 @@ def section() -> str:
         stages.append([name, *map(_ms, split.values())])
     columns = ["CPU median, ms", "CPU least, ms", "wall median, ms", "IOU", "ADD, % of diameter"]
     return "\n\n".join([
-        f"{len(problems[0].clip)} frames, {results[0].options['inits']} starts, all three terms, {REPEATS} runs after "
-        "one to warm up:",
+        f"{len(problems[0].clip)} frames, {results[0].options['inits']} initial poses, all three terms, {REPEATS} runs "
+        "after one to warm up:",
         table(["clip", "faces", *columns], times),
         "The same by stage, median CPU time in ms:",
         table(["clip", *split], stages),
@@ -53,9 +53,9 @@ def _fresh(problem: Problem) -> str:
         environment = os.environ | {"NUMBA_CACHE_DIR": str(Path(scratch) / "cache")}
         for name in ("kernels compiled", "kernels from the cache"):
             timing, (output,) = timed(lambda: _child(folder, environment))
-            told = json.loads(output)
-            seconds = [timing.wall[0], *(told[key] for key in ("imports", "read", "first", "second"))]
-            memory = [told[key] for key in ("memory imports", "memory read", "memory")]
+            measured = json.loads(output)
+            seconds = [timing.wall[0], *(measured[key] for key in ("imports", "read", "first", "second"))]
+            memory = [measured[key] for key in ("memory imports", "memory read", "memory")]
             rows.append([name, *(f"{s:.2f}" for s in seconds), *(f"{m:.0f}" for m in memory)])
     header = ["", "process, wall s", "imports, CPU s", "reading, CPU s", "1st reconstruction, CPU s", "2nd, CPU s"]
     return table([*header, "peak memory after imports, MB", "after reading, MB", "at the end, MB"], rows)

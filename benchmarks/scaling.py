@@ -1,4 +1,4 @@
-"""How the cost of a reconstruction grows with frames, starts and faces."""
+"""How the cost of a reconstruction grows with frames, initial poses and faces."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from getagrip.result import Reconstruction
 
 CATEGORY = "kettle"
 FRAMES = (10, 20, 30, 50, 100, 200, 300)
-STARTS = (10, 20, 50, 100, 200, 400)
+INITIAL_POSES = (10, 20, 50, 100, 200, 400)
 FACES = (200, 500, 1000, 2000, 5000, 10_000, 20_000)
 REPEATS = 3
 
@@ -52,7 +52,7 @@ def section() -> str:
     fine = _subdivided(clip.mesh, max(FACES))
     curves = [
         _measure("frames", FRAMES, lambda n: reconstruction(long, long_masks, Options(frames=n))),
-        _measure("starts", STARTS, lambda n: reconstruction(clip, masks, Options(inits=n))),
+        _measure("initial poses", INITIAL_POSES, lambda n: reconstruction(clip, masks, Options(inits=n))),
         _measure("faces", FACES, lambda n: reconstruction(replace(clip, mesh=decimate(fine, n)), masks)),
     ]
     _draw(curves)
@@ -87,7 +87,7 @@ def _describe(curve: Curve) -> str:
         for size, seconds, slope, spent in zip(curve.sizes, curve.seconds, slopes, curve.stages, strict=True)
     ]
     return (
-        f"{curve.name.capitalize()}: cost grows as {curve.name} to the power {curve.overall:.2f} over the whole range, "
+        f"{curve.name.capitalize()}: cost grows as their number to the power {curve.overall:.2f} over the whole range, "
         f"{max(curve.exponents):.2f} at most between neighbours.\n\n"
         + table([curve.name, "CPU, ms", "power", *curve.stages[0]], rows)
     )

@@ -69,8 +69,8 @@ def main():
     rest = (mano.J_regressor @ mano.v_template).detach().cpu().numpy()
     faces, weights = np.asarray(mano.faces), mano.lbs_weights.detach().cpu().numpy()
     pads = hand_file.fingertip_pads(template, rest, faces.astype(int), weights)
-    told = "given to the script" if args.K else "a guess: the focal length is the longer side of the image"
-    hand_file.write(args.out, vertices, joints, poses, faces, pads, args.side, numbers, K, told)
+    camera = "given to the script" if args.K else "a guess: the focal length is the longer side of the image"
+    hand_file.write(args.out, vertices, joints, poses, faces, pads, args.side, numbers, K, camera)
     print(f"{args.out}: {len(numbers)} frames")
 
 

@@ -2,9 +2,9 @@
 
     python wilor.py CLIP/frames --side right --K 1200 1200 960 540 --out hand.npz
 
-Of several hands of that side in an image the largest is taken, and said. ``--guess-focal`` instead of ``--K`` takes the
-longer side of the image for the focal length: a guess. WiLoR-mini does its own weak-perspective camera; here its
-translation is brought before the real one.
+Of several hands of that side in an image the largest is taken, with a message. ``--guess-focal`` instead of ``--K``
+takes the longer side of the image for the focal length: a guess. WiLoR-mini has a weak-perspective camera of its own;
+its translation is converted to the given camera.
 """
 
 import argparse
@@ -61,8 +61,8 @@ def main():
     rest = (mano.J_regressor @ mano.v_template).detach().cpu().numpy()
     faces, weights = np.asarray(mano.faces), mano.lbs_weights.detach().cpu().numpy()
     pads = hand_file.fingertip_pads(template, rest, faces.astype(int), weights)
-    told = "given to the script" if args.K else "a guess: the focal length is the longer side of the image"
-    hand_file.write(args.out, vertices, joints, poses, faces, pads, args.side, numbers, K, told)
+    camera = "given to the script" if args.K else "a guess: the focal length is the longer side of the image"
+    hand_file.write(args.out, vertices, joints, poses, faces, pads, args.side, numbers, K, camera)
     print(f"{args.out}: {len(numbers)} frames")
 
 

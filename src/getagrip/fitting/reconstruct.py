@@ -30,7 +30,7 @@ def reconstruct(
     options: Options | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Reconstruction:
-    """Find the object's pose in the hand in every frame by comparing rendered and observed masks (Eq. 4).
+    """Find the object's pose in the hand in every frame by comparing rendered and observed masks (Eq. 5).
 
     ``masks`` are those of the clip's frames; without them, those of the frames that are used are read from its folder.
     ``progress`` is called with the name of the stage that has ended and the fraction done. Raises ``UsageError`` for

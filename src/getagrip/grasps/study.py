@@ -1,4 +1,4 @@
-"""What changes within a stable grasp and outside it (the paper's study of 3D-labelled sequences, Sec. 3).
+"""What changes within a stable grasp and outside it (the paper's study of 3D-labelled sequences, Sec. 3.2).
 
 Every measure is one number per frame, of a grasp's own frames and of those before and after it:
 
