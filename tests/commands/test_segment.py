@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -23,9 +22,11 @@ from getagrip.grasps.stable import OPENED, Definition, contact_iou, contact_sets
 from getagrip.metrics.contact import contact_distances
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.view.matrix import write_matrix
+from getagrip.view.style import FOUND
 from helpers.clips import box, small_clip
 from helpers.command_line import Run
 from helpers.paths import DATA, needs
+from helpers.pictures import pixels_of, read_picture
 
 RADIUS = 0.03
 HOT3D = DATA / "hot3d"
@@ -192,10 +193,11 @@ def test_all_is_written_and_said(run: Run, tmp_path: Path) -> None:
     assert [float(row["duration"]) for row in rows] == [pytest.approx(12 / 30), pytest.approx(1.2)]
     content = json.loads(file.read_text())
     assert [(one["clip"], one["start"], one["end"]) for one in content] == [("a", 0, 11), ("b", 0, 11)]
-    for name in ("a", "b", "none"):
-        picture = cv2.imread(str(out / f"{name}.png"))
-        assert picture is not None
-        assert picture.std() > 5.0
+    a, b, none = (read_picture(out / f"{name}.png") for name in ("a", "b", "none"))
+    assert (
+        min(pixels_of(picture, FOUND) for picture in (a, b)) > 2 * pixels_of(none, FOUND) > 0
+    )  # tau, and a framed grasp
+    assert all(pixels_of(picture, "#16283a") > 1000 for picture in (a, b))  # pairs of frames with the same contact
 
     again = run("segment", *given, "--workers", 2)
     assert again == (status, said, err)
@@ -266,12 +268,11 @@ def test_help_loads_nothing_heavy() -> None:
 def test_a_picture_is_drawn_of_any_length(frames: int, tmp_path: Path) -> None:
     contact = np.tile(np.arange(5) < 3, (frames, 1))
     iou = contact_iou(contact)
-    bare = cv2.imread(str(write_matrix(tmp_path / "a.png", iou, [], 30.0, 0.5, "a", "b")))
-    marked = cv2.imread(str(write_matrix(tmp_path / "b.png", iou, [(0, frames - 1)], 30.0, 0.0, "$a$_{", 99 * "b")))
-    assert bare is not None
-    assert marked is not None
+    bare = read_picture(write_matrix(tmp_path / "a.png", iou, [], 30.0, 0.5, "a", "b"))
+    marked = read_picture(write_matrix(tmp_path / "b.png", iou, [(0, frames - 1)], 30.0, 0.0, "$a$_{", 99 * "b"))
     assert bare.shape == marked.shape
-    assert np.abs(bare.astype(int) - marked).max() > 50
+    assert pixels_of(marked, FOUND) > pixels_of(bare, FOUND) + 1000  # the frame, and the strip below
+    assert pixels_of(bare, "#16283a") > 0.3 * bare[..., 0].size  # every pair has the same contact
 
 
 # Real data.

@@ -91,7 +91,7 @@ def test_every_mask_is_checked_also_those_that_are_not_used(tmp_path: Path) -> N
     prepare(clip, None, Options(frames=2))
 
 
-def test_frames_left_out_are_told_once(tmp_path: Path) -> None:
+def test_frames_left_out_are_reported_once(tmp_path: Path) -> None:
     clip = replace(written(tmp_path / "small", [4], []), provenance={"scale": "a guess"})
     problem = prepared(clip, Options(frames=3), sampled=True)
     assert not isinstance(problem, str)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -23,8 +22,11 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.approximation import AxisRotation, _refined, mean_rotation, pose_hinge, rotation_hinge
 from getagrip.grasps.stable import Definition, PairwiseIou
 from getagrip.grasps.study import MEASURES, TIMES, Spread, fingers, kept_contact, mean_curves, study
+from getagrip.view.study import INSIDE
+from getagrip.view.style import AXIS, FOUND
 from helpers.clips import small_clip
 from helpers.paths import DATA, needs
+from helpers.pictures import pixels_of, read_picture
 
 Run = Callable[..., tuple[int, str, str]]
 PosesInCamera = tuple[np.ndarray, np.ndarray]
@@ -289,9 +291,12 @@ def test_all_is_written_and_said(run: Run, tmp_path: Path) -> None:
         assert len(list(csv.DictReader(stream))) == len(MEASURES) * len(TIMES)
     with (out / "summary.csv").open(newline="") as stream:
         assert len(list(csv.DictReader(stream))) == 3 * 2 * len(MEASURES)
-    picture = cv2.imread(str(out / "study.png"))
-    assert picture is not None
-    assert picture.std() > 5.0
+    picture = read_picture(out / "study.png")
+    for third in np.array_split(picture, 3, axis=1):
+        for half in np.array_split(third, 2):
+            assert pixels_of(half, INSIDE) > 1000  # six panels, the time of the grasp in blue
+    assert pixels_of(picture, FOUND) > 200  # static
+    assert pixels_of(picture, AXIS) > 200  # 1-DoF
     again = run("study", tmp_path / "clips", *options, "--workers", 2)
     assert again == (status, said, err)  # a clip without grasps is none that failed
 

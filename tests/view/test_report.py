@@ -6,11 +6,9 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -23,6 +21,7 @@ from getagrip.geometry import se3
 from getagrip.result import Axis, Candidates, Reconstruction, read_result
 from getagrip.view.report import TILES, report_figure, write_report
 from getagrip.view.style import AXIS, FOUND, TRUE
+from helpers.pictures import pixels_of, read_picture
 
 
 @lru_cache
@@ -56,11 +55,6 @@ def texts(figure: Figure) -> set[str]:
     return {text.get_text() for text in figure.findobj(Text)} - {""}
 
 
-def near(picture: np.ndarray, colour: str) -> np.ndarray:
-    """The pixels of a colour."""
-    return np.abs(picture / 255.0 - to_rgb(colour)).max(axis=-1) < 0.06
-
-
 def pixels(figure: Figure) -> np.ndarray:
     figure.canvas.draw()
     return np.asarray(figure.canvas.buffer_rgba())[..., :3]  # type: ignore[attr-defined]
@@ -92,16 +86,15 @@ def test_every_part_of_the_picture_is_drawn(tmp_path: Path) -> None:
     picture = pixels(figure)
     tiles = [panel(picture, axes) for axes in figure.axes[:-2]]
     for over, camera, side in zip(tiles[:TILES], tiles[TILES : 2 * TILES], tiles[2 * TILES :], strict=True):
-        assert near(over, FOUND).sum() > 100  # the fitted contour
-        assert all(near(tile, AXIS).sum() > 50 for tile in (camera, side))
+        assert pixels_of(over, FOUND) > 100  # the fitted contour
+        assert all(pixels_of(tile, AXIS) > 50 for tile in (camera, side))
     angle, iou = (panel(picture, axes) for axes in figure.axes[-2:])
-    assert near(angle, TRUE).sum() > 50
-    assert near(iou, FOUND).sum() > 50
+    assert pixels_of(angle, TRUE) > 50
+    assert pixels_of(iou, FOUND) > 50
     border = np.concatenate([picture[:5].reshape(-1, 3), picture[-5:].reshape(-1, 3), picture[:, -5:].reshape(-1, 3)])
     assert (border == 255).all()  # nothing is cut off
-    written = cv2.imread(str(write_report(result, clip, masks, tmp_path / "report.png", metrics)))
-    assert written is not None
-    np.testing.assert_array_equal(written[..., ::-1], picture)
+    written = read_picture(write_report(result, clip, masks, tmp_path / "report.png", metrics))
+    np.testing.assert_array_equal(written, picture)
 
 
 @pytest.mark.parametrize("with_masks", [True, False])
@@ -114,8 +107,8 @@ def test_results_without_axis_truth_masks_or_many_frames(with_masks: bool) -> No
     assert "rotation of the object in the hand since the first frame [°]" in texts(figure)
     assert "ground truth" not in texts(figure)
     tile = panel(pixels(figure), figure.axes[0])
-    assert near(tile, FOUND).any()
-    assert near(tile, "#7e9eb8").any() == with_masks  # the observed mask
+    assert pixels_of(tile, FOUND) > 0
+    assert (pixels_of(tile, "#7e9eb8") > 0) == with_masks  # the observed mask
 
 
 def test_an_unknown_method_is_refused(tmp_path: Path) -> None:
@@ -151,6 +144,4 @@ def test_the_demo_finds_the_mug_and_can_be_run_again(tmp_path: Path) -> None:
     result, record = read_result(tmp_path / name)
     assert result.clip == clip.name
     assert record["metrics"]["add_success"] == 1.0
-    report = cv2.imread(str(tmp_path / "report.png"))
-    assert report is not None
-    assert near(report[..., ::-1], AXIS).sum() > 500
+    assert pixels_of(read_picture(tmp_path / "report.png"), AXIS) > 500

@@ -19,8 +19,8 @@ def initial_poses(
 ) -> Fixed:
     """B = ``inits`` poses: the first of ``poses`` (``T_hand_obj``), then rotations spread uniformly over SO(3).
 
-    The latter place the object's centre at ``grip_point``. A free scale is initialised so that the object at that place is
-    as large as its masks.
+    The latter place the object's centre at ``grip_point``. A free scale is initialised so that the object at that
+    place is as large as its masks.
     """
     poses = np.zeros((0, 4, 4)) if poses is None else poses[:inits]
     offset = se3.exp_so3(np.random.default_rng(seed).uniform(-1.0, 1.0, 3)) if seed else np.eye(3)
@@ -40,8 +40,8 @@ def initial_poses(
 def grip_point(clip: Clip, uv: Float[ndarray, "T 2"]) -> Float[ndarray, "3"]:
     """The point of the hand frame nearest to the rays through the masks' centres and to the hand's grip [m].
 
-    The grip is the mean of the five fingertips' contact regions; a ray counts as much as the grip at 2 cm against 5 cm of spread,
-    all rays together as four, since what the hand hides biases them all alike.
+    The grip is the mean of the five fingertips' contact regions, with a standard deviation of 5 cm. The rays have 2 cm;
+    together they count as four, since occlusion by the hand biases all of them alike.
     """
     hand = clip.hand
     grip = np.mean([hand.vertices[:, hand.regions[name]].mean(axis=(0, 1)) for name in FINGERS], axis=0)

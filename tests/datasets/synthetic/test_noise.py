@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -138,8 +138,11 @@ def test_ragged_masks_keep_to_the_object_and_an_empty_one_stays_empty(made: tupl
     assert not ragged(empty, 2.0, np.random.default_rng(0)).any()
 
 
-def test_frankmocap_is_worse_than_hamer_in_all_of_the_hand() -> None:
-    better, worse = NOISE["hamer"], NOISE["frankmocap"]
-    for name in (f.name for f in fields(Noise) if f.name.endswith(("_deg", "_mm"))):
-        assert getattr(worse, name) > getattr(better, name)
-    assert better.hand_bias_depth_mm > better.hand_bias_mm
+def test_the_frankmocap_level_displaces_hands_further_than_the_hamer_level(made: tuple[Clip, Masks]) -> None:
+    def off(level: str) -> np.ndarray:
+        """Distance of the vertices from the true ones, by frame [m]."""
+        hand = perturbed(*made, NOISE[level], 5)[0].hand
+        posed, true = (se3.transform(one.T_cam_hand, one.vertices) for one in (hand, made[0].hand))
+        return np.linalg.norm(posed - true, axis=-1).mean(axis=1)
+
+    assert np.all(off("frankmocap") > 1.5 * off("hamer"))

@@ -109,7 +109,7 @@ def test_contact_weighs_more_where_no_other_term_ties_the_object_to_the_hand(
 
 
 @pytest.mark.parametrize("method", BASELINES)
-def test_a_hand_behind_the_camera_is_told(method: Any) -> None:
+def test_a_hand_behind_the_camera_is_an_error(method: Any) -> None:
     clip, masks = small_clip()
     mirror = np.diag([1.0, 1.0, -1.0, 1.0])
     hand = replace(clip.hand, T_cam_hand=mirror @ clip.hand.T_cam_hand @ mirror)
