@@ -1,4 +1,4 @@
-"""Hands from clicked joints: known hands are found again, wrong clicks are told, between frames hands move smoothly."""
+"""Hands from clicked joints: known hands are recovered, wrong clicks reported, motion is smooth in between."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_known_hands_are_found_again(side: Side, seed: int) -> None:
     assert np.array_equal(np.isnan(found.residuals), np.isnan(list(clicked(truth, seed).values())).any(axis=-1))
 
 
-def test_a_few_wrong_clicks_are_told_and_do_little_harm() -> None:
+def test_a_few_wrong_clicks_are_reported_and_do_little_harm() -> None:
     truth = held("right", 5)
     clicks = clicked(truth, 5, missing=2)
     wrong = [(8, 8), (31, 16)]
@@ -94,7 +94,7 @@ def test_the_mirrored_image_is_of_the_mirrored_hand() -> None:
 
 
 def test_size_is_the_generic_hands_whatever_the_focal_length() -> None:
-    """What one view cannot tell stays the guess that it is."""
+    """What one view does not determine stays a guess."""
     truth = held("right", 7)
     clicks = clicked(truth, 7)
     for zoom in (0.6, 1.0, 1.6):

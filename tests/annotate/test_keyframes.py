@@ -369,7 +369,7 @@ def test_frames_between_are_filled_in_and_again_after_a_correction(clicking: Cli
     assert {one["frame"] for one in between} == {*range(7, LAST)}  # those before the neighbour are as they were
 
 
-def test_too_little_to_work_with_is_told(clicking: Clicking) -> None:
+def test_too_few_labels_are_reported(clicking: Clicking) -> None:
     for what in ("propagate", "files"):
         with pytest.raises(RefusedError):
             clicking.project.work(clicking.about | {"work": what})
@@ -462,7 +462,7 @@ def test_a_ring_has_one_polygon_with_its_hole() -> None:
 # ---- work in the background ----------------------------------------------------------------------------------------
 
 
-def test_new_work_on_a_thing_ends_the_old_and_errors_are_told() -> None:
+def test_new_work_on_a_grasp_ends_the_old_and_errors_are_reported() -> None:
     background, begun = Background(), threading.Event()
 
     def forever(job: Job) -> str:
@@ -490,7 +490,7 @@ def test_new_work_on_a_thing_ends_the_old_and_errors_are_told() -> None:
         time.sleep(0.005)
     assert old is not None
     assert old.state == "cancelled"
-    told = {key: background.job(key) for key in "abc"}
-    assert [job.state for job in told.values() if job] == ["failed", "failed", "done"]
-    assert [job.message for job in told.values() if job][0::2] == ["no joints", "made"]
+    jobs = {key: background.job(key) for key in "abc"}
+    assert [job.state for job in jobs.values() if job] == ["failed", "failed", "done"]
+    assert [job.message for job in jobs.values() if job][0::2] == ["no joints", "made"]
     background.close()  # ends what runs for ever

@@ -197,7 +197,7 @@ def test_a_polygon_is_drawn_closed_and_edited(context: Any, served: Served) -> N
     assert not kept(served)[FIRST].polygons("front")
 
 
-def test_looking_closer_and_moving_the_picture_places_points_where_they_are_seen(context: Any, served: Served) -> None:
+def test_points_are_placed_where_the_zoomed_and_moved_picture_shows_them(context: Any, served: Served) -> None:
     page = opened(context, served)
     x, y = on_screen(page, [150, 90])
     page.mouse.move(x, y)
@@ -285,7 +285,7 @@ def test_from_clicks_to_files(context: Any, served: Served, tmp_path: Path) -> N
     assert json.loads(Path(download.value.path()).read_text())["frames"].keys() == {str(n) for n in (FIRST, 6, LAST)}
 
 
-def test_what_is_next_is_told_and_the_grasp_can_be_left(context: Any, served: Served) -> None:
+def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: Served) -> None:
     page, expect = opened(context, served), playwright.expect
     expect(page.locator("#label-next")).to_contain_text("click the joints")
     page.keyboard.press("g")

@@ -327,7 +327,7 @@ def test_forms_of_other_sites_cannot_be_sent(server: Server) -> None:
     assert ask(server, "/api/change", change(new(), {"start": 1}), head)[0] == 400
 
 
-def test_a_database_that_cannot_be_written_is_told(server: Server) -> None:
+def test_a_database_that_cannot_be_written_is_reported(server: Server) -> None:
     other = sqlite3.connect(server.project.store.path)
     server.project.store.database.connection.execute("PRAGMA busy_timeout = 50")
     other.execute("BEGIN EXCLUSIVE")
@@ -338,7 +338,7 @@ def test_a_database_that_cannot_be_written_is_told(server: Server) -> None:
     assert ask(server, "/api/change", sent)[0] == 200
 
 
-def test_a_port_that_is_taken_is_told(server: Server, video: Path, run: Run, tmp_path: Path) -> None:
+def test_a_port_in_use_is_reported(server: Server, video: Path, run: Run, tmp_path: Path) -> None:
     status, _, err = run("annotate", video, "--out", tmp_path / "other", "--port", server.server_port)
     assert status == 2
     assert "--port" in err

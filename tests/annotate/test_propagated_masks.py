@@ -126,7 +126,7 @@ def test_what_enters_the_image_comes_from_the_key_that_shows_it() -> None:
 
 
 @pytest.mark.slow
-def test_a_cut_is_seen_by_the_confidence() -> None:
+def test_a_cut_lowers_the_confidence() -> None:
     def cut(n: int) -> tuple[ndarray, ndarray]:
         image, labels = drawn(n)
         return (image, labels) if n < 5 else (image[:, ::-1].copy(), labels[:, ::-1].copy())

@@ -102,15 +102,15 @@ class Library(Dataset):
 def test_the_trouble_of_a_clip_or_a_part_ends_no_other(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     library = Library(shelves=(Shelf("torn"), Shelf("fine")))
     assert import_clips(library, tmp_path, debug=False) == 1
-    said = capsys.readouterr()
+    printed = capsys.readouterr()
     assert {folder.name for folder in tmp_path.iterdir()} == {"torn-0", "torn-3", "fine-0", "fine-3"}
-    assert said.out.splitlines()[-1] == "4 clips, 0 already there, 2 shelves failed"
+    assert printed.out.splitlines()[-1] == "4 clips, 0 already there, 2 shelves failed"
     for words in (
         "failed: torn-1: torn-1: got a damaged file",
         "failed: torn: torn: got half a file",
         "fine-2: nothing",
     ):
-        assert words in said.err
+        assert words in printed.err
 
 
 def test_clips_are_made_again_when_hands_are_found_that_they_lack(
@@ -124,9 +124,9 @@ def test_clips_are_made_again_when_hands_are_found_that_they_lack(
         (with_hands, "0 clips, 2 already there", 0),
     ):
         import_clips(library, tmp_path, debug=False)
-        said = capsys.readouterr()
-        assert line in said.out
-        assert f"{handless} handless" in said.err
+        printed = capsys.readouterr()
+        assert line in printed.out
+        assert f"{handless} handless" in printed.err
 
 
 def test_clips_in_memory_are_read_to_the_end_before_an_error_is_raised() -> None:

@@ -212,7 +212,7 @@ def test_a_full_disk_is_an_error_that_names_the_file(tmp_path: Path, name: str) 
 # Frames in which the object is not seen.
 
 
-def test_unseen_frames_are_dropped_and_named() -> None:
+def test_frames_without_a_visible_object_are_dropped_and_named() -> None:
     clip, masks = small_clip(4)
     masks.object[1] = False
     masks.ignore[2] = True
@@ -243,7 +243,7 @@ def five_frames(tmp_path_factory: Any) -> Path:
     return write_clip(clip, masks, tmp_path_factory.mktemp("five") / "small")
 
 
-def test_one_seen_frame_is_too_few(refused: Refused) -> None:
+def test_one_frame_with_a_visible_object_is_too_few(refused: Refused) -> None:
     clip, masks = small_clip(3)
     masks.object[1:] = False
     refused(lambda: observed_frames(clip, masks.observed), "masks/object", "1 of 3 masks", "at least 2")

@@ -86,8 +86,8 @@ def test_wrong_calls_exit_with_2(run: Run, args: tuple[str, ...], tmp_path: Path
 def test_places_that_cannot_be_written_are_refused_first(run: Run, out: str, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     for call in (("reconstruct", "a", "--out"), ("demo", "--out"), ("import", "hot3d", "a", "--out")):
-        status, said, err = run(*call, out)
-        assert (status, said) == (2, "")
+        status, printed, err = run(*call, out)
+        assert (status, printed) == (2, "")
         assert err.startswith(f"getagrip: --out: got {out}, expected a folder that can be written (")
         assert err.count("\n") == 1
     status, _, err = run("evaluate", "a", "--json", f"{out}/x.json")
@@ -99,9 +99,9 @@ def test_places_that_cannot_be_written_are_refused_first(run: Run, out: str, tmp
 @pytest.mark.slow
 def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    status, said, _ = run("reconstruct", made, "--out", out, *QUICK, "--workers", 2)
+    status, printed, _ = run("reconstruct", made, "--out", out, *QUICK, "--workers", 2)
     assert status == 0
-    assert "2 done, 0 already done, 0 failed" in said
+    assert "2 done, 0 already done, 0 failed" in printed
     names = {read_clip(made / name).name for name in ("can", "box")}
     assert {path.name for path in out.iterdir()} == names
     result, record = read_result(next(out.iterdir()))
@@ -109,9 +109,9 @@ def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
     assert record["metrics"]["iou_full"] == pytest.approx(result.iou.mean())
 
     # What is done is kept, other options are refused, --overwrite makes it again: the same, in whatever process.
-    status, said, _ = run("reconstruct", made, "--out", out, *QUICK)
+    status, printed, _ = run("reconstruct", made, "--out", out, *QUICK)
     assert status == 0
-    assert "0 done, 2 already done, 0 failed" in said
+    assert "0 done, 2 already done, 0 failed" in printed
     status, _, err = run("reconstruct", made / "can", "--out", out, *QUICK, "--seed", 3)
     assert status == 1
     assert "another seed" in err
@@ -121,25 +121,27 @@ def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(read_result(out / name)[0].T_hand_obj, T_hand_obj)
 
     file = tmp_path / "numbers.json"
-    status, said, _ = run("evaluate", out, "--clips", made, "--json", file)
+    status, printed, _ = run("evaluate", out, "--clips", made, "--json", file)
     assert status == 1  # the folders are not named as the clips are
-    status, said, _ = run("evaluate", out, "--json", file)
+    status, printed, _ = run("evaluate", out, "--json", file)
     assert status == 0
-    assert all(name in said for name in names)
+    assert all(name in printed for name in names)
     samples = json.loads(file.read_text())["samples"]
     assert {sample["clip"] for sample in samples} == names
     assert all(0.0 < sample["metrics"]["iou"] <= 1.0 for sample in samples)
 
-    status, said, _ = run("report", next(out.iterdir()))
+    status, printed, _ = run("report", next(out.iterdir()))
     assert status == 0
-    assert Path(said.strip()).stat().st_size > 10_000
+    assert Path(printed.strip()).stat().st_size > 10_000
 
 
 def test_one_broken_clip_stops_no_other(run: Run, made: Path, tmp_path: Path) -> None:
     broken = broken_clip(made, tmp_path / "broken")
-    status, said, err = run("reconstruct", broken, tmp_path / "none", made / "box", "--out", tmp_path / "out", *QUICK)
+    status, printed, err = run(
+        "reconstruct", broken, tmp_path / "none", made / "box", "--out", tmp_path / "out", *QUICK
+    )
     assert status == 1
-    assert "1 done, 0 already done, 2 failed" in said
+    assert "1 done, 0 already done, 2 failed" in printed
     lines = err.strip().splitlines()
     assert len(lines) == 2
     assert "broken/clip.json: fps: got 0" in lines[0]

@@ -139,9 +139,12 @@ def test_several_labels_have_to_be_chosen_from(tmp_path: Path, refused: Callable
 
 def test_labels_that_are_there_are_named_where_another_was_chosen(tmp_path: Path, refused: Callable[..., str]) -> None:
     wanted = Wanted(FRAMES, SIZE, ("7",))
-    for source, told in [(label_folder(tmp_path / "labels"), "0, 1, 2, 3"), (coco(tmp_path / "c.json"), "cup, hand, ")]:
+    for source, names in [
+        (label_folder(tmp_path / "labels"), "0, 1, 2, 3"),
+        (coco(tmp_path / "c.json"), "cup, hand, "),
+    ]:
         reader = open_masks(source, wanted)
-        refused(lambda read=reader: write_masks(read, FRAMES, tmp_path / "out"), f"there are {told}")
+        refused(lambda read=reader: write_masks(read, FRAMES, tmp_path / "out"), f"there are {names}")
         shutil.rmtree(tmp_path / "out")
     (tmp_path / "jpg").mkdir()
     cv2.imwrite(str(tmp_path / "jpg" / "000001.jpg"), np.zeros((4, 4), np.uint8))

@@ -128,11 +128,11 @@ def test_images_that_the_disk_has_no_room_for_leave_no_clip(made: Path, run: Run
     assert contents(made) == before
 
 
-def test_what_is_missing_is_told(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_missing_is_reported(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(new(made)) == 2
-    told = capsys.readouterr().err
+    printed = capsys.readouterr().err
     for word in ("interval", "side", "mesh", "camera"):
-        assert f"missing: {word}" in told
+        assert f"missing: {word}" in printed
     assert not (made / "cup").exists()
 
 
@@ -140,9 +140,9 @@ def test_in_steps(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without masks and hands the clip has its images; each is added later, frames without a hand are left out."""
     mesh = ["--mesh", str(made / "unit.obj"), "--diameter-mm", "130", "--guess-focal"]
     assert main(new(made, "--interval", "3", "8", "--side", "right", *mesh)) == 1
-    told = capsys.readouterr().err
+    printed = capsys.readouterr().err
     for word in ("missing: masks", "missing: hands", "guess", "import hands"):
-        assert word in told
+        assert word in printed
     folder = made / "cup"
     assert len(list((folder / "frames").iterdir())) == 6
     masks = ["--object", "1", "--ignore", "2", "--clip", str(folder)]
@@ -152,8 +152,8 @@ def test_in_steps(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arrays.write(made / "joints.npz", {"joints": np.tile(joints, (5, 1, 1)), "frames": np.array([3, 4, 6, 7, 8])})
     hands = ["import", "hands", str(made / "joints.npz"), "--from", "joints", "--order", "openpose"]
     assert main([*hands, "--clip", str(folder)]) == 0
-    told = capsys.readouterr().err
-    assert "no hand in 1 of 6 frames" in told
+    printed = capsys.readouterr().err
+    assert "no hand in 1 of 6 frames" in printed
     clip = read_clip(folder)
     assert clip.frames == ("000003", "000004", "000006", "000007", "000008")
     assert read_masks(clip).observed.all()
@@ -282,19 +282,21 @@ def test_a_kind_of_object_is_a_shape_of_the_package(
     assert "the suffix ''" in capsys.readouterr().err
 
 
-def test_the_way_without_an_estimator_is_told(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_way_without_an_estimator_is_shown(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(new(made, "--interval", "1", "3", "--side", "left", "--focal", "60", "--mesh", "mug")) == 1
     assert capsys.readouterr().err.count(f"getagrip annotate {made / 'video.mp4'}") == 2
 
 
-def test_a_wrong_label_is_told_before_there_are_hands(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_label_is_reported_before_there_are_hands(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     masks = ["--masks", str(made / "masks"), "--object", "7"]
     assert main(new(made, "--interval", "1", "3", "--side", "left", "--focal", "60", "--mesh", "mug", *masks)) == 1
     assert "there are 0, 1, 2" in capsys.readouterr().err
     assert not (made / "cup").exists()
 
 
-def test_joints_that_do_not_fit_the_clip_are_told_plainly(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_joints_that_do_not_fit_the_clip_are_refused_in_plain_words(
+    made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     base = ["--interval", "3", "8", "--side", "right", "--focal", "60", "--mesh", "mug"]
     assert main(new(made, *base)) == 1
     joints = np.tile(generic.load("right").with_shape().with_pose().joints + AHEAD, (6, 1, 1))
@@ -304,8 +306,8 @@ def test_joints_that_do_not_fit_the_clip_are_told_plainly(made: Path, capsys: py
         (1000.0 * joints, 3, "joints: got hands with "),
     ]:
         arrays.write(made / "j.npz", {"joints": values, "frames": np.arange(first, first + 6)})
-        told = ["import", "hands", str(made / "j.npz"), "--from", "joints", "--order", "openpose"]
-        assert main([*told, "--clip", str(made / "cup")]) == 1
+        command = ["import", "hands", str(made / "j.npz"), "--from", "joints", "--order", "openpose"]
+        assert main([*command, "--clip", str(made / "cup")]) == 1
         err = capsys.readouterr().err
         assert words in err
         assert err.splitlines()[-1].count(", expected ") == 1

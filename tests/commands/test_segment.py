@@ -173,16 +173,16 @@ def test_wrong_definitions_and_clips_without_truth_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_all_is_written_and_said(run: Run, tmp_path: Path) -> None:
+def test_all_is_written_and_printed(run: Run, tmp_path: Path) -> None:
     write(three_grasps("a"), tmp_path / "clips" / "a")
     write(replace(three_grasps("b"), side="left", fps=10.0, category="[bold]x"), tmp_path / "clips" / "b")
     write(held(ball(RADIUS), np.tile([0.2, 0.0, 0.0], (25, 1)), "none"), tmp_path / "clips" / "none")
     out, file = tmp_path / "out", tmp_path / "grasps.json"
     given = (tmp_path / "clips", "--shortest", 11, "--out", out, "--json", file)
-    status, said, err = run("segment", *given)
+    status, printed, err = run("segment", *given)
     assert (status, err) == (0, "")
-    assert "2 stable grasps in 2 of 3 clips" in said
-    assert "[bold]x" in said
+    assert "2 stable grasps in 2 of 3 clips" in printed
+    assert "[bold]x" in printed
     with (out / "segments.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert list(rows[0]) == ["sequence", "side", "object", "start", "end", "duration"]
@@ -200,21 +200,21 @@ def test_all_is_written_and_said(run: Run, tmp_path: Path) -> None:
     assert all(pixels_of(picture, "#16283a") > 1000 for picture in (a, b))  # pairs of frames with the same contact
 
     again = run("segment", *given, "--workers", 2)
-    assert again == (status, said, err)
-    status, said, _ = run("segment", tmp_path / "clips" / "a", "--shortest", 5)
+    assert again == (status, printed, err)
+    status, printed, _ = run("segment", tmp_path / "clips" / "a", "--shortest", 5)
     assert status == 0
-    assert "2 stable grasps in 1 of 1 clips, 88.0 % of their frames" in said
+    assert "2 stable grasps in 1 of 1 clips, 88.0 % of their frames" in printed
 
 
 def test_one_bad_clip_stops_no_other(run: Run, tmp_path: Path) -> None:
     write(three_grasps("good"), tmp_path / "good")
     write(replace(three_grasps("blind"), truth=None), tmp_path / "blind")
     file = tmp_path / "grasps.json"
-    status, said, err = run(
+    status, printed, err = run(
         "segment", tmp_path / "blind", tmp_path / "gone", tmp_path / "good", "--shortest", 5, "--json", file
     )
     assert status == 1
-    assert "2 stable grasps" in said
+    assert "2 stable grasps" in printed
     lines = err.strip().splitlines()
     assert len(lines) == 2
     assert "gone: got no such folder" in lines[0]

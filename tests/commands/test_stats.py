@@ -131,9 +131,9 @@ def test_a_list_in_either_form_says_the_same(run: Run, tmp_path: Path) -> None:
 
 def test_empty_lists_have_no_rows(run: Run, tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("[]")
-    status, said, _ = run("stats", tmp_path / "a.json", "--out", tmp_path / "out", "--json", tmp_path / "b.json")
+    status, printed, _ = run("stats", tmp_path / "a.json", "--out", tmp_path / "out", "--json", tmp_path / "b.json")
     assert (status, json.loads((tmp_path / "b.json").read_text())) == (0, [])
-    assert "no grasps" in said
+    assert "no grasps" in printed
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,9 @@ def test_empty_lists_have_no_rows(run: Run, tmp_path: Path) -> None:
         ("cup", "\0", "line 2"),
     ],
 )
-def test_damaged_tables_are_told_by_line_and_column(run: Run, tmp_path: Path, old: str, new: str, words: str) -> None:
+def test_damaged_tables_are_reported_by_line_and_column(
+    run: Run, tmp_path: Path, old: str, new: str, words: str
+) -> None:
     path = epic_table(tmp_path)
     path.write_text(path.read_text().replace(old, new, 1))
     status, _, err = run("stats", "epic-grasps", path)
@@ -181,7 +183,7 @@ def test_damaged_tables_are_told_by_line_and_column(run: Run, tmp_path: Path, ol
         ("[" * 100_000, "no JSON"),
     ],
 )
-def test_damaged_lists_are_told_by_row_and_key(run: Run, tmp_path: Path, content: str, words: str) -> None:
+def test_damaged_lists_are_reported_by_row_and_key(run: Run, tmp_path: Path, content: str, words: str) -> None:
     path = tmp_path / "list"
     path.write_text(content)
     status, _, err = run("stats", path)

@@ -228,7 +228,7 @@ def test_a_packed_file_holds_the_same(root, pack):
             np.testing.assert_allclose(clip.hand.T_cam_hand, own.hand.T_cam_hand, atol=1e-4)
 
 
-def test_bent_fingers_tell_the_hand():
+def test_bent_fingers_determine_the_hand():
     _, _, joints = scene()
     assert bent_side(joints) == "right"
     assert bent_side(mirrored(joints)) == "left"
@@ -296,7 +296,7 @@ def test_fingers_are_as_thick_as_the_hand_is_long(size):
     )
 
 
-def test_subjects_are_told_by_the_name():
+def test_subjects_are_known_by_the_name():
     assert subject_of(NAME) == SUBJECT
     for name in ("mug-right-0001", "--a--b", ""):
         with pytest.raises(UsageError, match="no subject"):
@@ -417,10 +417,10 @@ def test_import_writes_clips_and_goes_on_where_it_stopped(root, tmp_path, capsys
     broken.mkdir()
     (broken / "meta.yml").write_text("a: [1")
     assert import_clips(DexYcb(root=root), out, debug=False) == 1
-    said = capsys.readouterr()
-    assert "0 clips, 1 already there, 1 sequences failed" in said.out
-    assert "20200709_000000" in said.err
-    assert "Traceback" not in said.err
+    printed = capsys.readouterr()
+    assert "0 clips, 1 already there, 1 sequences failed" in printed.out
+    assert "20200709_000000" in printed.err
+    assert "Traceback" not in printed.err
     assert (out / NAME / "hand.npz").stat().st_mtime_ns == stamp
 
 

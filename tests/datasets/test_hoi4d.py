@@ -214,7 +214,7 @@ def test_wrong_calls_are_refused(root: Path, mano: Path, tmp_path: Path, run: Ru
         Hoi4d(root=root).sources()
     with pytest.raises(InputError, match="objpose"):
         Hoi4d(root=tmp_path / "mano", mano=mano).sources()
-    status, said, err = run("import", "hoi4d", root, "--mano", mano, "--view", 1, "--out", tmp_path / "out")
-    assert (status, said) == (2, "")
+    status, printed, err = run("import", "hoi4d", root, "--mano", mano, "--view", 1, "--out", tmp_path / "out")
+    assert (status, printed) == (2, "")
     assert "--view" in err
     assert not (tmp_path / "out").exists()

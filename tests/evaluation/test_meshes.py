@@ -1,4 +1,4 @@
-"""Meshes that another system made, one for each frame: known answers, what cannot be told, and what is no mesh."""
+"""Meshes that another system made, one for each frame: known answers, what cannot be known, and what is no mesh."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ def test_bad_meshes_are_named_and_the_rest_is_done(scene: tuple[Clip, Masks], tm
         ("v 0 0 0\nv 0.1 0 0\nv 0 1e400 0\nf 1 2 3\n", "000002.obj"),
     ],
 )
-def test_what_is_no_plausible_mesh_is_told(scene: tuple[Clip, Masks], tmp_path: Path, content: str, words: str) -> None:
+def test_implausible_meshes_are_reported(scene: tuple[Clip, Masks], tmp_path: Path, content: str, words: str) -> None:
     clip, _ = scene
     folder = write(true_meshes(clip), clip, tmp_path / "meshes")
     (folder / "000002.obj").write_text(content)
@@ -204,7 +204,7 @@ def test_what_is_no_plausible_mesh_is_told(scene: tuple[Clip, Masks], tmp_path: 
     assert [mesh is None for mesh in meshes] == [False, False, True, False, False]
 
 
-def test_a_mesh_of_the_other_frame_is_told(scene: tuple[Clip, Masks], tmp_path: Path) -> None:
+def test_a_mesh_in_the_other_frame_is_reported(scene: tuple[Clip, Masks], tmp_path: Path) -> None:
     clip, _ = scene
     folder = write(true_meshes(clip, "hand"), clip, tmp_path / "hand")
     assert "is it in the hand frame?" in str(read_meshes(folder, clip, "camera")[1][0])
@@ -221,7 +221,7 @@ def test_faces_without_area_are_passed_over(scene: tuple[Clip, Masks], tmp_path:
     assert len(meshes[3].faces) == len(clip.mesh.faces)
 
 
-def test_folders_that_hold_no_frames_are_told(
+def test_folders_without_frames_are_reported(
     scene: tuple[Clip, Masks], tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     clip, _ = scene

@@ -224,8 +224,8 @@ def test_scale_made_free_and_known_again() -> None:
 
 @pytest.mark.slow
 def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
-    out, told = tmp_path / "out", tmp_path / "all.json"
-    call = ("bench", made, "--out", out, "--workers", "1", "--inits", "8", "--json", told)
+    out, written = tmp_path / "out", tmp_path / "all.json"
+    call = ("bench", made, "--out", out, "--workers", "1", "--inits", "8", "--json", written)
     status, text, err = run(*call, "--methods", "static")
     assert (status, err) == (0, "")
     assert "1 done, 0 already done" in text
@@ -243,7 +243,7 @@ def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: 
     result, record = read_result(out / "results" / "one-dof" / names[0])
     assert float(rows[0]["iou"]) == record["metrics"]["iou"]
     assert float(rows[0]["energy"]) == result.energy["total"]
-    content = json.loads(told.read_text())
+    content = json.loads(written.read_text())
     mean = content["tables"][0]["rows"][0]["values"]["IOU"]["mean"]
     assert mean == pytest.approx(np.mean([float(row["iou"]) for row in rows if row["method"] == "one-dof"]))
     page = (out / "methods.md").read_text()
@@ -342,7 +342,7 @@ def test_an_unknown_preset_is_refused_before_a_folder_is_claimed(tmp_path: Path,
     assert not (tmp_path / "out" / "clips").exists()
 
 
-def test_a_folder_of_made_up_clips_belongs_to_one_preset(tmp_path: Path) -> None:
+def test_a_folder_of_synthetic_clips_belongs_to_one_preset(tmp_path: Path) -> None:
     clean, clips = source_of("synthetic"), tmp_path / "clips"
     found, _ = samples(clean, clips, None, debug=False)
     assert len({sample.name for sample in found}) == len(found) > 100

@@ -100,7 +100,7 @@ def test_the_mean_rotation_has_the_least_mean_squared_angle(seed: int) -> None:
 
 
 @given(SEEDS)
-def test_a_learnt_object_is_at_the_mean_place_of_those_seen_wherever_its_cad_has_its_origin(seed: int) -> None:
+def test_a_learnt_object_is_at_the_mean_place_of_the_grasps_wherever_its_cad_has_its_origin(seed: int) -> None:
     clips = [held("a", seed=1), held("b", seed=2)]
     shift = np.random.default_rng(seed).uniform(-0.2, 0.2, 3)
     centres = []
@@ -252,10 +252,10 @@ def folder(tmp_path: Path) -> Path:
 def test_learning_from_folders(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "poses.npz"
     assert main(["init", "learn", str(folder), "--out", str(out), "--leave-out", "Bob"]) == 1
-    told = capsys.readouterr()
-    assert "truth.npz" in told.err
-    assert "1 clips name no subject" in told.err
-    assert "box, right: 2 poses from 2 grasps" in told.out
+    printed = capsys.readouterr()
+    assert "truth.npz" in printed.err
+    assert "1 clips name no subject" in printed.err
+    assert "box, right: 2 poses from 2 grasps" in printed.out
     learnt = read_learnt(out)
     assert (learnt.clips, learnt.subjects) == (("a", "c"), ("Ann",))
     clip = read_clip(folder / "b")

@@ -137,7 +137,7 @@ def test_what_a_result_holds(method: Any) -> None:
     assert result.notes == ()
 
 
-def test_the_axis_tells_the_motion() -> None:
+def test_the_axis_describes_the_motion() -> None:
     """Eq. 3: from frame to frame the object turns about the axis by the difference of the angles."""
     result = found("mug", 2, SMALL, Options(method="one-dof"))
     axis = result.axis
@@ -155,12 +155,12 @@ def test_an_axis_through_the_hand() -> None:
     np.testing.assert_array_equal(axis.point, np.zeros(3))
 
 
-def test_progress_is_told_from_stage_to_stage() -> None:
-    told: list[tuple[str, float]] = []
-    result = reconstruct(*made("spoon", 1), Options(inits=8), lambda stage, part: told.append((stage, part)))
-    assert [stage for stage, _ in told] == [k for k in result.seconds if k != "total"]
-    assert told[-1][1] == pytest.approx(1.0)
-    assert (np.diff([part for _, part in told]) > 0).all()
+def test_progress_is_reported_after_each_stage() -> None:
+    calls: list[tuple[str, float]] = []
+    result = reconstruct(*made("spoon", 1), Options(inits=8), lambda stage, part: calls.append((stage, part)))
+    assert [stage for stage, _ in calls] == [k for k in result.seconds if k != "total"]
+    assert calls[-1][1] == pytest.approx(1.0)
+    assert (np.diff([part for _, part in calls]) > 0).all()
 
 
 def test_frames_are_sampled_linearly() -> None:
@@ -276,7 +276,7 @@ def test_one_visible_frame_is_refused(refused: Callable[..., str]) -> None:
     refused(lambda: reconstruct(clip, Masks(seen, masks.ignore)), "1 of 3")
 
 
-def test_frames_without_a_visible_object_are_left_out_and_told() -> None:
+def test_frames_without_a_visible_object_are_left_out_and_reported() -> None:
     clip, masks = made("spoon", 1)
     seen = masks.object.copy()
     seen[[2, 5]] = False
@@ -285,7 +285,7 @@ def test_frames_without_a_visible_object_are_left_out_and_told() -> None:
     assert any("2 frames" in note and clip.frames[2] in note for note in result.notes)
 
 
-def test_an_object_behind_the_camera_is_told() -> None:
+def test_an_object_behind_the_camera_is_reported() -> None:
     clip, masks = made("spoon", 1)
     behind = clip.hand.T_cam_hand.copy()
     behind[:, 2, 3] -= 10.0

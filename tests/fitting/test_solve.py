@@ -208,7 +208,7 @@ def test_the_bound_of_a_term_is_what_the_terms_before_it_leave() -> None:
     np.testing.assert_allclose(calls[0], 1e9 - spent)
 
 
-def test_invisible_hypotheses_are_told_and_left_alone() -> None:
+def test_invisible_hypotheses_are_reported_and_left_alone() -> None:
     _, start, T, target = problem(at_fixed, False, hypotheses=3)
     assert isinstance(start, Fixed)
     behind = start.centre.copy()

@@ -93,7 +93,7 @@ def test_barycentric_weights_give_back_depth():
     np.testing.assert_allclose(z, depth[face >= 0], rtol=1e-6)
 
 
-def test_masks_say_what_is_seen_and_what_is_hidden():
+def test_masks_separate_visible_from_hidden_pixels():
     held, hand, wall = cube([0.0, 0.0, 0.6]), cube([0.1, 0.0, 0.4], 0.1), cube([0.0, 0.0, 2.0], 0.9)
     seen, ignore = true_masks(held, [hand], [], K, SIZE)
     alone = depth_and_face(*held, K, SIZE)[1] >= 0

@@ -260,8 +260,8 @@ BROKEN: dict[str, tuple[str | bytes, str, str]] = {
 def test_broken_files_are_named_in_one_line(tmp_path: Path, refused: Callable[..., str], name: str) -> None:
     content, key, words = BROKEN[name]
     (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
-    said = refused(lambda: read_mesh(tmp_path / name), f"{name}: {key}: got ", words)
-    assert "No module" not in said
+    printed = refused(lambda: read_mesh(tmp_path / name), f"{name}: {key}: got ", words)
+    assert "No module" not in printed
 
 
 def test_odd_files_that_are_right(tmp_path: Path) -> None:

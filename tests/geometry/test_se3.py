@@ -76,7 +76,7 @@ def test_a_line_stays_where_it_is_turned_about(point: np.ndarray, axis: np.ndarr
 
 
 @given(T=motions)
-def test_rigid_motions_are_told_from_others(T: np.ndarray) -> None:
+def test_rigid_motions_are_distinguished_from_others(T: np.ndarray) -> None:
     assert se3.is_rigid(T)
     assert not se3.is_rigid(T @ np.diag([1.0, 1.0, -1.0, 1.0]))
     assert not se3.is_rigid(T @ np.diag([1.1, 1.1, 1.1, 1.0]))

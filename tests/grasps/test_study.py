@@ -1,4 +1,4 @@
-"""The study: the best hinge of known poses, what it says of made-up grasps, and the command."""
+"""The study: the best hinge of known poses, what it says of synthetic grasps, and the command."""
 
 from __future__ import annotations
 
@@ -259,7 +259,7 @@ def test_spread_leaves_out_what_has_no_value() -> None:
 
 
 @pytest.mark.slow
-def test_all_is_written_and_said(run: Run, tmp_path: Path) -> None:
+def test_all_is_written_and_printed(run: Run, tmp_path: Path) -> None:
     write_clip(turning("a"), None, tmp_path / "clips" / "a")
     write_clip(replace(turning("b", "left"), category="[bold]x"), None, tmp_path / "clips" / "b")
     away = turning("away")
@@ -268,10 +268,10 @@ def test_all_is_written_and_said(run: Run, tmp_path: Path) -> None:
     write_clip(replace(away, truth=far), None, tmp_path / "clips" / "away")
     out, file = tmp_path / "out", tmp_path / "study.json"
     options = ("--tau", 0.3, "--contact-mm", 5, "--shortest", 10, "--out", out, "--json", file)
-    status, said, err = run("study", tmp_path / "clips", *options)
+    status, printed, err = run("study", tmp_path / "clips", *options)
     assert (status, err) == (0, "")
-    assert "2 stable grasps in 2 of 3 clips" in said
-    assert "[bold]x" in said
+    assert "2 stable grasps in 2 of 3 clips" in printed
+    assert "[bold]x" in printed
     with (out / "grasps.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [(row["sequence"], row["side"], row["start"], row["end"]) for row in rows] == [
@@ -298,7 +298,7 @@ def test_all_is_written_and_said(run: Run, tmp_path: Path) -> None:
     assert pixels_of(picture, FOUND) > 200  # static
     assert pixels_of(picture, AXIS) > 200  # 1-DoF
     again = run("study", tmp_path / "clips", *options, "--workers", 2)
-    assert again == (status, said, err)  # a clip without grasps is none that failed
+    assert again == (status, printed, err)  # a clip without grasps is none that failed
 
 
 def test_one_bad_clip_stops_no_other(run: Run, tmp_path: Path) -> None:
@@ -306,9 +306,9 @@ def test_one_bad_clip_stops_no_other(run: Run, tmp_path: Path) -> None:
     write_clip(replace(turning("blind"), truth=None), None, tmp_path / "blind")
     paths = (tmp_path / "blind", tmp_path / "gone", tmp_path / "good")
     options = ("--tau", 0.3, "--contact-mm", 5, "--shortest", 10, "--out", tmp_path / "out")
-    status, said, err = run("study", *paths, *options)
+    status, printed, err = run("study", *paths, *options)
     assert status == 1
-    assert "1 stable grasps in 1 of 1 clips" in said
+    assert "1 stable grasps in 1 of 1 clips" in printed
     assert "gone: got no such folder" in err
     assert "truth.npz: got no such file" in err
     with pytest.raises(InputError, match=r"truth\.npz"):

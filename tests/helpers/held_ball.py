@@ -1,4 +1,4 @@
-"""A hand that takes a ball and carries it, and a made-up MANO of the published layout: known answers for readers."""
+"""A hand that takes a ball and carries it, and a synthetic MANO of the published layout: known answers for readers."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ AT = np.array([0.01, -0.045, 0.005])
 BETAS = np.linspace(-1.0, 1.0, 10)
 
 
-def made_up_mano(side: Side) -> dict[str, Any]:
-    """The generic hand with fewer vertices, and a made-up shape space: that of the left hand has MANO's fault."""
+def synthetic_mano(side: Side) -> dict[str, Any]:
+    """The generic hand with fewer vertices, and a synthetic shape space: that of the left hand has MANO's fault."""
     rng = np.random.default_rng(0)
     hand = generic.load("right")
     v, f = fast_simplification.simplify(
@@ -52,7 +52,7 @@ def write_mano(folder: Path) -> Path:
     """A folder of both files."""
     folder.mkdir(parents=True)
     for side in ("left", "right"):
-        (folder / f"MANO_{side.upper()}.pkl").write_bytes(pickle.dumps(made_up_mano(side), protocol=2))
+        (folder / f"MANO_{side.upper()}.pkl").write_bytes(pickle.dumps(synthetic_mano(side), protocol=2))
     return folder
 
 
@@ -66,7 +66,7 @@ def bent(side: Side = "right") -> np.ndarray:
 def posed(mano: Path, side: Side) -> tuple[Mano, PosedHand]:
     """The bent hand of ``BETAS`` as the fitters of ARCTIC and HOI4D saw it: by the published file, faults included."""
     hand = load(mano / f"MANO_{side.upper()}.pkl", side)
-    values = made_up_mano(side)
+    values = synthetic_mano(side)
     shape = values["shapedirs"] @ BETAS
     flat = hand.model.with_shape(np.zeros(10))
     shaped = type(flat)(flat.model, flat.vertices + shape, flat.joints + values["J_regressor"] @ shape)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def work(job: int) -> str:
-    """Runs in another process: dies for job 3, and tells the threads that numpy may use."""
+    """Runs in another process: dies for job 3, and returns the number of threads that numpy may use."""
     if job == 3:
         os._exit(1)
     time.sleep(0.01)

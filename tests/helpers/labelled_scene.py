@@ -1,4 +1,4 @@
-"""A made-up video of a hand and a thing that move together, and what a person would click on it."""
+"""A synthetic video of a hand and a thing that move together, and what a person would click on it."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def test_projection(which: str, seed: int) -> None:
 
 
 @given(WHICH, SEEDS)
-def test_outline(which: str, seed: int) -> None:
+def test_silhouette_edges(which: str, seed: int) -> None:
     mesh = MESHES[which]
     uvz, edges, _ = _outlined(mesh, seed)
     np.testing.assert_array_equal(edges.T, reference.silhouette_edges(uvz.T, mesh.edges, mesh.faces))
@@ -196,7 +196,7 @@ def test_contour_points(which: str, seed: int, step: float, zoom: float) -> None
 
 @settings(max_examples=8)
 @given(SEEDS)
-def test_contour_points_lie_on_the_outline_and_face_outward(seed: int) -> None:
+def test_contour_points_lie_on_the_contour_and_face_outward(seed: int) -> None:
     uvz, edges, bits = _outlined(MESHES["mug"], seed)
     points = np.zeros((7, 1500))
     n = contour.sample_contour(uvz, edges, edges.shape[1], 1.0, 1.0, bits, pack(np.ones((SIZE, SIZE), bool)), points)

@@ -82,7 +82,7 @@ def test_a_prediction_outside_the_crop_scores_zero() -> None:
         np.testing.assert_array_equal(values, 0.0)
 
 
-def test_frames_in_which_nothing_is_seen_are_left_out() -> None:
+def test_frames_in_which_the_object_is_not_observed_are_left_out() -> None:
     T = poses()
     masks = seen(T)
     masks.object[1] = False
@@ -94,7 +94,7 @@ def test_frames_in_which_nothing_is_seen_are_left_out() -> None:
 
 
 @given(st.floats(0.5, 2.0), st.floats(0.5, 2.0))
-def test_scale_and_depth_cannot_be_told_apart_in_one_view(scale: float, focal: float) -> None:
+def test_one_view_does_not_distinguish_scale_from_depth(scale: float, focal: float) -> None:
     T = poses(1)[0]
     camera = np.diag([focal, focal, 1.0]) @ K
     far = T.copy()

@@ -139,7 +139,7 @@ def test_symmetries_map_the_surface_onto_itself() -> None:
 @settings(max_examples=10, deadline=None)
 @given(seeds, st.floats(0.3, 2.8), st.floats(0.8, 1.2))
 @pytest.mark.slow
-def test_a_turn_that_cannot_be_seen_is_forgiven(seed: int, angle: float, scale: float) -> None:
+def test_an_invisible_rotation_is_no_error(seed: int, angle: float, scale: float) -> None:
     symmetries = find_symmetries(CAN)
     T = poses(np.random.default_rng(seed))
     turn = symmetries.about(np.array([angle])) @ symmetries.elements[-1]

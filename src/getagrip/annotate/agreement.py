@@ -23,7 +23,7 @@ class Agreement:
     one_discarded: int
     """Tasks in which one has found grasps and the other none."""
     grasps: int
-    """Grasps of tasks in which somebody found any, paired ones counted once."""
+    """Grasps of tasks in which an annotator found any, paired ones counted once."""
     iou: float | None
     """Their mean temporal IOU, 0 for those without a partner; None where there are none."""
     above_half: float | None

@@ -112,7 +112,7 @@ class ImageFolder:
 
     @staticmethod
     def open(folder: Path) -> ImageFolder:
-        """The images of a folder, of which there must be some. Raises ``InputError``."""
+        """The images of a folder. Raises ``InputError`` where there is none."""
         paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGES and path.is_file())
         if not 0 < len(paths) <= MOST_FRAMES:
             raise InputError(folder, "", f"{len(paths)} images in it", f"images ({', '.join(IMAGES)})")

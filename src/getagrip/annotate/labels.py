@@ -120,7 +120,7 @@ def _rounded(point: Float[ndarray, "2"]) -> list[float]:
 
 
 def parse(content: Mapping[str, Any], source: str | Path) -> Labels:
-    """Labels from JSON, of which nothing is believed. Raises ``InputError`` in the name of ``source``."""
+    """Labels from JSON, everything checked. Raises ``InputError`` in the name of ``source``."""
     checked = _Checked(Path(source), content)
     size = checked.size()
     first = checked.whole("first", 0, LAST_FRAME)
@@ -202,7 +202,7 @@ class _Checked:
 
 
 def _only(path: Path, where: str, given: Mapping[str, Any], known: set[str], needed: set[str]) -> None:
-    """Raise ``InputError`` for keys that nobody knows, and for missing ones."""
+    """Raise ``InputError`` for unknown and missing keys."""
     for key in [key for key in given if key not in known][:1]:
         expected = f"one of {', '.join(sorted(known))}"
         raise InputError(path, f"{where}.{files.plain(key)}".lstrip("."), "an unknown key", expected)

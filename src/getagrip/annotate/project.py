@@ -48,7 +48,7 @@ class Project:
         self.store.close()
 
     def overview(self, annotator: object) -> dict[str, Any]:
-        """All tasks, and how far somebody is with each: "", started, marked, discarded."""
+        """All tasks, and how far an annotator is with each: "", started, marked, discarded."""
         own: dict[str, list[Mark]] = {}
         for mark in self.store.marks.standing(annotator=versions.annotator(annotator)):
             own.setdefault(mark.task, []).append(mark)

@@ -1,4 +1,4 @@
-"""States of which every version is kept: a change adds one, and none is ever overwritten or removed.
+"""States with all their versions: a change adds one, and none is ever overwritten or removed.
 
 The newest version is the state. A change names what a person has touched and is laid over the newest version, so two
 tabs that change one thing lose nothing unless they touch the same part of it; then the later one counts and the earlier
@@ -72,7 +72,7 @@ class Database:
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """All or nothing, and nobody else in between."""
+        """A transaction: all or nothing, without other writers in between."""
         with self.lock:
             self.connection.execute("BEGIN IMMEDIATE")
             try:
@@ -112,7 +112,7 @@ class Versions(Generic[Kind]):
         return [self.state(row) for row in rows]
 
     def newest(self, scope: str, annotator: str) -> int:
-        """A number that grows with every change of somebody's states of a scope."""
+        """A number that grows with every change of an annotator's states of a scope."""
         query = f"SELECT coalesce(max(seq), 0) FROM {self.table} WHERE {self.scope} = ? AND annotator = ?"
         return int(self.database.rows(query, (scope, annotator))[0][0])
 

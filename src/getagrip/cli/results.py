@@ -54,10 +54,10 @@ class Reconstruct(Command):
     out: Folder
     """Where the results go: a folder for each clip, of the clip's name. Those that are there already are kept."""
     method: Method = "soft-hinge"
-    """How the object may move in the hand: about one axis (the paper's), a little off it too, not at all, freely. The
-    last three are other people's methods, to compare with."""
+    """How the object may move in the hand. soft-hinge: about one axis, with small deviations; one-dof: about one axis
+    exactly (the paper's); static: not at all; dynamic: freely in each frame. The others are baselines."""
     inits: Inits = 50
-    """Poses to start from."""
+    """Number of initial poses: more is slower and safer."""
     init: Init = "uniform"
     """Rotations spread evenly (uniform); or first those that init learn has found (clusters) or that a folder holds by
     category and side, as the authors of the paper keep theirs (priors), and even ones for the rest."""

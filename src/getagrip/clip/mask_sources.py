@@ -1,4 +1,4 @@
-"""Masks from other people's files, one frame at a time: PNG folders, COCO, arrays.
+"""Masks from files of other programs, one frame at a time: PNG folders, COCO, arrays.
 
 - a folder of folders, one for each thing (``object/`` and perhaps ``ignore/``, or any others, chosen by their names):
   one PNG for each frame, non-zero where the mask is set;

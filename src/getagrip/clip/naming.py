@@ -1,4 +1,4 @@
-"""Which frame of a clip a file of somebody else's belongs to, by its name."""
+"""Which frame of a clip a file from another program belongs to, by its name."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ MOST_FRAMES = 20_000
 
 @dataclass(frozen=True)
 class NewFrames:
-    """The frames of a clip to come; None for what is not given."""
+    """The frames of a clip that is yet to be made; None for what is not given."""
 
     side: Side | None
     numbers: tuple[int, int] | None

@@ -20,7 +20,7 @@ def learn(
 ) -> int:
     """Learn starting poses from clips, those of some subjects left out; 1 if a clip could not be used, else 0.
 
-    Raises ``UsageError`` where no clip is left, or where a subject that is to be left out is nobody's name.
+    Raises ``UsageError`` where no clip is left, or where no clip has a subject that is to be left out.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
@@ -50,7 +50,7 @@ def learn(
     )  # fmt: skip
     for category, side in sorted(poses):
         print(f"{category}, {side}: {poses[category, side]} poses from {grasps[category, side]} grasps")
-    whose = f"{len(learnt.subjects)} subjects" if learnt.subjects else "nobody knows whom"
+    whose = f"{len(learnt.subjects)} subjects" if learnt.subjects else "unknown subjects"
     print(f"{out}: {len(learnt.side)} poses from {len(kept)} clips of {whose}, {len(holds) - len(kept)} left out")
     nameless = sum(not hold.subject for hold in kept)
     if nameless:

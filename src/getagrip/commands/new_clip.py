@@ -149,7 +149,7 @@ def _camera(lens: Lens, hands: _HandFile | None, size: tuple[int, int]) -> tuple
 
 @dataclass(frozen=True)
 class _HandFile:
-    """A ``hand.npz`` that perhaps says of which frames, of which side and before which camera its hands are."""
+    """A ``hand.npz`` that may also hold frame numbers, a side and a camera."""
 
     path: Path
     numbers: tuple[int, ...] | None

@@ -52,7 +52,7 @@ def own_mesh(wanted: Wanted) -> Found:
     Raises ``InputError`` for a file that is missing or no mesh, ``UsageError`` for sizes that make no sense.
     """
     if wanted.kind is not None and wanted.known_scale:
-        expected = "--size-mm or --diameter-mm: nobody knows how large the one in your video is"
+        expected = "--size-mm or --diameter-mm: its size is not that of the one in your video"
         raise UsageError(f"--known-scale: got it with this package's own {wanted.kind}, expected {expected}")
     vertices, faces, provenance = _shape(wanted)
     kept = with_area(vertices, faces)  # generated meshes are full of slivers

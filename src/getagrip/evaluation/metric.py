@@ -46,7 +46,7 @@ class Metric:
         return f"{self.name}_{contact.key}" if self.by_contact else self.name
 
     def text(self, value: float) -> str:
-        """A value as people read it."""
+        """A value as text."""
         factor = 100 if self.unit == "%" else 1
         return "-" if np.isnan(value) else f"{factor * value:.{self.decimals}f}"
 

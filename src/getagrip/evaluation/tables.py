@@ -46,7 +46,7 @@ def _means(evaluations: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 def tables(evaluations: Sequence[dict[str, Any]]) -> list[Table]:
     """One row per result and the mean of each method; then, method by method, stable contact area by definition.
 
-    Columns of which no result has a value (there is no ground truth, the scale is known) are left out.
+    Columns without any value (there is no ground truth, the scale is known) are left out.
     """
     from rich.text import Text  # no markup: names may hold brackets
 

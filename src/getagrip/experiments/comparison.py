@@ -15,9 +15,9 @@ from getagrip.experiments.statistics import Estimate, estimate, resamples
 from getagrip.experiments.trials import Score, Scores
 
 COLUMNS = tuple(metric for metric in METRICS if metric.label and metric.unit == "%")
-"""Metrics of which there are means: the paper's, and up to the object's symmetries."""
+"""Metrics shown as means: the paper's, and up to the object's symmetries."""
 ERRORS = tuple(metric for metric in METRICS if metric.label and metric.unit != "%")
-"""Metrics of which there are medians."""
+"""Metrics shown as medians."""
 
 
 @dataclass(frozen=True)

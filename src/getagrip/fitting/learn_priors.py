@@ -42,7 +42,7 @@ class Hold:
     """The mesh's centre in the object frame, at its true scale [m]."""
     clip: str
     subject: str
-    """Whose hand it is; empty where nobody says."""
+    """Whose hand it is; empty where unknown."""
 
 
 def hold(clip: Clip) -> Hold:

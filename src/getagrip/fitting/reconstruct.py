@@ -37,8 +37,8 @@ def reconstruct(
     masks of another clip, ``InputError`` for what no clip can be (as ``read_clip`` does) and where the object is
     visible in fewer than two frames, and ``GetagripError`` when nothing can be rendered.
 
-    BLAS runs on one thread meanwhile, in the whole process: the matrices are small, and threads of it that wait for a
-    core that somebody else has make a clip take ten times as long.
+    BLAS runs on one thread meanwhile, in the whole process: the matrices are small, and with several threads that wait
+    for busy cores a clip takes ten times as long.
     """
     options = options or Options()
     check_clip(clip)

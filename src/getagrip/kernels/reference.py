@@ -33,8 +33,8 @@ def project(
 def silhouette(uvz: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], shape: tuple[int, int]) -> Bool[ndarray, "h w"]:
     """A pixel is covered when its centre lies in the image of some face, whatever way the face is turned.
 
-    A point is inside a triangle if a ray to the left crosses its boundary an odd number of times. Nothing is seen of an
-    object that reaches nearer than ``NEAR``.
+    A point is inside a triangle if a ray to the left crosses its boundary an odd number of times. An object that
+    reaches nearer than ``NEAR`` covers no pixel.
     """
     mask = np.zeros(shape, bool)
     if uvz[:, 2].min() < NEAR:

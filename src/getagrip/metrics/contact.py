@@ -51,7 +51,7 @@ class ContactDefinition:
 
     @property
     def distance(self) -> str:
-        """The threshold as people read it."""
+        """The threshold as text."""
         return f"{1e3 * self.threshold:.0f} mm"
 
     @property

@@ -104,10 +104,10 @@ def test_candidates_are_written_as_a_table_and_as_json(run: Run, tmp_path: Path)
     table = write_table(tmp_path / "labels.csv", label)
     out, found = tmp_path / "made" / "c.csv", tmp_path / "c.json"
     call = ("epic", "candidates", "--visor", tmp_path / "visor", "--actions", table, "--json", found)
-    status, said, err = run(*call, "--out", tmp_path / "c.csv")
+    status, printed, err = run(*call, "--out", tmp_path / "c.csv")
     assert status == 1, err  # the mapping knows nothing of the other video
     assert "frame_mapping.json: P02_01" in err
-    assert "1 candidates" in said
+    assert "1 candidates" in printed
     with (tmp_path / "c.csv").open(newline="") as stream:
         (cells,) = csv.DictReader(stream)
     assert cells == {

@@ -60,7 +60,7 @@ def test_a_clip_without_hands_has_all_else_and_gets_them_later(run: Run, epic_fo
     assert clip.K[0, 0, 0] == 500.0
 
 
-def test_clips_that_the_disk_has_no_room_for_are_told_and_made_the_next_time(
+def test_clips_that_the_disk_has_no_room_for_are_reported_and_made_the_next_time(
     run: Run, epic_folder: Path, full_disk: FullDisk
 ) -> None:
     rng = np.random.default_rng(0)
@@ -113,7 +113,7 @@ def test_hand_files_may_say_which_frames_and_camera_they_have(run: Run, epic_fol
     (epic_folder / "hands").mkdir()
     known = np.arange(1001, 1061, 2)
     content = hand_arrays(len(known))
-    content["T_cam_hand"][:, 0, 3] = known / 1e5  # to tell the frames apart
+    content["T_cam_hand"][:, 0, 3] = known / 1e5  # so that the frames differ
     K = np.array([[600.0, 0, 427], [0, 600, 240], [0, 0, 1]])
     arrays.write(epic_folder / "hands" / f"{NAME}.npz", content | {"frames": known, "K": K})
     status, _, err = import_epic(run, epic_folder, "--hands", epic_folder / "hands")
@@ -157,7 +157,7 @@ def test_the_authors_meshes_are_read_and_ours_stand_for_them(category: str) -> N
     assert 0.5 < ours.diameter / theirs.diameter < 2.0
 
 
-def test_what_is_missing_is_told_and_the_rest_is_done(run: Run, epic_folder: Path) -> None:
+def test_what_is_missing_is_reported_and_the_rest_is_done(run: Run, epic_folder: Path) -> None:
     write_table(
         epic_folder / "grasps.csv",
         row(),

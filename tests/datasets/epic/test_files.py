@@ -1,4 +1,4 @@
-"""EPIC-Grasps' table and its errata: the traps of the real ones, and what is said of damaged ones."""
+"""EPIC-Grasps' table and its errata: the traps of the real ones, and the errors about damaged ones."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_errata_must_fit_the_table(tmp_path: Path, refused: Callable[..., str]) 
 
 
 @given(cut=st.integers(0, 2000), swap=st.lists(st.tuples(st.integers(0, 2000), st.integers(0, 255)), max_size=4))
-def test_damaged_tables_are_told_or_read(
+def test_damaged_tables_are_reported_or_read(
     tmp_path_factory: pytest.TempPathFactory, cut: int, swap: list[tuple[int, int]]
 ) -> None:
     path = write_table(tmp_path_factory.mktemp("t") / "t.csv", row(), row(example=1, fmt="bottle/other_1000_1099"))

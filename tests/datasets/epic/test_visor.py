@@ -222,7 +222,7 @@ def test_items_are_those_of_the_list_wherever_it_stands(
 
 
 @given(cut=st.integers(0, 10_000), swap=st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=4))
-def test_damaged_files_are_told_or_read(
+def test_damaged_files_are_reported_or_read(
     tmp_path_factory: pytest.TempPathFactory, cut: int, swap: list[tuple[int, int]]
 ) -> None:
     path = tmp_path_factory.mktemp("cut") / f"{V}_interpolations.json"

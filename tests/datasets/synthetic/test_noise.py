@@ -1,4 +1,4 @@
-"""Errors of trackers and masks: of the size they are said to have, alike in frames that follow, never in the truth."""
+"""Errors of trackers and masks: of the given size, alike in frames that follow, never in the truth."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_depth_lies_along_the_ray(made: tuple[Clip, Masks]) -> None:
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.1])
-def test_jitter_lasts_as_long_as_it_is_said_to(made: tuple[Clip, Masks], memory: float) -> None:
+def test_jitter_lasts_as_long_as_its_memory(made: tuple[Clip, Masks], memory: float) -> None:
     clip = made[0]
     noise = Noise(hand_jitter_mm=2.0, jitter_memory_s=memory)
     shifts = np.stack([displaced(clip, noise, seed)[1] for seed in range(20)])

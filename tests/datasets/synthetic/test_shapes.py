@@ -1,4 +1,4 @@
-"""Procedural objects: closed, outward, of the size and genus they are said to have."""
+"""Procedural objects: closed, outward, of known size and genus."""
 
 from __future__ import annotations
 

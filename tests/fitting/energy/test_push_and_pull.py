@@ -133,7 +133,7 @@ def test_a_far_finger_holds_nothing() -> None:
 
 @settings(max_examples=10)
 @given(st.integers(0, 10**6))
-def test_contact_does_not_depend_on_where_it_is_seen_from(seed: int) -> None:
+def test_contact_does_not_depend_on_the_camera(seed: int) -> None:
     rng = np.random.default_rng(seed)
     hand, poses = contacts(rng, 2), random_poses(rng, 2, 2)
     T = se3.rigid(se3.exp_so3(rng.normal(size=3)), rng.normal(size=3))

@@ -416,7 +416,7 @@ def test_several_hands_in_one_record(tmp_path: Path) -> None:
         read([path], HaMeR(), request("right"))
 
 
-def test_weak_perspective_keeps_what_is_seen() -> None:
+def test_weak_perspective_keeps_the_projection() -> None:
     """Whatever the focal lengths, the hand's origin stays in its pixel, and its size in pixels the same."""
     rng = np.random.default_rng(0)
     K2 = np.array([[500.0, 0.0, 300.0], [0.0, 505.0, 260.0], [0.0, 0.0, 1.0]])
@@ -589,5 +589,5 @@ def test_small_pickles_that_are_large_in_memory(tmp_path: Path, mano_folder: Pat
         hand = frankmocap_record(Known("right", mano_folder), 0)
         hand["pred_output_list"][0]["right_hand"]["pred_camera"] = value
         path.write_bytes(pickle.dumps(hand))
-        said = refused(lambda: read([path], FrankMocap(), request("right", mano_folder)), str(path))
-        assert re.search(words, said)
+        printed = refused(lambda: read([path], FrankMocap(), request("right", mano_folder)), str(path))
+        assert re.search(words, printed)

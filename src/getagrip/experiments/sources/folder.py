@@ -25,7 +25,7 @@ class ClipFolder(ClipSource):
 
     @property
     def title(self) -> str:
-        return "a folder of clips"  # where it is would be nobody else's business
+        return "a folder of clips"  # its path is private
 
     def samples(self, clips: Path, debug: bool) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.batch.job import by_name

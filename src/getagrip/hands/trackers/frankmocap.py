@@ -4,7 +4,7 @@ A list ``pred_output_list`` of people, each with ``left_hand`` and ``right_hand`
 of 224 px, which is ``bbox_scale_ratio`` times as large as in the image and has its corner at ``bbox_top_left``;
 ``pred_hand_pose`` (48) as rotation vectors, the global one first, the fingers' relative to MANO's mean pose (its model
 is SMPL-X with ``flat_hand_mean=False``); and, where it was run with ``--save_mesh``, ``pred_vertices_smpl`` (778, 3),
-turned, about an origin of its own. A hand that was not found is an empty dictionary, or None. A vertex X is seen at
+turned, about an origin of its own. A hand that was not found is an empty dictionary, or None. A vertex X projects to
 (``convert_smpl_to_bbox``, ``convert_bbox_to_oriIm``)
 
     (u, v) = bbox_top_left + (112 / ratio) (1 + s (X + tx, Y + ty)).

@@ -1,13 +1,13 @@
 """From a square crop's camera to the whole image's: where a network's hand is before a real camera.
 
-A network that looks at a crop of side b [px] about (cx, cy) says with (s, tx, ty) that a point X of its hand is seen at
+A network that is given a crop of side b [px] about (cx, cy) predicts (s, tx, ty): a point X of its hand projects to
 
     (u, v) = (cx, cy) + (b s / 2) (X + tx, Y + ty):
 
 ``b s / 2`` pixels to the metre, its origin at ``(cx, cy) + (b s / 2) (tx, ty)``. A pinhole of focal length f sees as
 many pixels to the metre at the depth z = f / (b s / 2), which is what HaMeR's ``cam_crop_to_full`` computes (the
 notation is SPIN's and CLIFF's). Whatever focal length an estimator has assumed, its pixels to the metre and the place
-of its origin in the image are what it saw; depth follows from them and the real focal length.
+of its origin in the image are what it observed; depth follows from them and the real focal length.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class WeakPerspective(NamedTuple):
     """An orthographic camera in an image."""
 
     origin: Float[ndarray, "2"]
-    """Where the hand's origin is seen (u, v) [px]."""
+    """Projection (u, v) of the hand's origin [px]."""
     pixels_per_metre: float
 
     @staticmethod
