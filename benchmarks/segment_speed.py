@@ -14,7 +14,8 @@ from getagrip.clip import FINGERS, Clip, HandTrack, Truth
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, decimate
-from getagrip.grasps.stable import RULES, PairwiseIou, contact_sets, stable_grasps
+from getagrip.grasps.definition import RULES
+from getagrip.grasps.stable import PairwiseIou, contact_sets, stable_grasps
 from getagrip.hands import generic
 
 FRAMES = 2000

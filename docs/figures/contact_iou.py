@@ -10,7 +10,8 @@ import numpy as np
 from getagrip.datasets.synthetic.scene import make_scene
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.geometry import se3
-from getagrip.grasps.stable import Definition, segment
+from getagrip.grasps.definition import Definition
+from getagrip.grasps.stable import segment
 from getagrip.view.matrix import write_matrix
 
 OUT = Path(__file__).resolve().parents[1] / "images" / "contact_iou.png"

@@ -11,7 +11,7 @@ from getagrip.evaluation import evaluate_result
 from helpers.paths import DATA, needs
 
 HOT3D = DATA / "hot3d"
-HOLDS = ("P0003_c701bd11-coffee_pot-left", "P0003_c701bd11-mug_white-right", "P0002_273c2819-mouse-right")
+HOLDS = ("P0003--c701bd11--coffee_pot--left", "P0003--c701bd11--mug_white--right", "P0002--273c2819--mouse--right")
 """A pot lifted to pour, a mug held still on the table, a mouse moved about."""
 
 

@@ -18,7 +18,8 @@ from getagrip.clip import Clip, HandTrack, Truth, read_clip, write_clip
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.grasps.stable import OPENED, Definition, contact_iou, contact_sets, fragments, segment
+from getagrip.grasps.definition import Definition
+from getagrip.grasps.stable import OPENED, contact_iou, contact_sets, fragments, segment
 from getagrip.metrics.contact import contact_distances
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.view.matrix import write_matrix
@@ -185,14 +186,17 @@ def test_all_is_written_and_printed(run: Run, tmp_path: Path) -> None:
     assert "[bold]x" in printed
     with (out / "segments.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert list(rows[0]) == ["sequence", "side", "object", "start", "end", "duration"]
+    assert list(rows[0]) == ["sequence", "side", "object", "start", "end", "duration", "first", "last"]
     assert [(row["sequence"], row["side"], row["start"], row["end"]) for row in rows] == [
         ("a", "right", "0", "11"),
         ("b", "left", "0", "11"),
     ]
     assert [float(row["duration"]) for row in rows] == [pytest.approx(12 / 30), pytest.approx(1.2)]
     content = json.loads(file.read_text())
-    assert [(one["clip"], one["start"], one["end"]) for one in content] == [("a", 0, 11), ("b", 0, 11)]
+    assert content["cut"] == {"tau": 0.5, "contact": 0.0, "points": "vertices", "rule": "all-pairs", "shortest": 11}
+    found = [(one["sequence"], one["first"], one["last"]) for one in content["grasps"]]
+    assert found == [("a", "0000", "0011"), ("b", "0000", "0011")]
+    assert (out / "grasps.json").read_bytes() == file.read_bytes()
     a, b, none = (read_picture(out / f"{name}.png") for name in ("a", "b", "none"))
     assert (
         min(pixels_of(picture, FOUND) for picture in (a, b)) > 2 * pixels_of(none, FOUND) > 0
@@ -220,7 +224,7 @@ def test_one_bad_clip_stops_no_other(run: Run, tmp_path: Path) -> None:
     assert "gone: got no such folder" in lines[0]
     assert "failed: blind: " in lines[1]
     assert "truth.npz: got no such file, expected the true poses" in lines[1]
-    assert [one["clip"] for one in json.loads(file.read_text())] == ["good", "good"]
+    assert [one["sequence"] for one in json.loads(file.read_text())["grasps"]] == ["good", "good"]
     assert "Traceback" in run("segment", tmp_path / "blind", "--debug")[2]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.experiments.durations import ListedGrasp, durations, read_epic, read_list
+from getagrip.experiments.durations import LastingGrasp, durations, read_epic, read_list
 from helpers.paths import DATA, needs
 
 Run = Callable[..., tuple[int, str, str]]
@@ -77,7 +77,7 @@ def test_true_rates_make_the_first_videos_shorter_only() -> None:
 
 def test_durations_with_known_answers(tmp_path: Path) -> None:
     assert read_epic(epic_table(tmp_path)) == [
-        ListedGrasp("cup", "left", 2.4), ListedGrasp("cup", "right", 4.0), ListedGrasp("pan", "right", 6.0)
+        LastingGrasp("cup", "left", 2.4), LastingGrasp("cup", "right", 4.0), LastingGrasp("pan", "right", 6.0)
     ]  # fmt: skip
     assert [grasp.duration for grasp in read_epic(epic_table(tmp_path), "true")] == [2.0, 4.0, 5.0]
     cup, pan, all_ = durations(read_epic(epic_table(tmp_path), "true"))
@@ -172,13 +172,16 @@ def test_damaged_tables_are_reported_by_line_and_column(
         (LIST.replace("right", "up"), "line 3, side"),
         (LIST.replace("box", "", 1), "line 2, object"),
         (LIST.replace(",2.0", ""), "line 4"),
-        (LIST.replace("duration", "length"), "line 1, duration"),
+        (LIST.replace("duration", "length"), "grasp 1, duration"),
         (LIST.replace("start", "side"), "line 1, side"),
-        ("", "line 1, object"),
-        ('{"a": 1}', "a list"),
+        ("", "line 1, sequence"),
+        ('{"a": 1}', "version"),
         ("[1]", "[0]"),
         ('[{"clip": "a", "start": 1, "end": 2}]', "[0].object"),
-        ('[{"object": "a", "side": "left", "duration": true}]', "[0].duration"),
+        ('[{"sequence": "s", "object": "a", "side": "left", "start": 0, "end": 1, "duration": true}]', "[0].duration"),
+        ('{"version": 1, "grasps": [{"sequence": "s", "object": "a", "side": "left", "first": 3}]}', "grasps[0].first"),
+        ('{"version": 1, "grasps": [], "cuts": {}}', "cuts: got an unknown key"),
+        (LIST.replace("0,29", "30,29"), "line 2, end"),
         ("[[[", "no JSON"),
         ("[" * 100_000, "no JSON"),
     ],

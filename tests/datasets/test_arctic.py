@@ -17,7 +17,9 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.mesh import Mesh
-from getagrip.grasps.stable import Definition, segment
+from getagrip.grasps.cut import Cut
+from getagrip.grasps.definition import Definition
+from getagrip.grasps.stable import segment
 from helpers.command_line import Run
 from helpers.held_ball import (
     BETAS,
@@ -37,6 +39,7 @@ from helpers.held_ball import (
 OPENED = 28
 """From this frame on, the joint is at another angle."""
 OFFSET = 3
+CUT = Cut(Definition(tau=0.5, contact=0.0, shortest=20))
 K_EGO = np.array([[1720.0, 0.0, 1399.5], [0.0, 1710.0, 999.5], [0.0, 0.0, 1.0]])
 
 
@@ -116,7 +119,7 @@ def read(root: Path, mano: Path, **options: Any) -> list[tracks.Track]:
 
 def clips(root: Path, mano: Path, whole: bool = False) -> list[Any]:
     notes: list[str] = []
-    found = cutting.pieces(read(root, mano), notes.append, arctic.DEFINITION, whole)
+    found = cutting.pieces(read(root, mano), notes.append, CUT, whole)
     return [cutting.clip(piece, 20, notes.append) for piece in found]
 
 
@@ -173,9 +176,12 @@ def test_masks_show_the_object_and_ignore_both_hands(root: Path, mano: Path) -> 
     assert masks.ignore[0].sum() > 300
 
 
-def test_whole_sequences_are_cut_where_the_joint_turns(root: Path, mano: Path) -> None:
+def test_whole_sequences_are_not_cut_where_the_joint_turns(root: Path, mano: Path) -> None:
+    """So that `segment` finds in them what an import finds."""
     found = clips(root, mano, whole=True)
-    assert [(clip.side, len(clip), masks) for clip, masks in found] == [("left", OPENED, None), ("right", OPENED, None)]
+    assert [(clip.side, len(clip), masks) for clip, masks in found] == [("left", FRAMES, None), ("right", FRAMES, None)]
+    assert segment(found[1][0], CUT.definition)[1] == [(TAKEN, OPENED - 1)]
+    assert found[1][0].provenance["first_frame"] == OFFSET
 
 
 def test_neutral_frames_are_of_the_shape_alone() -> None:
@@ -199,13 +205,14 @@ def test_import_writes_clips_and_keeps_them(
 ) -> None:
     out = tmp_path / "out"
     assert import_clips(Arctic(root=root, mano=mano), out, debug=False) == 0
-    (folder,) = out.iterdir()
-    clip = read_clip(folder)
+    name = "s01--ball_use_01--ball--right"
+    assert {path.name for path in out.iterdir()} == {name, f"{name}--2", "grasps.json"}  # before and after opening
+    clip = read_clip(out / name)
     assert read_masks(clip).object.any()
     assert clip.provenance["subject"] == "s01"
     assert "no stable grasp" in capsys.readouterr().err  # of the left hand
     assert import_clips(Arctic(root=root, mano=mano), out, debug=False) == 0
-    assert "0 clips, 1 already there, 0 sequences failed" in capsys.readouterr().out
+    assert "0 clips, 2 already there, 0 sequences failed" in capsys.readouterr().out
 
 
 def test_wrong_calls_are_refused(root: Path, mano: Path, tmp_path: Path, run: Run) -> None:

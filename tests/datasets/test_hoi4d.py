@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from getagrip.batch.imports import import_clips
 from getagrip.clip import read_clip, read_masks
 from getagrip.datasets import cutting, tracks
-from getagrip.datasets.hoi4d import DEFINITION, Hoi4d
+from getagrip.datasets.hoi4d import PAPER, Hoi4d
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from helpers.command_line import Run
@@ -131,17 +131,17 @@ def test_left_hands_are_those_of_the_published_file(root: Path, mano: Path) -> N
 def test_frames_without_a_hand_are_gaps(root: Path, mano: Path) -> None:
     (root / "handpose" / "refinehandpose_right" / INDEX / "28.pickle").unlink()
     notes: list[str] = []
-    (piece,) = cutting.pieces(read(root, mano), notes.append, DEFINITION, False)
-    np.testing.assert_array_equal(piece.track.numbers, np.arange(TAKEN, 28))
-    (whole,) = cutting.pieces(read(root, mano), notes.append, DEFINITION, True)
-    np.testing.assert_array_equal(whole.track.numbers, np.arange(28))
+    for whole, first in ((False, TAKEN), (True, 0)):
+        before, after = cutting.pieces(read(root, mano), notes.append, PAPER.cut(print), whole)
+        np.testing.assert_array_equal(before.track.numbers, np.arange(first, 28))
+        np.testing.assert_array_equal(after.track.numbers, np.arange(29, FRAMES))
 
 
 @pytest.mark.parametrize("kind", ["mask", "shift_mask"])
 @pytest.mark.slow
 def test_labels_are_masks(root: Path, mano: Path, kind: str) -> None:
     write_labels(root, kind)
-    (piece,) = cutting.pieces(read(root, mano), print, DEFINITION, False)
+    (piece,) = cutting.pieces(read(root, mano), print, PAPER.cut(print))
     clip, masks = cutting.clip(piece, 20, print)
     assert "drawn by people" in clip.provenance["masks"]
     seen, ignore = masks.object[0], masks.ignore[0]
@@ -204,7 +204,7 @@ def test_broken_labels_are_named(root: Path, mano: Path) -> None:
     small = path.read_bytes()
     for damaged in (content[: len(content) // 2], b"", small):
         path.write_bytes(damaged)
-        (piece,) = cutting.pieces(read(root, mano), print, DEFINITION, False)
+        (piece,) = cutting.pieces(read(root, mano), print, PAPER.cut(print))
         with pytest.raises(InputError, match=r"00007\.png"):
             cutting.clip(piece, 20, print)
 

@@ -11,18 +11,19 @@ from getagrip.clip import FINGERS
 from getagrip.datasets import cutting
 from getagrip.datasets.dataset import clips
 from getagrip.datasets.hot3d import recording
-from getagrip.datasets.hot3d import timelines as lists
-from getagrip.datasets.hot3d.holds import SHORTEST, whole_tracks
-from getagrip.datasets.hot3d.reader import Hot3d
+from getagrip.datasets.hot3d.reader import HOLDS, Hot3d, touching
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
-from getagrip.grasps.stable import Definition, segment
+from getagrip.grasps import lists
+from getagrip.grasps.definition import Definition
+from getagrip.grasps.stable import segment
 from helpers.paths import DATA, needs
 from helpers.umetrack_profile import profile
 
 HOT3D = DATA / "hot3d"
 NAME = "P0000_0123abcd"
+HOLD = "P0000--0123abcd--red_box--right"
 FRAMES = 16
 STEP = 33_333_333
 
@@ -83,7 +84,7 @@ def read(root, note=lambda _: None):
 def test_a_hold_becomes_a_clip(root):
     notes = []
     ((clip, masks),) = read(root, notes.append)
-    assert clip.name == f"{NAME}-red_box-right"
+    assert clip.name == HOLD
     assert (clip.category, clip.side, clip.size, clip.scale) == ("red_box", "right", (640, 640), "known")
     assert clip.fps == pytest.approx(30.0, abs=0.01)
     assert clip.frames == tuple(f"{n:06d}" for n in range(2, 14))
@@ -124,7 +125,7 @@ def test_the_other_recordings_are_read_before_an_error_is_raised(root):
     broken.mkdir()
     (broken / "dynamic_objects.csv").write_text("object_uid\n")
     found = read(root)
-    assert next(found)[0].name.startswith(NAME)
+    assert next(found)[0].name == HOLD
     with pytest.raises(InputError, match="P0000_bad"):
         list(found)
 
@@ -188,7 +189,7 @@ def test_an_import_goes_on_where_it_stopped(root, tmp_path, run):
     call = ("import", "hot3d", root, "--out", tmp_path / "out")
     status, printed, _ = run(*call)
     assert (status, printed.splitlines()[-1]) == (0, "1 clips, 0 already there, 0 sequences failed")
-    made = tmp_path / "out" / f"{NAME}-red_box-right"
+    made = tmp_path / "out" / HOLD
     stamp = (made / "hand.npz").stat().st_mtime_ns
     broken = root / "sequences" / "P0000_bad"
     broken.mkdir()
@@ -202,13 +203,12 @@ def test_an_import_goes_on_where_it_stopped(root, tmp_path, run):
 
 def test_whole_recordings_show_what_is_outside_of_the_holds(root, tmp_path, run):
     assert run("import", "hot3d", root, "--out", tmp_path / "out", "--whole")[0] == 0
-    name = "P0000--0123abcd--red_box--right"
-    assert [folder.name for folder in (tmp_path / "out").iterdir()] == [name]
-    assert not (tmp_path / "out" / name / "masks").exists()
+    assert [folder.name for folder in (tmp_path / "out").iterdir()] == [HOLD]
+    assert not (tmp_path / "out" / HOLD / "masks").exists()
     (source,) = Hot3d(root=root).sources()
-    (piece,) = whole_tracks(source.read(print), print)
-    clip, _ = cutting.clip(piece, SHORTEST, print)
-    assert (clip.name, clip.frames) == (name, frames(tmp_path / "out" / name))
+    (piece,) = touching(source.read(print), print, HOLDS.cut(print))
+    clip, _ = cutting.clip(piece, HOLDS.shortest, print)
+    assert (clip.name, clip.frames) == (HOLD, frames(tmp_path / "out" / HOLD))
     assert clip.frames == tuple(f"{n:06d}" for n in range(FRAMES))
     assert segment(clip, Definition(contact=0.005, points="area", shortest=5))[1] == [(2, 13)]
 
@@ -232,37 +232,36 @@ def timelines(path, **changes):
 
 def test_grasps_of_a_list(root, tmp_path, run):
     listed = timelines(tmp_path / "hit.json")
-    status, _, err = run("import", "hot3d", root, "--out", tmp_path / "out", "--timelines", listed)
+    status, _, err = run("import", "hot3d", root, "--out", tmp_path / "out", "--list", listed)
     assert status == 0
     assert "hit.json: 1 grasps end before they start: skipped" in err
-    assert f"{NAME}-red_box-right-00009-00009: hand and object are known in 1 of its frames: skipped" in err
-    found = {folder.name: frames(folder) for folder in (tmp_path / "out").iterdir()}
+    assert f"{HOLD}--00009-00009: hand and object are known in 1 of its frames: skipped" in err
+    found = {path.parent.name: frames(path.parent) for path in (tmp_path / "out").glob("*/clip.json")}
     assert found == {
-        f"{NAME}-red_box-right-00003-00006": tuple(f"{n:06d}" for n in range(3, 7)),  # both ends included
-        f"{NAME}-red_box-right-00008-00040": tuple(f"{n:06d}" for n in range(8, FRAMES)),
+        f"{HOLD}--00003-00006": tuple(f"{n:06d}" for n in range(3, 7)),  # both ends included
+        f"{HOLD}--00008-00040": tuple(f"{n:06d}" for n in range(8, FRAMES)),
     }
 
 
 def test_a_list_that_counts_other_frames_is_refused_unless_its_first_number_is_given(root, tmp_path, run):
     listed = timelines(tmp_path / "hit.json", total_end=FRAMES + 4)
-    call = ("import", "hot3d", root, "--out", tmp_path / "out", "--timelines", listed)
+    call = ("import", "hot3d", root, "--out", tmp_path / "out", "--list", listed)
     status, _, err = run(*call)
     assert status == 1
     assert "got 16 frames, expected 20, as the list counts them: say with --first-frame" in err
     assert run(*call, "--first-frame", 4)[0] == 0
-    found = {folder.name: frames(folder) for folder in (tmp_path / "out").iterdir()}
-    assert found[f"{NAME}-red_box-right-00003-00006"] == ("000000", "000001", "000002")
-    assert found[f"{NAME}-red_box-right-00008-00040"][0] == "000004"
+    found = {path.parent.name: frames(path.parent) for path in (tmp_path / "out").glob("*/clip.json")}
+    assert found[f"{HOLD}--00003-00006"] == ("000000", "000001", "000002")
+    assert found[f"{HOLD}--00008-00040"][0] == "000004"
 
 
 def test_wrong_calls_with_lists(root, tmp_path, run):
     listed = timelines(tmp_path / "hit.json", seq_name="P0001_other")
     call = ("import", "hot3d", root, "--out", tmp_path / "out")
-    assert run(*call, "--timelines", listed)[0] == 1
-    assert run(*call, "--timelines", listed, "--whole")[0] == 2
+    assert run(*call, "--list", listed)[0] == 1
+    assert run(*call, "--list", listed, "--whole")[0] == 2
     assert run(*call, "--first-frame", 3)[0] == 2
-    status, _, err = run("import", "ho3d", root, "--out", tmp_path / "out", "--timelines", listed)
-    assert (status, "--timelines" in err) == (2, True)
+    assert run("import", "ho3d", root, "--out", tmp_path / "out", "--first-frame", 3)[0] == 2
 
 
 @pytest.mark.parametrize(
@@ -313,8 +312,8 @@ def test_the_three_holds_of_the_samples():
             pads = [distance[clip.hand.regions[finger]].min() for finger in FINGERS]
             assert sorted(pads)[2] < 0.008  # three fingertips and more are at the object
     assert found == {
-        "P0002_273c2819-mouse-right": 15,
-        "P0003_c701bd11-coffee_pot-left": 34,
-        "P0003_c701bd11-mug_white-right": 34,
+        "P0002--273c2819--mouse--right": 15,
+        "P0003--c701bd11--coffee_pot--left": 34,
+        "P0003--c701bd11--mug_white--right": 34,
     }
     assert notes == []

@@ -12,7 +12,8 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from getagrip.errors import UsageError
 from getagrip.grasps import stable as grasps
-from getagrip.grasps.stable import RULES, PairwiseIou, contact_iou, stable_grasps
+from getagrip.grasps.definition import RULES
+from getagrip.grasps.stable import PairwiseIou, contact_iou, stable_grasps
 from getagrip.metrics.contact import pairwise_iou
 
 Interval = tuple[int, int]
@@ -56,7 +57,10 @@ def by_brute_force(iou: np.ndarray, tau: float, shortest: int, rule: str) -> lis
     if rule == "first":
         ends = [next((j for j in range(i, T) if iou[i, j] < tau or iou[i, j] == 0), T) for i in range(T)]
         return greedily([(i, end - 1) for i, end in enumerate(ends)], shortest)
-    steady = [t >= 2 and iou[t - 2, t - 1] > tau and iou[t - 1, t] > tau for t in range(T)]
+    if rule == "touch":
+        steady = (np.diag(iou) > 0).tolist()
+    else:
+        steady = [t >= 2 and iou[t - 2, t - 1] > tau and iou[t - 1, t] > tau for t in range(T)]
     runs = [(i, j) for i in range(T) for j in range(i, T) if all(steady[i : j + 1])]
     return greedily(runs, shortest)
 

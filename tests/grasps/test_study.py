@@ -20,7 +20,8 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.approximation import AxisRotation, _refined, mean_rotation, pose_hinge, rotation_hinge
-from getagrip.grasps.stable import Definition, PairwiseIou
+from getagrip.grasps.definition import Definition
+from getagrip.grasps.stable import PairwiseIou
 from getagrip.grasps.study import MEASURES, TIMES, Spread, fingers, kept_contact, mean_curves, study
 from getagrip.view.study import INSIDE
 from getagrip.view.style import AXIS, FOUND
@@ -280,7 +281,7 @@ def test_all_is_written_and_printed(run: Run, tmp_path: Path) -> None:
     ]
     content = json.loads(file.read_text())
     assert [one["sequence"] for one in content["grasps"]] == ["a", "b"]
-    assert content["definition"]["contact"] == pytest.approx(0.005)
+    assert content["cut"]["contact"] == pytest.approx(0.005)
     means = {
         (row["object"], row["where"], row["measure"]): row["mean"]
         for row in content["summary"]

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from getagrip.batch import grasp_list
 from getagrip.batch.clips import FEW, print_outcome
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.clip import write_clip
 from getagrip.datasets.dataset import Dataset, Draft, Part
-from getagrip.io.terminal import progress_bar
+from getagrip.grasps import lists
+from getagrip.io.terminal import progress_bar, report
 
 
 @dataclass(frozen=True)
@@ -42,9 +43,13 @@ class Imported:
 def import_clips(dataset: Dataset, out: Path, debug: bool) -> int:
     """Write the clips of a dataset as ``out/<clip name>/``; 1 if something failed, else 0.
 
-    Clips that are there already are kept, unless they lack hands that are known now. Raises as ``Dataset.parts`` does.
+    Clips that are there already are kept, unless they lack hands that are known now. Beside clips that are cut to
+    grasps stands the list of them (``grasp_list``). Raises as ``Dataset.parts`` does, and ``UsageError`` where clips in
+    the folder were cut in another way.
     """
-    jobs = [ImportJob(part, out) for part in dataset.parts(_report)]
+    jobs = [ImportJob(part, out) for part in dataset.parts(report)]
+    cut = dataset.cut_record()
+    grasp_list.claim(out, cut)
     counts, made, handless = Counter[str](), list[Mapping[str, Any]](), 0
     with progress_bar() as bar:
         task = bar.add_task(dataset.parts_are, total=len(jobs))
@@ -55,20 +60,18 @@ def import_clips(dataset: Dataset, out: Path, debug: bool) -> int:
                 else:
                     print(outcome.message)
             for note in imported.notes:
-                _report(note)
+                report(note)
             counts.update(outcome.state for outcome in imported.clips if outcome.state != "failed")
             counts["failed"] += any(outcome.state == "failed" for outcome in imported.clips)
             made += imported.made
             handless += imported.handless
             bar.advance(task)
+    if cut is not None:
+        print(f"{out / lists.FILE}: {grasp_list.write(out, cut, report)} grasps")
     print(f"{counts['done']} clips, {counts['kept']} already there, {counts['failed']} {dataset.parts_are} failed")
     for advice in dataset.advice(made, handless):
-        _report(advice)
+        report(advice)
     return 1 if counts["failed"] else 0
-
-
-def _report(words: str) -> None:
-    print(words, file=sys.stderr)
 
 
 def _outcomes(jobs: Sequence[ImportJob]) -> Iterator[Imported]:

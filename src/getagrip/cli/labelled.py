@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from getagrip.cli.command import Clips, Command, Workers
+from getagrip.grasps.options import GraspOptions
 from getagrip.io.arguments import Folder, OptionalFile, OptionalFolder
+from getagrip.io.terminal import report
 
 if TYPE_CHECKING:
-    from getagrip.grasps.stable import Definition
+    from getagrip.grasps.cut import Cut
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,26 +23,16 @@ class GraspCommand(Command):
 
     clips: Clips = ()
     """Clip folders, or folders of clips: whole sequences, not cut to grasps already. No masks are needed."""
-    tau: float = 0.5
-    """In a stable grasp, the contacts of any two frames have an intersection over union (IOU) above this."""
-    contact_mm: Annotated[float, arg(metavar="MM")] = 0.0
-    """Points of the object at most this far from the hand's surface, or inside it, are in contact."""
-    points: Literal["vertices", "area", "fragments"] = "vertices"
-    """Contact is a set of vertices, of points sampled evenly over the object's surface, or of patches."""
-    rule: Literal["all-pairs", "first", "consecutive"] = "all-pairs"
-    """Frames that are compared: all (the paper's definition), all with the first, or neighbours (two weaker tests)."""
-    shortest: Annotated[int, arg(metavar="N")] = 20
-    """Frames of the shortest grasp."""
+    grasps: Annotated[GraspOptions, arg(name="")] = field(default_factory=GraspOptions)
+    """What counts as a stable grasp."""
     json: OptionalFile = None
     """Write every number here, unrounded."""
     workers: Workers = None
     """Processes to share the clips between."""
 
-    def definition(self) -> Definition:
-        """What counts as stable."""
-        from getagrip.grasps.stable import Definition
-
-        return Definition(self.tau, self.contact_mm / 1e3, self.points, self.rule, self.shortest)
+    def cut(self) -> Cut:
+        """How the clips are cut to grasps."""
+        return self.grasps.cut(report)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,12 +40,12 @@ class Segment(GraspCommand):
     """Find the stable grasps in clips with true poses."""
 
     out: OptionalFolder = None
-    """Write segments.csv and a picture of each clip here."""
+    """Write the list of grasps (grasps.json, segments.csv) and a picture of each clip here."""
 
     def run(self) -> int:
         from getagrip.commands.segment import segment_clips
 
-        return segment_clips(self.clips, self.definition(), self.out, self.json, self.workers, self.debug)
+        return segment_clips(self.clips, self.cut(), self.out, self.json, self.workers, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,12 +53,12 @@ class Study(GraspCommand):
     """Measure what changes within the stable grasps of clips with true poses, and outside them: the paper's study."""
 
     out: Folder
-    """Where study.png, grasps.csv, curves.csv and summary.csv go."""
+    """Where study.png, grasps.csv, curves.csv, summary.csv and the list of grasps (grasps.json) go."""
 
     def run(self) -> int:
         from getagrip.commands.study import study_clips
 
-        return study_clips(self.clips, self.definition(), self.out, self.json, self.workers, self.debug)
+        return study_clips(self.clips, self.cut(), self.out, self.json, self.workers, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +66,7 @@ class Stats(Command):
     """Print how long stable grasps last, category by category: the paper's dataset tables."""
 
     source: Annotated[Positional[str], arg(metavar="epic-grasps|LIST")]
-    """epic-grasps, followed by its CSV; or a list that segment wrote: its segments.csv or JSON."""
+    """epic-grasps, followed by its CSV; or a list of grasps, or the folder of clips that import wrote it into."""
     csv: Annotated[Positional[Path | None], arg(metavar="CSV", help_behavior_hint="")] = None
     """EPIC-Grasps' table, as published."""
     errata: OptionalFile = None

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip.data import FINGERS, Clip, HandTrack, Truth
+from getagrip.clip.data import FINGERS, Clip, HandTrack, Joint, Truth
 from getagrip.clip.plausible import check_hand, check_in_hand, check_in_view, check_intrinsics, check_poses
 from getagrip.errors import InputError
 from getagrip.geometry.mesh import Mesh
@@ -21,6 +21,10 @@ from getagrip.io import arrays, files
 
 VERSION = 1
 REQUIRED = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")
+JOINT = ("joint_moves", "joint_point", "joint_direction", "joint_angle")
+"""Arrays of the truth about an articulated object's joint."""
+FARTHEST_JOINT = 2.0
+"""Plausible distance of a joint from the object's origin [m]."""
 LARGEST_SIDE, LARGEST_IMAGE = 16384, 40_000_000
 """Plausible side [px] and number of pixels of an image; of video, 8K has the most."""
 
@@ -218,7 +222,7 @@ def _regions(path: Path, given: dict[str, ndarray], count: int) -> dict[str, Int
 def _read_truth(folder: Path, hand: HandTrack, scale: str, mesh: Mesh) -> Truth:
     """The truth of ``truth.npz``; what it leaves out is the clip's own."""
     path = files.inside(folder, "truth.npz", "", "the truth of a clip")
-    named = ("T_cam_obj", "scale", "T_cam_hand", "hand_vertices", "articulation")
+    named = ("T_cam_obj", "scale", "T_cam_hand", "hand_vertices", "articulation", *JOINT)
     given = arrays.read(path, lambda key: key in named)
     frames = len(hand.vertices)
     size = 1.0
@@ -244,4 +248,30 @@ def _read_truth(folder: Path, hand: HandTrack, scale: str, mesh: Mesh) -> Truth:
         if np.abs(articulation).max() > 2.0 * np.pi:
             most = f"the angle {np.abs(articulation).max():g}"
             raise InputError(path, "articulation", most, "at most a full turn [rad]; are these degrees?")
-    return Truth(T_cam_obj, size, T_cam_hand, vertices, articulation)
+    joint = _joint(path, given, mesh) if any(key in given for key in JOINT) else None
+    return Truth(T_cam_obj, size, T_cam_hand, vertices, articulation, joint)
+
+
+def _joint(path: Path, given: dict[str, ndarray], mesh: Mesh) -> Joint:
+    """The joint of an articulated object; it needs the articulation of each frame, too."""
+    missing = next((key for key in ("articulation", *JOINT) if key not in given), None)
+    if missing is not None:
+        raise InputError(
+            path, missing, "no such array", f"all of articulation, {', '.join(JOINT)}, or none of the last"
+        )
+    moves = given["joint_moves"]
+    if moves.dtype != bool or moves.shape != (len(mesh.vertices),):
+        expected = f"true or false for each of the {len(mesh.vertices)} vertices of the mesh"
+        raise InputError(path, "joint_moves", f"{moves.dtype} of shape {moves.shape}", expected)
+    point, direction = (arrays.floats(path, given, key, (3,)) for key in ("joint_point", "joint_direction"))
+    if not np.linalg.norm(point) < FARTHEST_JOINT:
+        given_point = f"a point {np.linalg.norm(point):.4g} m from the object's origin"
+        raise InputError(path, "joint_point", given_point, f"less than {FARTHEST_JOINT:g} m; are these millimetres?")
+    if abs(np.linalg.norm(direction) - 1.0) > 1e-6:
+        raise InputError(
+            path, "joint_direction", f"the length {np.linalg.norm(direction):g}", "a direction of length 1"
+        )
+    angle = float(arrays.floats(path, given, "joint_angle", ()))
+    if abs(angle) > 2.0 * np.pi:
+        raise InputError(path, "joint_angle", f"{angle:g}", "at most a full turn [rad]; are these degrees?")
+    return Joint(moves, point, direction, angle)

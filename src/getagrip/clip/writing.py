@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped, UInt8
+from jaxtyping import Bool, Shaped, UInt8
 from numpy import ndarray
 
 from getagrip.clip.data import Clip, HandTrack, Masks, Truth
@@ -81,15 +81,19 @@ def _fields(clip: Clip) -> dict[str, object]:
     }
 
 
-def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Float[ndarray, "..."]]:
+def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Shaped[ndarray, "..."]]:
     """The ground truth, of the hand only what differs from the clip's."""
-    out = {"T_cam_obj": truth.T_cam_obj, "scale": np.array(truth.scale)}
+    out: dict[str, ndarray] = {"T_cam_obj": truth.T_cam_obj, "scale": np.array(truth.scale)}
     if not np.array_equal(truth.T_cam_hand, clip.hand.T_cam_hand):
         out["T_cam_hand"] = truth.T_cam_hand
     if not np.array_equal(truth.hand_vertices, clip.hand.vertices):
         out["hand_vertices"] = truth.hand_vertices
     if truth.articulation is not None:
         out["articulation"] = truth.articulation
+    if truth.joint is not None:
+        joint = truth.joint
+        axis = {"joint_point": joint.point, "joint_direction": joint.direction, "joint_angle": np.array(joint.angle)}
+        out |= {"joint_moves": joint.moves, **axis}
     return out
 
 

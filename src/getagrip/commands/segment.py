@@ -14,9 +14,10 @@ from getagrip.batch.job import Outcome, Progress, by_name, failure
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.clip import read_clip
 from getagrip.errors import UsageError
-from getagrip.grasps.stable import Definition, segment
-from getagrip.io import files
-from getagrip.io.terminal import console, plain_table, progress_bar, show_stage
+from getagrip.grasps import lists
+from getagrip.grasps.cut import Cut, as_listed
+from getagrip.grasps.lists import ListedGrasp
+from getagrip.io.terminal import console, plain_table, progress_bar, report, show_stage
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
 
 R = TypeVar("R")
 
-COLUMNS = ("sequence", "side", "object", "start", "end", "duration")
-"""Of ``segments.csv``: start and end are frames, counted from 0, both included; duration in seconds."""
+COLUMNS = ("sequence", "side", "object", "start", "end", "duration", "first", "last")
+"""Of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class SegmentJob:
     """A clip to find grasps in."""
 
     clip: Path
-    definition: Definition
+    cut: Cut
     picture: Path | None = None
 
 
@@ -48,23 +49,19 @@ class SegmentedClip:
     fps: float
     grasps: tuple[tuple[int, int], ...]
     """First and last frame of each, both included."""
+    listed: tuple[ListedGrasp, ...]
+    """The same, as lists have them."""
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """What is written of each grasp, by the keys of the JSON."""
-        for start, end in self.grasps:
-            yield {
-                "clip": self.clip,
-                "side": self.side,
-                "object": self.object,
-                "start": start,
-                "end": end,
-                "duration": (end + 1 - start) / self.fps,
-            }
+        """What ``segments.csv`` has of each grasp, by ``COLUMNS``."""
+        for (start, end), grasp in zip(self.grasps, self.listed, strict=True):
+            row = {"start": start, "end": end} | grasp.row()
+            yield {column: row[column] for column in COLUMNS}
 
 
 def segment_clips(
     paths: Sequence[Path],
-    definition: Definition,
+    cut: Cut,
     out: Path | None,
     json: Path | None,
     workers: int | None,
@@ -72,8 +69,9 @@ def segment_clips(
 ) -> int:
     """Print the stable grasps of clips, and write them to files; 1 if any clip could not be read, else 0.
 
-    A path is a clip, or a folder of clips. ``out`` gets ``segments.csv`` and a picture for each clip. Raises
-    ``UsageError`` where there is nothing to do, and where two clips have the same name.
+    A path is a clip, or a folder of clips. ``out`` gets the list as ``grasps.json`` and ``segments.csv``, and a picture
+    for each clip; ``json`` the list. Raises ``UsageError`` where there is nothing to do, and where two clips have the
+    same name.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
@@ -85,8 +83,7 @@ def segment_clips(
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     jobs = {
-        folder: SegmentJob(folder, definition, None if out is None else out / f"{name}.png")
-        for name, folder in clips.items()
+        folder: SegmentJob(folder, cut, None if out is None else out / f"{name}.png") for name, folder in clips.items()
     }
     found: dict[Path, SegmentedClip] = {}
     failures = len(failed)
@@ -100,11 +97,12 @@ def segment_clips(
     in_order = [found[folder] for folder in jobs if folder in found]
     if in_order:
         _print(in_order, out)
-    rows = [row for one in in_order for row in one.rows()]
+    grasps = [grasp for one in in_order for grasp in one.listed]
+    tell_missing(cut, len(grasps))
     if out is not None:
-        _write_csv(out / "segments.csv", rows)
-    if json is not None:
-        files.write_json(json, rows)
+        _write_csv(out / "segments.csv", [row for one in in_order for row in one.rows()])
+    for path in filter(None, (json, out and out / lists.FILE)):
+        lists.write(path, grasps, cut.record())
     return 1 if failures else 0
 
 
@@ -112,13 +110,14 @@ def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> Segmen
     """The grasps of one clip, drawn where a picture is wanted; or how it failed. Raises nothing."""
     try:
         clip = read_clip(job.clip)
-        iou, grasps = segment(clip, job.definition, partial(progress, "contact"))
+        iou, grasps = job.cut.of(clip, partial(progress, "contact"))
         if job.picture is not None:
             from getagrip.view.matrix import write_matrix
 
-            subtitle = f"{clip.side} hand, {clip.category}  ·  {describe(job.definition)}"
-            write_matrix(job.picture, iou, grasps, clip.fps, job.definition.tau, clip.name, subtitle)
-        return SegmentedClip(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps))
+            subtitle = f"{clip.side} hand, {clip.category}  ·  {job.cut.description}"
+            write_matrix(job.picture, iou, grasps, clip.fps, job.cut.definition.tau, clip.name, subtitle)
+        listed = tuple(as_listed(clip, first, last) for first, last in grasps)
+        return SegmentedClip(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps), listed)
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)
 
@@ -145,12 +144,10 @@ def outcomes(
         bar.advance(clips)
 
 
-def describe(definition: Definition) -> str:
-    """A definition of stable grasps, in words."""
-    return (
-        f"{definition.points} within {1e3 * definition.contact:g} mm, IOU above {definition.tau:g}, "
-        f"{definition.rule}, {definition.shortest} frames or more"
-    )
+def tell_missing(cut: Cut, found: int) -> None:
+    """Report how many grasps of a list are not in the clips."""
+    if cut.listed is not None and found < len(cut.listed.grasps):
+        report(f"{found} of the {len(cut.listed.grasps)} grasps of {cut.listed.file} are in these clips")
 
 
 def _print(found: Sequence[SegmentedClip], out: Path | None) -> None:

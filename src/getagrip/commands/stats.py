@@ -11,7 +11,7 @@ from typing import Any
 from getagrip.errors import UsageError
 from getagrip.experiments.durations import ALL, CategoryDurations, Fps, durations, read_epic, read_list
 from getagrip.io import files
-from getagrip.io.terminal import console, plain_table
+from getagrip.io.terminal import console, plain_table, report
 
 EPIC = "epic-grasps"
 HEADINGS = ("category", "avg [s]", "std [s]", "max [s]", "clips", "left", "right")
@@ -22,7 +22,7 @@ def print_stats(
 ) -> int:
     """Print how long the grasps of a list last, and write it as ``out/stats.md`` and ``stats.csv``; returns 0.
 
-    ``source`` is ``epic-grasps``, and ``table`` its CSV, or ``source`` is a list that ``segment`` wrote. ``errata`` of
+    ``source`` is ``epic-grasps``, and ``table`` its CSV, or ``source`` is a list of grasps. ``errata`` of
     the CSV are applied where they are given. Raises ``UsageError`` for calls that are neither, and ``InputError``.
     """
     if source == EPIC:
@@ -31,14 +31,12 @@ def print_stats(
         grasps = read_epic(table, fps or "paper", errata)
     else:
         if table is not None:
-            raise UsageError(
-                f"stats: got {source!r} and {table}, expected {EPIC} and its CSV, or one list of `segment`"
-            )
+            raise UsageError(f"stats: got {source!r} and {table}, expected {EPIC} and its CSV, or one list of grasps")
         if errata is not None:
             raise UsageError(f"--errata: got {errata}, expected none: they are of {EPIC}")
         if fps is not None:
-            raise UsageError(f"--fps: got {fps}, expected none: a list of `segment` is in seconds")
-        grasps = read_list(Path(source))
+            raise UsageError(f"--fps: got {fps}, expected none: a list of grasps is in seconds")
+        grasps = read_list(Path(source), report)
     rows = durations(grasps)
     if not rows:
         print("no grasps")

@@ -12,23 +12,23 @@ from typing import Any
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import Outcome, Progress, by_name, failure
 from getagrip.clip import read_clip
-from getagrip.commands.segment import SegmentJob, describe, outcomes
+from getagrip.commands.segment import SegmentJob, outcomes, tell_missing
 from getagrip.errors import UsageError
-from getagrip.grasps.stable import Definition
-from getagrip.grasps.study import MEASURES, TIMES, Spread, StudiedGrasp, mean_curves, study
+from getagrip.grasps import lists
+from getagrip.grasps.cut import Cut
+from getagrip.grasps.study import MEASURES, TIMES, Spread, StudiedGrasp, mean_curves, study_grasp
 from getagrip.io import files
 from getagrip.io.terminal import console, plain_table, progress_bar
 
 ALL = "All"
 
 
-def study_clips(
-    paths: Sequence[Path], definition: Definition, out: Path, json: Path | None, workers: int | None, debug: bool
-) -> int:
+def study_clips(paths: Sequence[Path], cut: Cut, out: Path, json: Path | None, workers: int | None, debug: bool) -> int:
     """Study the stable grasps of clips, and write the measurements to a folder; 1 if any clip failed, else 0.
 
-    A path is a clip, or a folder of clips. ``out`` gets ``study.png``, ``grasps.csv``, ``curves.csv`` and
-    ``summary.csv``. Raises ``UsageError`` where there is nothing to do, and where two clips have the same name.
+    A path is a clip, or a folder of clips. ``out`` gets ``study.png``, ``grasps.csv``, ``curves.csv``,
+    ``summary.csv`` and the list ``grasps.json``. Raises ``UsageError`` where there is nothing to do, and where two
+    clips have the same name.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
@@ -37,7 +37,7 @@ def study_clips(
     clips, failed = by_name(paths)
     for outcome in failed:
         print_outcome(outcome, debug)
-    jobs = [SegmentJob(folder, definition) for folder in clips.values()]
+    jobs = [SegmentJob(folder, cut) for folder in clips.values()]
     done: dict[Path, list[StudiedGrasp]] = {}
     failures = len(failed)
     with progress_bar() as bar:
@@ -48,19 +48,22 @@ def study_clips(
             else:
                 done[job.clip] = result
     studied = [grasp for job in jobs for grasp in done.get(job.clip, [])]
+    tell_missing(cut, len(studied))
     print(f"{len(studied)} stable grasps in {sum(map(bool, done.values()))} of {len(done)} clips")
     if studied:
         _print(studied)
-        _write(studied, definition, len(done), out)
+        _write(studied, cut, len(done), out)
     if json is not None:
-        files.write_json(json, _content(studied, definition))
+        files.write_json(json, _content(studied, cut))
     return 1 if failures else 0
 
 
 def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[StudiedGrasp] | Outcome:
     """The grasps of one clip, measured; or how it failed. Raises nothing."""
     try:
-        return study(read_clip(job.clip), job.definition, partial(progress, "contact"))
+        clip = read_clip(job.clip)
+        iou, grasps = job.cut.of(clip, partial(progress, "contact"))
+        return [study_grasp(clip, iou, first, last) for first, last in grasps]
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)
 
@@ -113,7 +116,7 @@ def _cell(spread: Spread, name: str) -> str:
     return "-" if not spread.grasps else f"{spread.mean * factor:.{digits}f} ± {spread.std * factor:.{digits}f}"
 
 
-def _write(studied: Sequence[StudiedGrasp], definition: Definition, clips: int, out: Path) -> None:
+def _write(studied: Sequence[StudiedGrasp], cut: Cut, clips: int, out: Path) -> None:
     """The files of a study."""
     from getagrip.view.study import write_study
 
@@ -121,8 +124,9 @@ def _write(studied: Sequence[StudiedGrasp], definition: Definition, clips: int, 
     _write_csv(out / "grasps.csv", (_grasp(one) for one in studied))
     _write_csv(out / "curves.csv", _curves(studied))
     _write_csv(out / "summary.csv", _summary(studied))
+    lists.write(out / lists.FILE, [one.listed for one in studied], cut.record())
     title = f"{len(studied)} stable grasp{'s' * (len(studied) != 1)} in {clips} clip{'s' * (clips != 1)}"
-    print(write_study(out / "study.png", mean_curves(studied), title, describe(definition)))
+    print(write_study(out / "study.png", mean_curves(studied), title, cut.description))
 
 
 def _grasp(one: StudiedGrasp) -> dict[str, Any]:
@@ -157,10 +161,10 @@ def _summary(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, Any]]:
                 yield {"object": category, "where": where, "measure": name, **asdict(spread)}
 
 
-def _content(studied: Sequence[StudiedGrasp], definition: Definition) -> dict[str, Any]:
+def _content(studied: Sequence[StudiedGrasp], cut: Cut) -> dict[str, Any]:
     """Everything, for ``--json``."""
     return {
-        "definition": asdict(definition),
+        "cut": cut.record(),
         "units": "SI: m, rad, s; measures without unit are shares",
         "summary": list(_summary(studied)),
         "grasps": [_grasp(one) for one in studied],

@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.clip import HandTrack
+from getagrip.clip import HandTrack, Joint
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
@@ -37,14 +37,15 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import LARGEST_FILE, checked_mesh, with_area
 from getagrip.geometry.obj import parse_obj
-from getagrip.grasps.stable import Definition
+from getagrip.grasps.definition import FEWEST
+from getagrip.grasps.options import GraspOptions
 from getagrip.hands.model import Side
 from getagrip.io import arrays
 from getagrip.io.arguments import OptionalFolder
 from getagrip.io.files import LARGEST_JSON, is_plain_name, read_bytes, read_json, shown
 
-DEFINITION = Definition(contact=0.0)
-"""The paper's stable grasps of ARCTIC."""
+PAPER = GraspOptions(tau=0.5, contact_mm=0.0, shortest=FEWEST)
+"""The paper's stable grasps of ARCTIC: it states no shortest length."""
 VIEWS = 9
 FPS = 30.0
 SCALE = 0.3
@@ -57,17 +58,10 @@ SIDES: tuple[Side, ...] = ("left", "right")
 class Template:
     """An object whose top turns about a joint, in a frame of its own (``neutral_frame``)."""
 
-    vertices: Float[ndarray, "V 3"]
-    """In ARCTIC's frame [m], the joint at 0."""
-    faces: Int[ndarray, "F 3"]
-    top: Bool[ndarray, "V"]
-    """The vertices that turn."""
+    mesh: Mesh
+    """In the neutral frame, the joint at 0."""
+    joint: Joint
     T_neutral_template: Float[ndarray, "4 4"]
-
-    def at(self, angle: float) -> Mesh:
-        """The object with its joint at an angle [rad], in the neutral frame."""
-        turned = np.where(self.top[:, None], self.vertices @ se3.exp_so3(np.array([0.0, 0.0, -angle])).T, self.vertices)
-        return Mesh(se3.transform(self.T_neutral_template, turned), self.faces)
 
 
 @dataclass(frozen=True)
@@ -84,7 +78,8 @@ class View:
 class Arctic(TrackedDataset):
     """ARCTIC's raw sequences: every visible stable grasp."""
 
-    definition = DEFINITION
+    grasps: Annotated[GraspOptions, arg(name="")] = PAPER
+    """What counts as a stable grasp."""
 
     mano: OptionalFolder = None
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
@@ -143,8 +138,10 @@ def _read(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator
             K=camera.K,
             hand=hands[side],
             T_cam_obj=T_cam_obj,
-            object=template.at,
+            mesh=template.mesh,
+            joint=template.joint,
             articulation=poses[:, 0],
+            origin=offset,
             other_hand=hands["left" if side == "right" else "right"],
             provenance={
                 "source": f"ARCTIC, {subject}/{sequence}, view {view}",
@@ -223,7 +220,9 @@ def read_template(folder: Path) -> Template:
     if top.shape != (len(vertices),) or not np.isin(top, (0, 1)).all():
         given = f"{top.shape[0]} numbers" if top.ndim == 1 else "something else"
         raise InputError(parts, "", given, f"0 or 1 for each of the {len(vertices)} vertices of mesh.obj")
-    return Template(vertices, faces, top == 1, neutral_frame(Mesh(vertices, faces)))
+    T = neutral_frame(Mesh(vertices, faces))
+    joint = Joint(moves=top == 1, point=T[:3, 3], direction=-T[:3, 2])  # about -z of the template's frame
+    return Template(Mesh(se3.transform(T, vertices), faces), joint, T)
 
 
 def neutral_frame(mesh: Mesh) -> Float[ndarray, "4 4"]:

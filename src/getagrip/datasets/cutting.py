@@ -1,4 +1,4 @@
-"""Tracks cut into clips: where they have gaps, where the joint of an object turns, and to stable grasps (Eq. 2).
+"""Tracks cut into clips: where they have gaps, and to stable grasps (Eq. 2) or those of a list.
 
 At no time is more than one sequence in memory.
 """
@@ -6,33 +6,36 @@ At no time is more than one sequence in memory.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Annotated, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
 from getagrip.clip import Clip, Masks, Truth
 from getagrip.clip.plausible import FARTHEST, NEAREST, check_in_view
 from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
-from getagrip.datasets.tracks import BETWEEN, MaskPair, Piece, Source, Track
-from getagrip.errors import InputError
+from getagrip.datasets.tracks import MaskPair, Piece, Source, Track
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import checked_mesh
-from getagrip.grasps.stable import Definition, PairwiseIou, stable_grasps
+from getagrip.grasps.cut import FIRST_FRAME, Cut, as_listed
+from getagrip.grasps.definition import FEWEST
+from getagrip.grasps.lists import BETWEEN, ListedGrasp
+from getagrip.grasps.options import GraspOptions
 from getagrip.io.arguments import Flag
 from getagrip.io.files import is_plain_name
-from getagrip.metrics.contact import close_holes, moving_distance, stable_contact_area
+from getagrip.metrics.contact import stable_contact_area
 
 VISIBLE = 25
 """Pixels of the smallest mask that counts as visible."""
-WHOLE = "all frames in which hand and object are known and its joint is still"
-Cut = Callable[[Iterable[Track], Note], Iterator[Piece]]
+WHOLE = "all frames in which hand and object are known"
+Pieces = Callable[[Iterable[Track], Note], Iterator[Piece]]
 """How tracks become the pieces that clips are made of."""
 
 
@@ -40,11 +43,10 @@ Cut = Callable[[Iterable[Track], Note], Iterator[Piece]]
 class TrackedDataset(Dataset):
     """A dataset with true tracks of hands and objects."""
 
-    definition: ClassVar[Definition]
-    """What counts as a stable grasp."""
-
     root: Annotated[Positional[Path], arg(metavar="ROOT")]
     """The folder that holds it, as it came."""
+    grasps: Annotated[GraspOptions, arg(name="")] = field(default_factory=GraspOptions)
+    """What counts as a stable grasp."""
     whole: Flag = False
     """Not the grasps but all frames, without masks: for segment and study."""
 
@@ -54,8 +56,18 @@ class TrackedDataset(Dataset):
 
     def parts(self, note: Note) -> Sequence[Part]:
         """Its sequences, cut to stable grasps or, if ``whole``, at gaps only."""
-        cut = partial(pieces, definition=self.definition, whole=self.whole)
-        return [CutSource(source, cut, self.definition.shortest) for source in self.sources()]
+        cut = self.cut(note)
+        return [CutSource(s, partial(pieces, cut=cut, whole=self.whole), cut.shortest) for s in self.sources()]
+
+    def cut(self, note: Note) -> Cut:
+        """How its sequences are cut. Raises ``UsageError`` for wrong options, ``InputError`` for a broken list."""
+        if self.whole and self.grasps.listed is not None:
+            raise UsageError("--list and --whole: name one of them")
+        return self.grasps.cut(note)
+
+    def cut_record(self) -> dict[str, Any] | None:
+        """How its clips are cut; None where they are whole."""
+        return None if self.whole else self.grasps.cut(lambda _: None).record()
 
 
 @dataclass(frozen=True)
@@ -63,7 +75,7 @@ class CutSource:
     """A sequence, and how it is cut into clips."""
 
     source: Source
-    cut: Cut
+    cut: Pieces
     shortest: int
     """The fewest frames of a clip."""
 
@@ -79,69 +91,111 @@ class CutSource:
                 yield Draft(piece.name, partial(clip, piece, self.shortest, note))
 
 
-def pieces(tracks: Iterable[Track], note: Note, definition: Definition, whole: bool) -> Iterator[Piece]:
-    """The stable grasps of some tracks, or (``whole``) all of each, as far as nothing is missing and no joint turns.
+def pieces(tracks: Iterable[Track], note: Note, cut: Cut, whole: bool = False) -> Iterator[Piece]:
+    """The stable grasps of some tracks, or (``whole``) all of each, as far as nothing is missing.
 
     Whole pieces have no masks: they are for what looks at true poses only, and are many frames long.
     """
     for track in tracks:
         if not is_plain_name(track.name):
             raise InputError(track.file, "", f"the name {track.name!r}", "names that can be part of a folder's")
+        found = _whole(track, cut) if whole else _found(track, cut) if cut.listed is None else _listed(track, cut, note)
         number = 0
-        for part in without_gaps(track):
-            iou = still(part) if whole else contact_iou(part, definition)
-            for first, last in stable_grasps(iou, definition.tau, definition.shortest, definition.rule):
-                number += 1
-                name = track.name + f"{BETWEEN}{number}" * (number > 1)
-                taken = part.take(np.arange(first, last + 1))
-                if whole:
-                    yield Piece(taken, name, WHOLE, masks=False)
-                    continue
-                area = stable_contact_area(iou[slice(first, last + 1), slice(first, last + 1)])
-                made_of = (
-                    f"a stable grasp: contact IOU above {definition.tau:g} between all pairs of frames, "
-                    f"{area:.3f} on average, at {1e3 * definition.contact:g} mm"
-                )
-                yield Piece(taken, name, made_of, area)
-        if number == 0:
+        for number, piece in enumerate(found, start=1):
+            name = piece.name or track.name + f"{BETWEEN}{number}" * (number > 1)
+            yield replace(piece, name=name, grasp=piece.grasp and replace(piece.grasp, sequence=track.name))
+        if number == 0 and cut.listed is None and cut.definition.rule != "touch":  # hands touch few of many objects
             kind = "no run" if whole else "no stable grasp"
-            note(f"{track.name}: {kind} of {definition.shortest} frames: skipped")
+            note(f"{track.name}: {kind} of {cut.shortest} frames: skipped")
+
+
+def _whole(track: Track, cut: Cut) -> Iterator[Piece]:
+    """What lies between the gaps of a track."""
+    for part in without_gaps(track):
+        if len(part) >= cut.shortest:
+            yield Piece(part, "", WHOLE, masks=False)
+
+
+def _found(track: Track, cut: Cut) -> Iterator[Piece]:
+    """The stable grasps of a track, as ``segment`` finds them in its whole pieces."""
+    for part in without_gaps(track):
+        known = known_clip(part)
+        iou, grasps = cut.of(known)
+        for first, last in grasps:
+            rows = slice(first, last + 1)
+            area = f"{stable_contact_area(iou[rows, rows]):.3f}"
+            made_of = f"a stable grasp: {cut.description}; contact IOU {area} on average"
+            grasp = as_listed(known, first, last)
+            area = f"{area} at {1e3 * cut.definition.contact:.0f} mm"
+            yield Piece(part.take(np.arange(first, last + 1)), "", made_of, grasp, area)
+
+
+def _listed(track: Track, cut: Cut, note: Note) -> Iterator[Piece]:
+    """The grasps of a list, in the frames in which hand and object are known."""
+    known = track.take(np.flatnonzero(_ahead(track)))
+    assert cut.listed is not None
+    for grasp in cut.listed.of(track.name, track.side, track.category):
+        rows = grasp.positions(known.frames, track.origin)
+        first, last = (f"{n:05d}" if isinstance(n, int) else n for n in (grasp.first, grasp.last))
+        name = f"{track.name}{BETWEEN}{first}-{last}"
+        if len(rows) < FEWEST:
+            note(f"{name}: hand and object are known in {len(rows)} of its frames: skipped")
+            continue
+        made_of = f"a grasp of {cut.listed.file}, frames {first} to {last}"
+        numbers = known.numbers[rows]
+        duration = float(numbers[-1] + 1 - numbers[0]) / track.fps
+        ends = known.frames[rows[0]], known.frames[rows[-1]]
+        written = ListedGrasp(track.name, track.side, track.category, *ends, grasp.duration or duration)
+        yield Piece(known.take(rows), name, made_of, written)
 
 
 def without_gaps(track: Track) -> list[Track]:
     """The parts of a track whose frames follow each other, hand and object before the camera in all of them."""
-    ahead = np.ones(len(track), dtype=bool)
-    for centre in (
-        se3.transform(track.hand.T_cam_hand, track.hand.vertices.mean(axis=1)[:, None])[:, 0],
-        se3.transform(track.T_cam_obj, track.object(0.0).centre[None])[:, 0],
-    ):
-        ahead &= (centre[:, 2] > NEAREST) & (np.linalg.norm(centre, axis=1) < FARTHEST)
-    rows = np.flatnonzero(ahead)
+    rows = np.flatnonzero(_ahead(track))
     breaks = np.flatnonzero(np.diff(track.numbers[rows]) != 1) + 1
     return [track.take(part) for part in np.split(rows, breaks) if part.size]
 
 
-def still(track: Track) -> PairwiseIou:
-    """1 for frames between which the object's joint has turned by no more than ``grasps.OPENED``, else 0."""
-    return PairwiseIou.of(np.ones((len(track), 1), dtype=bool), articulation=track.articulation)
+def _ahead(track: Track) -> Bool[ndarray, "T"]:
+    """The frames in which hand and object are before the camera."""
+    ahead = np.ones(len(track), dtype=bool)
+    for centre in (
+        se3.transform(track.hand.T_cam_hand, track.hand.vertices.mean(axis=1)[:, None])[:, 0],
+        se3.transform(track.T_cam_obj, track.mesh.centre[None])[:, 0],
+    ):
+        ahead &= (centre[:, 2] > NEAREST) & (np.linalg.norm(centre, axis=1) < FARTHEST)
+    return ahead
 
 
-def contact_iou(track: Track, definition: Definition) -> PairwiseIou:
-    """Contact IOU of all pairs of frames, 0 where the object's joint has turned in between.
+def known_clip(track: Track, name: str = "", provenance: dict[str, Any] | None = None) -> Clip:
+    """What is known of a track, as a clip without masks. Raises ``InputError`` for an object that none can have.
 
-    In contact are the vertices of the object, its joint as it was, within ``definition.contact`` of the hand.
+    The mesh of an object with a joint is that at the mean angle; the ground truth has the joint as it was.
     """
-    points = np.stack([track.surface(row)[0] for row in range(len(track))])
-    in_hand = se3.transform(se3.inverse(track.hand.T_cam_hand), points)
-    distance = moving_distance(in_hand, *close_holes(track.hand.vertices, track.hand.faces), definition.contact)
-    return PairwiseIou.of(distance <= definition.contact, articulation=track.articulation)
+    angle = 0.0 if track.articulation is None else float(track.articulation.mean())
+    mesh = track.object(angle)
+    joint = track.joint and replace(track.joint, angle=angle)
+    return Clip(
+        name=name or track.name,
+        category=track.category,
+        side=track.side,
+        fps=track.fps,
+        frames=track.frames,
+        size=track.size,
+        K=np.tile(track.K, (len(track), 1, 1)),
+        mesh=checked_mesh(track.file, mesh.vertices, mesh.faces),
+        scale="known",
+        hand=track.hand,
+        truth=Truth(track.T_cam_obj, 1.0, track.hand.T_cam_hand, track.hand.vertices, track.articulation, joint),
+        provenance=provenance or {},
+    )
 
 
 def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] | None:
     """The piece as a clip, and its masks; nothing if the object is visible in fewer than ``shortest`` frames.
 
-    Frames in which fewer than ``VISIBLE`` pixels of the object are visible are dropped. The mesh of an object with a
-    joint is that at the mean angle: within a piece, it turns by ``grasps.OPENED`` at most. Masks show it as it was.
+    Frames in which fewer than ``VISIBLE`` pixels of the object are visible are dropped. Masks show an object with a
+    joint as it was.
     """
     track, masks = piece.track, None
     if piece.masks:
@@ -151,27 +205,15 @@ def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] |
             return None
         if len(rows) < len(track):
             track = track.take(rows)
-    K = np.tile(track.K, (len(track), 1, 1))
+    provenance = track.describe(piece) | {FIRST_FRAME: track.origin}
+    if piece.grasp is not None:
+        provenance["grasp"] = piece.grasp.row()
+    made = known_clip(track, piece.name, provenance)
     try:
-        check_in_view(track.file, track.hand, K, track.size)
+        check_in_view(track.file, track.hand, made.K, track.size)
     except InputError:
         note(f"{piece.name}: the hand is outside the image in every frame: skipped")
         return None
-    mesh = track.object(0.0 if track.articulation is None else float(track.articulation.mean()))
-    made = Clip(
-        name=piece.name,
-        category=track.category,
-        side=track.side,
-        fps=track.fps,
-        frames=tuple(f"{n:0{track.digits}d}" for n in track.numbers),
-        size=track.size,
-        K=K,
-        mesh=checked_mesh(track.file, mesh.vertices, mesh.faces),
-        scale="known",
-        hand=track.hand,
-        truth=Truth(track.T_cam_obj, 1.0, track.hand.T_cam_hand, track.hand.vertices, track.articulation),
-        provenance=track.describe(piece),
-    )
     return made, masks
 
 

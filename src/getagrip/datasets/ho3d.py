@@ -16,11 +16,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from tyro.conf import arg
 
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks, ycb
@@ -30,13 +31,13 @@ from getagrip.datasets.pickled import numbers, read_dict
 from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.grasps.stable import Definition
+from getagrip.grasps.options import GraspOptions
 from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
 from getagrip.io.arguments import OptionalFolder
 from getagrip.io.files import is_plain_name, shown
 
-DEFINITION = Definition(contact=0.010)
+WITHIN_10_MM = GraspOptions(contact_mm=10.0)
 SIZE = (640, 480)
 """Width and height of HO-3D's images [px]."""
 FPS = 30.0
@@ -63,7 +64,8 @@ class Frame(NamedTuple):
 class Ho3d(TrackedDataset):
     """HO-3D: every visible stable grasp."""
 
-    definition = DEFINITION
+    grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
+    """What counts as a stable grasp."""
 
     meshes: ycb.Models = None
     """Folder of the YCB models."""
@@ -117,7 +119,7 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
         K=in_pixels(frames[0].K),
         hand=_fitted(folder, frames) if mano is None else _by_mano(mano, frames),
         T_cam_obj=np.stack([frame.T_cam_obj for frame in frames]),
-        object=lambda _: mesh,
+        mesh=mesh,
         provenance={
             "source": f"HO-3D, {name}",
             "licence": "made from HO-3D, for non-commercial research only",

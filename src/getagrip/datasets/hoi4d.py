@@ -19,10 +19,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
+from tyro.conf import arg
 
 from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks
@@ -32,18 +34,18 @@ from getagrip.datasets.pickled import numbers, read_dict
 from getagrip.datasets.tracks import MaskPair, Source, Track, check_length, in_pixels
 from getagrip.errors import InputError
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import LARGEST_FILE, checked_mesh, with_area
 from getagrip.geometry.obj import parse_obj
-from getagrip.grasps.stable import Definition
+from getagrip.grasps.definition import FEWEST
+from getagrip.grasps.options import GraspOptions
 from getagrip.hands.model import Side
 from getagrip.io import arrays
 from getagrip.io.arguments import OptionalFolder
 from getagrip.io.files import read_bytes, read_json, shown
 from getagrip.io.png import read_colour_png
 
-DEFINITION = Definition(contact=0.010)
-"""The paper's stable grasps of HOI4D."""
+PAPER = GraspOptions(tau=0.3, contact_mm=10.0, shortest=FEWEST)
+"""The paper's stable grasps of HOI4D: it states no shortest length."""
 IMAGE = (1920, 1080)
 """Width and height of HOI4D's images [px]."""
 SCALE = 0.5
@@ -64,7 +66,8 @@ SIDES: tuple[Side, ...] = ("left", "right")
 class Hoi4d(TrackedDataset):
     """HOI4D's rigid objects: every visible stable grasp."""
 
-    definition = DEFINITION
+    grasps: Annotated[GraspOptions, arg(name="")] = PAPER
+    """What counts as a stable grasp."""
 
     mano: OptionalFolder = None
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
@@ -119,7 +122,7 @@ def _read(root: Path, folder: Path, mano: Path, note: Note) -> Iterator[Track]:
             K=in_pixels(K, SCALE),
             hand=_hand([files[n] for n in frames], mano, side),
             T_cam_obj=np.stack([T_cam_obj[n] for n in frames]),
-            object=partial(_rigid, mesh),
+            mesh=mesh,
             read_masks=None if masks is None else partial(_masks, masks),
             provenance={
                 "source": f"HOI4D, {'/'.join(index)}",
@@ -133,10 +136,6 @@ def _read(root: Path, folder: Path, mano: Path, note: Note) -> Iterator[Track]:
         )
     if not hands:
         note(f"{name}: no pose of a hand: skipped")
-
-
-def _rigid(mesh: Mesh, _: float) -> Mesh:
-    return mesh
 
 
 def _numbered(folder: Path, suffix: str) -> dict[int, Path]:

@@ -14,11 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.clip import HandTrack
+from getagrip.clip import HandTrack, Joint
 from getagrip.datasets.dataset import Note
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.grasps.lists import BETWEEN, ListedGrasp
 from getagrip.hands.model import Side
 
 if TYPE_CHECKING:
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 MOST_FRAMES = 20_000
 """Of a sequence: ten times as many as the longest of these datasets has. A hand in all of them takes 0.4 GB."""
-BETWEEN = "--"
-"""Stands between subject, sequence, object and side in a clip's name."""
 MaskPair = tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]
 """Where the object is visible, and what to ignore."""
 
@@ -60,12 +59,16 @@ class Track:
     """Pinhole intrinsics [px]."""
     hand: HandTrack
     T_cam_obj: Float[ndarray, "T 4 4"]
-    object: Callable[[float], Mesh]
-    """The object with its joint at an angle [rad]; always the same where it has none."""
+    mesh: Mesh
+    """The object; where it has a joint, at ``joint.angle``."""
     provenance: dict[str, str]
     """Where hands, masks, camera and scale come from."""
+    joint: Joint | None = None
+    """Of the object, where it has one."""
     articulation: Float[ndarray, "T"] | None = None
-    """Angle of the object's joint [rad], where it has one."""
+    """Angle of the joint [rad]."""
+    origin: int = 0
+    """Number of the sequence's first frame, by which lists of grasps count."""
     other_hand: HandTrack | None = None
     """The other hand, which hides and is ignored as well, in the same frames."""
     read_masks: Callable[[int], MaskPair] | None = None
@@ -75,6 +78,11 @@ class Track:
     def name(self) -> str:
         """What its clips are called, without the count."""
         return BETWEEN.join([self.subject, self.sequence, self.category, self.side])
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of the frames."""
+        return tuple(f"{n:0{self.digits}d}" for n in self.numbers)
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -94,6 +102,12 @@ class Track:
             articulation=None if self.articulation is None else self.articulation[index],
             other_hand=None if self.other_hand is None else of(self.other_hand),
         )
+
+    def object(self, angle: float) -> Mesh:
+        """The object with its joint at an angle [rad]; always the same where it has none."""
+        if self.joint is None:
+            return self.mesh
+        return Mesh(self.joint.at(self.mesh.vertices, np.array([angle]))[0], self.mesh.faces)
 
     def surface(self, row: int) -> Surface:
         """The object in the camera frame as it was in a frame, its joint included."""
@@ -126,8 +140,10 @@ class Piece:
     """What its clip is called."""
     made_of: str
     """What it is, in words."""
-    stable_area: float = 0.0
-    """Of a stable grasp: mean contact IOU over all pairs of its frames."""
+    grasp: ListedGrasp | None = None
+    """As it stands in the list beside the clips; None of what is no grasp."""
+    stable_area: str = ""
+    """Of a grasp that was found: mean contact IOU over all pairs of its frames, and the contact's distance."""
     masks: bool = True
 
 

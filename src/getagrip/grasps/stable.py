@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -28,46 +27,17 @@ from numpy import ndarray
 from getagrip.clip import Clip
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.grasps.definition import RULES, Definition, Points, Rule
 from getagrip.metrics.contact import AREA_POINTS, close_holes, moving_distance
-from getagrip.metrics.symmetry import surface_points
+from getagrip.metrics.symmetry import at_places, surface_places
 
-Points = Literal["vertices", "area", "fragments"]
-Rule = Literal["all-pairs", "first", "consecutive"]
-"""Which pairs of frames are tested: all (Eq. 2), or those of the authors' codes, see ``stable_grasps``."""
-RULES: tuple[Rule, ...] = get_args(Rule)
 BLOCK = 128
 """Frames whose contact or IOU is computed at once."""
 FRAGMENTS = 0.01
 """Fragments of an object, as a share of its vertices."""
 OPENED = np.radians(5.0)
 """An object whose joint has rotated by more than this [rad] has been opened or closed."""
-
-
-@dataclass(frozen=True)
-class Definition:
-    """What a stable grasp is.
-
-    Attributes:
-        tau: every pair of frames has a contact IOU above this.
-        contact: points of the object are in contact within this signed distance of the hand's surface [m].
-        points: number of points of the object.
-        rule: which pairs of frames are compared.
-        shortest: number of frames of the shortest grasp.
-    """
-
-    tau: float = 0.5
-    contact: float = 0.0
-    points: Points = "vertices"
-    rule: Rule = "all-pairs"
-    shortest: int = 20
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.tau < 1.0:
-            raise UsageError(f"tau: got {self.tau:g}, expected at least 0 and below 1")
-        if not 0.0 <= self.contact <= 0.05:
-            raise UsageError(f"contact: got {1e3 * self.contact:g} mm, expected 0 to 50 mm")
-        if self.shortest < 1:
-            raise UsageError(f"shortest: got {self.shortest}, expected 1 frame or more")
 
 
 def segment(
@@ -93,21 +63,26 @@ def contact_sets(
 ) -> Bool[ndarray, "T P"]:
     """Which points of the object touch the true hand in each frame: signed distance to it at most ``threshold`` [m].
 
-    Holes of the hand (MANO's wrist) are closed. Raises ``InputError`` for a clip without ground truth.
+    An object with a joint has it as it truly was (``Truth.joint``). Holes of the hand (MANO's wrist) are closed. Raises
+    ``InputError`` for a clip without ground truth.
     """
     truth = clip.truth
     if truth is None:
         raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses, from which grasps are found")
-    local = surface_points(clip.mesh, AREA_POINTS) if points == "area" else clip.mesh.vertices
+    mesh = clip.mesh
+    on_faces = surface_places(mesh, AREA_POINTS) if points == "area" else None
     T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
     hands, faces = close_holes(truth.hand_vertices, clip.hand.faces)
-    contact = np.zeros((len(clip), len(local)), dtype=bool)
+    contact = np.zeros((len(clip), AREA_POINTS if on_faces else len(mesh.vertices)), dtype=bool)
     for rows in _blocks(len(clip)):
-        in_hand = se3.transform(T_hand_obj[rows], truth.scale * local)
+        local = truth.object_vertices(mesh.vertices, rows)
+        if on_faces:
+            local = np.stack([at_places(Mesh(vertices, mesh.faces), *on_faces) for vertices in local])
+        in_hand = se3.transform(T_hand_obj[rows], local)
         contact[rows] = moving_distance(in_hand, hands[rows], faces, threshold) <= threshold
         progress(rows.stop / len(clip))
     if points == "fragments":
-        patch = fragments(clip.mesh.vertices)
+        patch = fragments(mesh.vertices)
         return np.stack([contact[:, patch == k].any(axis=1) for k in range(patch.max() + 1)], axis=1)
     return contact
 
@@ -190,6 +165,7 @@ def stable_grasps(
       runs into a longer one is dropped, not cut.
     - ``consecutive``: frames t with IOU(t-2, t-1) > tau and IOU(t-1, t) > tau, as in the authors' HOT3D timelines:
       an interval begins two frames after its first good pair, and contacts may drift without end.
+    - ``touch``: uninterrupted contact, whatever is in contact.
 
     Raises ``UsageError`` for tau outside [0, 1), ``shortest`` below 1, and an unknown rule.
     """
@@ -202,7 +178,10 @@ def stable_grasps(
     if rule == "first":
         return _longest_whole(_ends_by_first(iou, tau), shortest)
     if rule == "consecutive":
-        return [run for run in _steady_runs(iou, tau) if run[1] - run[0] + 1 >= shortest]
+        return _runs(_steady(iou, tau), shortest)
+    if rule == "touch":
+        touched = [iou[rows, rows].diagonal() > 0.0 for rows in _blocks(len(iou))]
+        return _runs(np.concatenate(touched or [np.zeros(0, dtype=bool)]), shortest)
     raise UsageError(f"rule: got {rule!r}, expected one of {', '.join(RULES)}")
 
 
@@ -275,12 +254,17 @@ def _longest_whole(ends: Int[ndarray, "T"], shortest: int) -> list[tuple[int, in
     return sorted(taken)
 
 
-def _steady_runs(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> list[tuple[int, int]]:
-    """Runs of frames that resemble the frame before, as that one does the one before it."""
+def _steady(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> Bool[ndarray, "T"]:
+    """Frames that resemble the frame before, as that one does the one before it."""
     alike = np.zeros(len(iou), dtype=bool)
     for rows in _blocks(len(iou) - 1):
         alike[rows.start + 1 : rows.stop + 1] = iou[rows, rows.start + 1 : rows.stop + 1].diagonal() > tau
     steady = np.zeros_like(alike)
     steady[2:] = alike[1:-1] & alike[2:]
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], steady, [False]])))
-    return [(int(first), int(last) - 1) for first, last in edges.reshape(-1, 2)]
+    return steady
+
+
+def _runs(wanted: Bool[ndarray, "T"], shortest: int) -> list[tuple[int, int]]:
+    """First and last of each run of frames that are wanted, of at least ``shortest``."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]])))
+    return [(int(first), int(last) - 1) for first, last in edges.reshape(-1, 2) if last - first >= shortest]

@@ -24,7 +24,10 @@ from getagrip.clip import FINGERS, Clip, Truth
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.grasps.approximation import AxisRotation, mean_rotation, pose_hinge, rotation_hinge
-from getagrip.grasps.stable import Definition, PairwiseIou, segment
+from getagrip.grasps.cut import as_listed
+from getagrip.grasps.definition import Definition
+from getagrip.grasps.lists import ListedGrasp
+from getagrip.grasps.stable import PairwiseIou, segment
 
 MARGIN = 0.5
 """How much is measured before and after a grasp, as a share of its length."""
@@ -74,6 +77,7 @@ class StudiedGrasp:
         start: first frame.
         end: last frame, included.
         duration: duration [s].
+        listed: the same, as lists have it.
         inside: per measure, its mean over the grasp's frames; NaN where it has no value.
         outside: per measure, its mean over the frames within ``MARGIN`` before and after that do not belong to the
             grasp.
@@ -88,6 +92,7 @@ class StudiedGrasp:
     start: int
     end: int
     duration: float
+    listed: ListedGrasp
     inside: dict[str, float]
     outside: dict[str, float]
     curves: dict[str, Float[ndarray, "S"]]
@@ -166,6 +171,7 @@ def study_grasp(clip: Clip, iou: PairwiseIou, first: int, last: int) -> StudiedG
         start=first,
         end=last,
         duration=(last + 1 - first) / clip.fps,
+        listed=as_listed(clip, first, last),
         inside={name: Spread.of(values[name][is_inside]).mean for name in MEASURES},
         outside={name: Spread.of(values[name][~is_inside]).mean for name in MEASURES},
         curves={name: np.interp(TIMES, time, values[name], np.nan, np.nan) for name in MEASURES},

@@ -16,6 +16,11 @@ PIPE_WIDTH = 200
 """Columns of a pipe, which has no width of its own: enough for every table."""
 
 
+def report(words: str) -> None:
+    """Print a note, apart from the results."""
+    print(words, file=sys.stderr)
+
+
 def console() -> Console:
     """Where tables are printed."""
     from rich.console import Console

@@ -9,21 +9,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
+from tyro.conf import arg
 
 from getagrip.clip import FINGERS, HandTrack
 from getagrip.datasets import ycb
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.dexycb.recording import SIZE, Recording, Sequence, find
-from getagrip.datasets.tracks import BETWEEN, MaskPair, Piece, Source, Track
+from getagrip.datasets.tracks import MaskPair, Piece, Source, Track
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.grasps.stable import Definition
+from getagrip.grasps.definition import FEWEST
+from getagrip.grasps.lists import BETWEEN
+from getagrip.grasps.options import GraspOptions
 from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
 from getagrip.hands.model import HandModel, hand_track
@@ -32,7 +35,7 @@ from getagrip.metrics.contact import signed_distance
 if TYPE_CHECKING:
     from getagrip.geometry.render import Surface
 
-DEFINITION = Definition(contact=0.010)
+WITHIN_10_MM = GraspOptions(contact_mm=10.0)
 FPS = 30.0
 
 
@@ -40,7 +43,8 @@ FPS = 30.0
 class DexYcb(TrackedDataset):
     """DexYCB, or a packed file of its sequences: every visible stable grasp."""
 
-    definition = DEFINITION
+    grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
+    """What counts as a stable grasp."""
 
     meshes: ycb.Models = None
     """Folder of the YCB models."""
@@ -48,7 +52,8 @@ class DexYcb(TrackedDataset):
     def sources(self) -> list[Source]:
         """The sequences of DexYCB's own folder, of a packed file, or of a folder of such files."""
         models = ycb.folder(self.root, self.meshes)
-        return [Source(sequence.name, partial(_tracks, sequence, models, self.whole)) for sequence in find(self.root)]
+        shortest = self.grasps.shortest if self.grasps.listed is None else FEWEST
+        return [Source(s.name, partial(_tracks, s, models, self.whole, shortest)) for s in find(self.root)]
 
 
 @dataclass(frozen=True)
@@ -101,13 +106,13 @@ class FittedTrack(Track):
             "contact": "fingertips "
             + ", ".join(f"{finger} {1e3 * d:.1f}" for finger, d in zip(FINGERS, pads, strict=True))
             + f" mm from the object (median over frames; negative: inside), at most {-1e3 * depth.min():.1f} mm inside",
-            "stable_contact_area": f"{piece.stable_area:.3f} at {1e3 * DEFINITION.contact:.0f} mm",
+            **({"stable_contact_area": piece.stable_area} if piece.stable_area else {}),
             "dropped": f"{len(piece.track) - len(self)} frames in which the object is not visible",
         }
 
     def hand_depth(self) -> Float[ndarray, "T V"]:
         """Signed distances of the hand's vertices to the object [m], negative inside."""
-        mesh = self.object(0.0)
+        mesh = self.mesh
         points = se3.transform(se3.inverse(self.T_cam_obj) @ self.hand.T_cam_hand, self.hand.vertices)
         return signed_distance(points.reshape(-1, 3), mesh.vertices, mesh.faces).reshape(points.shape[:2])
 
@@ -120,11 +125,11 @@ def subject_of(clip_name: str) -> str:
     return subject
 
 
-def _tracks(sequence: Sequence, models: Path, whole: bool, note: Note) -> list[Track]:
+def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: Note) -> list[Track]:
     """The one track of a sequence; none where the hand is hardly ever known. Raises ``InputError``."""
     recording = sequence.read()
-    if np.count_nonzero(recording.hand_known) < DEFINITION.shortest:
-        note(f"{sequence.name}: the hand is known in fewer than {DEFINITION.shortest} frames: skipped")
+    if np.count_nonzero(recording.hand_known) < shortest:
+        note(f"{sequence.name}: the hand is known in fewer than {shortest} frames: skipped")
         return []
     mesh, hand, poses = ycb.mesh(models, recording.held), fit_hand(recording), recording.objects[recording.held]
     track = Track(
@@ -140,7 +145,7 @@ def _tracks(sequence: Sequence, models: Path, whole: bool, note: Note) -> list[T
         K=recording.K,
         hand=hand.track,
         T_cam_obj=poses.T_cam_obj[hand.frames],
-        object=lambda _: mesh,
+        mesh=mesh,
         provenance={
             "dataset": "DexYCB, CC BY-NC 4.0",
             "hands": "the generic hand, fitted to DexYCB's 21 joints over all frames: not the true surface",

@@ -3,14 +3,14 @@
 HOT3D's images are in VRS recordings, which this reader does not open. It needs none: the masks are rendered from the
 true poses of the objects and of both hands, in a pinhole that takes the place of the fisheye camera.
 
-Each hand and object of a recording is a track. It becomes a clip for every hold (``holds``), one of all frames
-(``whole``), or one for each grasp of a list (``timelines``).
+Each hand and object of a recording is a track. It becomes a clip for every hold, one of all frames (``whole``) where it
+has a hold, or one for each grasp of a list, as the authors' ``hot3d_hit.json``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,23 +21,24 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import HandTrack
-from getagrip.datasets.cutting import CutSource, TrackedDataset
+from getagrip.datasets.cutting import CutSource, TrackedDataset, pieces
 from getagrip.datasets.dataset import Note, Part
-from getagrip.datasets.hot3d import timelines
-from getagrip.datasets.hot3d.holds import DEFINITION, SHORTEST, holds, whole_tracks
 from getagrip.datasets.hot3d.recording import Recording, find, read_recording
-from getagrip.datasets.tracks import MaskPair, Source, Track
+from getagrip.datasets.tracks import MaskPair, Piece, Source, Track
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import SUFFIXES, read_mesh
+from getagrip.grasps.cut import Cut
+from getagrip.grasps.options import GraspOptions
 from getagrip.hands.model import Side
-from getagrip.io.arguments import OptionalFile
 from getagrip.io.files import is_plain_name, plain, read_json, shown
 
 if TYPE_CHECKING:
     from getagrip.geometry.render import Surface
 
+HOLDS = GraspOptions(contact_mm=5.0, points="area", rule="touch", shortest=10)
+"""Uninterrupted contact."""
 DIGITS = 6
 
 
@@ -45,43 +46,45 @@ DIGITS = 6
 class Hot3d(TrackedDataset):
     """Raw HOT3D recordings: every hold of an object by a hand."""
 
-    definition = DEFINITION
-
-    timelines: OptionalFile = None
-    """A list of grasps (hot3d_hit.json), instead of the holds found here."""
+    grasps: Annotated[GraspOptions, arg(name="")] = HOLDS
+    """What counts as a hold."""
     first_frame: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0)")] = None
     """The list's number of a recording's first frame; else the recording must be as long as the list has it."""
 
     def parts(self, note: Note) -> Sequence[Part]:
         """The recordings, cut to holds, to the grasps of a list or, if ``whole``, at gaps only."""
-        if self.timelines is None:
-            if self.first_frame is not None:
-                raise UsageError(f"--first-frame: got {self.first_frame}, expected none without --timelines")
-            cut = whole_tracks if self.whole else holds
-            return [CutSource(source, cut, SHORTEST) for source in self.sources()]
-        if self.whole:
-            raise UsageError("--timelines and --whole: name one of them")
-        listed = timelines.read(self.timelines, note)
-        frames = listed.frames if self.first_frame is None else None
-        found = [source for source in self.sources(frames) if source.name in listed.frames]
-        if not found:
-            given = f"none of the {len(listed.frames)} recordings of {listed.file}"
+        cut = self.cut(note)
+        listed = cut.listed
+        if listed is None and self.first_frame is not None:
+            raise UsageError(f"--first-frame: got {self.first_frame}, expected none without --list")
+        lengths = {} if listed is None else listed.lengths
+        found = [source for source in self.sources(lengths) if not lengths or source.name in lengths]
+        if listed is not None and not found:
+            given = f"none of the {len(lengths)} recordings of {listed.file}"
             raise InputError(self.root, "", given, "one of them at least")
-        if len(found) < len(listed.frames):
-            missing = len(listed.frames) - len(found)
-            note(f"{missing} of {len(listed.frames)} recordings of {listed.file} are not there: skipped")
-        cut = partial(listed.cut, first_frame=self.first_frame or 0)
-        return [CutSource(source, cut, timelines.FEWEST) for source in found]
+        if listed is not None and (missing := max(0, len(lengths) - len(found))):
+            note(f"{missing} of {len(lengths)} recordings of {listed.file} are not there: skipped")
+        how = partial(touching, cut=cut) if self.whole else partial(pieces, cut=cut)
+        return [CutSource(source, how, cut.shortest) for source in found]
 
-    def sources(self, frames: Mapping[str, int] | None = None) -> list[Source]:
-        """The recordings below ``root``; ``frames`` says how many frames some of them must have."""
+    def sources(self, lengths: Mapping[str, int] | None = None) -> list[Source]:
+        """The recordings below ``root``; ``lengths`` says how many frames some of them must have."""
         root = self.root.resolve()
         found = find(root)
         objects = Objects.below(root)
-        lengths = frames or {}
+        expected = (lengths or {}) if self.first_frame is None else {}
+        first = self.first_frame or 0
         return [
-            Source(name, partial(_tracks, name, files, objects, lengths.get(name))) for name, files in found.items()
+            Source(name, partial(_tracks, name, files, objects, expected.get(name), first))
+            for name, files in found.items()
         ]
+
+
+def touching(tracks: Iterable[Track], note: Note, cut: Cut) -> Iterator[Piece]:
+    """All frames of each hand and object that have a hold."""
+    for track in tracks:
+        if next(pieces([track], lambda _: None, cut), None) is not None:
+            yield from pieces([track], note, cut, whole=True)
 
 
 @dataclass(frozen=True)
@@ -126,8 +129,13 @@ class Objects:
         return meshes
 
 
-def _tracks(name: str, files: dict[str, Path], objects: Objects, frames: int | None, note: Note) -> Iterator[Track]:
-    """Every hand with every object of a recording, in the frames that have both. Raises ``InputError``."""
+def _tracks(
+    name: str, files: dict[str, Path], objects: Objects, frames: int | None, first: int, note: Note
+) -> Iterator[Track]:
+    """Every hand with every object of a recording, in the frames that have both. Raises ``InputError``.
+
+    ``first`` is a list's number of the first frame.
+    """
     folder = next(iter(files.values())).parent
     if not is_plain_name(name):
         raise InputError(folder, "", f"the name {shown(name)}", "P<person>_<id>")
@@ -142,7 +150,8 @@ def _tracks(name: str, files: dict[str, Path], objects: Objects, frames: int | N
             both = np.flatnonzero(hand.known & poses.known)
             if uid in meshes and both.size:
                 masks = partial(_masks, recording, uid, meshes, covered)
-                yield _track(folder, recording, side, uid, objects.names[uid], meshes[uid], both, masks)
+                track = _track(folder, recording, side, uid, objects.names[uid], meshes[uid], both, masks)
+                yield replace(track, origin=-first)
 
 
 def _track(
@@ -178,7 +187,7 @@ def _track(
             joints=hand.posed.joints[frames],
         ),
         T_cam_obj=T_cam_world @ recording.objects[uid].T_world_obj[frames],
-        object=lambda _: mesh,
+        mesh=mesh,
         read_masks=masks,
         provenance={
             "source": f"HOT3D, recording {recording.name}",

@@ -1,0 +1,64 @@
+"""Where sequences are cut: by the definition of a stable grasp, or by a list; in imports, ``segment`` and ``study``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from getagrip.clip import Clip
+from getagrip.grasps.definition import FEWEST, Definition
+from getagrip.grasps.lists import GraspList, ListedGrasp
+from getagrip.grasps.stable import PairwiseIou, segment
+
+FIRST_FRAME = "first_frame"
+"""In a clip's provenance: the number in the name of its sequence's first frame, by which lists count."""
+
+
+@dataclass(frozen=True)
+class Cut:
+    """How sequences are cut into stable grasps."""
+
+    definition: Definition = field(default_factory=Definition)
+    """What is found; with a list, what counts as contact."""
+    listed: GraspList | None = None
+    """The grasps, if they are not to be found."""
+
+    @property
+    def shortest(self) -> int:
+        """Frames of the shortest grasp."""
+        return self.definition.shortest if self.listed is None else FEWEST
+
+    @property
+    def description(self) -> str:
+        """In words."""
+        return self.definition.description if self.listed is None else f"the grasps of {self.listed.file}"
+
+    def record(self) -> dict[str, Any]:
+        """What identifies it, as JSON values."""
+        if self.listed is None:
+            return asdict(self.definition)
+        return {"list": self.listed.file, "sha256": self.listed.sha256}
+
+    def of(
+        self, clip: Clip, progress: Callable[[float], None] = lambda _: None
+    ) -> tuple[PairwiseIou, list[tuple[int, int]]]:
+        """Contact IOU of a clip's frames, and its grasps: first and last frame of each, both included.
+
+        Raises ``InputError`` for a clip without ground truth.
+        """
+        iou, found = segment(clip, self.definition, progress)
+        if self.listed is not None:
+            origin = clip.provenance.get(FIRST_FRAME)
+            spans = [
+                grasp.positions(clip.frames, origin if type(origin) is int else None)
+                for grasp in self.listed.of(clip.name, clip.side, clip.category)
+            ]
+            found = sorted({(int(span[0]), int(span[-1])) for span in spans if len(span) >= FEWEST})
+        return iou, found
+
+
+def as_listed(clip: Clip, first: int, last: int) -> ListedGrasp:
+    """A grasp of a clip, from its frame ``first`` to ``last``, as lists have it."""
+    duration = (last + 1 - first) / clip.fps
+    return ListedGrasp(clip.name, clip.side, clip.category, clip.frames[first], clip.frames[last], duration)

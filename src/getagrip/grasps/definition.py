@@ -1,0 +1,48 @@
+"""What a stable grasp is, as numbers and names. Light: the command line loads it to show its help."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from getagrip.errors import UsageError
+
+Points = Literal["vertices", "area", "fragments"]
+Rule = Literal["all-pairs", "first", "consecutive", "touch"]
+"""Which frames are tested: all pairs (Eq. 2), pairs as in the authors' codes, or none, see ``stable.stable_grasps``."""
+RULES: tuple[Rule, ...] = get_args(Rule)
+FEWEST = 2
+"""Frames of the shortest grasp that can be a clip: one silhouette says nothing about a motion."""
+
+
+@dataclass(frozen=True)
+class Definition:
+    """What a stable grasp is.
+
+    Attributes:
+        tau: every pair of frames has a contact IOU above this.
+        contact: points of the object are in contact within this signed distance of the hand's surface [m].
+        points: points of the object whose contact counts.
+        rule: which pairs of frames are compared.
+        shortest: number of frames of the shortest grasp.
+    """
+
+    tau: float = 0.5
+    contact: float = 0.0
+    points: Points = "vertices"
+    rule: Rule = "all-pairs"
+    shortest: int = 20
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.tau < 1.0:
+            raise UsageError(f"tau: got {self.tau:g}, expected at least 0 and below 1")
+        if not 0.0 <= self.contact <= 0.05:
+            raise UsageError(f"contact: got {1e3 * self.contact:g} mm, expected 0 to 50 mm")
+        if self.shortest < 1:
+            raise UsageError(f"shortest: got {self.shortest}, expected 1 frame or more")
+
+    @property
+    def description(self) -> str:
+        """In words: "vertices within 10 mm, IOU above 0.3, all-pairs, 2 frames or more"."""
+        tested = "any contact" if self.rule == "touch" else f"IOU above {self.tau:g}, {self.rule}"
+        return f"{self.points} within {1e3 * self.contact:g} mm, {tested}, {self.shortest} frames or more"

@@ -1,0 +1,225 @@
+"""Lists of stable grasps: those that were found, those of other people, those that were marked by hand.
+
+One format is written, the JSON of docs/formats.md:
+
+    {"version": 1, "cut": {...}, "grasps": [{"sequence": "s01--box_use_01--box--left", "side": "left", "object": "box",
+                                             "first": "00033", "last": "00073", "duration": 1.37}, ...]}
+
+Read are also a CSV of these columns, bare lists as ``annotate`` exports them, and the authors' (``timelines``).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.grasps import timelines
+from getagrip.hands.model import Side
+from getagrip.io import files
+from getagrip.io.files import plain, shown
+
+VERSION = 1
+FILE = "grasps.json"
+"""The name of the list beside the clips that were cut by it."""
+LARGEST = 64 * 2**20
+"""Limit in bytes of a list."""
+LONGEST = 86400.0
+"""No grasp lasts longer [s]."""
+LAST_FRAME = 10_000_000
+BETWEEN = "--"
+"""Stands between subject, sequence, object and side in a clip's name."""
+WHAT = "a list of grasps, CSV or JSON"
+NEEDED = ("sequence", "side", "object")
+"""Columns that no table can lack."""
+
+
+@dataclass(frozen=True)
+class ListedGrasp:
+    """An object in a hand, from the first to the last frame, both included."""
+
+    sequence: str
+    """A clip's name, or its beginning: see ``is_of``."""
+    side: Side
+    object: str
+    """Its category."""
+    first: str | int
+    """A frame's name; or a number, counted from 0 over the frames of the sequence."""
+    last: str | int
+    duration: float | None = None
+    """In seconds."""
+
+    def is_of(self, name: str, side: Side, category: str) -> bool:
+        """Whether it is a grasp of a clip or track: of its hand and object, and of its name up to a ``--``.
+
+        So ``s01--box_use_01`` is the sequence of the clip ``s01--box_use_01--box--left--2``. ``/`` or ``_`` may stand
+        between the parts as well, as in ``s01/box_use_01``.
+        """
+        if (self.side, self.object) != (side, category):
+            return False
+        parts = name.split(BETWEEN)
+        begins = [parts[:n] for n in range(min(2, len(parts)), len(parts) + 1)]
+        return any(self.sequence == between.join(begin) for begin in begins for between in (BETWEEN, "/", "_"))
+
+    def positions(self, frames: Sequence[str], origin: int | None = None) -> Int[ndarray, "n"]:
+        """Which of some frames, named in order, belong to it.
+
+        Names that are numbers are compared as numbers. ``origin`` is the number in the name of the sequence's first
+        frame; where nobody knows it, counted frames are those that are given here.
+        """
+        at, low, high = np.arange(len(frames)), self.first, self.last
+        numbered = all(name.isdecimal() for name in frames)
+        if isinstance(low, str) and isinstance(high, str):
+            if numbered and low.isdecimal() and high.isdecimal():
+                at, low, high = np.array([int(name) for name in frames]), int(low), int(high)
+            elif low in frames and high in frames:
+                low, high = frames.index(low), frames.index(high)
+            else:
+                return at[:0]
+        elif origin is not None and numbered:
+            at = np.array([int(name) for name in frames]) - origin
+        return np.flatnonzero((at >= int(low)) & (at <= int(high)))
+
+    def row(self) -> dict[str, Any]:
+        """It as it is written."""
+        named = isinstance(self.first, str)
+        frames = {"first" if named else "start": self.first, "last" if named else "end": self.last}
+        about = {"sequence": self.sequence, "side": self.side, "object": self.object}
+        return about | frames | ({} if self.duration is None else {"duration": self.duration})
+
+
+@dataclass(frozen=True)
+class GraspList:
+    """A list that was read."""
+
+    file: str
+    sha256: str
+    grasps: tuple[ListedGrasp, ...]
+    lengths: Mapping[str, int] = field(default_factory=dict)
+    """How many frames each recording has, where the list says."""
+
+    def of(self, name: str, side: Side, category: str) -> list[ListedGrasp]:
+        """The grasps of a clip or track."""
+        return [grasp for grasp in self.grasps if grasp.is_of(name, side, category)]
+
+
+def write(path: Path, grasps: Sequence[ListedGrasp], cut: Mapping[str, Any]) -> None:
+    """Write a list; ``cut`` says how it was made."""
+    files.write_json(path, {"version": VERSION, "cut": cut, "grasps": [grasp.row() for grasp in grasps]})
+
+
+def read_cut(path: Path) -> object:
+    """How a list that ``write`` has written was made. Raises ``InputError``."""
+    content = files.read_json(path)
+    _check_version(path, content)
+    return content.get("cut")
+
+
+def read(path: Path, note: Callable[[str], None] = lambda _: None) -> GraspList:
+    """A list of grasps, in any of the formats that are read. Raises ``InputError``, which names the row and the key."""
+    content = files.read_bytes(path, LARGEST)
+    checksum = sha256(content).hexdigest()
+    if content.lstrip()[:1] not in (b"[", b"{"):
+        heads, table = files.csv_rows(path, content, WHAT)
+        _check_heads(path, heads)
+        return GraspList(path.name, checksum, tuple(grasp_of(path, where, row) for where, row in table))
+    try:
+        given = json.loads(content)
+    except (ValueError, RecursionError) as error:  # RecursionError: nested thousands deep
+        raise InputError(path, "", f"text that is no JSON ({error})", WHAT) from error
+    where = ""
+    if isinstance(given, dict):
+        _check_version(path, given)
+        given, where = given.get("grasps"), "grasps"
+    if not isinstance(given, list):
+        raise InputError(path, where, shown(given), "a list of grasps")
+    for n, row in enumerate(given):
+        if not isinstance(row, dict):
+            raise InputError(path, f"{where}[{n}]", shown(row), "a grasp: an object with sequence, side and object")
+    if given and "segments" in given[0]:
+        spans, lengths = timelines.read(path, given, note)
+        return GraspList(path.name, checksum, tuple(ListedGrasp(*span) for span in spans), lengths)
+    rows = [grasp_of(path, f"{where}[{n}].", row) for n, row in enumerate(given)]
+    return GraspList(path.name, checksum, tuple(rows))
+
+
+def _check_version(path: Path, content: Mapping[str, Any]) -> None:
+    version = content.get("version")
+    if type(version) is not int or version != VERSION:
+        raise InputError(path, "version", shown(version), f"{VERSION}")
+    unknown = next((key for key in content if key not in ("version", "cut", "grasps")), None)
+    if unknown is not None:
+        raise InputError(path, plain(unknown), "an unknown key", "version, cut and grasps")
+
+
+def _check_heads(path: Path, heads: Sequence[str]) -> None:
+    for head in (*NEEDED, *heads):
+        if heads.count(head) != 1:
+            given = f"{heads.count(head)} columns of this name among {shown(heads)}"
+            raise InputError(
+                path, f"line 1, {plain(head)}", given, f"one; those of a list are {', '.join(NEEDED)}, ..."
+            )
+
+
+def grasp_of(path: Path, where: str, row: Mapping[str, Any]) -> ListedGrasp:
+    """A row, checked; ``where`` begins its key. Raises ``InputError``."""
+    sequence = row.get("sequence", row.get("clip"))
+    for key, value in (("sequence", sequence), ("object", row.get("object"))):
+        if not (isinstance(value, str) and value.strip() and value.isprintable() and len(value) <= 400):
+            raise InputError(path, f"{where}{key}", shown(value), "a name")
+    side = row.get("side")
+    if side not in ("left", "right"):
+        raise InputError(path, f"{where}side", shown(side), "left or right")
+    first, last = _frames(path, where, row)
+    duration = row.get("duration")
+    if duration is not None and duration != "":
+        duration = _seconds(path, f"{where}duration", duration)
+    return ListedGrasp(str(sequence), cast(Side, side), row["object"], first, last, duration or None)
+
+
+def _frames(path: Path, where: str, row: Mapping[str, Any]) -> tuple[str, str] | tuple[int, int]:
+    """Names of the first and the last frame; or, where there are none, their numbers from 0."""
+    if row.get("first") or row.get("last"):
+        names = []
+        for key in ("first", "last"):
+            value = row.get(key)
+            if not (isinstance(value, str) and files.is_plain_name(value)):
+                raise InputError(path, f"{where}{key}", shown(value), "the name of a frame, as a text")
+            names.append(value)
+        first, last = names
+        if first.isdecimal() and last.isdecimal() and int(last) < int(first):
+            raise InputError(path, f"{where}last", shown(last), f"{first} or later")
+        return first, last
+    start, end = (_count(path, f"{where}{key}", row.get(key)) for key in ("start", "end"))
+    if end < start:
+        raise InputError(path, f"{where}end", str(end), f"{start}, the start, or later")
+    return start, end
+
+
+def _count(path: Path, key: str, value: object) -> int:
+    number = value if type(value) is int else -1
+    if isinstance(value, str) and value.isdecimal() and len(value) < 10:
+        number = int(value)
+    if not 0 <= number <= LAST_FRAME:
+        expected = f"a frame counted from 0, up to {LAST_FRAME} (or first and last: frames' names)"
+        raise InputError(path, key, shown(value), expected)
+    return number
+
+
+def _seconds(path: Path, key: str, value: object) -> float:
+    try:
+        seconds = math.nan if isinstance(value, bool) else float(cast(Any, value))
+    except (TypeError, ValueError, OverflowError):
+        seconds = math.nan
+    if not 0.0 < seconds <= LONGEST:
+        raise InputError(path, key, plain(str(value)), f"seconds, above 0, {LONGEST:g} at most")
+    return seconds

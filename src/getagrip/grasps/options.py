@@ -1,0 +1,46 @@
+"""The options by which sequences are cut to stable grasps: the same for every importer, ``segment`` and ``study``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import arg
+
+from getagrip.grasps.definition import Definition, Points, Rule
+from getagrip.io.arguments import OptionalFile
+
+if TYPE_CHECKING:
+    from getagrip.grasps.cut import Cut
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspOptions:
+    """What a stable grasp is; or a list of the grasps."""
+
+    tau: float = 0.5
+    """In a stable grasp, the contacts of any two frames have an intersection over union (IOU) above this."""
+    contact_mm: Annotated[float, arg(metavar="MM")] = 0.0
+    """Points of the object at most this far from the hand's surface, or inside it, are in contact."""
+    points: Points = "vertices"
+    """Contact is a set of vertices, of points sampled evenly over the object's surface, or of patches."""
+    rule: Rule = "all-pairs"
+    """Frames that are compared: all (the paper's definition), all with the first, or neighbours (two weaker tests);
+    touch: none, a grasp is an uninterrupted contact."""
+    shortest: Annotated[int, arg(metavar="N")] = 20
+    """Frames of the shortest grasp."""
+    listed: Annotated[OptionalFile, arg(name="list", aliases=("--intervals",))] = None
+    """Take the grasps of this list, whatever tau, rule and shortest are: one that import, segment, study or annotate
+    wrote, or anybody's (docs/formats.md); also the authors' hot3d_hit.json."""
+
+    def definition(self) -> Definition:
+        """What counts as stable. Raises ``UsageError``."""
+        return Definition(self.tau, self.contact_mm / 1e3, self.points, self.rule, self.shortest)
+
+    def cut(self, note: Callable[[str], None]) -> Cut:
+        """How sequences are cut; the list is read. Raises ``UsageError`` and ``InputError``."""
+        from getagrip.grasps import lists
+        from getagrip.grasps.cut import Cut
+
+        return Cut(self.definition(), None if self.listed is None else lists.read(self.listed, note))
