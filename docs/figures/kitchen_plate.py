@@ -15,9 +15,10 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.annotate import labels
+from getagrip.annotate.carried_masks import Images
 from getagrip.annotate.clicked_hands import ClickedHands, hands_from_clicks
 from getagrip.annotate.labels import OBJECT, Labels
-from getagrip.annotate.propagated_masks import Images, propagate
+from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
 from getagrip.annotate.video import Video
 from getagrip.clip import Clip, read_clip, read_masks

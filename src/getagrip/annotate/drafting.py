@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from getagrip.annotate.carried_masks import Images
 from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labels import FRONT, OBJECT, Labels
-from getagrip.annotate.propagated_masks import Images, propagate
+from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
 from getagrip.annotate.tracing import traced
 from getagrip.geometry import se3
