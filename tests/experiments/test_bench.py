@@ -6,7 +6,7 @@ import csv
 import json
 import os
 import re
-from dataclasses import replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from getagrip.experiments.sources import SOURCES, samples, source_of
 from getagrip.experiments.statistics import estimate, resamples
 from getagrip.experiments.tables import LATEX, latex, markdown
 from getagrip.experiments.trials import Score, Scores
+from getagrip.fitting.departures import Departures
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.result import read_result
@@ -203,8 +204,18 @@ def test_a_setting_that_changes_nothing_shares_the_methods_results() -> None:
     assert {variant.folder for variant in ablation_variants("sca", ["static"], Options())} == {"static"}
 
 
-def test_all_methods_where_none_is_named() -> None:
-    assert [variant.folder for variant in method_variants([], Options())] == list(METHODS)
+def test_all_methods_but_the_slow_ones_where_none_is_named() -> None:
+    usual = [name for name, method in METHODS.items() if not method.slow]
+    assert [variant.folder for variant in method_variants([], Options())] == usual
+    assert [variant.folder for variant in method_variants(["paper"], Options())] == ["paper"]
+
+
+def test_departures_lead_step_by_step_from_the_paper_to_ours() -> None:
+    first, *between, last = [variant.options for variant in ablation_variants("departures", [], Options())]
+    made = [sum(asdict(options.departures).values()) for options in between]
+    assert first == Options(method="paper")
+    assert made == list(range(1, len(fields(Departures)) + 1))
+    assert last == Options(method="soft-hinge")
 
 
 @pytest.mark.slow

@@ -55,7 +55,8 @@ class Reconstruct(Command):
     """Where the results go: a folder for each clip, of the clip's name. Those that are there already are kept."""
     method: Method = "soft-hinge"
     """How the object may move in the hand. soft-hinge: about one axis, with small deviations; one-dof: about one axis
-    exactly (the paper's); static: not at all; dynamic: freely in each frame. The others are baselines."""
+    exactly; static: not at all; dynamic: freely in each frame. paper is the paper's method to the letter (half a minute
+    a clip), paper-static and paper-dynamic likewise. The others are baselines."""
     inits: Inits = 50
     """Number of initial poses: more is slower and safer."""
     init: Init = "uniform"
@@ -124,8 +125,9 @@ class Bench(Command):
     ]
     out: Folder
     """Where clips, results, tables and plots go. Called again with the same folder, it continues where it stopped."""
-    methods: Annotated[tuple[Method, ...], arg(help_behavior_hint="(default: all)")] = ()
-    """Methods to compare. Ablations compare one-dof and soft-hinge by default."""
+    methods: Annotated[tuple[Method, ...], arg(help_behavior_hint="(default: all but paper...)")] = ()
+    """Methods to compare. Ablations compare one-dof and soft-hinge by default, departures the paper's. All but the
+    paper's, which are slow and run where they are named."""
     ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_ablations)] = None
     """Compare settings of each method, instead of the methods as they are."""
     split: Annotated[

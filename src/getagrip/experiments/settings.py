@@ -12,13 +12,16 @@ import numpy as np
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
 from getagrip.errors import InputError
+from getagrip.fitting.departures import Departures
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 
 REFERENCE = "one-dof"
-"""The paper's method: what the others are compared with."""
+"""Ours after the paper, the plain hinge: what the others are compared with."""
+COMPARED = tuple(name for name, method in METHODS.items() if not method.slow)
+"""Methods that are compared where none is named."""
 CONTACT = ContactDefinition("object", 0.010)
 """Of the definitions of contact (docs/metrics.md) the one in use, unless a setting says otherwise."""
 
@@ -135,6 +138,26 @@ def _mask_noise(px: float) -> Setting:
     return Setting(f"{px:g} px", change=Noisy(Noise(mask_ragged_px=px)))
 
 
+STEPS = {
+    "+ optimiser": "optimiser",
+    "+ search": "search",
+    "+ axis start": "axis",
+    "+ choice": "choice",
+    "+ nearest pairs": "pairs",
+    "+ energy scale": "scale",
+    "+ push": "push",
+    "+ pull": "pull",
+}
+"""Departures from the paper's method, in the order in which they are added up: first how the minimum is sought, then
+what is minimised, for the first make the rest quick to measure.
+"""
+
+
+def _departures(count: int) -> Departures:
+    """The first so many of the steps."""
+    return Departures(**dict.fromkeys(list(STEPS.values())[:count], True))
+
+
 ABLATIONS: dict[str, Ablation] = {
     "physical": Ablation(
         "Weights of the physical terms, the paper's λ₂ = λ₃ without the focal length",
@@ -180,14 +203,24 @@ ABLATIONS: dict[str, Ablation] = {
         "What counts as contact: whose points, and how near",
         None,
         tuple(Setting(f"{d.side}, {d.distance}", contact=d) for d in CONTACT_DEFINITIONS),
-        tuple(METHODS),
+        COMPARED,
+    ),
+    "departures": Ablation(
+        "From the paper's method to ours: one departure more in each row",
+        "to the letter",
+        (
+            Setting("to the letter"),
+            *(Setting(label, {"departures": _departures(count)}) for count, label in enumerate(STEPS, start=1)),
+            Setting("+ soft hinge", {"method": "soft-hinge"}),
+        ),
+        ("paper",),
     ),
 }
 
 
 def method_variants(methods: Sequence[str], base: Options) -> list[Variant]:
-    """Each method as it is; all of them where none is named."""
-    named: Sequence[str] = methods or tuple(METHODS)
+    """Each method as it is; all but the slow ones where none is named."""
+    named: Sequence[str] = methods or COMPARED
     return [Variant(m, m, replace(base, method=m), AS_GIVEN, CONTACT, REFERENCE, m, m) for m in named]
 
 

@@ -57,16 +57,21 @@ class HandContacts:
     @staticmethod
     def of(hand: HandTrack, per_region: int | None = None) -> HandContacts:
         """All vertices of the regions, or at most ``per_region`` spread evenly over each."""
-        names = [*FINGERS, *sorted(set(hand.regions) - set(FINGERS))]
-        ids = [hand.regions[name] for name in names]
-        if per_region is not None:
-            ids = [i[spread_points(hand.vertices[0, i], per_region)] for i in ids]
+        ids = contact_ids(hand, per_region)
         ends = np.concatenate([[0], np.cumsum([len(i) for i in ids[: len(FINGERS)]])])
         return HandContacts(se3.transform(hand.T_cam_hand, hand.vertices[:, np.concatenate(ids)]), ends)
 
     def take(self, index: Int[ndarray, "n"]) -> HandContacts:
         """The contacts at some of the frames."""
         return HandContacts(self.position[index], self.region)
+
+
+def contact_ids(hand: HandTrack, per_region: int | None = None) -> list[Int[ndarray, "_"]]:
+    """Vertex ids of the regions, the five fingertips first: all, or at most ``per_region`` spread evenly over each."""
+    ids = [hand.regions[name] for name in (*FINGERS, *sorted(set(hand.regions) - set(FINGERS)))]
+    if per_region is None:
+        return ids
+    return [i[spread_points(hand.vertices[0, i], per_region)] for i in ids]
 
 
 def spread_points(points: Float[ndarray, "P 3"], wanted: int) -> Int[ndarray, "n"]:
@@ -104,6 +109,34 @@ def add_height(d, tolerance, m0, m1, m2, x, y, z, R, centre, scale, weight, delt
         g[i] += h * (d + tolerance) * a[i]
         for j in range(i, 7):
             H[i, j] += h * a[i] * a[j]
+
+
+@njit(**OPTIONS)
+def nearest_points(queries, points, begin, end, squared, nearest):
+    """For each query (3, V) the nearest point (3, Q) from ``begin`` to ``end``: index and squared distance (V,).
+
+    In single precision, which vectorises twice as wide, and with the queries inside, so that it vectorises at all:
+    faster than trees for some hundred points.
+    """
+    squared[:] = np.float32(np.inf)
+    nearest[:] = -1
+    for q in range(begin, end):
+        x, y, z = points[0, q], points[1, q], points[2, q]
+        for v in range(len(squared)):
+            dx, dy, dz = queries[0, v] - x, queries[1, v] - y, queries[2, v] - z
+            d = dx * dx + dy * dy + dz * dz
+            nearer = d < squared[v]
+            nearest[v] = np.int32(q) if nearer else nearest[v]
+            squared[v] = d if nearer else squared[v]
+
+
+@njit(**OPTIONS)
+def add_plane(slope, curvature, a, g, H):
+    """Add ``slope a`` to g (7,) and ``curvature a a^T`` to the upper half of H (7, 7)."""
+    for i in range(7):
+        g[i] += slope * a[i]
+        for j in range(i, 7):
+            H[i, j] += curvature * a[i] * a[j]
 
 
 @njit(**OPTIONS)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.fitting.contact import HandContacts, spread_points
@@ -61,17 +61,34 @@ def contact_of(problem: Problem, push: float, pull: float) -> Energy:
 
     ``push`` and ``pull`` are the paper's lambda_2 and lambda_3 without the focal length; weight 0 leaves a term out.
     """
-    observation, solid = problem.observation, problem.surface.solid
-    hands = {level: HandContacts.of(problem.clip.hand, count) for level, count in CONTACTS.items()}
-    unit = observation.area.mean() * observation.K[:, 0]
+    push_weight, pull_weight = contact_weights(problem, push, pull)
+    return plus(
+        push_of(problem, push_weight) if push else NOTHING,
+        pull_of(problem, pull_weight) if pull else NOTHING,
+    )
 
-    def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
-        hand = hands[level].take(index)
-        push_term = PushTerm(solid, hand, push * PUSH * unit[index])
-        pull_term = PullTerm(solid, hand, pull * PULL * unit[index])
-        return [*([push_term] if push else []), *([pull_term] if pull else [])]
 
-    return terms
+def contact_weights(problem: Problem, push: float, pull: float) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
+    """What a metre of mean push and of mean pull weighs in each frame, by the masks' mean area [px^2 / m]."""
+    unit = problem.observation.area.mean() * problem.observation.K[:, 0]
+    return push * PUSH * unit, pull * PULL * unit
+
+
+def push_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
+    """E_push, our way, by its weight in each frame [px^2 / m]."""
+    hands, solid = _contacts(problem), problem.surface.solid
+    return lambda level, index: [PushTerm(solid, hands[level].take(index), weight[index])]
+
+
+def pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
+    """E_pull, likewise."""
+    hands, solid = _contacts(problem), problem.surface.solid
+    return lambda level, index: [PullTerm(solid, hands[level].take(index), weight[index])]
+
+
+def _contacts(problem: Problem) -> dict[int, HandContacts]:
+    """What the hand touches with, at each level."""
+    return {level: HandContacts.of(problem.clip.hand, count) for level, count in CONTACTS.items()}
 
 
 def consistency_of(problem: Problem, weight: float) -> Energy:

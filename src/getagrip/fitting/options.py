@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from getagrip.errors import UsageError
+from getagrip.fitting.departures import TO_THE_LETTER, Departures
 from getagrip.fitting.methods import method_of
 
 Init = Literal["uniform", "clusters", "priors"]
@@ -41,6 +42,7 @@ class Options:
         axis: where a hinge's axis may lie: anywhere (``free``), or through the origin of the hand frame
             (``hand``).
         occlusion: leave out pixels hidden by the hand (the paper's C_o).
+        departures: what ``paper`` does our way; no other method has a choice.
     """
 
     method: str = "soft-hinge"
@@ -54,9 +56,12 @@ class Options:
     pull: float = 0.1
     axis: Literal["free", "hand"] = "free"
     occlusion: bool = True
+    departures: Departures = TO_THE_LETTER
 
     def __post_init__(self) -> None:
         method_of(self.method)
+        if self.departures != TO_THE_LETTER and self.method != "paper":
+            raise UsageError(f"departures: got some with method {self.method!r}, expected none but with 'paper'")
         if self.inits < 1 or self.frames < 2:
             raise UsageError(f"inits and frames: got {self.inits} and {self.frames}, expected at least 1 and 2")
         if (self.init == "uniform") != (self.priors is None):

@@ -64,9 +64,13 @@ class Search:
         """The stages that see some of the frames, from a motion at those of the first."""
         return self._stages(motion, self.schedule.coarse, energy)
 
-    def at_all_frames(self, motion: M) -> M:
-        """A motion at the frames of the last coarse stage, taken to those of the fine ones."""
-        return motion.resampled(self._frames(self.schedule.coarse[-1]), self._frames(self.schedule.fine[0]))
+    def at_all_frames(self, motion: M, coarse: int = -1) -> M:
+        """A motion at the frames of a coarse stage, the last one, taken to those of the fine stages."""
+        return motion.resampled(self._frames(self.schedule.coarse[coarse]), self._frames(self.schedule.fine[0]))
+
+    def at_first_frames(self, motion: M) -> M:
+        """A motion at all frames, taken to those of the first stage."""
+        return motion.resampled(np.arange(len(self.T_cam_hand)), self._frames(self.schedule.coarse[0]))
 
     def fine(self, motion: M, energy: Energy) -> Solution[M]:
         """The stages that see all frames; distinct solutions, best first."""

@@ -12,7 +12,7 @@ from numpy import ndarray
 from getagrip.errors import UsageError
 from getagrip.fitting.energy import Term
 from getagrip.fitting.energy.interaction import InteractionTerm
-from getagrip.fitting.methods import METHODS, Method, OnStage
+from getagrip.fitting.methods import METHODS, Method, OnStage, paper
 from getagrip.fitting.methods.all_frames import soft_hinge, static
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
@@ -26,7 +26,8 @@ def test_an_unknown_method_is_refused_with_the_known_ones() -> None:
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_results_have_an_axis_where_the_table_says_so(name: str) -> None:
+def test_results_have_an_axis_where_the_table_says_so(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(paper, "ITERATIONS", 5)
     result = reconstruct(*small_clip(), Options(method=name, inits=4))
     assert (result.axis is not None) == METHODS[name].has_axis
     assert result.method == name

@@ -35,36 +35,36 @@ def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> M
 
     There is no axis in the coarse stages: held to one too early, right poses lose whose motion is not quite a hinge.
     """
-    search, coarse = _search(problem, on_stage), plus(coarse_energy(problem), more)
-    relaxed = search.relax(_initial(problem), coarse)
+    search, coarse = search_of(problem, on_stage), plus(coarse_energy(problem), more)
+    relaxed = search.relax(initial_of(problem), coarse)
     motion = search.at_all_frames(search.coarse(replace(relaxed, ridge=COARSE_RIDGE), coarse).motion)
-    soft = Soft.around(_hinge(problem, motion), motion.poses(), SOFT_RIDGE)
+    soft = Soft.around(hinge_of(problem, motion), motion.poses(), SOFT_RIDGE)
     found = search.fine(soft, steady(problem, coarse))
-    return _result(found, found.motion.core)
+    return result_of(found, found.motion.core)
 
 
 def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """A hinge (Eq. 3)."""
-    search, energy = _search(problem, on_stage), total_energy(problem, ALONE)
-    motion = _hinge(problem, search.relax(_initial(problem), energy))
+    """A hinge (Eq. 3): ours, after the paper. ``methods.paper`` is the paper's method itself."""
+    search, energy = search_of(problem, on_stage), total_energy(problem, ALONE)
+    motion = hinge_of(problem, search.relax(initial_of(problem), energy))
     found = search.run(motion, energy)
-    return _result(found, found.motion)
+    return result_of(found, found.motion)
 
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:
     """One pose for all frames (paper, Sec. 5.2)."""
-    search, energy = _search(problem, on_stage), total_energy(problem, ALONE)
-    motion = search.relax(_initial(problem), energy).core
-    return _result(search.run(motion, energy))
+    search, energy = search_of(problem, on_stage), total_energy(problem, ALONE)
+    motion = search.relax(initial_of(problem), energy).core
+    return result_of(search.run(motion, energy))
 
 
 def dynamic(problem: Problem, on_stage: OnStage, energy: Energy | None = None) -> MethodResult:
     """A pose per frame (paper, Sec. 5.2), by another energy if given."""
-    search, energy = _search(problem, on_stage), energy or total_energy(problem, ALONE)
-    relaxed = search.relax(_initial(problem), energy)
+    search, energy = search_of(problem, on_stage), energy or total_energy(problem, ALONE)
+    relaxed = search.relax(initial_of(problem), energy)
     held = relaxed.poses()
     motion = Free(held.R, held.centre, relaxed.core.log_scale, relaxed.core.free_scale)
-    return _result(search.run(motion, energy))
+    return result_of(search.run(motion, energy))
 
 
 def total_energy(problem: Problem, contact: float) -> Energy:
@@ -87,23 +87,25 @@ def steady(problem: Problem, energy: Energy) -> Energy:
     return plus(energy, consistency_of(problem, STEADY * pull)) if pull else energy
 
 
-def _search(problem: Problem, on_stage: OnStage) -> Search:
+def search_of(problem: Problem, on_stage: OnStage) -> Search:
+    """The search on a clip, as long as the options say."""
     schedule = THOROUGH if problem.options.thorough else USUAL
     return Search(problem.clip.hand.T_cam_hand, problem.surface, schedule, on_stage)
 
 
-def _initial(problem: Problem) -> Fixed:
+def initial_of(problem: Problem) -> Fixed:
+    """The initial poses, at all frames."""
     options = problem.options
     return initial_poses(problem.clip, problem.masks, options.inits, options.seed, problem.prior_poses)
 
 
-def _hinge(problem: Problem, relaxed: Soft[Fixed]) -> Hinge:
+def hinge_of(problem: Problem, relaxed: Soft[Fixed]) -> Hinge:
     """The hinge nearest to a relaxed fit, its axis where the options allow it."""
     anywhere = problem.options.axis == "free"
     return Hinge.nearest(relaxed.core, relaxed.deviation, free_location=anywhere, anchor=np.zeros(3))
 
 
-def _result(found: Solution[M], hinge: Hinge | None = None) -> MethodResult:
+def result_of(found: Solution[M], hinge: Hinge | None = None) -> MethodResult:
     """The solutions, and the axis of the best."""
     axis = None
     if hinge is not None:

@@ -70,6 +70,10 @@ class Motion(Protocol):
         """Derivatives of the local 7-vectors, as seen in the hand frame, by shared and by per-frame parameters."""
         ...
 
+    def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
+        """Which shared and which per-frame parameters are in metres; the others are radians or logarithms."""
+        ...
+
     def prior(self) -> Prior: ...
 
     def retract(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Self:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, PosesInHand, Prior, no_prior
@@ -34,6 +34,9 @@ class Fixed(Batch):
         J = np.eye(7)[:, : 6 + self.free_scale]
         B, N = len(self.R), self.frames
         return np.broadcast_to(J, (B, N, *J.shape)), np.zeros((B, N, 7, 0))
+
+    def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
+        return np.arange(6 + self.free_scale) < 3, np.zeros(0, bool)
 
     def prior(self) -> Prior:
         return no_prior(len(self.R), self.frames, 0)

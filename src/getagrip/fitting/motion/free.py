@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, PosesInHand, Prior, no_prior
@@ -32,6 +32,9 @@ class Free(Batch):
         eye = np.eye(7)
         shared = np.broadcast_to(eye[:, 6:] if self.free_scale else eye[:, :0], (B, N, 7, int(self.free_scale)))
         return shared, np.broadcast_to(eye[:, :6], (B, N, 7, 6))
+
+    def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
+        return np.zeros(int(self.free_scale), bool), np.arange(6) < 3
 
     def prior(self) -> Prior:
         return no_prior(len(self.centre), self.centre.shape[1], 6)

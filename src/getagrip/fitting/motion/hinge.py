@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, PosesInHand, Prior
@@ -113,6 +113,10 @@ class Hinge(Batch):
         local[..., :3, 0] = np.cross(self.direction[:, None], arm)
         local[..., 3:6, 0] = self.direction[:, None]
         return J, local
+
+    def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
+        k = np.arange(8 + self.free_scale + 2 * self.free_location)
+        return (k < 3) | (k >= 8 + self.free_scale), np.zeros(1, bool)
 
     def prior(self) -> Prior:
         value = 0.5 * self.ridge * np.sum(self.angle**2, axis=1)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.fitting.motion.base import Batch, Motion, PosesInHand, Prior
@@ -56,6 +56,10 @@ class Soft(Batch, Generic[Core]):
         own[..., :3, :3] = np.eye(3)
         own[..., 3:6, 3:] = se3.left_jacobian(self.deviation[..., 3:])
         return _rotated(turn, shared), np.concatenate([_rotated(turn, angles), own], axis=-1)
+
+    def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
+        shared, angles = self.core.lengths()
+        return shared, np.concatenate([angles, np.arange(6) < 3])
 
     def prior(self) -> Prior:
         stiffness = np.repeat(self.ridge, 3)

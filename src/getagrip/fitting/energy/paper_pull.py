@@ -1,0 +1,112 @@
+"""E_pull as the paper has it (appendix): heights of fingertips over tangent planes of the object, signed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit
+from numpy import ndarray
+
+from getagrip.fitting.contact import HandContacts, add_plane, mirror_upper, nearest_points
+from getagrip.fitting.energy.term import PosesInCamera, Quadratic
+from getagrip.kernels.silhouette import OPTIONS
+
+
+@dataclass(frozen=True)
+class PaperPullTerm:
+    """``weight * mean over the five fingertips of <h - v, n_v>``, signed, h and v of the pair that the minimum chooses.
+
+    The paper prints ``min <h - v, n_v>`` over all pairs of a fingertip's and the object's vertices, and calls it the
+    minimum distance of all pairs. The two differ: the least *height* is that over a plane of the object's far side, and
+    decreases without end as the finger leaves. The pair of least *distance* (``nearest``) draws the finger to the
+    object, as the term is meant to; the authors' later code pairs likewise.
+
+    The value may be negative, so in a list of terms this one comes first: ``bound`` counts on later terms not being so.
+    """
+
+    vertices: Float[ndarray, "3 V"]
+    """Of the object about its centre, unscaled [m]."""
+    normals: Float[ndarray, "3 V"]
+    """Unit normals there."""
+    hand: HandContacts
+    weight: Float[ndarray, "N"]
+    """Energy per metre of mean height, per frame [px^2 / m]."""
+    nearest: bool
+    """Whether the pair of least distance is chosen, or that of least height, as printed."""
+    delta: float = 0.002
+    """Heights below this count as this in the curvature [m]."""
+    name: str = "pull"
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        found = Quadratic.zero(poses)
+        _evaluate(
+            poses.R, poses.centre, poses.scale, self.vertices, self.normals, self.hand.position, self.hand.region,
+            self.weight, self.nearest, self.delta, found.value, found.g, found.H,
+        )  # fmt: skip
+        return found
+
+
+@njit(**OPTIONS)
+def _evaluate(R, centre, scale, vertices, normals, hand, region, weight, nearest, delta, value, g, H):
+    """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
+    B, N = value.shape
+    V, fingers = vertices.shape[1], len(region) - 1
+    tips = region[fingers]
+    x, m, local = vertices.astype(np.float32), normals.astype(np.float32), np.empty((3, tips), np.float32)
+    cost, which = np.empty(V, np.float32), np.empty(V, np.int32)
+    a = np.empty(7)
+    for b in range(B):
+        for n in range(N):
+            unit = weight[n] / fingers
+            for q in range(tips):
+                r0, r1, r2 = _arm(hand[n, q], centre[b, n])
+                for k in range(3):
+                    local[k, q] = (R[b, n, 0, k] * r0 + R[b, n, 1, k] * r1 + R[b, n, 2, k] * r2) / scale[b]
+            for f in range(fingers):
+                if nearest:
+                    nearest_points(x, local, region[f], region[f + 1], cost, which)
+                else:
+                    _lowest(x, m, local, region[f], region[f + 1], cost, which)
+                at = np.argmin(cost)
+                tip = which[at]
+                if tip < 0:  # no region, or behind the camera, where nothing is a number
+                    continue
+                n0, n1, n2 = 0.0, 0.0, 0.0
+                for k in range(3):
+                    n0 += R[b, n, 0, k] * normals[k, at]
+                    n1 += R[b, n, 1, k] * normals[k, at]
+                    n2 += R[b, n, 2, k] * normals[k, at]
+                r0, r1, r2 = _arm(hand[n, tip], centre[b, n])
+                over = r0 * n0 + r1 * n1 + r2 * n2
+                height = over
+                for k in range(3):
+                    height -= scale[b] * normals[k, at] * vertices[k, at]
+                value[b, n] += unit * height
+                # It changes by -n . v - (r x n) . w + (height - r . n) l, as in ``contact.add_height``.
+                a[0], a[1], a[2] = -n0, -n1, -n2
+                a[3], a[4], a[5] = r2 * n1 - r1 * n2, r0 * n2 - r2 * n0, r1 * n0 - r0 * n1
+                a[6] = height - over
+                add_plane(unit, unit / max(abs(height), delta), a, g[b, n], H[b, n])
+            mirror_upper(H[b, n])
+
+
+@njit(**OPTIONS)
+def _arm(point, centre):
+    """From the centre to the point."""
+    return point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+
+
+@njit(**OPTIONS)
+def _lowest(x, m, points, begin, end, cost, which):
+    """For each plane (x, m), each (3, V), the lowest of the points (3, Q) from ``begin`` to ``end``, and its height."""
+    cost[:] = np.float32(np.inf)
+    which[:] = -1
+    for q in range(begin, end):
+        p0, p1, p2 = points[0, q], points[1, q], points[2, q]
+        for v in range(len(cost)):
+            height = (p0 - x[0, v]) * m[0, v] + (p1 - x[1, v]) * m[1, v] + (p2 - x[2, v]) * m[2, v]
+            lower = height < cost[v]
+            which[v] = np.int32(q) if lower else which[v]
+            cost[v] = height if lower else cost[v]

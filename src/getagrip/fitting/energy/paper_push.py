@@ -1,0 +1,102 @@
+"""E_push as the paper has it (appendix): object vertices behind the tangent planes of the hand's contact vertices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numba import njit
+from numpy import ndarray
+
+from getagrip.clip import HandTrack
+from getagrip.fitting.contact import add_plane, contact_ids, mirror_upper, nearest_points
+from getagrip.fitting.energy.term import PosesInCamera, Quadratic
+from getagrip.geometry.mesh import vertex_normals
+from getagrip.kernels.silhouette import OPTIONS
+
+
+@dataclass(frozen=True)
+class TangentPlanes:
+    """The planes that touch a hand at the vertices of all its contact regions, in the camera frame."""
+
+    point: Float[ndarray, "N 3 Q"]
+    """The vertices [m]."""
+    normal: Float[ndarray, "N 3 Q"]
+    """Unit normals, out of the hand."""
+
+    @staticmethod
+    def of(hand: HandTrack, per_region: int | None = None) -> TangentPlanes:
+        """At all vertices of the regions, or at most ``per_region`` spread evenly over each."""
+        ids = np.concatenate(contact_ids(hand, per_region))
+        R, t = hand.T_cam_hand[:, :3, :3], hand.T_cam_hand[:, :3, 3, None]
+        normals = vertex_normals(hand.vertices, hand.faces)[:, ids]
+        point, normal = R @ np.swapaxes(hand.vertices[:, ids], 1, 2) + t, R @ np.swapaxes(normals, 1, 2)
+        return TangentPlanes(np.ascontiguousarray(point), np.ascontiguousarray(normal))
+
+    def take(self, index: ndarray) -> TangentPlanes:
+        """The planes at some of the frames."""
+        return TangentPlanes(self.point[index], self.normal[index])
+
+
+@dataclass(frozen=True)
+class PaperPushTerm:
+    """``weight * sum over v in V_o of -min(0, <v - h, n_h>)``, h the contact vertex of the hand nearest to v.
+
+    The sum grows with the number of the object's vertices, and a vertex far from the hand counts, too, where it lies
+    behind the plane that is nearest. The term jumps where another contact vertex becomes the nearest.
+    """
+
+    vertices: Float[ndarray, "3 V"]
+    """Of the object about its centre, unscaled [m]."""
+    planes: TangentPlanes
+    weight: Float[ndarray, "N"]
+    """Energy per metre, per frame [px^2 / m]."""
+    delta: float = 0.002
+    """Depths below this count as this in the curvature [m]."""
+    name: str = "push"
+
+    def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
+        found = Quadratic.zero(poses)
+        _evaluate(
+            poses.R, poses.centre, poses.scale, self.vertices, self.planes.point, self.planes.normal,
+            self.weight, self.delta, found.value, found.g, found.H,
+        )  # fmt: skip
+        return found
+
+
+@njit(**OPTIONS)
+def _evaluate(R, centre, scale, vertices, point, normal, weight, delta, value, g, H):
+    """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
+    B, N = value.shape
+    V, Q = vertices.shape[1], point.shape[2]
+    arm, rough, local = np.empty((3, V)), np.empty((3, V), np.float32), np.empty((3, Q), np.float32)
+    squared, nearest = np.empty(V, np.float32), np.empty(V, np.int32)
+    a = np.empty(7)
+    for b in range(B):
+        for n in range(N):
+            for k in range(3):
+                r0, r1, r2 = scale[b] * R[b, n, k, 0], scale[b] * R[b, n, k, 1], scale[b] * R[b, n, k, 2]
+                for v in range(V):
+                    arm[k, v] = r0 * vertices[0, v] + r1 * vertices[1, v] + r2 * vertices[2, v]
+                    rough[k, v] = arm[k, v]
+                for q in range(Q):
+                    local[k, q] = point[n, k, q] - centre[b, n, k]
+            nearest_points(rough, local, 0, Q, squared, nearest)
+            for v in range(V):
+                q = nearest[v]
+                n0, n1, n2 = normal[n, 0, q], normal[n, 1, q], normal[n, 2, q]
+                x, y, z = arm[0, v], arm[1, v], arm[2, v]
+                depth = -(
+                    n0 * (x + centre[b, n, 0] - point[n, 0, q])
+                    + n1 * (y + centre[b, n, 1] - point[n, 1, q])
+                    + n2 * (z + centre[b, n, 2] - point[n, 2, q])
+                )
+                if depth > 0.0:
+                    value[b, n] += weight[n] * depth
+                    a[0], a[1], a[2] = -n0, -n1, -n2
+                    a[3], a[4], a[5] = z * n1 - y * n2, x * n2 - z * n0, y * n0 - x * n1
+                    a[6] = -(x * n0 + y * n1 + z * n2)
+                    h = weight[n] / max(depth, delta)
+                    add_plane(h * depth, h, a, g[b, n], H[b, n])
+            mirror_upper(H[b, n])
