@@ -28,9 +28,8 @@ from getagrip.experiments.sources import SOURCES, samples, source_of
 from getagrip.experiments.statistics import estimate, resamples
 from getagrip.experiments.tables import LATEX, latex, markdown
 from getagrip.experiments.trials import Score, Scores
-from getagrip.fitting.departures import Departures
 from getagrip.fitting.methods import METHODS
-from getagrip.fitting.options import Options
+from getagrip.fitting.options import Departures, Options
 from getagrip.result import read_result
 from helpers.command_line import Run
 

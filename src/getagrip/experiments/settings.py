@@ -12,9 +12,8 @@ import numpy as np
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
 from getagrip.errors import InputError
-from getagrip.fitting.departures import Departures
 from getagrip.fitting.methods import METHODS
-from getagrip.fitting.options import Options
+from getagrip.fitting.options import Departures, Options
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 

@@ -9,11 +9,10 @@ import pytest
 
 from getagrip.errors import UsageError
 from getagrip.evaluation import evaluate
-from getagrip.fitting.departures import Departures
 from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import paper
 from getagrip.fitting.motion import Fixed
-from getagrip.fitting.options import Options
+from getagrip.fitting.options import Departures, Options
 from getagrip.fitting.problem import Problem, prepare
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.fitting.solve import Status
