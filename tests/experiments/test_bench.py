@@ -20,7 +20,8 @@ from getagrip.clip import read_clip, write_clip
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.datasets.synthetic.splits import PRESETS
-from getagrip.errors import GetagripError, UsageError
+from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.evaluation import evaluate_result
 from getagrip.experiments import trials
 from getagrip.experiments.comparison import compare, groups
 from getagrip.experiments.settings import ABLATIONS, AS_GIVEN, ScaleFree, ScaleKnown, ablation_variants, method_variants
@@ -30,6 +31,7 @@ from getagrip.experiments.tables import LATEX, latex, markdown
 from getagrip.experiments.trials import Score, Scores
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures, Options
+from getagrip.grasps import lists
 from getagrip.result import read_result
 from helpers.command_line import Run
 
@@ -275,6 +277,41 @@ def test_an_ablation_changes_clips_and_draws_a_plot(made: Path, tmp_path: Path, 
     status, _, err = run("evaluate", noisy)  # its clip is no longer the one in the folder
     assert status == 1
     assert "input_sha256" in err
+
+
+def test_contact_is_measured_within_any_distance(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
+    """Of results that are there, by evaluating them again; wider contact has more points in it."""
+    from getagrip.fitting import reconstruct as module
+
+    out = tmp_path / "out"
+    call = ("bench", made, "--out", out, "--workers", "1", "--methods", "static", "--clips", "1", "--inits", "8")
+    assert run(*call)[0] == 0
+    assert "contact: object vertices within 10 mm" in (out / "methods.md").read_text()
+    monkeypatch.setattr(module, "reconstruct", lambda *_: pytest.fail("reconstructed again"))
+    written = tmp_path / "all.json"
+    assert run(*call, "--contact", "0", "2.5", "20", "--json", written)[0] == 0
+    rows = json.loads(written.read_text())["tables"][0]["rows"]
+    assert [row["row"] for row in rows] == ["static, 0 mm", "static, 2.5 mm", "static, 20 mm"]
+    assert [row["contact"] for row in rows] == ["object_0mm", "object_2.5mm", "object_20mm"]
+    (result,) = out.glob("results/static/*")
+    metrics = read_result(result)[1]["metrics"]
+    for row, mm in zip(rows, ("0", "2.5", "20"), strict=True):
+        assert row["values"]["SCA"]["mean"] == metrics[f"sca_object_{mm}mm"]
+    shares = evaluate_result(result, made)["per_frame"]
+    assert np.mean(shares["contact_share_object_0mm"]) <= np.mean(shares["contact_share_object_10mm"])
+    assert "0 done, 1 already" in run(*call, "--contact", "2.5")[1]
+    assert "contact: object vertices within 2.5 mm" in (out / "methods.tex").read_text()
+    assert run(*call, "--contact", "51")[0] == 2
+
+
+def test_the_list_beside_clips_says_what_contact_is(tmp_path: Path) -> None:
+    source = source_of(str(tmp_path))
+    assert source.contact_mm == 10.0
+    lists.write(tmp_path / "grasps.json", [], {"contact": 0.0})
+    assert source.contact_mm == 0.0
+    lists.write(tmp_path / "grasps.json", [], {"contact": "wide"})
+    with pytest.raises(InputError, match=r"grasps\.json: cut\.contact"):
+        _ = source.contact_mm
 
 
 def test_results_of_other_options_are_made_again(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:

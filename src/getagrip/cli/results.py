@@ -134,6 +134,12 @@ class Bench(Command):
         Literal["train", "test", "all"] | None, arg(help_behavior_hint="(default: test; all of a folder)")
     ] = None
     """Which part of a dataset: train is for tuning."""
+    contact: Annotated[
+        tuple[float, ...],
+        arg(metavar="MM...", help_behavior_hint="(default: 10; of a folder that import made, as its clips were cut)"),
+    ] = ()
+    """Points of the object within MM of the hand's surface are in contact, in SCA, SCA-ADD and SCA-IOU; rows for each
+    MM. The paper's is 0 on ARCTIC."""
     clips: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """Use N clips, evenly sampled."""
     preset: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_presets)] = None
@@ -169,8 +175,11 @@ class Bench(Command):
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
             priors=_priors(self.priors, self.init),
         )  # fmt: skip
-        choice = (self.methods, self.ablation, options)
-        return bench(Plan(source, self.out, self.clips, *choice, self.workers, self.overwrite, self.json), self.debug)
+        plan = Plan(
+            source, self.out, count=self.clips, methods=self.methods, ablation=self.ablation, contact_mm=self.contact,
+            options=options, workers=self.workers, overwrite=self.overwrite, json=self.json,
+        )  # fmt: skip
+        return bench(plan, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)

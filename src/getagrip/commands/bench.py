@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from getagrip.batch.clips import print_outcome
@@ -12,7 +13,7 @@ from getagrip.batch.job import Outcome
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.errors import UsageError
 from getagrip.experiments.comparison import Table, compare, groups
-from getagrip.experiments.settings import ABLATIONS, CONTACT, Variant, ablation_variants, method_variants
+from getagrip.experiments.settings import ABLATIONS, Variant, ablation_variants, method_variants
 from getagrip.experiments.sources import ClipSource, samples
 from getagrip.experiments.statistics import RESAMPLES
 from getagrip.experiments.tables import as_json, latex, markdown, terminal, write_clips_csv, write_csv
@@ -20,6 +21,7 @@ from getagrip.experiments.trials import Scores, Trial, run
 from getagrip.fitting.options import Options
 from getagrip.io import files
 from getagrip.io.terminal import console, progress_bar
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
 from getagrip.result import software
 
 
@@ -34,6 +36,8 @@ class Plan:
     methods: tuple[str, ...] = ()
     """None: all of them, or those that the ablation is about."""
     ablation: str | None = None
+    contact_mm: tuple[float, ...] = ()
+    """Thresholds of contact in the tables [mm]; none: that of the source."""
     options: Options = field(default_factory=Options)
     """What all variants have in common."""
     workers: int | None = None
@@ -47,11 +51,16 @@ class Plan:
         if self.ablation is not None and self.ablation not in ABLATIONS:
             raise UsageError(f"--ablation: got {self.ablation!r}, expected one of {', '.join(ABLATIONS)}")
 
+    @cached_property
+    def contacts(self) -> tuple[ContactDefinition, ...]:
+        """The definitions of contact in the tables. Raises ``UsageError`` for impossible ones, and ``InputError``."""
+        return at_millimetres(self.contact_mm or (self.source.contact_mm,))
+
     def variants(self) -> list[Variant]:
         """The rows of the tables."""
         if self.ablation is None:
-            return method_variants(self.methods, self.options)
-        return ablation_variants(self.ablation, self.methods, self.options)
+            return method_variants(self.methods, self.options, self.contacts)
+        return ablation_variants(self.ablation, self.methods, self.options, self.contacts)
 
     @property
     def title(self) -> str:
@@ -70,7 +79,8 @@ def bench(plan: Plan, debug: bool) -> int:
     scores = []
     results = plan.out / "results"
     distinct = tuple({variant.folder: variant for variant in variants}.values())
-    trials = [Trial(sample, distinct, results, plan.overwrite) for sample in clips]
+    contacts = tuple(dict.fromkeys((*CONTACT_DEFINITIONS, *plan.contacts)))
+    trials = [Trial(sample, distinct, results, plan.overwrite, contacts) for sample in clips]
     failures = len(bad)
     for outcome in bad:
         print_outcome(outcome, debug)
@@ -145,7 +155,8 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
         f"seed {plan.options.seed}; the same frames, masks and evaluation for all",
         "per cent, means over clips, the best bold, the second best underlined; s: median seconds for a clip",
         f"in brackets: 95 % intervals from {RESAMPLES} bootstrap resamples of {units}",
-        f"contact: {CONTACT.description}, unless the row says otherwise; a method that fails on a clip scores 0 there",
+        f"contact: {' and '.join(contact.description for contact in plan.contacts)}, unless the row says otherwise; a "
+        "method that fails on a clip scores 0 there",
         versions,
     ]
 

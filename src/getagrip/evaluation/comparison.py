@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -16,6 +16,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import (
     CONTACT_DEFINITIONS,
+    MAX_DISTANCE,
     SIDES,
     ContactDefinition,
     ContactDistances,
@@ -43,10 +44,17 @@ class Comparison:
     Attributes:
         clip: the clip, in the frames of the reconstruction.
         masks: its masks, in the same frames.
+        contacts: definitions of contact by which it is measured.
     """
 
     clip: Clip
     masks: Masks | None
+    contacts: tuple[ContactDefinition, ...] = field(default=CONTACT_DEFINITIONS, kw_only=True)
+
+    @property
+    def reach(self) -> float:
+        """Up to where distances between hand and object must be exact [m]."""
+        return max(MAX_DISTANCE, *(contact.threshold + 1e-3 for contact in self.contacts))
 
     @property
     def iou(self) -> MaskIou:
@@ -92,7 +100,9 @@ class Comparison:
         if self.clip.truth is None:
             raise MissingPartError
         clip = self.clip
-        (distances,) = contact_distances(clip.mesh, [self.true], self.clip.truth.hand_vertices, clip.hand.faces)
+        (distances,) = contact_distances(
+            clip.mesh, [self.true], self.clip.truth.hand_vertices, clip.hand.faces, self.reach
+        )
         return distances
 
     @cached_property
@@ -122,11 +132,11 @@ class Comparison:
         """How stable contact is in the reconstruction."""
         if definition.side not in self.sides:
             raise MissingPartError
-        return self._contact[definition]
+        return self._stable(definition, False)
 
     def true_contact(self, definition: ContactDefinition) -> StableContact:
         """How stable it truly is."""
-        return self._true_contact[definition]
+        return self._stable(definition, True)
 
     def depth(self, side: Side) -> Float[ndarray, "T _"]:
         """How deep [m] each point of a side lies inside the other body; not a number in frames without object."""
@@ -138,13 +148,16 @@ class Comparison:
         """How deep [m] the points of the ground truth lie inside."""
         return self.true_distances.depth(side)
 
-    @cached_property
-    def _contact(self) -> dict[ContactDefinition, StableContact]:
-        return {d: stable_contact(self.distances, d) for d in CONTACT_DEFINITIONS if d.side in self.sides}
+    def _stable(self, definition: ContactDefinition, true: bool) -> StableContact:
+        """How stable contact is, computed once by each definition."""
+        key = definition, true
+        if key not in self._known:
+            self._known[key] = stable_contact(self.true_distances if true else self.distances, definition)
+        return self._known[key]
 
     @cached_property
-    def _true_contact(self) -> dict[ContactDefinition, StableContact]:
-        return {d: stable_contact(self.true_distances, d) for d in CONTACT_DEFINITIONS}
+    def _known(self) -> dict[tuple[ContactDefinition, bool], StableContact]:
+        return {}
 
     @cached_property
     def judged_masks(self) -> Masks:

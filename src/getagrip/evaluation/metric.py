@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.evaluation.comparison import Comparison, MissingPartError
-from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
+from getagrip.metrics.contact import ContactDefinition
 
 Value = float | Float[ndarray, "T"]
 IOU_THRESHOLDS = (0.8, 0.6)
@@ -159,7 +159,7 @@ def measure(it: Comparison) -> tuple[dict[str, float], dict[str, list[float]]]:
     metrics: dict[str, float] = {}
     per_frame: dict[str, list[float]] = {}
     for metric in METRICS:
-        for contact in CONTACT_DEFINITIONS if metric.by_contact else CONTACT_DEFINITIONS[:1]:
+        for contact in it.contacts if metric.by_contact else it.contacts[:1]:
             try:
                 value = metric.of(it, contact)
             except MissingPartError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +15,7 @@ from getagrip.errors import InputError
 from getagrip.evaluation.comparison import Comparison
 from getagrip.evaluation.metric import measure
 from getagrip.io import files
-from getagrip.metrics.contact import ContactDistances, contact_distances
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, ContactDistances, contact_distances
 from getagrip.metrics.mask import MaskIou, iou_of_poses
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.result import Reconstruction, read_result
@@ -39,18 +40,23 @@ def read_evaluated(folder: Path, clips: str | Path | None = None) -> tuple[Recon
     return result, clip, find_masks(clip)
 
 
-def evaluate(result: Reconstruction, clip: Clip, masks: Masks | None = None) -> dict[str, Any]:
+def evaluate(
+    result: Reconstruction,
+    clip: Clip,
+    masks: Masks | None = None,
+    contacts: Sequence[ContactDefinition] = CONTACT_DEFINITIONS,
+) -> dict[str, Any]:
     """All metrics of a reconstruction (docs/metrics.md), at the result's frames of the clip and its masks.
 
     ``metrics`` has one number each, ``per_frame`` a list each; names end in their units. What needs masks or ground
-    truth is left out without them. Raises ``InputError`` for a frame of the result that is none of the clip's, and
-    ``UsageError`` for masks of another clip.
+    truth is left out without them. ``contacts`` are the definitions of contact by which it is measured. Raises
+    ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for masks of another clip.
     """
     if masks is not None:
         check_masks(clip, masks)
     index = clip.index_of(result.frames)
     clip, masks = clip.take(index), None if masks is None else masks.take(index)
-    it = _ResultComparison(clip, masks, ObjectTrack(result.T_hand_obj, result.scale))
+    it = _ResultComparison(clip, masks, ObjectTrack(result.T_hand_obj, result.scale), contacts=tuple(contacts))
     symmetry = None if clip.truth is None else it.symmetries.describe()
     return evaluation(it, result.method, symmetry)
 
@@ -98,7 +104,7 @@ class _ResultComparison(Comparison):
         clip, given = self.clip, self.clip.hand
         same = clip.truth is not None and np.array_equal(clip.truth.hand_vertices, given.vertices)
         tracks = [self.track, self.true] if same else [self.track]
-        return contact_distances(clip.mesh, tracks, given.vertices, given.faces)
+        return contact_distances(clip.mesh, tracks, given.vertices, given.faces, self.reach)
 
 
 def clip_of(folder: Path, result: Reconstruction, record: dict[str, Any], clips: str | Path | None) -> Clip:

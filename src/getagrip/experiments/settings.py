@@ -21,8 +21,8 @@ REFERENCE = "one-dof"
 """Ours after the paper, the plain hinge: what the others are compared with."""
 COMPARED = tuple(name for name, method in METHODS.items() if not method.slow)
 """Methods that are compared where none is named."""
-CONTACT = ContactDefinition("object", 0.010)
-"""Of the definitions of contact (docs/metrics.md) the one in use, unless a setting says otherwise."""
+CONTACTS = (ContactDefinition("object", 0.010),)
+"""Of the definitions of contact (docs/metrics.md) those in the tables, unless a run or a setting says otherwise."""
 
 
 class Change(Protocol):
@@ -85,8 +85,8 @@ class Setting:
     options: Mapping[str, Any] = field(default_factory=dict)
     """``Options`` that differ from those of the run."""
     change: Change = AS_GIVEN
-    contact: ContactDefinition = CONTACT
-    """What counts as contact in the metrics."""
+    contact: ContactDefinition | None = None
+    """What counts as contact in the metrics; None: what the run says."""
 
 
 @dataclass(frozen=True)
@@ -217,14 +217,22 @@ ABLATIONS: dict[str, Ablation] = {
 }
 
 
-def method_variants(methods: Sequence[str], base: Options) -> list[Variant]:
-    """Each method as it is; all but the slow ones where none is named."""
+def method_variants(
+    methods: Sequence[str], base: Options, contacts: Sequence[ContactDefinition] = CONTACTS
+) -> list[Variant]:
+    """Each method as it is, by each definition of contact; all but the slow ones where none is named."""
     named: Sequence[str] = methods or COMPARED
-    return [Variant(m, m, replace(base, method=m), AS_GIVEN, CONTACT, REFERENCE, m, m) for m in named]
+    plain = [Variant(m, m, replace(base, method=m), AS_GIVEN, contacts[0], REFERENCE, m, m) for m in named]
+    return by_contact(plain, contacts)
 
 
-def ablation_variants(name: str, methods: Sequence[str], base: Options) -> list[Variant]:
-    """Each method in each setting of an ablation. A setting that changes nothing shares the method's own results."""
+def ablation_variants(
+    name: str, methods: Sequence[str], base: Options, contacts: Sequence[ContactDefinition] = CONTACTS
+) -> list[Variant]:
+    """Each method in each setting of an ablation, by each definition of contact unless the ablation is about these.
+
+    A setting that changes nothing shares the method's own results.
+    """
     ablation, variants = ABLATIONS[name], []
     for method in methods or ablation.methods:
         usual = replace(base, method=method)
@@ -233,9 +241,27 @@ def ablation_variants(name: str, methods: Sequence[str], base: Options) -> list[
             same = options == usual and setting.change == AS_GIVEN
             folder = method if same else f"{method}+{name}-{_slug(setting.label)}"
             against = f"{REFERENCE}, {setting.label}" if ablation.usual is None else f"{method}, {ablation.usual}"
-            label, group, step = f"{method}, {setting.label}", method, setting.label
-            variants.append(Variant(label, folder, options, setting.change, setting.contact, against, group, step))
-    return variants
+            label, contact = f"{method}, {setting.label}", setting.contact or contacts[0]
+            variants.append(Variant(label, folder, options, setting.change, contact, against, method, setting.label))
+    own = any(setting.contact for setting in ablation.settings)
+    return variants if own else by_contact(variants, contacts)
+
+
+def by_contact(variants: Sequence[Variant], contacts: Sequence[ContactDefinition]) -> list[Variant]:
+    """The same variants by each definition of contact, which their labels name where there are several."""
+    if len(contacts) == 1:
+        return [replace(variant, contact=contacts[0]) for variant in variants]
+    return [
+        replace(
+            variant,
+            contact=contact,
+            label=f"{variant.label}, {contact.distance}",
+            against=f"{variant.against}, {contact.distance}",
+            group=f"{variant.group}, {contact.distance}",
+        )
+        for variant in variants
+        for contact in contacts
+    ]
 
 
 def _slug(label: str) -> str:

@@ -137,7 +137,9 @@ def markdown(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
 
 
 def _heading(table: Table) -> str:
-    return f"{table.title[:1].upper()}{table.title[1:]}: {table.clips} clip{'s' * (table.clips != 1)}"
+    contacts = {row.variant.contact.description for row in table.rows}
+    contact = f", contact: {contacts.pop()}" if len(contacts) == 1 else ""
+    return f"{table.title[:1].upper()}{table.title[1:]}: {table.clips} clip{'s' * (table.clips != 1)}{contact}"
 
 
 def _grid(rows: list[list[str]]) -> list[str]:
@@ -235,6 +237,7 @@ def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, Any]
                     {
                         "row": row.variant.label,
                         "method": row.variant.options.method,
+                        "contact": row.variant.contact.key,
                         "medians": row.medians,
                         "ambiguous": row.ambiguous,
                         "wrong": row.wrong,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import groupby
@@ -19,11 +20,13 @@ import getagrip
 from getagrip.batch.job import failure
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError, UsageError
+from getagrip.evaluation.metric import SCA
 from getagrip.experiments.settings import AS_GIVEN, Variant
 from getagrip.experiments.sources import Sample
 from getagrip.fitting.options import Options
 from getagrip.io import files
-from getagrip.result import is_result, read_record, software, write_result
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
+from getagrip.result import is_result, read_record, read_result, software, write_result
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,8 @@ class Trial:
     results: Path
     """Results go to ``results/<variant's folder>/<clip>``."""
     overwrite: bool
+    contacts: tuple[ContactDefinition, ...] = CONTACT_DEFINITIONS
+    """Those by which results are evaluated."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,7 @@ def run(trial: Trial) -> Scores:
         for variant in trial.variants:
             place = _place(trial, variant)
             record = None if trial.overwrite else _kept(place, _checksum(checksum, variant), variant.options)
-            if record is None:
+            if record is None or not _measured(record, trial.contacts):
                 missing.append(variant)
             else:
                 scores[variant.folder] = replace(_score(variant, record), outdated=_outdated(place))
@@ -122,14 +127,20 @@ def _try(trial: Trial, variant: Variant, changed: tuple[Clip, Masks], masks: Mas
 
     clip, place = changed[0], _place(trial, variant)
     try:
-        result = reconstruct(*changed, variant.options)
-        metrics = evaluate(result, clip, masks)["metrics"]
+        kept = None if trial.overwrite else _kept(place, checksum, variant.options)
+        result = reconstruct(*changed, variant.options) if kept is None else read_result(place)[0]
+        metrics = evaluate(result, clip, masks, trial.contacts)["metrics"]
         write_result(result, place, checksum, metrics, clip_folder=clip.folder, overwrite=True)
     except InputError:
         raise
     except Exception as error:
         return Score(variant.folder, {}, np.nan, np.nan, False, failure(clip.name, error).message, failed=True)
     return _score(variant, read_record(place))
+
+
+def _measured(record: Mapping[str, Any], contacts: Sequence[ContactDefinition]) -> bool:
+    """Whether a result was evaluated by all these definitions of contact; else only that is done again."""
+    return all(SCA.key(contact) in record["metrics"] for contact in contacts)
 
 
 def _score(variant: Variant, record: dict[str, Any]) -> Score:

@@ -124,6 +124,13 @@ def read_cut(path: Path) -> object:
     return content.get("cut")
 
 
+def metres(path: Path, key: str, value: object) -> float:
+    """A distance within which points are in contact [m]. Raises ``InputError``."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 0.05:
+        raise InputError(path, key, shown(value), "0 to 0.05 m")
+    return float(value)
+
+
 def read(path: Path, note: Callable[[str], None] = lambda _: None) -> GraspList:
     """A list of grasps, in any of the formats that are read. Raises ``InputError``, which names the row and the key."""
     content = files.read_bytes(path, LARGEST)

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, edge_table
 from getagrip.metrics.pose import ObjectTrack
@@ -33,6 +34,8 @@ THRESHOLDS = (0.0, 0.005, 0.010)
 """Contact thresholds in use [m]."""
 MAX_DISTANCE = 0.011
 """Signed distances are exact up to here [m]; beyond, they may be infinite."""
+LARGEST_MM = 50.0
+"""Largest threshold that anybody may ask for [mm]."""
 AREA_POINTS = 2000
 _POINTS: dict[Side, str] = {"object": "object vertices", "hand": "hand vertices", "area": "object points by area"}
 
@@ -52,17 +55,25 @@ class ContactDefinition:
     @property
     def distance(self) -> str:
         """The threshold as text."""
-        return f"{1e3 * self.threshold:.0f} mm"
+        return f"{1e3 * self.threshold:g} mm"
 
     @property
     def key(self) -> str:
         """Its part of the key of a metric: ``object_10mm``."""
-        return f"{self.side}_{1e3 * self.threshold:.0f}mm"
+        return f"{self.side}_{1e3 * self.threshold:g}mm"
 
     @property
     def description(self) -> str:
         """In a sentence: "object vertices within 10 mm"."""
         return f"{_POINTS[self.side]} within {self.distance}"
+
+
+def at_millimetres(thresholds: Sequence[float]) -> tuple[ContactDefinition, ...]:
+    """The paper's definition, by object vertices, at thresholds of 0 to 50 mm. Raises ``UsageError`` for others."""
+    bad = next((mm for mm in thresholds if not 0.0 <= mm <= LARGEST_MM), None)
+    if bad is not None:
+        raise UsageError(f"--contact: got {bad:g} mm, expected 0 to {LARGEST_MM:g} mm")
+    return tuple(dict.fromkeys(ContactDefinition("object", mm / 1e3) for mm in thresholds))
 
 
 CONTACT_DEFINITIONS = tuple(ContactDefinition(side, threshold) for side in SIDES for threshold in THRESHOLDS)
@@ -95,21 +106,25 @@ class ContactDistances:
 
 
 def contact_distances(
-    mesh: Mesh, tracks: Sequence[ObjectTrack], hand_vertices: Float[ndarray, "T V 3"], hand_faces: Int[ndarray, "F 3"]
+    mesh: Mesh,
+    tracks: Sequence[ObjectTrack],
+    hand_vertices: Float[ndarray, "T V 3"],
+    hand_faces: Int[ndarray, "F 3"],
+    max_distance: float = MAX_DISTANCE,
 ) -> list[ContactDistances]:
     """Distances between an object and a hand (in the hand frame), both ways, for each track of the object.
 
-    Holes of the hand are closed first. Tracks share the hand's search trees.
+    They are exact up to ``max_distance`` [m]. Holes of the hand are closed first. Tracks share the hand's search trees.
     """
     points = np.concatenate([mesh.vertices, surface_points(mesh, AREA_POINTS)])
     V, P = len(mesh.vertices), len(points)
     in_hand = np.concatenate([se3.transform(track.T_hand_obj, track.scale * points) for track in tracks], axis=1)
-    to_hand = moving_distance(in_hand, *close_holes(hand_vertices, hand_faces), MAX_DISTANCE)
+    to_hand = moving_distance(in_hand, *close_holes(hand_vertices, hand_faces), max_distance)
     out = []
     for k, track in enumerate(tracks):
         in_object = se3.transform(se3.inverse(track.T_hand_obj), hand_vertices)
         vertices = np.broadcast_to(track.scale * mesh.vertices, (len(in_object), V, 3))
-        to_object = moving_distance(in_object, vertices, mesh.faces, MAX_DISTANCE)
+        to_object = moving_distance(in_object, vertices, mesh.faces, max_distance)
         out.append(ContactDistances(to_hand[:, k * P : k * P + V], to_object, to_hand[:, k * P + V : (k + 1) * P]))
     return out
 

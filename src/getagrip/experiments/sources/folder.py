@@ -27,6 +27,16 @@ class ClipFolder(ClipSource):
     def title(self) -> str:
         return "a folder of clips"  # its path is private
 
+    @property
+    def contact_mm(self) -> float:
+        """That by which the clips were cut, as the list beside them says: 0 mm on ARCTIC, 10 mm on HOI4D."""
+        from getagrip.grasps import lists
+
+        path = Path(self.dataset) / lists.FILE
+        cut = lists.read_cut(path) if path.is_file() else None
+        contact = cut.get("contact") if isinstance(cut, dict) else None
+        return super().contact_mm if contact is None else 1e3 * lists.metres(path, "cut.contact", contact)
+
     def samples(self, clips: Path, debug: bool) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.batch.job import by_name
 

@@ -43,6 +43,11 @@ class ClipSource:
         """The dataset, whatever the split."""
         return self.dataset
 
+    @property
+    def contact_mm(self) -> float:
+        """Within how much of the hand's surface points of the object are in contact, unless the user says [mm]."""
+        return 10.0
+
     def samples(self, clips: Path, debug: bool) -> tuple[list[Sample], list[Outcome]]:
         """The clips, and what became of folders that are none. Clips that must be made go to the folder ``clips``.
 
