@@ -1,4 +1,8 @@
-"""The ARCTIC reader: on small files of its layout, with known answers, and on broken ones; it has met no real file."""
+"""The ARCTIC reader: on small files of its layout, with known answers, and on broken ones.
+
+Of the real files it has met the hands' and the objects' (``test_real_hands_and_objects``), not the cameras' nor the
+templates.
+"""
 
 from __future__ import annotations
 
@@ -35,6 +39,7 @@ from helpers.held_ball import (
     save_pickled,
     write_mano,
 )  # fmt: skip
+from helpers.paths import folder_of
 
 OPENED = 28
 """From this frame on, the joint is at another angle."""
@@ -74,20 +79,17 @@ def root(tmp_path: Path, mano: Path) -> Path:
     template.mkdir(parents=True)
     T_world_obj = se3.inverse(of["T_cam_world"]) @ of["T_cam_obj"]
     numbers = [of["angle"][:, None], se3.log_so3(T_world_obj[:, :3, :3]), 1e3 * T_world_obj[:, :3, 3]]
-    np.save(raw / "ball_use_01.object.npy", np.concatenate(numbers, axis=1))
+    np.save(raw / "ball_use_01.object.npy", np.concatenate(numbers, axis=1).astype(np.float32))
     hands: dict[str, Any] = {}
     for side in ("right", "left"):
         hand, at_rest = posed(mano, side)
         aside = se3.rigid(None, np.array([-0.14 if side == "left" else 0.0, 0.0, 0.0]))
         T = se3.inverse(of["T_cam_world"]) @ aside @ of["T_cam_hand"]
         rot, trans = global_motion(T, at_rest.joints[0])
-        hands[side] = {
-            "rot": rot,
-            "pose": np.tile(bent(side) - hand.mean, (FRAMES, 1)),
-            "trans": trans,
-            "shape": BETAS,
-            "fitting_err": np.zeros(FRAMES),
-        }
+        # float32, and the error of the fit as a list, as the real files have them
+        numbers_of = {"rot": rot, "pose": np.tile(bent(side) - hand.mean, (FRAMES, 1)), "trans": trans, "shape": BETAS}
+        hands[side] = {key: value.astype(np.float32) for key, value in numbers_of.items()}
+        hands[side]["fitting_err"] = [0.5] * FRAMES
     save_pickled(raw / "ball_use_01.mano.npy", hands)
     camera = {
         "R_k_cam_np": of["T_cam_world"][:, :3, :3],
@@ -128,9 +130,9 @@ def test_poses_and_hands_are_those_that_were_written(root: Path, mano: Path) -> 
     of = scene()
     assert (left.side, right.side) == ("left", "right")
     assert right.name == "s01--ball_use_01--ball--right"
-    np.testing.assert_allclose(right.hand.T_cam_hand, of["T_cam_hand"], atol=1e-9)
+    np.testing.assert_allclose(right.hand.T_cam_hand, of["T_cam_hand"], atol=1e-6)
     for track in (left, right):
-        np.testing.assert_allclose(track.hand.vertices[3], posed(mano, track.side)[1].vertices, atol=1e-9)
+        np.testing.assert_allclose(track.hand.vertices[3], posed(mano, track.side)[1].vertices, atol=1e-6)
     np.testing.assert_array_equal(right.numbers, np.arange(FRAMES) + OFFSET)
     mesh = ball(0.04)
     for n in (0, OPENED):  # metres from millimetres, the top turned about -z
@@ -291,6 +293,7 @@ def test_broken_cameras_are_named(root: Path, mano: Path, key: str, value: Any) 
         ("raw_seqs/s01/ball_use_01.object.npy", b"\x93NUMPY\x01\x00", "header"),
         ("raw_seqs/s01/ball_use_01.mano.npy", b"\x93NUMPY\x01\x00", "header"),
         ("raw_seqs/s01/ball_use_01.mano.npy", b"", "does not load"),
+        ("raw_seqs/s01/ball_use_01.mano.npy", b"ccommon.xdict\nxdict\n.", "common.xdict.xdict"),  # as estimates have it
         ("meta/misc.json", b"{}", "s01"),
         ("meta/misc.json", b"[]", "JSON list"),
         ("meta/misc.json", b'{"s01": {"image_size": [[2800, 2000]], "ioi_offset": 0}}', "s01.image_size"),
@@ -324,3 +327,19 @@ def test_wrong_shapes_of_poses_are_named(root: Path, mano: Path) -> None:
     np.save(root / "raw_seqs" / "s01" / "ball_use_01.object.npy", np.zeros((FRAMES, 6)))
     with pytest.raises(InputError, match=r"\(32, 6\), expected \(any, 7\)"):
         read(root, mano)
+
+
+@folder_of("GETAGRIP_ARTIGRASP")
+def test_real_hands_and_objects(folder: Path, mano: Path) -> None:
+    """ArtiGrasp holds ARCTIC's own files of these two kinds; synthetic hands take their parameters."""
+    rsc = folder / "rsc" if (folder / "rsc").is_dir() else folder
+    file = sorted(rsc.glob("arctic/*/s[0-9]*/*.object.npy"))[0]
+    poses = np.load(file)
+    assert poses.shape[1] == 7
+    hands = rsc / "mano_double" / file.parent.name / file.name.replace(".object.", ".mano.")
+    T_cam_world = np.tile(np.eye(4), (len(poses), 1, 1))
+    read = arctic._hands(hands, mano, T_cam_world, len(poses))
+    joints = np.load(rsc / "mano_double" / "ee" / file.parent.name / file.name.replace(".object.npy", "_r.npy"))
+    right = np.arange(3, 32 * (len(poses) // 32))
+    wrists = read["right"].T_cam_hand[right] @ np.append(posed(mano, "right")[0].model.joints[0], 1.0)
+    assert np.median(np.linalg.norm(wrists[:, :3] - joints[right, 0], axis=1)) < 0.02  # of another hand's shape

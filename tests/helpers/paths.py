@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -13,3 +14,12 @@ DATA = ROOT.parent / "shared" / "data"
 def needs(path: Path) -> pytest.MarkDecorator:
     """Skip a test where some of ``DATA`` is absent."""
     return pytest.mark.skipif(not path.exists(), reason=f"needs {path.relative_to(ROOT.parent)} beside the checkout")
+
+
+def folder_of(variable: str) -> pytest.MarkDecorator:
+    """Give a test the ``folder`` that an environment variable names; skip it where none is named."""
+    named = os.environ.get(variable)
+    reason = f"needs {variable}, the folder of a dataset (CONTRIBUTING.md)"
+    return pytest.mark.parametrize(
+        "folder", [pytest.param(Path(named or "."), marks=pytest.mark.skipif(named is None, reason=reason))], ids=[""]
+    )

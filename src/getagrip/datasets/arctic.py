@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 from tyro.conf import arg
 
@@ -220,9 +220,14 @@ def read_template(folder: Path) -> Template:
     if top.shape != (len(vertices),) or not np.isin(top, (0, 1)).all():
         given = f"{top.shape[0]} numbers" if top.ndim == 1 else "something else"
         raise InputError(parts, "", given, f"0 or 1 for each of the {len(vertices)} vertices of mesh.obj")
-    T = neutral_frame(Mesh(vertices, faces))
-    joint = Joint(moves=top == 1, point=T[:3, 3], direction=-T[:3, 2])  # about -z of the template's frame
-    return Template(Mesh(se3.transform(T, vertices), faces), joint, T)
+    return in_neutral_frame(Mesh(vertices, faces), top == 1)
+
+
+def in_neutral_frame(mesh: Mesh, top: Bool[ndarray, "V"]) -> Template:
+    """An object of ARCTIC, given as ARCTIC has it [m], whose ``top`` turns about -z of that frame."""
+    T = neutral_frame(mesh)
+    joint = Joint(moves=top, point=T[:3, 3], direction=-T[:3, 2])
+    return Template(Mesh(se3.transform(T, mesh.vertices), mesh.faces), joint, T)
 
 
 def neutral_frame(mesh: Mesh) -> Float[ndarray, "4 4"]:

@@ -17,19 +17,17 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import FINGERS, HandTrack
-from getagrip.datasets import ycb
+from getagrip.datasets import fitted_hands, ycb
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.dexycb.recording import SIZE, Recording, Sequence, find
+from getagrip.datasets.fitted_hands import describe_fit
 from getagrip.datasets.tracks import MaskPair, Piece, Source, Track
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.grasps.definition import FEWEST
 from getagrip.grasps.lists import BETWEEN
 from getagrip.grasps.options import GraspOptions
-from getagrip.hands import generic
-from getagrip.hands.fit import fit_joints
-from getagrip.hands.model import HandModel, hand_track
 from getagrip.metrics.contact import signed_distance
 
 if TYPE_CHECKING:
@@ -88,7 +86,6 @@ class FittedTrack(Track):
     def describe(self, piece: Piece) -> dict[str, Any]:
         """The provenance of the clip that a piece becomes, with what is to be known before trusting its hand."""
         first, last = piece.track.numbers[[0, -1]]
-        off = 1e3 * self.residuals
         depth = self.hand_depth()
         pads = [np.median(depth[:, self.hand.regions[finger]].min(axis=1)) for finger in FINGERS]
         return {
@@ -97,8 +94,7 @@ class FittedTrack(Track):
             "licence": "made from DexYCB, CC BY-NC 4.0",
             "hands": "the generic hand, fitted to DexYCB's 21 joints over all frames of the sequence: not the true "
             "surface",
-            "hand_fit": f"joints {np.sqrt(np.mean(off**2)):.1f} mm off (root mean square; median "
-            f"{np.median(off):.1f}, worst {off.max():.1f})",
+            "hand_fit": describe_fit(self.residuals),
             "masks": "rendered from the true poses, hidden by the fitted hand"
             + " and by the other objects that have a mesh" * self.others,
             "camera": self.provenance["camera"],
@@ -177,27 +173,5 @@ def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> MaskPair:
 def fit_hand(recording: Recording) -> Hand:
     """The generic hand in every frame that has joints, of one shape. Raises ``InputError`` where they are no hand's."""
     joints = recording.joints[recording.hand_known]
-    model = generic.load(recording.side)
-    try:
-        fit = fit_joints(model, joints, "openpose")
-    except UsageError as error:
-        raise InputError(recording.file, recording.sequence, str(error), "the 21 joints of a hand") from error
-    posed = model.with_shape(_with_girth(model, fit.shape, joints)).with_pose(fit.pose)
-    track = hand_track(posed, fit.hand.T_cam_hand)
-    residuals = np.linalg.norm(se3.transform(track.T_cam_hand, posed.joints) - joints, axis=-1)
-    return Hand(track, np.flatnonzero(recording.hand_known), residuals)
-
-
-def _with_girth(model: HandModel, shape: Float[ndarray, "S"], joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "S"]:
-    """The shape with fingers as thick as the hand is long: joints say nothing about girth, but enlarge it by chance."""
-    length = np.median(_length(joints)) / _length(model.with_shape().with_pose().joints)
-    shape = shape.copy()
-    shape[model.shape_names.index("thickness")] = length - 1.0 - shape[model.shape_names.index("size")]
-    return shape
-
-
-def _length(joints: Float[ndarray, "*batch 21 3"]) -> Float[ndarray, "*batch"]:
-    """Mean over the four fingers of the length along the bones from the wrist to the tip [m]."""
-    wrist = np.broadcast_to(joints[..., None, :1, :], (*joints.shape[:-2], 4, 1, 3))
-    chains = np.concatenate([wrist, joints[..., 5:, :].reshape(*joints.shape[:-2], 4, 4, 3)], axis=-2)
-    return np.asarray(np.linalg.norm(np.diff(chains, axis=-2), axis=-1).sum(axis=-1).mean(axis=-1))
+    fitted = fitted_hands.fit_hand(recording.file, recording.sequence, recording.side, joints)
+    return Hand(fitted.track, np.flatnonzero(recording.hand_known), fitted.residuals)

@@ -1,0 +1,220 @@
+"""Any motion capture of hands and objects, brought into one layout (docs/formats.md#tracks): no MANO is needed.
+
+A file is one sequence of one object with one or two hands:
+
+    <anything>.npz   joints_left, joints_right   (T, 21, 3): joints in the world [m], NaN where unknown; one or both
+                     order                       text: openpose or ho3d, the order of the joints
+                     T_world_obj                 (T, 4, 4): object to world [m], NaN where unknown
+                     mesh                        text: name of the mesh's file, in the same folder [m]
+                     fps                         frames per second
+                     category, subject, sequence texts; they name the clips
+    optional         frames                      (T,): numbers of the frames, rising; by default from 0
+                     source, licence             texts, for the provenance
+                     articulation                (T,): angle of the object's joint [rad]
+                     mesh_top, joint             text: the mesh of the part that turns; (2, 3): a point of the axis [m],
+                                                 its direction, in the object's frame
+                     K, size, T_cam_world        (3, 3), (2,) [px], (4, 4) or (T, 4, 4): the camera; all three or none
+
+Without a camera, one is assumed (``assumed_camera``), and z must be up in the world. Meshes are made fine enough for
+contact to be counted by their vertices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+from numpy import ndarray
+from tyro.conf import arg
+
+from getagrip.clip import Joint
+from getagrip.datasets.assumed_camera import Camera
+from getagrip.datasets.cutting import TrackedDataset
+from getagrip.datasets.dataset import Note
+from getagrip.datasets.joint_tracks import Motion, tracks
+from getagrip.datasets.tracks import Source, Track, check_length
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.mesh_files import read_mesh
+from getagrip.geometry.subdivide import fine
+from getagrip.grasps.options import GraspOptions
+from getagrip.hands.fit import ORDERS
+from getagrip.hands.model import Side
+from getagrip.io import arrays
+from getagrip.io.files import inside, is_plain_name, shown
+
+SIDES: tuple[Side, ...] = ("left", "right")
+NAMES = ("category", "subject", "sequence")
+CAMERA = ("K", "size", "T_cam_world")
+JOINT = ("articulation", "mesh_top", "joint")
+TEXTS = ("source", "licence")
+KEYS = {*(f"joints_{side}" for side in SIDES), "order", "T_world_obj", "mesh", "fps", "frames"} | {
+    *NAMES,
+    *CAMERA,
+    *JOINT,
+    *TEXTS,
+}
+WITHIN_10_MM = GraspOptions(contact_mm=10.0)
+FASTEST = 1000.0
+"""Frames per second."""
+
+Arrays = dict[str, Shaped[ndarray, "..."]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tracks(TrackedDataset):
+    """Any motion capture: files of joints and object poses (docs/formats.md): every visible stable grasp."""
+
+    grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
+    """What counts as a stable grasp."""
+
+    def sources(self) -> list[Source]:
+        """The file ``root``, or the files in a folder."""
+        files = [self.root] if self.root.is_file() else sorted(self.root.glob("*.npz"))
+        if not files:
+            raise InputError(self.root, "", "no .npz file", "a file of tracks, or a folder of them")
+        return [Source(file.stem, partial(_read, file)) for file in files]
+
+
+def _read(file: Path, note: Note) -> Iterator[Track]:
+    """The object in each hand, in the frames in which all that the file holds is known."""
+    given = arrays.read(file, KEYS.__contains__)
+    order = _order(file, given)
+    category, subject, sequence = (_name(file, given, key) for key in NAMES)
+    given_sides = [side for side in SIDES if f"joints_{side}" in given]
+    if not given_sides:
+        raise InputError(file, "joints_left, joints_right", "none of them", "the joints of a hand or of both")
+    poses = _maybe_unknown(file, given, "T_world_obj", (-1, 4, 4))
+    T = len(poses)
+    check_length(file, "T_world_obj", T)
+    joints = {side: _maybe_unknown(file, given, f"joints_{side}", (T, 21, 3)) for side in given_sides}
+    known = np.isfinite(poses).all(axis=(1, 2))
+    for of_side in joints.values():
+        known &= np.isfinite(of_side).all(axis=(1, 2))
+    rows = np.flatnonzero(known)
+    if rows.size < 2:
+        note(f"{file.name}: hands and object are known in {rows.size} of {T} frames: skipped")
+        return
+    if not se3.is_rigid(poses[rows]).all():
+        raise InputError(file, "T_world_obj", "matrices that are no rigid motions", "rotations and translations [m]")
+    mesh, joint = _object(file, given)
+    yield from tracks(
+        Motion(
+            file=file,
+            subject=subject,
+            sequence=sequence,
+            category=category,
+            fps=_rate(file, given),
+            numbers=_numbers(file, given, T)[rows],
+            joints={side: of_side[rows][:, order] for side, of_side in joints.items()},
+            T_world_obj=poses[rows],
+            mesh=mesh,
+            joint=joint,
+            articulation=_angles(file, given, T, rows),
+            camera=_camera(file, given, T, rows),
+            provenance={
+                "source": f"{file.name}, {subject}/{sequence}",
+                **{key: _text(file, given, key) for key in TEXTS if key in given},
+                "scale": f"the file's mesh, taken as of true size; long edges halved: {len(mesh.vertices)} vertices",
+            },
+        )
+    )
+
+
+def _object(file: Path, given: Arrays) -> tuple[Mesh, Joint | None]:
+    """The object of its mesh, or of two where it has a joint."""
+    has = [key for key in JOINT if key in given]
+    if has and len(has) < len(JOINT):
+        raise InputError(file, ", ".join(JOINT), f"only {', '.join(has)}", "all of them, or none")
+    parts = []
+    for key in ("mesh", "mesh_top") if has else ("mesh",):
+        parts.append(read_mesh(inside(file.parent, _text(file, given, key), key, "a mesh in the same folder", file)))
+    mesh, part = fine(parts)
+    if not has:
+        return mesh, None
+    point, direction = arrays.floats(file, given, "joint", (2, 3))
+    length = float(np.linalg.norm(direction))
+    if length < 1e-6:
+        raise InputError(file, "joint", "a direction of length 0", "a direction of the axis")
+    return mesh, Joint(moves=part == 1, point=point, direction=direction / length)
+
+
+def _angles(file: Path, given: Arrays, T: int, rows: Int[ndarray, "n"]) -> Float[ndarray, "n"] | None:
+    return arrays.floats(file, given, "articulation", (T,))[rows] if "articulation" in given else None
+
+
+def _camera(file: Path, given: Arrays, T: int, rows: Int[ndarray, "n"]) -> Camera | None:
+    """The file's camera in some of its frames; none where it has none."""
+    has = [key for key in CAMERA if key in given]
+    if not has:
+        return None
+    if len(has) < len(CAMERA):
+        raise InputError(file, ", ".join(CAMERA), f"only {', '.join(has)}", "all of them, or none")
+    K = arrays.floats(file, given, "K", (3, 3))
+    width, height = (float(n) for n in arrays.floats(file, given, "size", (2,), kinds="iuf"))
+    if not (1 <= width <= 10_000 and 1 <= height <= 10_000 and width % 1 == height % 1 == 0):
+        raise InputError(file, "size", f"{width:g} x {height:g}", "width and height in pixels, 1 to 10000")
+    T_cam_world = arrays.floats(file, given, "T_cam_world", (4, 4) if given["T_cam_world"].ndim == 2 else (T, 4, 4))
+    if not se3.is_rigid(T_cam_world).all():
+        raise InputError(file, "T_cam_world", "what is no rigid motion", "rotations and translations [m]")
+    return Camera(K, (int(width), int(height)), np.broadcast_to(T_cam_world, (T, 4, 4))[rows], "the file's own")
+
+
+def _numbers(file: Path, given: Arrays, T: int) -> Int[ndarray, "T"]:
+    """Numbers of all frames."""
+    if "frames" not in given:
+        return np.arange(T)
+    numbers = arrays.floats(file, given, "frames", (T,), kinds="iu").astype(np.int64)
+    if numbers[0] < 0 or np.any(np.diff(numbers) <= 0) or numbers[-1] >= 10**9:
+        raise InputError(file, "frames", shown(numbers[:8].tolist()), "rising numbers from 0 to 999999999")
+    return numbers
+
+
+def _rate(file: Path, given: Arrays) -> float:
+    fps = float(arrays.floats(file, given, "fps", (), kinds="iuf"))
+    if not 0.0 < fps <= FASTEST:
+        raise InputError(file, "fps", f"{fps:g}", f"frames per second, up to {FASTEST:g}")
+    return fps
+
+
+def _maybe_unknown(file: Path, given: Arrays, key: str, shape: tuple[int, ...]) -> Float[ndarray, "T ..."]:
+    """An array in which whole frames may be NaN. Raises ``InputError`` also for frames of which only a part is."""
+    if key in given and given[key].dtype.kind == "f" and given[key].ndim == len(shape):
+        values = given[key].astype(float)
+        unknown = np.asarray(np.isnan(values).all(axis=tuple(range(1, len(shape)))))
+        values[unknown] = 0.0
+        values = arrays.floats(file, {key: values}, key, shape)
+        values[unknown] = np.nan
+        return values
+    return arrays.floats(file, given, key, shape)
+
+
+def _text(file: Path, given: Arrays, key: str) -> str:
+    if key not in given:
+        raise InputError(file, key, "no such array", "a text")
+    value = given[key]
+    if value.dtype.kind != "U" or value.ndim != 0 or not 0 < len(str(value)) <= 200 or not str(value).isprintable():
+        raise InputError(file, key, f"{value.dtype} of shape {value.shape}", "a text of up to 200 printable characters")
+    return str(value)
+
+
+def _name(file: Path, given: Arrays, key: str) -> str:
+    name = _text(file, given, key)
+    if not is_plain_name(name):
+        raise InputError(file, key, shown(name), "a name that can be part of a folder's")
+    return name
+
+
+def _order(file: Path, given: Arrays) -> list[int]:
+    """Where each of this package's joints stands in the file."""
+    order = _text(file, given, "order")
+    for name, places in ORDERS.items():
+        if order == name:
+            return places
+    raise InputError(file, "order", shown(order), f"one of {', '.join(ORDERS)}")

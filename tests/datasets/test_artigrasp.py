@@ -1,0 +1,129 @@
+"""ArtiGrasp's copy of ARCTIC: its traps, on small files of its layout with known answers; and real ones if present."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from getagrip.datasets import arctic, artigrasp, cutting
+from getagrip.datasets.artigrasp import ArtiGrasp
+from getagrip.datasets.tracks import Track
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.hands.fit import ORDERS
+from helpers.paths import folder_of
+from helpers.recorded_joints import FRAMES, OPENED, TAKEN, recording, write_parts
+
+SEQUENCE = "box_use_01"
+HO3D = np.argsort(ORDERS["ho3d"])
+"""Where each of HO-3D's joints stands in this package's order."""
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """ArtiGrasp's folder with one sequence, its joints wrong where the real ones are."""
+    rsc, of = tmp_path / "rsc", recording()
+    ee, box = rsc / "mano_double" / "ee" / "s1", rsc / "arctic" / "box"
+    (box / "s1").mkdir(parents=True)
+    ee.mkdir(parents=True)
+    wrong = (np.arange(FRAMES) < 3) | (np.arange(FRAMES) >= 32 * (FRAMES // 32))
+    for side, letter in (("left", "l"), ("right", "r")):
+        joints = of.joints[side][:, HO3D].copy()
+        joints[wrong] = joints[0]
+        joints[wrong] *= 0.7
+        np.save(ee / f"{SEQUENCE}_{letter}.npy", joints)
+    R, t = of.T_world_obj[:, :3, :3], of.T_world_obj[:, :3, 3]
+    poses = np.concatenate([of.angle[:, None], se3.log_so3(R), 1e3 * t], axis=1).astype(np.float32)
+    np.save(box / "s1" / f"{SEQUENCE}.object.npy", poses)
+    write_parts(box / "bottom_watertight_tiny.obj", box / "top_watertight_tiny.obj")
+    return tmp_path
+
+
+def read(root: Path) -> list[Track]:
+    """The tracks of the one sequence, the left hand's first."""
+    (source,) = ArtiGrasp(root=root).sources()
+    assert source.name == f"s1/{SEQUENCE}"
+    return list(source.read(lambda _: None))
+
+
+def template(root: Path) -> arctic.Template:
+    """The box."""
+    return artigrasp._template(root / "rsc" / "arctic" / "box")
+
+
+def test_wrong_frames_are_left_out_and_hands_are_where_they_are(root: Path) -> None:
+    left, right = read(root)
+    assert (left.side, right.side) == ("left", "right")
+    of = recording()
+    for track in (left, right):
+        np.testing.assert_array_equal(track.numbers, np.arange(3, 64))
+        assert "guess" in track.provenance["camera"]
+        assert track.other_hand is not None
+    T_hand_obj = se3.inverse(right.hand.T_cam_hand) @ right.T_cam_obj @ template(root).T_neutral_template
+    expected = (se3.inverse(of.T_world_hand) @ of.T_world_obj)[right.numbers]
+    np.testing.assert_allclose(T_hand_obj[:, :3, 3], expected[:, :3, 3], atol=5e-3)
+    assert np.degrees(se3.angle_between(T_hand_obj[:, :3, :3], expected[:, :3, :3]).max()) < 5.0
+
+
+def test_the_object_is_in_metres_and_its_top_turns_about_minus_z(root: Path) -> None:
+    right = read(root)[1]
+    T_template_obj = se3.inverse(template(root).T_neutral_template)
+    closed, opened = (se3.transform(T_template_obj, right.object(angle).vertices) for angle in (0.0, 0.5))
+    assert np.ptp(closed, axis=0) == pytest.approx([0.07, 0.063, 0.05], abs=1e-9)
+    turns = np.linalg.norm(opened - closed, axis=1) > 1e-9
+    np.testing.assert_array_equal(turns, closed[:, 1] < -0.0255)  # the lid, no more
+    np.testing.assert_allclose(opened[turns], closed[turns] @ se3.exp_so3(np.array([0.0, 0.0, 0.5])), atol=1e-9)
+    moved = np.linalg.norm(np.diff((right.T_cam_obj @ template(root).T_neutral_template)[:, :3, 3], axis=0), axis=1)
+    true = np.linalg.norm(np.diff(recording().T_world_obj[right.numbers, :3, 3], axis=0), axis=1)
+    np.testing.assert_allclose(moved, true, atol=1e-6)  # a fixed camera keeps distances
+
+
+def test_meshes_have_enough_vertices_to_count_contact(root: Path) -> None:
+    assert 2000 < len(read(root)[1].object(0.0).vertices) < 9000  # of boxes with 8 each
+
+
+def test_a_grasp_ends_where_the_joint_turns(root: Path) -> None:
+    found = list(cutting.pieces(read(root), print, ArtiGrasp(root=root).cut(print)))
+    spans = [(p.track.side, int(p.track.numbers[0]), int(p.track.numbers[-1])) for p in found]
+    assert spans == [("right", TAKEN, OPENED - 1)]  # the left hand holds nothing
+    provenance = found[0].track.describe(found[0])
+    assert found[0].name == f"s1--{SEQUENCE}--box--right"
+    assert "non-commercial" in provenance["licence"]
+    assert "guess" in provenance["camera"]
+
+
+def test_broken_files_are_refused_by_name(root: Path) -> None:
+    joints = root / "rsc" / "mano_double" / "ee" / "s1" / f"{SEQUENCE}_l.npy"
+    good = np.load(joints)
+    for bad, key in ((good[:-1], "shape"), (good.astype(object), "Python objects"), (good * 1e3, "metre")):
+        np.save(joints, bad)
+        with pytest.raises(InputError, match=key):
+            read(root)
+    joints.unlink()
+    with pytest.raises(InputError, match="no such file"):
+        read(root)
+    with pytest.raises(InputError, match="ArtiGrasp"):
+        ArtiGrasp(root=root / "rsc" / "mano_double").sources()
+
+
+def test_a_short_sequence_has_no_right_frame(root: Path) -> None:
+    for file in root.rglob("*.npy"):
+        np.save(file, np.load(file)[:31])
+    notes: list[str] = []
+    (source,) = ArtiGrasp(root=root).sources()
+    assert list(source.read(notes.append)) == []
+    assert "skipped" in notes[0]
+
+
+@pytest.mark.slow
+@folder_of("GETAGRIP_ARTIGRASP")
+def test_real_sequences(folder: Path) -> None:
+    sources = ArtiGrasp(root=folder).sources()
+    assert len(sources) >= 1
+    for track in sources[0].read(print):
+        assert len(track) > 100
+        assert float(track.provenance["hand_fit"].split()[1]) < 5.0  # mm
+        surface = track.surface(len(track) // 2)[0]
+        assert np.all((surface[:, 2] > 0.1) & (surface[:, 2] < 3.0))
