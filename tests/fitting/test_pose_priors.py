@@ -19,9 +19,9 @@ from getagrip.errors import InputError, UsageError
 from getagrip.fitting import learn_priors as clusters
 from getagrip.fitting import pose_priors as priors
 from getagrip.fitting.initial_poses import initial_poses
-from getagrip.fitting.learn_priors import clustered, hold, karcher_mean, learn
+from getagrip.fitting.learn_priors import LearntGrasps, clustered, hold, karcher_mean, learn
 from getagrip.fitting.options import Init, Options, PriorsFile
-from getagrip.fitting.pose_priors import Priors, poses_for, read_folder, read_learnt
+from getagrip.fitting.pose_priors import poses_for, read_folder, read_learnt
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -52,7 +52,15 @@ def held(name: str, subject: str = "", seed: int = 0, category: str = "box") -> 
 
 def poses_file(path: Path, *clips: Clip) -> Options:
     """Options that start from the poses learnt from some clips."""
-    priors.write(learn([hold(clip) for clip in clips], k=10), path)
+    LearntGrasps(tuple(hold(clip) for clip in clips), k=10).write(path)
+    return Options(init="clusters", priors=priors.given(path, "clusters"), inits=12)
+
+
+def old_file(path: Path, *clips: Clip) -> Options:
+    """The same by a file of the first version, which holds poses."""
+    learnt = learn([hold(clip) for clip in clips], k=10)
+    names = {name: np.array(getattr(learnt, name), np.str_) for name in priors.NAMES}
+    np.savez(path, version=np.array(1), T_hand_obj=learnt.T_hand_obj, **names)  # type: ignore[arg-type]
     return Options(init="clusters", priors=priors.given(path, "clusters"), inits=12)
 
 
@@ -125,17 +133,37 @@ def test_categories_and_sides_are_learnt_apart() -> None:
 
 
 def test_a_file_holds_what_was_learnt(tmp_path: Path) -> None:
-    learnt = learn([hold(held("a", "Ann")), hold(held("b", "Bob", 1, "mug"))], k=3)
-    priors.write(learnt, tmp_path / "poses.npz")
+    learnt = LearntGrasps((hold(held("a", "Ann")), hold(held("b", "", 1, "mug"))), k=3, way="axis-angle", seed=7)
+    learnt.write(tmp_path / "poses.npz")
     again = read_learnt(tmp_path / "poses.npz")
-    assert (again.category, again.side, again.clips, again.subjects) == (
-        ("box", "mug"), ("right", "right"), ("a", "b"), ("Ann", "Bob"),
-    )  # fmt: skip
-    assert np.array_equal(again.T_hand_obj, learnt.T_hand_obj)
+    assert isinstance(again, LearntGrasps)
+    assert (again.k, again.way, again.seed) == (3, "axis-angle", 7)
+    assert [(h.category, h.side, h.clip, h.subject) for h in again.holds] == [
+        ("box", "right", "a", "Ann"), ("mug", "right", "b", ""),
+    ]  # fmt: skip
+    assert np.array_equal(again.poses().T_hand_obj, learnt.poses().T_hand_obj)
 
 
-def test_nobody_starts_from_their_own_grasps(tmp_path: Path, refused: Callable[..., str]) -> None:
-    options = poses_file(tmp_path / "poses.npz", held("a", "Ann"), held("b", "Bob", 1), held("c", "", 2))
+def test_one_file_gives_everybody_what_was_learnt_from_others(tmp_path: Path) -> None:
+    """Leave one subject out, in one run: as if each had been left out of a file of their own."""
+    clips = [held(name, subject, n) for n, (name, subject) in enumerate(zip("abcdef", "AABBC_", strict=True))]
+    clips[-1] = replace(clips[-1], provenance={})
+    options = poses_file(tmp_path / "all.npz", *clips)
+    for clip in (*clips, held("new", "B"), held("new", "D"), held("a")):
+        subject = clip.provenance.get("subject")
+        others = [c for c in clips if c.name != clip.name and (not subject or c.provenance.get("subject") != subject)]
+        own = poses_file(tmp_path / "own.npz", *others)
+        poses, (note,) = poses_for(clip, options)
+        assert np.array_equal(poses, poses_for(replace(clip, name="x", provenance={}), own)[0])
+        assert note.startswith(f"started from {len(others)} poses of all.npz")
+        left_out = len(clips) - len(others)
+        assert (f"without {left_out} grasps of its own subject" in note) == (left_out > 0)
+    alone = poses_file(tmp_path / "alone.npz", clips[0])
+    assert poses_for(clips[0], alone)[1][0].endswith("has no poses of box in a right hand: 12 uniform rotations")
+
+
+def test_a_file_of_the_first_version_is_refused_for_own_grasps(tmp_path: Path, refused: Callable[..., str]) -> None:
+    options = old_file(tmp_path / "poses.npz", held("a", "Ann"), held("b", "Bob", 1), held("c", "", 2))
     refused(lambda: poses_for(held("a"), options), "poses.npz: clips", "from a itself")
     refused(lambda: poses_for(held("d", "Bob"), options), "poses.npz: subjects", "hands of Bob", "--leave-out Bob")
     for clip in (held("d"), held("d", "Cid")):
@@ -189,6 +217,31 @@ def test_a_file_that_has_changed_since_it_was_named_is_refused(tmp_path: Path, r
     ],
 )
 def test_damaged_files_are_refused(
+    tmp_path: Path, refused: Callable[..., str], change: dict[str, ndarray | None], words: tuple[str, ...]
+) -> None:
+    path = tmp_path / "poses.npz"
+    old_file(path, held("a"))
+    with np.load(path) as content:
+        changed = {**content, **change}
+    np.savez(path, **{key: value for key, value in changed.items() if value is not None})  # type: ignore[arg-type]
+    refused(lambda: read_learnt(path), str(path), *words)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"version": np.array(3)}, ("version", "1 or 2")),
+        ({"k": np.array(10**6)}, ("k:", "1 to 1000")),
+        ({"seed": np.array(-1)}, ("seed",)),
+        ({"way": np.array("slow")}, ("way", "geodesic")),
+        ({"R": np.zeros((1, 3, 3))}, ("R:", "no rigid motion")),
+        ({"centre": np.array([[900.0, 0.0, 0.0]])}, ("centre", "millimetres")),
+        ({"mesh_centre": np.zeros((2, 3))}, ("mesh_centre", "shape")),
+        ({"subjects": np.array(["A", "B"])}, ("subjects", "2 names")),
+        ({"clips": None}, ("clips", "no array of names")),
+    ],
+)
+def test_damaged_files_of_grasps_are_refused(
     tmp_path: Path, refused: Callable[..., str], change: dict[str, ndarray | None], words: tuple[str, ...]
 ) -> None:
     path = tmp_path / "poses.npz"
@@ -257,7 +310,8 @@ def test_learning_from_folders(folder: Path, tmp_path: Path, capsys: pytest.Capt
     assert "1 clips name no subject" in printed.err
     assert "box, right: 2 poses from 2 grasps" in printed.out
     learnt = read_learnt(out)
-    assert (learnt.clips, learnt.subjects) == (("a", "c"), ("Ann",))
+    assert isinstance(learnt, LearntGrasps)
+    assert [(h.clip, h.subject) for h in learnt.holds] == [("a", "Ann"), ("c", "")]
     clip = read_clip(folder / "b")
     assert len(poses_for(clip, Options(init="clusters", priors=priors.given(out, "clusters")))[0]) == 2
 
@@ -289,13 +343,13 @@ def test_reconstruct_and_bench_refuse_a_file_without_a_way_to_use_it(
 
 
 def test_own_grasps_are_refused_clip_by_clip(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    poses_file(tmp_path / "poses.npz", held("a", "Ann"))
+    old_file(tmp_path / "poses.npz", held("a", "Ann"))
     args = ["--out", tmp_path / "out", "--init", "clusters", "--priors", tmp_path / "poses.npz"]
     assert main(["reconstruct", *map(str, (folder / "a", *args))]) == 1
     assert "learnt from a itself" in capsys.readouterr().err
 
 
 def test_an_empty_list_of_poses_is_no_file_of_poses(tmp_path: Path) -> None:
-    priors.write(Priors((), (), np.zeros((0, 4, 4))), tmp_path / "poses.npz")
+    np.savez(tmp_path / "poses.npz", version=np.array(1), T_hand_obj=np.zeros((0, 4, 4)))
     with pytest.raises(InputError):
         read_learnt(tmp_path / "poses.npz")

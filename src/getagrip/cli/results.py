@@ -191,7 +191,7 @@ class InitCommand(Command):
     clips: Clips = ()
     """Clip folders, or folders of clips."""
     out: File
-    """Where the poses go. The file says whose hands it was learnt from, and is not used for those."""
+    """Where the grasps go. A clip of a subject among them starts from what is learnt without that subject."""
     k: int = 50
     """Rotations of each kind of object in each hand."""
     leave_out: Annotated[tuple[str, ...], arg(metavar="SUBJECT...", help_behavior_hint="")] = ()

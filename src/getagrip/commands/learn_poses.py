@@ -12,7 +12,6 @@ from getagrip.batch.job import by_name, failure
 from getagrip.clip import read_clip
 from getagrip.errors import UsageError
 from getagrip.fitting import learn_priors as clusters
-from getagrip.fitting import pose_priors as priors
 
 
 def learn(
@@ -24,8 +23,10 @@ def learn(
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
-    if k < 1:
-        raise UsageError(f"--k: got {k}, expected 1 or more")
+    if not 1 <= k <= clusters.MOST_CLUSTERS:
+        raise UsageError(f"--k: got {k}, expected 1 to {clusters.MOST_CLUSTERS}")
+    if not 0 <= seed < 2**63:
+        raise UsageError(f"--seed: got {seed}, expected 0 or more")
     clips, failed = by_name(paths)
     holds = []
     for name, folder in clips.items():
@@ -43,8 +44,9 @@ def learn(
     kept = [hold for hold in holds if hold.subject not in leave_out]
     if not kept:
         raise UsageError("CLIP: no clip with true poses is left to learn from")
-    learnt = clusters.learn(kept, k, way, seed)
-    priors.write(learnt, out)
+    grasps_learnt = clusters.LearntGrasps(tuple(kept), k, way, seed)
+    learnt = grasps_learnt.poses()
+    grasps_learnt.write(out)
     poses, grasps = (
         Counter(zip(learnt.category, learnt.side, strict=True)), Counter((hold.category, hold.side) for hold in kept)
     )  # fmt: skip
@@ -52,7 +54,9 @@ def learn(
         print(f"{category}, {side}: {poses[category, side]} poses from {grasps[category, side]} grasps")
     whose = f"{len(learnt.subjects)} subjects" if learnt.subjects else "unknown subjects"
     print(f"{out}: {len(learnt.side)} poses from {len(kept)} clips of {whose}, {len(holds) - len(kept)} left out")
+    if len(learnt.subjects) > 1:
+        print("a clip of one of them starts from what is learnt without its subject")
     nameless = sum(not hold.subject for hold in kept)
     if nameless:
-        print(f"{nameless} clips name no subject: their poses are refused for these clips only", file=sys.stderr)
+        print(f"{nameless} clips name no subject: each starts from the others, whoever they are", file=sys.stderr)
     return 1 if failed else 0

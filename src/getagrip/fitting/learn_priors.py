@@ -1,15 +1,16 @@
 """Starting poses learnt from true ones: rotations clustered on SO(3), and a mean translation (paper, appendix).
 
 The paper starts from 50 rotations and one translation for each object and side of hand, found by clustering the true
-poses of the grasps that it then evaluates. What is learnt here carries the names of its clips and subjects with it, so
-that it can be refused for them (``priors``).
+poses of the grasps that it then evaluates. Here a file holds the grasps themselves, with the names of clips and
+subjects: each clip starts from what is learnt without its own subject (``pose_priors``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -17,15 +18,48 @@ from numpy import ndarray
 
 from getagrip.clip import Clip
 from getagrip.errors import InputError
-from getagrip.fitting.pose_priors import Priors, subject_of
 from getagrip.geometry import se3
+from getagrip.io import arrays
 
 Way = Literal["geodesic", "axis-angle"]
 """How rotations are clustered."""
+WAYS: tuple[Way, ...] = get_args(Way)
+VERSION = 2
+"""Of the file."""
+MOST_CLUSTERS = 1000
 _ROUNDS = 100
 """Rounds of k-means or of a mean, if it does not settle before."""
 _SAME = 1e-6
 """Rotations nearer than this are one [rad]."""
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Poses of objects in hands: N of them.
+
+    Attributes:
+        category: category of the object of each pose.
+        side: ``left`` or ``right`` hand of each pose.
+        T_hand_obj: (N, 4, 4) poses, object frame to hand frame [m].
+        clips: names of the clips they were learnt from; empty for poses from elsewhere.
+        subjects: people whose hands were in those clips.
+    """
+
+    category: tuple[str, ...]
+    side: tuple[str, ...]
+    T_hand_obj: Float[ndarray, "N 4 4"]
+    clips: tuple[str, ...] = ()
+    subjects: tuple[str, ...] = ()
+
+    def of(self, category: str, side: str) -> Float[ndarray, "k 4 4"]:
+        """The poses of a category in a hand, those of most grasps first."""
+        here = [n for n, key in enumerate(zip(self.category, self.side, strict=True)) if key == (category, side)]
+        return self.T_hand_obj[here]
+
+
+def subject_of(clip: Clip) -> str:
+    """Whose hand is in a clip, as its provenance says; empty where it does not."""
+    return str(clip.provenance.get("subject", ""))
 
 
 @dataclass(frozen=True)
@@ -61,6 +95,38 @@ def hold(clip: Clip) -> Hold:
         clip=clip.name,
         subject=subject_of(clip),
     )
+
+
+@dataclass(frozen=True)
+class LearntGrasps:
+    """Grasps, and how poses to start from are learnt from them: what ``init learn`` writes."""
+
+    holds: tuple[Hold, ...]
+    k: int = 50
+    """Rotations of each category and side of hand, at most."""
+    way: Way = "geodesic"
+    seed: int = 0
+
+    def without(self, clip: str, subject: str) -> LearntGrasps:
+        """All but a clip's own grasp and those of its subject, where that is known."""
+        kept = (h for h in self.holds if h.clip != clip and not (subject and h.subject == subject))
+        return replace(self, holds=tuple(kept))
+
+    def of(self, category: str, side: str) -> LearntGrasps:
+        """Those of a category in a hand."""
+        return replace(self, holds=tuple(h for h in self.holds if (h.category, h.side) == (category, side)))
+
+    def poses(self) -> Priors:
+        """The poses to start from."""
+        return learn(self.holds, self.k, self.way, self.seed) if self.holds else Priors((), (), np.zeros((0, 4, 4)))
+
+    def write(self, path: Path) -> None:
+        """Write it as an ``.npz`` file."""
+        names = {"category": "category", "side": "side", "clips": "clip", "subjects": "subject"}
+        texts = {key: np.array([getattr(h, name) for h in self.holds], np.str_) for key, name in names.items()}
+        numbers = {key: np.stack([getattr(h, key) for h in self.holds]) for key in ("R", "centre", "mesh_centre")}
+        how = {"version": VERSION, "k": self.k, "way": self.way, "seed": self.seed}
+        arrays.write(path, {**{key: np.array(value) for key, value in how.items()}, **texts, **numbers})
 
 
 def learn(holds: Sequence[Hold], k: int, way: Way = "geodesic", seed: int = 0) -> Priors:

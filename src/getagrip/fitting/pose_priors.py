@@ -1,12 +1,16 @@
-"""Poses in which objects of a category are held, for the search to start from: a file that ``learn_priors`` has made,
-or a folder that the user brings. A file says which clips and whose hands it was learnt from, and is not used for those.
+"""Poses in which objects of a category are held, for the search to start from: a file that ``init learn`` has made, or
+a folder that the user brings.
+
+A file of version 2 holds the grasps that poses are learnt from. They are clustered when they are used, without those of
+the clip's own subject. One of version 1 holds poses, and is refused for the clips and subjects they were learnt from.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -14,51 +18,17 @@ from numpy import ndarray
 
 from getagrip.clip import Clip
 from getagrip.errors import InputError
+from getagrip.fitting.learn_priors import MOST_CLUSTERS, VERSION, WAYS, Hold, LearntGrasps, Priors, Way, subject_of
 from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.geometry import se3
 from getagrip.io import arrays, files
 
-VERSION = 1
 NAMES = ("category", "side", "clips", "subjects")
-"""Arrays of names in a file of learnt poses, besides ``T_hand_obj`` and ``version``."""
+"""Arrays of names in a file: of version 1 for each pose, each clip and each subject, of version 2 for each grasp."""
+NUMBERS = ("version", "k", "seed", "R", "centre", "mesh_centre", "T_hand_obj")
 SIDES = ("left", "right")
 FARTHEST = 2.0
 """Largest plausible distance of an object's origin from that of the hand frame [m]."""
-
-
-@dataclass(frozen=True)
-class Priors:
-    """Poses of objects in hands: N of them.
-
-    Attributes:
-        category: category of the object of each pose.
-        side: ``left`` or ``right`` hand of each pose.
-        T_hand_obj: (N, 4, 4) poses, object frame to hand frame [m].
-        clips: names of the clips they were learnt from; empty for poses from elsewhere.
-        subjects: people whose hands were in those clips.
-    """
-
-    category: tuple[str, ...]
-    side: tuple[str, ...]
-    T_hand_obj: Float[ndarray, "N 4 4"]
-    clips: tuple[str, ...] = ()
-    subjects: tuple[str, ...] = ()
-
-    def of(self, category: str, side: str) -> Float[ndarray, "k 4 4"]:
-        """The poses of a category in a hand, those of most grasps first."""
-        here = [n for n, key in enumerate(zip(self.category, self.side, strict=True)) if key == (category, side)]
-        return self.T_hand_obj[here]
-
-
-def subject_of(clip: Clip) -> str:
-    """Whose hand is in a clip, as its provenance says; empty where it does not."""
-    return str(clip.provenance.get("subject", ""))
-
-
-def write(priors: Priors, path: Path) -> None:
-    """Write learnt poses as an ``.npz`` file."""
-    names = {name: np.array(getattr(priors, name), np.str_) for name in NAMES}
-    arrays.write(path, {"version": np.array(VERSION), "T_hand_obj": priors.T_hand_obj, **names})
 
 
 def given(path: Path, init: Init) -> PriorsFile:
@@ -70,19 +40,35 @@ def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tu
     """The poses that the search may start from before uniform rotations, and what to say about them.
 
     Raises ``InputError`` for files that are missing, malformed or not what they were when the options were made, and
-    for poses learnt from this clip or from other grasps of the same subject.
+    for poses of version 1 learnt from this clip or from other grasps of the same subject.
     """
     if options.priors is None:
         return np.zeros((0, 4, 4)), ()
-    priors = _read(options.priors, options.init)
-    path = options.priors.path
-    _refuse_own(path, priors, clip)
+    path, learnt = options.priors.path, _read(options.priors, options.init)
+    without = ""
+    if isinstance(learnt, LearntGrasps):
+        subject = subject_of(clip)
+        priors = _without_own(options.priors, clip.category, clip.side, clip.name, subject)
+        left_out = len(learnt.holds) - len(learnt.without(clip.name, subject).holds)
+        without = f" without {left_out} grasps of its own subject" if left_out else ""
+    else:
+        priors = learnt
+        _refuse_own(path, priors, clip)
     poses = priors.of(clip.category, clip.side)[: options.inits]
     uniform = f"{options.inits - len(poses)} uniform rotations"
     if not len(poses):
-        return poses, (f"{path.name} has no poses of {files.plain(clip.category)} in a {clip.side} hand: {uniform}",)
+        none = f"{path.name}{without} has no poses of {files.plain(clip.category)} in a {clip.side} hand"
+        return poses, (f"{none}: {uniform}",)
     whence = "" if priors.clips else ", which does not say what they were learnt from"
-    return poses, (f"started from {len(poses)} poses of {path.name}{whence}, and {uniform}",)
+    return poses, (f"started from {len(poses)} poses of {path.name}{without}{whence}, and {uniform}",)
+
+
+@lru_cache(maxsize=256)
+def _without_own(file: PriorsFile, category: str, side: str, clip: str, subject: str) -> Priors:
+    """The poses learnt from others' grasps of a category in a hand."""
+    learnt = _read(file, "clusters")
+    assert isinstance(learnt, LearntGrasps)
+    return learnt.without(clip, subject).of(category, side).poses()
 
 
 def _refuse_own(path: Path, priors: Priors, clip: Clip) -> None:
@@ -96,26 +82,58 @@ def _refuse_own(path: Path, priors: Priors, clip: Clip) -> None:
 
 
 @lru_cache(maxsize=4)
-def _read(file: PriorsFile, init: Init) -> Priors:
-    """The poses of a file or folder, checked. Raises ``InputError``."""
+def _read(file: PriorsFile, init: Init) -> Priors | LearntGrasps:
+    """The poses or grasps of a file or folder, checked. Raises ``InputError``."""
     if given(file.path, init).sha256 != file.sha256:
         raise InputError(file.path, "", "another content than a moment ago", "a file that stays as it is")
     return read_learnt(file.path) if init == "clusters" else read_folder(file.path)
 
 
-def read_learnt(path: Path) -> Priors:
-    """The poses that ``write`` has written. Raises ``InputError``."""
-    content = arrays.read(path, lambda key: key in {"version", "T_hand_obj", *NAMES})
+def read_learnt(path: Path) -> Priors | LearntGrasps:
+    """What ``init learn`` has written: grasps, or poses by its first version. Raises ``InputError``."""
+    content = arrays.read(path, lambda key: key in {*NUMBERS, *NAMES, "way"})
     version = content.get("version", np.array(0))
-    if version.shape != () or version != VERSION:
-        raise InputError(path, "version", files.shown(version.tolist()), str(VERSION))
-    T = arrays.floats(path, content, "T_hand_obj", (-1, 4, 4))
-    _check_poses(path, T)
+    if version.shape != () or version not in (1, VERSION):
+        raise InputError(path, "version", files.shown(version.tolist()), f"1 or {VERSION}")
     names = {key: _texts(path, content, key) for key in NAMES}
-    for key in ("category", "side"):
-        if len(names[key]) != len(T):
-            raise InputError(path, key, f"{len(names[key])} names", f"{len(T)}, one for each pose")
-    return Priors(T_hand_obj=T, **names)
+    if version == 1:
+        T = arrays.floats(path, content, "T_hand_obj", (-1, 4, 4))
+        _check_poses(path, "T_hand_obj", T)
+        _check_counts(path, names, ("category", "side"), len(T))
+        return Priors(T_hand_obj=T, **names)
+    R = arrays.floats(path, content, "R", (-1, 3, 3))
+    centre, mesh_centre = (arrays.floats(path, content, key, (len(R), 3)) for key in ("centre", "mesh_centre"))
+    _check_poses(path, "R", se3.rigid(R))
+    for key, at in (("centre", centre), ("mesh_centre", mesh_centre)):
+        _check_poses(path, key, se3.rigid(t=at))
+    _check_counts(path, names, NAMES, len(R))
+    way = content.get("way", np.array(""))
+    if way.shape != () or str(way) not in WAYS:
+        raise InputError(path, "way", files.shown(way.tolist()), f"one of {', '.join(WAYS)}")
+    k, seed = _whole(path, content, "k", 1, MOST_CLUSTERS), _whole(path, content, "seed", 0, 2**63 - 1)
+    rows = zip(
+        *(names[key] for key in ("category", "side")),
+        R,
+        centre,
+        mesh_centre,
+        names["clips"],
+        names["subjects"],
+        strict=True,
+    )
+    return LearntGrasps(tuple(Hold(*row) for row in rows), k, cast(Way, str(way)), seed)
+
+
+def _check_counts(path: Path, names: dict[str, tuple[str, ...]], keys: Sequence[str], count: int) -> None:
+    for key in keys:
+        if len(names[key]) != count:
+            raise InputError(path, key, f"{len(names[key])} names", f"{count}, one for each pose")
+
+
+def _whole(path: Path, content: dict[str, ndarray], key: str, least: int, most: int) -> int:
+    number = content.get(key, np.array(-1.0))
+    if number.shape != () or number.dtype.kind not in "iu" or not least <= int(number) <= most:
+        raise InputError(path, key, files.shown(number.tolist()), f"a whole number from {least} to {most}")
+    return int(number)
 
 
 def read_folder(folder: Path) -> Priors:
@@ -129,7 +147,7 @@ def read_folder(folder: Path) -> Priors:
         factor = np.cbrt(np.linalg.det(T[:3, :3]))
         if factor > 0:
             T[:3, :3] /= factor
-        _check_poses(path, T[None])
+        _check_poses(path, "T_hand_obj", T[None])
         poses.append(T)
         category.append(name.split("/")[0])
         side.append(path.name.split("_")[0])
@@ -148,17 +166,17 @@ def _parts(path: Path, init: Init) -> dict[str, Path]:
     return found
 
 
-def _check_poses(path: Path, T: Float[ndarray, "N 4 4"]) -> None:
+def _check_poses(path: Path, key: str, T: Float[ndarray, "N 4 4"]) -> None:
     """Raise ``InputError`` for what is no rigid motion in metres."""
     with np.errstate(over="ignore", invalid="ignore"):
         rigid = se3.is_rigid(T)
     if not rigid.all():
         given = f"a matrix that is no rigid motion ({int(np.argmin(rigid))})"
-        raise InputError(path, "T_hand_obj", given, "rotations and translations [m]")
+        raise InputError(path, key, given, "rotations and translations [m]")
     far = float(np.linalg.norm(T[:, :3, 3], axis=1).max())
     if far > FARTHEST:
         given = f"an object {far:.4g} m from the hand"
-        raise InputError(path, "T_hand_obj", given, f"at most {FARTHEST:g} m; are these millimetres?")
+        raise InputError(path, key, given, f"at most {FARTHEST:g} m; are these millimetres?")
 
 
 def _texts(path: Path, content: dict[str, ndarray], key: str) -> tuple[str, ...]:
