@@ -122,6 +122,7 @@ def test_contact_is_that_of_the_object_as_its_joint_was(tmp_path: Path) -> None:
             read_clip(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_the_list_beside_the_clips_is_theirs(tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "clips"
     assert import_clips(OneTrack(), out, debug=False) == 0
@@ -142,6 +143,7 @@ def test_the_list_beside_the_clips_is_theirs(tmp_path: Path, run: Run, capsys: p
         import_clips(OneTrack(), out, debug=False)
 
 
+@pytest.mark.slow
 def test_every_command_takes_the_same_list(tmp_path: Path, run: Run) -> None:
     """Marked by hand, counted from 0; cut by an import; drawn and studied in the whole sequence."""
     marked = tmp_path / "marked.json"

@@ -16,7 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.cli import main
-from getagrip.clip import read_clip, write_clip
+from getagrip.clip import Clip, read_clip, write_clip
+from getagrip.clip.writing import write_hand
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.datasets.synthetic.splits import PRESETS
@@ -24,6 +25,7 @@ from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.evaluation import evaluate_result
 from getagrip.experiments import trials
 from getagrip.experiments.comparison import compare, groups
+from getagrip.experiments.hand_sources import HandSource
 from getagrip.experiments.settings import ABLATIONS, AS_GIVEN, ScaleFree, ScaleKnown, ablation_variants, method_variants
 from getagrip.experiments.sources import SOURCES, samples, source_of
 from getagrip.experiments.statistics import estimate, resamples
@@ -279,6 +281,56 @@ def test_an_ablation_changes_clips_and_draws_a_plot(made: Path, tmp_path: Path, 
     assert "input_sha256" in err
 
 
+def hand_file(folder: Path, clip: Clip, frames: list[int], mm: float = 0.0, **extra: Any) -> None:
+    """A clip's hands in some frames, so far displaced, as `import hands --out` writes them."""
+    folder.mkdir(exist_ok=True)
+    hand = clip.take(np.array(frames)).hand
+    T = hand.T_cam_hand.copy()
+    T[:, 0, 3] += mm / 1e3
+    numbers = np.array([int(clip.frames[n]) for n in frames])
+    write_hand(replace(hand, T_cam_hand=T), folder / f"{clip.name}.npz", {"frames": numbers, **extra})
+
+
+@pytest.mark.slow
+def test_hands_are_compared_on_the_frames_that_all_have(made: Path, tmp_path: Path, run: Run) -> None:
+    for name in ("can", "box"):
+        clip = read_clip(made / name)
+        hand_file(tmp_path / "exact", clip, [0, 1, 2, 3], K=clip.K[0])
+        hand_file(tmp_path / "off", clip, [1, 2, 3], mm=6.0, side=np.array(clip.side))
+    out, written = tmp_path / "out", tmp_path / "all.json"
+    sources = (f"exact={tmp_path / 'exact'}", f"off={tmp_path / 'off'}")
+    call = ("bench", made, "--out", out, "--workers", "1", "--inits", "8", "--methods", "static", "--json", written)
+    status, printed, err = run(*call, "--hands", *sources)
+    assert (status, err) == (0, "")
+    assert printed.count("2 done, 0 already done") == 2
+    (table, *_) = json.loads(written.read_text())["tables"]
+    assert [(row["row"], row["against"]) for row in table["rows"]] == [
+        ("static, exact", None), ("static, off", "static, exact"),
+    ]  # fmt: skip
+    assert (out / "hands.md").read_text().startswith("# Hands, on the frames that all of them have")
+    for variant in ("static+hands-exact", "static+hands-off"):
+        assert read_result(out / "results" / variant / clip.name)[0].frames == clip.frames[1:]
+    assert run(*call, "--hands", *sources)[1].count("0 done, 2 already done") == 2
+    hand_file(tmp_path / "off", clip, [1, 2], mm=6.0)  # one clip's hands are others now
+    assert run(*call, "--hands", *sources)[1].count("2 done, 0 already done") == 1
+    assert read_result(out / "results" / "static+hands-exact" / clip.name)[0].frames == clip.frames[1:3]
+    # Clips are hands, too; what does not fit is named.
+    write_clip(replace(clip, hand=clip.hand), trials.read_masks(clip), tmp_path / "clips" / clip.name)
+    assert HandSource.of(f"c={tmp_path / 'clips'}").read(clip).track == clip.hand
+    for bad, words in (
+        ({"frames": [1]}, "1 of the 4 frames"), ({"frames": [1, 2], "side": np.array("left")}, "side: got 'left'"),
+    ):  # fmt: skip
+        hand_file(tmp_path / "off", clip, **bad)
+        status, _, err = run(*call, "--hands", *sources)
+        assert (status, f"failed: {clip.name}" in err, words in err) == (1, True, True)
+    (tmp_path / "off" / f"{clip.name}.npz").unlink()
+    assert "expected off's hands of the clip" in run(*call, "--hands", *sources)[2]
+    for wrong in (("exact",), ("exact=nowhere",), (sources[0], sources[0])):
+        assert run(*call, "--hands", *wrong)[0] == 2
+    assert run(*call, "--hands", *sources, "--ablation", "scale")[0] == 2
+
+
+@pytest.mark.slow
 def test_contact_is_measured_within_any_distance(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     """Of results that are there, by evaluating them again; wider contact has more points in it."""
     from getagrip.fitting import reconstruct as module

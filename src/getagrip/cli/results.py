@@ -134,6 +134,9 @@ class Bench(Command):
         Literal["train", "test", "all"] | None, arg(help_behavior_hint="(default: test; all of a folder)")
     ] = None
     """Which part of a dataset: train is for tuning."""
+    hands: Annotated[tuple[str, ...], arg(metavar="NAME=DIR...", help_behavior_hint="")] = ()
+    """Compare hands of several estimators for the same clips, on the frames that all have: DIR holds clips of the same
+    names, or a hand file <clip>.npz for each (import hands --out)."""
     contact: Annotated[
         tuple[float, ...],
         arg(metavar="MM...", help_behavior_hint="(default: 10; of a folder that import made, as its clips were cut)"),
@@ -167,6 +170,7 @@ class Bench(Command):
 
     def run(self) -> int:
         from getagrip.commands.bench import Plan, bench
+        from getagrip.experiments.hand_sources import HandSource
 
         source = source_of(
             self.dataset, split=self.split, preset=self.preset, root=self.root, meshes=self.meshes
@@ -175,9 +179,10 @@ class Bench(Command):
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
             priors=_priors(self.priors, self.init),
         )  # fmt: skip
+        hands = tuple(HandSource.of(text) for text in self.hands)
         plan = Plan(
-            source, self.out, count=self.clips, methods=self.methods, ablation=self.ablation, contact_mm=self.contact,
-            options=options, workers=self.workers, overwrite=self.overwrite, json=self.json,
+            source, self.out, count=self.clips, methods=self.methods, ablation=self.ablation, hands=hands,
+            contact_mm=self.contact, options=options, workers=self.workers, overwrite=self.overwrite, json=self.json,
         )  # fmt: skip
         return bench(plan, self.debug)
 

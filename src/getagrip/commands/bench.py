@@ -13,7 +13,8 @@ from getagrip.batch.job import Outcome
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.errors import UsageError
 from getagrip.experiments.comparison import Table, compare, groups
-from getagrip.experiments.settings import ABLATIONS, Variant, ablation_variants, method_variants
+from getagrip.experiments.hand_sources import HandSource, comparison
+from getagrip.experiments.settings import ABLATIONS, Ablation, Variant, ablation_variants, method_variants
 from getagrip.experiments.sources import ClipSource, samples
 from getagrip.experiments.statistics import RESAMPLES
 from getagrip.experiments.tables import as_json, latex, markdown, terminal, write_clips_csv, write_csv
@@ -36,6 +37,8 @@ class Plan:
     methods: tuple[str, ...] = ()
     """None: all of them, or those that the ablation is about."""
     ablation: str | None = None
+    hands: tuple[HandSource, ...] = ()
+    """Compare the hands of these sources, instead of an ablation of the table."""
     contact_mm: tuple[float, ...] = ()
     """Thresholds of contact in the tables [mm]; none: that of the source."""
     options: Options = field(default_factory=Options)
@@ -50,22 +53,36 @@ class Plan:
             raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
         if self.ablation is not None and self.ablation not in ABLATIONS:
             raise UsageError(f"--ablation: got {self.ablation!r}, expected one of {', '.join(ABLATIONS)}")
+        if self.ablation is not None and self.hands:
+            raise UsageError(f"--ablation: got {self.ablation} and --hands, expected one of them")
 
     @cached_property
     def contacts(self) -> tuple[ContactDefinition, ...]:
         """The definitions of contact in the tables. Raises ``UsageError`` for impossible ones, and ``InputError``."""
         return at_millimetres(self.contact_mm or (self.source.contact_mm,))
 
+    @cached_property
+    def settings(self) -> Ablation | None:
+        """What is compared besides methods. Raises ``UsageError``."""
+        if self.hands:
+            return comparison(self.hands)
+        return None if self.ablation is None else ABLATIONS[self.ablation]
+
+    @property
+    def name(self) -> str:
+        """What the files of the tables are called."""
+        return "hands" if self.hands else self.ablation or "methods"
+
     def variants(self) -> list[Variant]:
         """The rows of the tables."""
-        if self.ablation is None:
+        if self.settings is None:
             return method_variants(self.methods, self.options, self.contacts)
-        return ablation_variants(self.ablation, self.methods, self.options, self.contacts)
+        return ablation_variants(self.name, self.methods, self.options, self.contacts, self.settings)
 
     @property
     def title(self) -> str:
         """What the tables are called."""
-        return "Methods" if self.ablation is None else ABLATIONS[self.ablation].title
+        return "Methods" if self.settings is None else self.settings.title
 
 
 def bench(plan: Plan, debug: bool) -> int:
@@ -123,14 +140,14 @@ def _report(clip: Scores, variants: Sequence[Variant], debug: bool) -> int:
 
 def _write(plan: Plan, tables: Sequence[Table], scores: Sequence[Scores], variants: Sequence[Variant]) -> None:
     """Tables, every clip's numbers and the plot, into the output folder."""
-    name = plan.ablation or "methods"
+    name = plan.name
     about = _about(plan, scores) + _outdated(scores)
     written = [plan.out / f"{name}{end}" for end in ("-clips.csv", ".csv", ".md", ".tex")]
     write_clips_csv(scores, variants, written[0])
     write_csv(tables, written[1])
     written[2].write_text(markdown(tables, plan.title, about), "utf-8")
     written[3].write_text(latex(tables, plan.title, about), "utf-8")
-    if plan.ablation is not None and tables:
+    if plan.settings is not None and tables:
         from getagrip.experiments.plots import plot
 
         written.append(plan.out / f"{name}.png")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -26,14 +27,18 @@ CONTACTS = (ContactDefinition("object", 0.010),)
 
 
 class Change(Protocol):
-    """What is done to a clip before it is reconstructed. Its ``repr`` identifies it."""
+    """What is done to a clip before it is reconstructed. Its ``repr`` and the ``inputs`` identify it."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
-        """The changed clip and masks. Raises ``InputError`` where the clip does not allow it."""
+        """The changed clip and masks, perhaps of some of its frames. Raises ``InputError`` where it cannot be done."""
+
+    def inputs(self, clip: str) -> Mapping[str, Path]:
+        """Files by name that it reads for a clip. Raises ``InputError`` where one is missing."""
+        return {}
 
 
 @dataclass(frozen=True)
-class AsGiven:
+class AsGiven(Change):
     """The clip itself."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
@@ -41,7 +46,7 @@ class AsGiven:
 
 
 @dataclass(frozen=True)
-class Noisy:
+class Noisy(Change):
     """Hands and masks displaced; the same seed draws the same errors, larger or smaller, in every setting."""
 
     noise: Noise
@@ -51,7 +56,7 @@ class Noisy:
 
 
 @dataclass(frozen=True)
-class ScaleKnown:
+class ScaleKnown(Change):
     """The mesh at its true size."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
@@ -59,19 +64,25 @@ class ScaleKnown:
             return clip, masks
         if clip.truth is None:
             raise InputError(clip.origin / "truth.npz", "scale", "no ground truth", "the true scale, to make it known")
-        mesh = Mesh(clip.mesh.vertices * clip.truth.scale, clip.mesh.faces)
-        return replace(clip, scale="known", mesh=mesh, truth=replace(clip.truth, scale=1.0)), masks
+        return replace(_resized(clip, clip.truth.scale), scale="known"), masks
 
 
 @dataclass(frozen=True)
-class ScaleFree:
+class ScaleFree(Change):
     """The mesh at a random size, between 1 / 1.25 and 1.25 times what it was."""
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         factor = float(np.exp(np.random.default_rng([seed, *clip.name.encode()]).uniform(-1.0, 1.0) * np.log(1.25)))
-        mesh = Mesh(clip.mesh.vertices / factor, clip.mesh.faces)
-        truth = clip.truth and replace(clip.truth, scale=clip.truth.scale * factor)
-        return replace(clip, scale="free", mesh=mesh, truth=truth), masks
+        return replace(_resized(clip, 1.0 / factor), scale="free"), masks
+
+
+def _resized(clip: Clip, factor: float) -> Clip:
+    """The clip with a mesh so many times as large; the true object is as it was."""
+    truth = clip.truth
+    if truth is not None:
+        joint = truth.joint and replace(truth.joint, point=factor * truth.joint.point)
+        truth = replace(truth, scale=truth.scale / factor, joint=joint)
+    return replace(clip, mesh=Mesh(factor * clip.mesh.vertices, clip.mesh.faces), truth=truth)
 
 
 AS_GIVEN = AsGiven()
@@ -227,13 +238,18 @@ def method_variants(
 
 
 def ablation_variants(
-    name: str, methods: Sequence[str], base: Options, contacts: Sequence[ContactDefinition] = CONTACTS
+    name: str,
+    methods: Sequence[str],
+    base: Options,
+    contacts: Sequence[ContactDefinition] = CONTACTS,
+    ablation: Ablation | None = None,
 ) -> list[Variant]:
-    """Each method in each setting of an ablation, by each definition of contact unless the ablation is about these.
+    """Each method in each setting of an ablation, by default that of the name in ``ABLATIONS``.
 
-    A setting that changes nothing shares the method's own results.
+    They are measured by each definition of contact, unless the ablation is about these. A setting that changes nothing
+    shares the method's own results.
     """
-    ablation, variants = ABLATIONS[name], []
+    ablation, variants = ablation or ABLATIONS[name], []
     for method in methods or ablation.methods:
         usual = replace(base, method=method)
         for setting in ablation.settings:

@@ -88,7 +88,8 @@ def run(trial: Trial) -> Scores:
         scores, missing = dict[str, Score](), list[Variant]()
         for variant in trial.variants:
             place = _place(trial, variant)
-            record = None if trial.overwrite else _kept(place, _checksum(checksum, variant), variant.options)
+            identity = _checksum(checksum, variant, clip.name)
+            record = None if trial.overwrite else _kept(place, identity, variant.options)
             if record is None or not _measured(record, trial.contacts):
                 missing.append(variant)
             else:
@@ -112,8 +113,10 @@ def _made(trial: Trial, clip: Clip, variants: list[Variant], checksum: str) -> d
     for _, same in groupby(sorted(variants, key=change), change):
         alike = list(same)
         changed = alike[0].change(clip, masks, alike[0].options.seed)
+        judged = masks.take(clip.index_of(changed[0].frames))
         for variant in alike:
-            scores[variant.folder] = _try(trial, variant, changed, masks, _checksum(checksum, variant))
+            identity = _checksum(checksum, variant, clip.name)
+            scores[variant.folder] = _try(trial, variant, changed, judged, identity)
     return scores
 
 
@@ -155,11 +158,14 @@ def _place(trial: Trial, variant: Variant) -> Path:
     return trial.results / variant.folder / trial.sample.name
 
 
-def _checksum(checksum: str, variant: Variant) -> str:
+def _checksum(checksum: str, variant: Variant, clip: str) -> str:
     """The checksum of the clip as the variant has it: ``evaluate`` must not take a changed one for the folder's."""
     if variant.change == AS_GIVEN:
         return checksum
-    return hashlib.sha256(f"{checksum} {variant.change} {variant.options.seed}".encode()).hexdigest()
+    changed = f"{checksum} {variant.change} {variant.options.seed}"
+    if inputs := variant.change.inputs(clip):
+        changed += f" {files.sha256(inputs)}"
+    return hashlib.sha256(changed.encode()).hexdigest()
 
 
 def _outdated(folder: Path) -> bool:

@@ -1,0 +1,142 @@
+"""Hands of several estimators for the same clips, on the frames that all of them have (the paper's Table 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip import Clip, HandTrack, Masks, read_clip
+from getagrip.clip.plausible import check_in_view, check_intrinsics
+from getagrip.clip.reading import read_hand
+from getagrip.errors import InputError, UsageError
+from getagrip.experiments.settings import Ablation, Change, Setting
+from getagrip.io import arrays
+from getagrip.io.files import is_plain_name, shown
+
+FEWEST = 2
+"""Frames that all sources must have."""
+
+
+@dataclass(frozen=True)
+class HandSource:
+    """A folder that holds the hands of clips by their names: as clips ``NAME/``, or as hand files ``NAME.npz``."""
+
+    name: str
+    folder: Path
+
+    @staticmethod
+    def of(text: str) -> HandSource:
+        """From ``NAME=FOLDER``. Raises ``UsageError``."""
+        name, equals, folder = text.partition("=")
+        if not (equals and folder and is_plain_name(name)):
+            raise UsageError(f"--hands: got {text!r}, expected NAME=FOLDER")
+        if not Path(folder).is_dir():
+            raise UsageError(f"--hands: got {text!r}, expected a folder with clips, or with a .npz for each")
+        return HandSource(name, Path(folder))
+
+    def file(self, clip: str) -> Path:
+        """The file with the hands of a clip. Raises ``InputError`` where there is none."""
+        places = [self.folder / clip / "hand.npz", self.folder / f"{clip}.npz"]
+        found = next((place for place in places if place.is_file()), None)
+        if found is None:
+            raise InputError(
+                self.folder, "", f"no {clip}/hand.npz and no {clip}.npz", f"{self.name}'s hands of the clip"
+            )
+        return found
+
+    def read(self, clip: Clip) -> Hands:
+        """Its hands of a clip. Raises ``InputError`` where there are none, or where they are not of this clip."""
+        path = self.file(clip.name)
+        if path.name == "hand.npz":
+            other = read_clip(path.parent)
+            for key in ("side", "size"):
+                if getattr(other, key) != getattr(clip, key):
+                    raise InputError(
+                        path.parent / "clip.json", key, shown(getattr(other, key)), f"{getattr(clip, key)}"
+                    )
+            return Hands(path, other.hand, other.frames, other.K)
+        about = arrays.read(path, {"frames", "K", "side"}.__contains__)
+        side = about.get("side")
+        if side is not None and str(side) != clip.side:
+            raise InputError(path, "side", shown(side.tolist()), clip.side)
+        frames, K = clip.frames, None
+        if "frames" in about:
+            frames = _names(path, about["frames"], clip)
+        if "K" in about:
+            K = np.tile(arrays.floats(path, about, "K", (3, 3)), (len(frames), 1, 1))
+            check_intrinsics(path, K, clip.size)
+        return Hands(path, read_hand(path, len(frames)), frames, K)
+
+
+@dataclass(frozen=True)
+class Hands:
+    """The hands of a clip by one source."""
+
+    file: Path
+    track: HandTrack
+    frames: Sequence[str]
+    """Names of the frames that it has."""
+    K: Float[ndarray, "T 3 3"] | None
+    """The camera that they are before; None: the clip's."""
+
+    def in_clip(self, clip: Clip) -> Clip:
+        """The clip with these hands instead of its own. Raises ``InputError`` where they do not fit."""
+        if clip.truth is not None and not np.array_equal(clip.hand.faces, self.track.faces):
+            expected = "the ground truth's hand, whose vertices true contact is measured at"
+            raise InputError(self.file, "faces", f"a hand of {self.track.vertices.shape[1]} vertices", expected)
+        rows = np.array([self.frames.index(name) for name in clip.frames])
+        joints = None if self.track.joints is None else self.track.joints[rows]
+        T, vertices = self.track.T_cam_hand[rows], self.track.vertices[rows]
+        hand = replace(self.track, vertices=vertices, T_cam_hand=T, joints=joints)
+        K = clip.K if self.K is None else self.K[rows]
+        check_in_view(self.file, hand, K, clip.size)
+        return replace(clip, hand=hand, K=K)
+
+
+@dataclass(frozen=True)
+class WithHands(Change):
+    """The clip with the hands of a source, at the frames that all sources have."""
+
+    source: HandSource
+    sources: tuple[HandSource, ...]
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        found = {source: source.read(clip) for source in self.sources}
+        common = reduce(set.intersection, ({*hands.frames} for hands in found.values()), {*clip.frames})
+        if len(common) < FEWEST:
+            given = f"{len(common)} of the {len(clip)} frames of {clip.name} in {' and '.join(s.name for s in found)}"
+            raise InputError(
+                found[self.source].file, "frames", given, f"{FEWEST} frames at least that all of them have"
+            )
+        index = np.array([n for n, name in enumerate(clip.frames) if name in common])
+        return found[self.source].in_clip(clip.take(index)), masks.take(index)
+
+    def inputs(self, clip: str) -> Mapping[str, Path]:
+        return {source.name: source.file(clip) for source in self.sources}
+
+
+def comparison(sources: Sequence[HandSource]) -> Ablation:
+    """Hand sources as the settings of an ablation; the first is what the others are compared with.
+
+    Raises ``UsageError`` where two have the same name.
+    """
+    names = [source.name for source in sources]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise UsageError(f"--hands: got {twice} twice, expected different names")
+    settings = tuple(Setting(source.name, change=WithHands(source, tuple(sources))) for source in sources)
+    return Ablation("Hands, on the frames that all of them have", names[0], settings)
+
+
+def _names(path: Path, numbers: ndarray, clip: Clip) -> tuple[str, ...]:
+    """The clip's names of the numbered frames of a hand file; numbers stand for frames that it does not have."""
+    if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or len(np.unique(numbers)) < len(numbers):
+        raise InputError(path, "frames", f"{numbers.dtype} of shape {numbers.shape}", "the number of each frame, once")
+    name_of = {int(name): name for name in clip.frames if name.isdecimal()}
+    return tuple(name_of.get(int(number), f"{number}") for number in numbers)
