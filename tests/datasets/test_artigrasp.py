@@ -108,6 +108,14 @@ def test_broken_files_are_refused_by_name(root: Path) -> None:
         ArtiGrasp(root=root / "rsc" / "mano_double").sources()
 
 
+def test_estimates_are_no_sequences(root: Path) -> None:
+    true = root / "rsc" / "arctic" / "box" / "s1" / f"{SEQUENCE}.object.npy"
+    estimated = root / "rsc" / "arctic" / "box" / "s5_recon" / true.name
+    estimated.parent.mkdir()
+    estimated.write_bytes(true.read_bytes())
+    assert [source.name for source in ArtiGrasp(root=root).sources()] == [f"s1/{SEQUENCE}"]
+
+
 def test_a_short_sequence_has_no_right_frame(root: Path) -> None:
     for file in root.rglob("*.npy"):
         np.save(file, np.load(file)[:31])

@@ -10,6 +10,7 @@ ArtiGrasp (Zhang et al., 3DV 2024; https://github.com/zdchan/artigrasp) keeps mo
 What to know of it:
 
 - Subjects are ``s1``, not ``s01``; there is no ``s03``, and scissors have joints but no poses.
+- ``s5_recon`` holds what was estimated from images, and is not read.
 - Joints are wrong in frames 0 to 2 and from 32 * floor(T / 32) on: those frames are left out.
 - The top turns about -z of the template's frame; the object's origin is not in its middle.
 - The world is in metres with z up, object translations are in mm.
@@ -19,6 +20,7 @@ What to know of it:
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -45,6 +47,8 @@ from getagrip.io.files import is_plain_name, read_bytes
 
 WITHIN_10_MM = GraspOptions(contact_mm=10.0)
 """Within 10 mm the fitted hands touch objects in the frames in which the true ones do (docs/arctic.md); at 0 mm not."""
+SUBJECT = re.compile(r"s\d+")
+"""Folders of true motion."""
 WRONG_AT_START, BATCH = 3, 32
 """Joints are wrong in the first frames, and after the last full batch."""
 LETTERS: dict[Side, str] = {"left": "l", "right": "r"}
@@ -61,7 +65,7 @@ class ArtiGrasp(TrackedDataset):
     def sources(self) -> list[Source]:
         """The sequences below ``root``, ArtiGrasp's folder or its ``rsc``."""
         rsc = self.root / "rsc" if (self.root / "rsc").is_dir() else self.root
-        found = sorted(rsc.glob("arctic/*/*/*.object.npy"))
+        found = sorted(f for f in rsc.glob("arctic/*/*/*.object.npy") if SUBJECT.fullmatch(f.parent.name))
         if not found:
             given = "no arctic/<object>/<subject>/<sequence>.object.npy in it"
             raise InputError(self.root, "", given, "ArtiGrasp's folder, or its rsc")
