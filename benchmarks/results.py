@@ -1,7 +1,7 @@
-"""Put the tables and plots of ``getagrip bench`` into docs/results.md: ``python -m benchmarks.results DIR...``.
+"""Put the tables and plots of ``getagrip bench`` into the pages of results: ``python -m benchmarks.results DIR...``.
 
 Each folder is one that was given to ``bench --out``, and is named like the dataset: its ``methods.md`` goes between the
-markers "<name>-methods", and so does each ablation that the page has markers for, with its plot.
+markers "<name>-methods" of one of ``PAGES``, and so does each ablation that a page has markers for, with its plot.
 """
 
 from __future__ import annotations
@@ -12,25 +12,26 @@ from pathlib import Path
 
 from benchmarks import page
 
-CATEGORIES = "dexycb-methods"
-"""The section that shows each category; the others' are in the files that ``bench`` writes."""
+PAGES = ("results.md", "arctic.md")
+CATEGORIES = ("dexycb-methods", "arctic-methods")
+"""The sections that show each category; the others' are in the files that ``bench`` writes."""
 
 
 def main(folders: list[Path]) -> None:
-    """Update the page."""
-    text = (page.DOCS / "results.md").read_text(encoding="utf-8")
+    """Update the pages."""
     for folder in folders:
         for tables in sorted(folder.glob("*.md")):
             name = f"{folder.name}-{tables.stem}"
-            if f"<!-- {name}: measured -->" in text:
-                page.write(name, section(name, tables), "results.md")
-                print(name)
+            for file in PAGES:
+                if f"<!-- {name}: measured -->" in (page.DOCS / file).read_text(encoding="utf-8"):
+                    page.write(name, section(name, tables), file)
+                    print(name)
 
 
 def section(name: str, tables: Path) -> str:
     """A page of ``bench`` without its title, the plot beside it moved to the pictures of the docs."""
     body = tables.read_text(encoding="utf-8").split("\n", 1)[1].strip()
-    if name != CATEGORIES:
+    if name not in CATEGORIES:
         body = body.split("<details>")[0].strip()
     plot = tables.with_suffix(".png")
     if not plot.exists():
