@@ -39,7 +39,7 @@ METHODS = (
 )
 FACTORS = ((1, 1), (2, 1), (4, 1), (1, 2), (1, 4))
 """Of initial poses and of iterations."""
-CONDITIONS = {"exact": SceneOptions(), "hamer": SceneOptions(**vars(NOISE["hamer"]))}
+CONDITIONS = {"exact": SceneOptions(), "moderate": SceneOptions(**vars(NOISE["moderate"]))}
 CLOSE = 1.02
 """An energy within this factor of the least that the method found with any setting counts as found."""
 

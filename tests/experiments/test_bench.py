@@ -434,10 +434,20 @@ def test_folders_that_are_no_clips_are_refused(tmp_path: Path, run: Run) -> None
     assert main(["bench", "dexycb", "--out", str(tmp_path / "out")]) == 2
 
 
-def test_an_unknown_preset_is_refused_before_a_folder_is_claimed(tmp_path: Path, run: Run) -> None:
-    status, _, err = run("bench", "synthetic", "--out", tmp_path / "out", "--preset", "tame")
+@pytest.mark.parametrize(
+    ("preset", "message"),
+    [
+        ("tame", "preset: got 'tame', expected one of clean"),
+        ("hamer", "preset: 'hamer' is now called 'moderate'"),
+        ("frankmocap", "preset: 'frankmocap' is now called 'strong'"),
+    ],
+)
+def test_an_unknown_preset_is_refused_before_a_folder_is_claimed(
+    preset: str, message: str, tmp_path: Path, run: Run
+) -> None:
+    status, _, err = run("bench", "synthetic", "--out", tmp_path / "out", "--preset", preset)
     assert status == 2
-    assert "preset: got 'tame', expected one of clean" in err
+    assert message in err
     assert not (tmp_path / "out" / "clips").exists()
 
 

@@ -139,8 +139,8 @@ def _hand_noise(mm: float) -> Setting:
     return Setting(f"{mm:g} mm, {deg:g}°", change=Noisy(noise))
 
 
-def _tracker(name: str) -> Setting:
-    """The hands of a named tracker; the masks stay as they are."""
+def _noise_level(name: str) -> Setting:
+    """The hands of an assumed level of noise; the masks stay as they are."""
     return Setting(name, change=Noisy(replace(NOISE[name], mask_ragged_px=0.0)))
 
 
@@ -195,8 +195,8 @@ ABLATIONS: dict[str, Ablation] = {
         (
             Setting("none"),
             *(_hand_noise(mm) for mm in (2.5, 5.0, 7.5, 10.0)),
-            _tracker("hamer"),
-            _tracker("frankmocap"),
+            _noise_level("moderate"),
+            _noise_level("strong"),
         ),
     ),
     "mask-noise": Ablation(

@@ -43,10 +43,10 @@ def test_no_noise_changes_nothing(made: tuple[Clip, Masks]) -> None:
 
 
 def test_the_truth_keeps_the_true_hand(made: tuple[Clip, Masks]) -> None:
-    clip, _ = perturbed(*made, NOISE["frankmocap"], 3)
+    clip, _ = perturbed(*made, NOISE["strong"], 3)
     assert clip.truth is made[0].truth
     assert not np.allclose(clip.hand.vertices, made[0].hand.vertices, atol=1e-3)
-    assert clip.provenance["noise"]["hand_bias_deg"] == NOISE["frankmocap"].hand_bias_deg
+    assert clip.provenance["noise"]["hand_bias_deg"] == NOISE["strong"].hand_bias_deg
 
 
 @given(deg=st.floats(0.1, 10.0), mm=st.floats(0.1, 20.0), seed=st.integers(0, 2**31))
@@ -125,7 +125,7 @@ def test_no_bend_is_no_change(made: tuple[Clip, Masks]) -> None:
 def test_fingers_without_joints_are_refused(made: tuple[Clip, Masks]) -> None:
     bare = replace(made[0], hand=replace(made[0].hand, joints=None))
     with pytest.raises(InputError, match="joints"):
-        perturbed(bare, made[1], NOISE["hamer"], 0)
+        perturbed(bare, made[1], NOISE["moderate"], 0)
     perturbed(bare, made[1], Noise(hand_bias_mm=3.0), 0)
 
 
@@ -138,11 +138,11 @@ def test_ragged_masks_keep_to_the_object_and_an_empty_one_stays_empty(made: tupl
     assert not ragged(empty, 2.0, np.random.default_rng(0)).any()
 
 
-def test_the_frankmocap_level_displaces_hands_further_than_the_hamer_level(made: tuple[Clip, Masks]) -> None:
+def test_the_strong_level_displaces_hands_further_than_the_moderate_level(made: tuple[Clip, Masks]) -> None:
     def off(level: str) -> np.ndarray:
         """Distance of the vertices from the true ones, by frame [m]."""
         hand = perturbed(*made, NOISE[level], 5)[0].hand
         posed, true = (se3.transform(one.T_cam_hand, one.vertices) for one in (hand, made[0].hand))
         return np.linalg.norm(posed - true, axis=-1).mean(axis=1)
 
-    assert np.all(off("frankmocap") > 1.5 * off("hamer"))
+    assert np.all(off("strong") > 1.5 * off("moderate"))

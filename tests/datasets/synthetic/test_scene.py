@@ -192,7 +192,7 @@ def test_splits_are_disjoint_and_hold_every_category_and_both_hands(preset: str)
 
 @pytest.mark.slow
 def test_presets_share_their_truth() -> None:
-    (category, seed, clean), (_, _, noisy) = (split("test", preset)[4] for preset in ("clean", "hamer"))
+    (category, seed, clean), (_, _, noisy) = (split("test", preset)[4] for preset in ("clean", "moderate"))
     few = {"frames": 3, "size": (160, 120), "focal": 150.0}
     (a, _), (b, _) = (synthesise(category, seed, replace(o, **few)) for o in (clean, noisy))
     assert a.truth is not None

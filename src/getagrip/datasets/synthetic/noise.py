@@ -9,7 +9,8 @@ its middle: the direction that one image constrains least. The fingers' joints a
 **bias**, the same in all frames, and **jitter**, an autoregressive process: e_n = a e_(n-1) + sqrt(1 - a^2) white
 noise, with a = exp(-1 / (fps memory)), so that errors of neighbouring frames are alike.
 
-The levels are named after the trackers that they imitate. They are assumptions, not measurements: see docs/datasets.md.
+The levels ``moderate`` and ``strong`` are assumptions, not measurements of any tracker: see "Noise levels" in
+docs/datasets.md.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class Noise:
 
 NOISE: dict[str, Noise] = {
     "none": Noise(),
-    "hamer": Noise(
+    "moderate": Noise(
         hand_bias_deg=3.0,
         hand_bias_mm=3.0,
         hand_bias_depth_mm=8.0,
@@ -72,7 +73,7 @@ NOISE: dict[str, Noise] = {
         jitter_memory_s=0.1,
         mask_ragged_px=1.0,
     ),
-    "frankmocap": Noise(
+    "strong": Noise(
         hand_bias_deg=7.5,
         hand_bias_mm=7.5,
         hand_bias_depth_mm=20.0,
@@ -85,7 +86,7 @@ NOISE: dict[str, Noise] = {
         mask_ragged_px=1.0,
     ),
 }
-"""FrankMocap's hands are 2.5 times as far off as HaMeR's (fingers: twice), the masks alike in both."""
+"""Assumed levels: hands of ``strong`` are 2.5 times as far off as of ``moderate`` (fingers: twice), masks alike."""
 
 
 def perturbed(clip: Clip, masks: Masks, noise: Noise, seed: int | Sequence[int]) -> tuple[Clip, Masks]:

@@ -20,12 +20,14 @@ Split = Literal["train", "test"]
 
 PRESETS: dict[str, SceneOptions] = {
     "clean": SceneOptions(),
-    "hamer": SceneOptions(**asdict(NOISE["hamer"])),
-    "frankmocap": SceneOptions(**asdict(NOISE["frankmocap"])),
-    "wild": SceneOptions(**asdict(NOISE["hamer"]), cad="mean", vary=0.15, scale="free"),
+    "moderate": SceneOptions(**asdict(NOISE["moderate"])),
+    "strong": SceneOptions(**asdict(NOISE["strong"])),
+    "wild": SceneOptions(**asdict(NOISE["moderate"]), cad="mean", vary=0.15, scale="free"),
 }
 """What is known: everything; hands and masks with noise; and in the wild no more than the mean shape, without its size.
 """
+RENAMED = {"hamer": "moderate", "frankmocap": "strong"}
+"""Former names of presets."""
 SEEDS: dict[Split, range] = {"train": range(100_000, 100_005), "test": range(200_000, 200_009)}
 """Seeds of each category's clips."""
 BOTH_HANDS = 0.3
@@ -40,6 +42,8 @@ def split(name: Split, preset: str = "clean") -> list[tuple[str, int, SceneOptio
     """
     if name not in SEEDS:
         raise UsageError(f"split: got {name!r}, expected one of {', '.join(get_args(Split))}")
+    if preset in RENAMED:
+        raise UsageError(f"preset: {preset!r} is now called {RENAMED[preset]!r}: its noise is no tracker's")
     if preset not in PRESETS:
         raise UsageError(f"preset: got {preset!r}, expected one of {', '.join(PRESETS)}")
     rng = np.random.default_rng(list(f"synthetic {name}".encode()))
