@@ -68,9 +68,9 @@ def main():
     template = mano.v_template.detach().cpu().numpy()
     rest = (mano.J_regressor @ mano.v_template).detach().cpu().numpy()
     faces, weights = np.asarray(mano.faces), mano.lbs_weights.detach().cpu().numpy()
-    pads = hand_file.fingertip_pads(template, rest, faces.astype(int), weights)
+    regions = hand_file.contact_regions(template, rest, faces.astype(int), weights)
     camera = "given to the script" if args.K else "a guess: the focal length is the longer side of the image"
-    hand_file.write(args.out, vertices, joints, poses, faces, pads, args.side, numbers, K, camera)
+    hand_file.write(args.out, vertices, joints, poses, faces, regions, args.side, numbers, K, camera)
     print(f"{args.out}: {len(numbers)} frames")
 
 

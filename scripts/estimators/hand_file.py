@@ -11,25 +11,40 @@ FINGERS = {"thumb": 13, "index": 1, "middle": 4, "ring": 10, "pinky": 7}
 MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
-def fingertip_pads(template, joints, faces, weights):
-    """Vertices of the last phalanges that face as the finger does, of MANO's flat right hand.
+def contact_regions(template, joints, faces, weights):
+    """The eight contact regions of MANO's flat right hand, vertex ids by name: five fingertip pads, three of the palm.
 
-    template (778, 3), joints (16, 3), faces (F, 3), skinning weights (778, 16).
+    template (778, 3), joints (16, 3), faces (F, 3), skinning weights (778, 16). Pads are the vertices of the last
+    phalanges that face as the finger does. Of the palm: the ball of the thumb, the cushions below the fingers' roots,
+    the edge below the little finger. The rules are those of getagrip.hands.regions.
     """
     a, b, c = np.moveaxis(template[faces], 1, 0)
     normals = np.zeros_like(template)
     for k in range(3):
         np.add.at(normals, faces[:, k], np.cross(b - a, c - a))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    pads = {}
+    regions = {}
     for finger, first in FINGERS.items():
         along = joints[first + 2] - joints[first + 1]
         along /= np.linalg.norm(along)
         facing = np.array([0.0, -1.0, -2.0 if finger == "thumb" else 0.0])
         facing -= (facing @ along) * along
         facing /= np.linalg.norm(facing)
-        pads[finger] = np.flatnonzero((weights[:, first + 2] > 0.5) & (normals @ facing > 0.2))
-    return pads
+        regions[finger] = np.flatnonzero((weights[:, first + 2] > 0.5) & (normals @ facing > 0.2))
+    wrist, index, pinky = joints[0], joints[FINGERS["index"]], joints[FINGERS["pinky"]]
+    length = (template - wrist)[:, 0] / (0.5 * (index + pinky) - wrist)[0]  # 0 at the wrist, 1 at the knuckles
+    across = (template - index) @ (pinky - index) / np.sum((pinky - index) ** 2)  # 0 at the index, 1 at the pinky
+    palm, down = weights[:, 0] > 0.5, -normals[:, 1]  # the palm faces -y
+    below_thumb = palm | (weights[:, FINGERS["thumb"]] > 0.5)
+    below_fingers = palm | (weights[:, [FINGERS[name] for name in ("index", "middle", "ring", "pinky")]] > 0.5).any(
+        axis=1
+    )
+    inside = {
+        "palm_thumb": below_thumb & (down > 0.2) & (length > 0.1) & (length < 0.75) & (across < 0.35),
+        "palm_fingers": below_fingers & (down > 0.5) & (length > 0.75) & (length < 1.1),
+        "palm_edge": palm & (down > -0.3) & (length > 0.2) & (length <= 0.75) & (across > 0.85),
+    }
+    return regions | {name: np.flatnonzero(vertices) for name, vertices in inside.items()}
 
 
 def translation(cam, centre, side, K):
@@ -58,11 +73,11 @@ def hand_frame(vertices, root, R, t, side):
     return flat, T
 
 
-def write(path, vertices, joints, T_cam_hand, faces, pads, side, frames, K, camera):
+def write(path, vertices, joints, T_cam_hand, faces, regions, side, frames, K, camera):
     """Write the file.
 
     vertices (T, 778, 3) and joints (T, 21, 3) in the hand frame, T_cam_hand (T, 4, 4), faces (F, 3) of the right hand,
-    pads as ``fingertip_pads``, frames (T,) whole numbers, K (3, 3); ``camera`` says in words where K is from: with the
+    ``contact_regions``, frames (T,) whole numbers, K (3, 3); ``camera`` says in words where K is from: with the
     word "guess" in them if it is one.
     """
     faces = np.asarray(faces, dtype=np.int64)
@@ -76,5 +91,5 @@ def write(path, vertices, joints, T_cam_hand, faces, pads, side, frames, K, came
         K=np.asarray(K, dtype=float),
         side=np.array(side),
         provenance_camera=np.array(camera),
-        **{f"region_{finger}": ids for finger, ids in pads.items()},
+        **{f"region_{name}": ids for name, ids in regions.items()},
     )

@@ -28,7 +28,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic, mano
 from getagrip.hands.fit import ORDERS
-from getagrip.hands.model import MIRROR, Side, mirrored, mirrored_pose
+from getagrip.hands.model import MIRROR, PALM_REGIONS, Side, mirrored, mirrored_pose
 from getagrip.hands.trackers import TRACKERS, Hands, Request, choose, read
 from getagrip.hands.trackers.estimates import Camera, mirror_rotation
 from getagrip.hands.trackers.frankmocap import FrankMocap
@@ -458,19 +458,20 @@ def test_scripts_write_what_the_importer_makes(tmp_path: Path, mano_folder: Path
         vertices.append(flat)
         joints.append(hand_file.hand_frame(seen[1], root, R, t, side)[0])
         poses.append(T)
-    pads = hand_file.fingertip_pads(right.template, right.joints, right.faces, right.weights)
+    regions = hand_file.contact_regions(right.template, right.joints, right.faces, right.weights)
     path = tmp_path / "hand.npz"
-    hand_file.write(path, vertices, joints, poses, right.faces, pads, side, [7, 8, 9], K, "known")
+    hand_file.write(path, vertices, joints, poses, right.faces, regions, side, [7, 8, 9], K, "known")
     written = arrays.read(path, lambda _: True)  # the synthetic faces are no surface's, so not by read_hand
     for field in ("vertices", "T_cam_hand", "joints", "faces"):
         np.testing.assert_allclose(written[field], getattr(expected, field), atol=1e-6)
     hand = generic.load("right")  # a surface, on which normals weighted by area and by angle agree
     regions = mano.regions(hand.template, hand.faces, hand.joints, hand.weights)
-    pads = hand_file.fingertip_pads(hand.template, hand.joints, hand.faces, hand.weights)
-    for finger in FINGERS:
-        assert f"region_{finger}" in written
-        both = np.intersect1d(pads[finger], regions[finger])
-        assert len(both) > 0.9 * max(len(pads[finger]), len(regions[finger]))
+    by_script = hand_file.contact_regions(hand.template, hand.joints, hand.faces, hand.weights)
+    assert set(by_script) == set(regions) == {*FINGERS, *PALM_REGIONS} == {*expected.regions}
+    for name, ids in regions.items():
+        assert f"region_{name}" in written
+        both = np.intersect1d(by_script[name], ids)
+        assert len(both) > 0.9 * max(len(by_script[name]), len(ids)) > 0
 
 
 def test_names_of_frames() -> None:
