@@ -153,7 +153,6 @@ STEPS = {
     "+ search": "search",
     "+ axis start": "axis",
     "+ choice": "choice",
-    "+ nearest pairs": "pairs",
     "+ energy scale": "scale",
     "+ push": "push",
     "+ pull": "pull",

@@ -29,12 +29,10 @@ class Departures:
     With all of them it is ``one-dof``. Raises ``UsageError`` for a search without its optimiser.
 
     Attributes:
-        scale: push and pull weigh by the area of the masks (``objective.contact_weights``), instead of 0.1 f per
-            millimetre.
+        scale: push is a mean over vertices, as pull is over fingers, and both weigh by the area of the masks
+            (``objective.contact_weights``), instead of a sum, and of 0.1 f per millimetre.
         push: mean depth of the contact vertices in the object (``PushTerm``), instead of the sum of the depths of the
             object's vertices behind the hand's tangent planes (``PaperPushTerm``).
-        pairs: in the paper's pull, the height over the tangent plane of the nearest vertex, as it must be meant,
-            instead of the least height over any, as it is printed (``PaperPullTerm``).
         pull: distance to the surface, at most 1 cm (``PullTerm``), instead of the signed height over a tangent plane of
             the object (``PaperPullTerm``).
         axis: axis and angles start from the data, by a coarse static and a coarse relaxed fit (``Search.relax``),
@@ -46,7 +44,6 @@ class Departures:
 
     scale: bool = False
     push: bool = False
-    pairs: bool = False
     pull: bool = False
     axis: bool = False
     optimiser: bool = False

@@ -1,4 +1,4 @@
-"""The paper's push and pull: what the appendix says, in numpy; derivatives; what the printed pull does."""
+"""The paper's push and pull: what the appendix says, in numpy; derivatives."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def push_of(mesh: Mesh, hand: TangentPlanes, delta: float = 0.002) -> PaperPushT
     return PaperPushTerm(vertices, hand, 10.0 * np.arange(1, FRAMES + 1), delta)
 
 
-def pull_of(mesh: Mesh, hand: TangentPlanes, nearest: bool = True) -> PaperPullTerm:
+def pull_of(mesh: Mesh, hand: TangentPlanes) -> PaperPullTerm:
     """The fingertips are the first of the planes' points: five of four vertices each."""
     contacts = HandContacts(np.ascontiguousarray(np.swapaxes(hand.point, 1, 2)), np.arange(0, 24, 4))
     vertices = np.ascontiguousarray((mesh.vertices - mesh.centre).T)
-    return PaperPullTerm(vertices, np.ascontiguousarray(mesh.normals.T), contacts, np.full(FRAMES, 100.0), nearest)
+    return PaperPullTerm(vertices, np.ascontiguousarray(mesh.normals.T), contacts, np.full(FRAMES, 100.0))
 
 
 def posed(mesh: Mesh, poses: PosesInCamera, b: int, n: int) -> tuple[ndarray, ndarray]:
@@ -61,12 +61,11 @@ def test_push_is_what_the_appendix_says(which: str) -> None:
             assert value[b, n] > 0.0
 
 
-@pytest.mark.parametrize("nearest", [False, True])
 @pytest.mark.parametrize("which", sorted(MESHES))
-def test_pull_is_what_the_appendix_says(which: str, nearest: bool) -> None:
+def test_pull_is_what_the_appendix_says(which: str) -> None:
     rng = np.random.default_rng(1)
     mesh, hand, poses = MESHES[which], planes(rng), random_poses(rng, 2, FRAMES)
-    term = pull_of(mesh, hand, nearest)
+    term = pull_of(mesh, hand)
     value = term(poses, no_bound(poses)).value
     for b in range(2):
         for n in range(FRAMES):
@@ -75,17 +74,16 @@ def test_pull_is_what_the_appendix_says(which: str, nearest: bool) -> None:
             for region in np.split(term.hand.position[n, :20], 5):
                 between = region[:, None] - v_o
                 height = np.sum(between * n_o, axis=-1)
-                pair = np.linalg.norm(between, axis=-1) if nearest else height
-                expected += height.ravel()[np.argmin(pair)] / 5
+                expected += height.ravel()[np.argmin(np.linalg.norm(between, axis=-1))] / 5
             assert value[b, n] == pytest.approx(100.0 * expected, abs=1e-4)
 
 
-@pytest.mark.parametrize("name", ["push", "pull", "printed pull"])
+@pytest.mark.parametrize("name", ["push", "pull"])
 @pytest.mark.parametrize("which", sorted(MESHES))
 def test_gradients(name: str, which: str) -> None:
     rng = np.random.default_rng(2)
     mesh, hand, poses = MESHES[which], planes(rng), random_poses(rng, 2, FRAMES)
-    term: Term = push_of(mesh, hand, delta=1e-12) if name == "push" else pull_of(mesh, hand, name == "pull")
+    term: Term = push_of(mesh, hand, delta=1e-12) if name == "push" else pull_of(mesh, hand)
     # Steps too small for another pair to become the nearest.
     expected = differences(lambda p: term(p, no_bound(p)).value, poses, np.full(7, 1e-8))
     g = term(poses, no_bound(poses)).g
@@ -102,16 +100,14 @@ def test_hessians_can_be_trusted(which: str, seed: int) -> None:
         hypotheses_are_independent(term, poses)
 
 
-def test_the_printed_pull_falls_without_end_as_the_object_leaves() -> None:
-    """The plane of the far side counts; the pair of least distance instead draws the object back."""
+def test_pull_draws_the_object_back_that_leaves() -> None:
     mesh, hand = MESHES["box"], planes(np.random.default_rng(3))
     away = np.array([0.1, 0.2, 0.4])
     centre = np.array([0.0, 0.0, 0.5]) + np.stack([away, np.zeros(3), np.zeros(3)], axis=1)[:, None]
     poses = PosesInCamera(np.tile(np.eye(3), (3, FRAMES, 1, 1)), np.tile(centre, (1, FRAMES, 1)), np.ones(3))
-    for nearest, sign in ((True, 1.0), (False, -1.0)):
-        local = pull_of(mesh, hand, nearest)(poses, no_bound(poses))
-        assert (sign * np.diff(local.value, axis=0) > 0.0).all()
-        assert (sign * local.g[..., 0] > 0.0).all()
+    local = pull_of(mesh, hand)(poses, no_bound(poses))
+    assert (np.diff(local.value, axis=0) > 0.0).all()
+    assert (local.g[..., 0] > 0.0).all()
 
 
 def test_planes_touch_the_hand_wherever_the_camera_is() -> None:

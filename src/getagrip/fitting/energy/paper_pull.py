@@ -16,12 +16,12 @@ from getagrip.kernels.silhouette import OPTIONS
 
 @dataclass(frozen=True)
 class PaperPullTerm:
-    """``weight * mean over the five fingertips of <h - v, n_v>``, signed, h and v of the pair that the minimum chooses.
+    """``weight * mean over the five fingertips of <h - v, n_v>``, signed, of the pair (h, v) of least distance.
 
-    The paper prints ``min <h - v, n_v>`` over all pairs of a fingertip's and the object's vertices, and calls it the
-    minimum distance of all pairs. The two differ: the least *height* is that over a plane of the object's far side, and
-    decreases without end as the finger leaves. The pair of least *distance* (``nearest``) draws the finger to the
-    object, as the term is meant to; the authors' later code pairs likewise.
+    The paper writes ``min <h - v, n_v>`` over all pairs of a fingertip's and the object's vertices, and calls it "the
+    minimum distance of all pairs". The words are followed. The least *height* of all pairs is that over a plane of the
+    object's far side; it decreases without end as the object leaves, and sends it away. The authors' later code takes
+    nearest pairs, too.
 
     The value may be negative, so in a list of terms this one comes first: ``bound`` counts on later terms not being so.
     """
@@ -33,8 +33,6 @@ class PaperPullTerm:
     hand: HandContacts
     weight: Float[ndarray, "N"]
     """Energy per metre of mean height, per frame [px^2 / m]."""
-    nearest: bool
-    """Whether the pair of least distance is chosen, or that of least height, as printed."""
     delta: float = 0.002
     """Heights below this count as this in the curvature [m]."""
     name: str = "pull"
@@ -43,19 +41,19 @@ class PaperPullTerm:
         found = Quadratic.zero(poses)
         _evaluate(
             poses.R, poses.centre, poses.scale, self.vertices, self.normals, self.hand.position, self.hand.region,
-            self.weight, self.nearest, self.delta, found.value, found.g, found.H,
+            self.weight, self.delta, found.value, found.g, found.H,
         )  # fmt: skip
         return found
 
 
 @njit(**OPTIONS)
-def _evaluate(R, centre, scale, vertices, normals, hand, region, weight, nearest, delta, value, g, H):
+def _evaluate(R, centre, scale, vertices, normals, hand, region, weight, delta, value, g, H):
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape
     V, fingers = vertices.shape[1], len(region) - 1
     tips = region[fingers]
-    x, m, local = vertices.astype(np.float32), normals.astype(np.float32), np.empty((3, tips), np.float32)
-    cost, which = np.empty(V, np.float32), np.empty(V, np.int32)
+    x, local = vertices.astype(np.float32), np.empty((3, tips), np.float32)
+    squared, which = np.empty(V, np.float32), np.empty(V, np.int32)
     a = np.empty(7)
     for b in range(B):
         for n in range(N):
@@ -65,11 +63,8 @@ def _evaluate(R, centre, scale, vertices, normals, hand, region, weight, nearest
                 for k in range(3):
                     local[k, q] = (R[b, n, 0, k] * r0 + R[b, n, 1, k] * r1 + R[b, n, 2, k] * r2) / scale[b]
             for f in range(fingers):
-                if nearest:
-                    nearest_points(x, local, region[f], region[f + 1], cost, which)
-                else:
-                    _lowest(x, m, local, region[f], region[f + 1], cost, which)
-                at = np.argmin(cost)
+                nearest_points(x, local, region[f], region[f + 1], squared, which)
+                at = np.argmin(squared)
                 tip = which[at]
                 if tip < 0:  # no region, or behind the camera, where nothing is a number
                     continue
@@ -96,17 +91,3 @@ def _evaluate(R, centre, scale, vertices, normals, hand, region, weight, nearest
 def _arm(point, centre):
     """From the centre to the point."""
     return point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
-
-
-@njit(**OPTIONS)
-def _lowest(x, m, points, begin, end, cost, which):
-    """For each plane (x, m), each (3, V), the lowest of the points (3, Q) from ``begin`` to ``end``, and its height."""
-    cost[:] = np.float32(np.inf)
-    which[:] = -1
-    for q in range(begin, end):
-        p0, p1, p2 = points[0, q], points[1, q], points[2, q]
-        for v in range(len(cost)):
-            height = (p0 - x[0, v]) * m[0, v] + (p1 - x[1, v]) * m[1, v] + (p2 - x[2, v]) * m[2, v]
-            lower = height < cost[v]
-            which[v] = np.int32(q) if lower else which[v]
-            cost[v] = height if lower else cost[v]

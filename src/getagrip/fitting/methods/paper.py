@@ -11,6 +11,7 @@ The paper leaves these open:
 - how the object's vertices, of whose number E_push depends, are spread: those of the mesh decimated to 1000 faces,
   about as many as the authors' meshes have;
 - where the axis lies: it has a location (``Options.axis``), as in the authors' code;
+- which pair E_pull means: that of least distance (``PaperPullTerm``), as the paper says and the authors' code has it;
 - initial poses: those of all our methods (``initial_poses``), or the paper's, from files.
 """
 
@@ -105,12 +106,11 @@ def energy_of(problem: Problem) -> Energy:
         push, pull = contact_weights(problem, ALONE * options.push, ALONE * options.pull)
     else:
         push, pull = (1e3 * weight * problem.observation.K[:, 0] for weight in (options.push, options.pull))
-    pushed = push_of(problem, push) if ours.push else paper_push_of(problem, push)
+    vertices = len(problem.surface.coarse.vertices) if ours.scale else 1  # a mean, or the sum
+    pushed = push_of(problem, push) if ours.push else paper_push_of(problem, push / vertices)
     # The paper's pull, which may be negative, stands first (``PaperPullTerm``).
     mask = mask_of(problem)
-    if ours.pull:
-        return plus(mask, pushed, pull_of(problem, pull))
-    return plus(paper_pull_of(problem, pull, ours.pairs), mask, pushed)
+    return plus(mask, pushed, pull_of(problem, pull)) if ours.pull else plus(paper_pull_of(problem, pull), mask, pushed)
 
 
 def paper_push_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
@@ -120,11 +120,11 @@ def paper_push_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     return lambda level, index: [PaperPushTerm(vertices, planes[level].take(index), weight[index])]
 
 
-def paper_pull_of(problem: Problem, weight: Float[ndarray, "N"], nearest: bool) -> Energy:
+def paper_pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """E_pull of the appendix, likewise."""
     surface = _surface(problem)
     hands = {level: HandContacts.of(problem.clip.hand, count) for level, count in CONTACTS.items()}
-    return lambda level, index: [PaperPullTerm(*surface, hands[level].take(index), weight[index], nearest)]
+    return lambda level, index: [PaperPullTerm(*surface, hands[level].take(index), weight[index])]
 
 
 def _surface(problem: Problem) -> tuple[Float[ndarray, "3 V"], Float[ndarray, "3 V"]]:
