@@ -149,16 +149,16 @@ def _mask_noise(px: float) -> Setting:
 
 
 STEPS = {
+    "+ energy scale": "scale",
     "+ optimiser": "optimiser",
     "+ search": "search",
     "+ axis start": "axis",
     "+ choice": "choice",
-    "+ energy scale": "scale",
     "+ push": "push",
     "+ pull": "pull",
 }
-"""Departures from the paper's method, in the order in which they are added up: first how the minimum is sought, then
-what is minimised, for the first make the rest quick to measure.
+"""Departures from the paper's method, in the order in which they are added up. The terms' form comes last: what is
+slow is measured as seldom as can be.
 """
 
 
