@@ -157,8 +157,8 @@ STEPS = {
     "+ push": "push",
     "+ pull": "pull",
 }
-"""Departures from the paper's method, in the order in which they are added up. The terms' form comes last: what is
-slow is measured as seldom as can be.
+"""Departures from the paper's method, in the order in which they are added up: the scale, without which no minimum is
+where the object is; then how the minimum is found; then the form of the terms.
 """
 
 
