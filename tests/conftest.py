@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from helpers.shapes import check_package
+from helpers.shapes import check_package, next_test
 
 check_package()  # before anything of the package is imported
 
@@ -24,6 +24,11 @@ from getagrip.clip import write_clip  # noqa: E402
 from helpers.clips import small_clip  # noqa: E402
 from helpers.command_line import Run  # noqa: E402
 from helpers.folders import FullDisk  # noqa: E402
+
+
+@pytest.fixture(autouse=True)
+def _shapes_are_checked_anew() -> None:
+    next_test()
 
 
 @pytest.fixture

@@ -1,4 +1,7 @@
-"""Shapes and kinds of arrays in type hints, checked while the tests run. All other types are mypy's to check."""
+"""Shapes and kinds of arrays in type hints, checked while the tests run. All other types are mypy's to check.
+
+Every function is checked in its first calls of every test. Checking all of them takes as long as the tests themselves.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,15 @@ import re
 import sys
 from collections.abc import Callable
 from dataclasses import is_dataclass
-from functools import cache
+from functools import cache, wraps
 from typing import Any, get_args
 
 import jaxtyping
 from beartype import beartype
 from jaxtyping import AbstractArray, AbstractDtype, install_import_hook, jaxtyped
+
+FIRST_CALLS = 20
+_test = 0
 
 
 def check_package() -> None:
@@ -22,10 +28,35 @@ def check_package() -> None:
 
     def where_there_are_arrays(typechecker: Callable[..., Any]) -> Callable[..., Any]:
         check = jaxtyped(typechecker=typechecker)
-        return lambda it: check(it) if mentions_arrays(it) else it
+        return lambda it: in_first_calls(it, check(it)) if mentions_arrays(it) else it
 
     jaxtyping.jaxtyped = where_there_are_arrays  # the import hook puts it before every function and class
     install_import_hook("getagrip", f"{__name__}.arrays_only")
+
+
+def next_test() -> None:
+    """Check the first calls again."""
+    global _test
+    _test += 1
+
+
+def in_first_calls(it: Any, checked: Any) -> Any:
+    """A function that is checked in its first calls of every test; a class is checked whenever it is made."""
+    if isinstance(it, type):
+        return checked
+    test, calls = -1, 0
+
+    @wraps(it)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        nonlocal test, calls
+        if test != _test:
+            test, calls = _test, 0
+        if calls == FIRST_CALLS:
+            return it(*args, **kwargs)
+        calls += 1
+        return checked(*args, **kwargs)
+
+    return call
 
 
 def arrays_only(function: Callable[..., Any]) -> Callable[..., Any]:
