@@ -15,7 +15,10 @@ numbers are ours, chosen so that hand length, hand breadth and the reach of the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float
@@ -84,9 +87,11 @@ def half_depth(breadth: float, circumference: float) -> float:
     return 0.5 * float(np.sqrt(2.0 * (circumference / np.pi) ** 2 - breadth**2))
 
 
-def rest_fingers() -> dict[str, Finger]:
+@cache
+def rest_fingers() -> Mapping[str, Finger]:
     """The five fingers of the flat right hand [m]."""
-    return {finger: _thumb() if finger == "thumb" else _finger(finger) for finger in FINGERS}
+    fingers = {finger: _thumb() if finger == "thumb" else _finger(finger) for finger in FINGERS}
+    return MappingProxyType(fingers)
 
 
 def rest_joints() -> Float[ndarray, "16 3"]:

@@ -102,19 +102,24 @@ def _frame(into: Real[ndarray, "3"], aside: Real[ndarray, "3"], at: Real[ndarray
 
 
 class SignedDistance:
-    """Signed distance to a mesh of closed parts, negative inside [m]."""
+    """Signed distance to a mesh of closed parts, which may overlap, negative inside [m]."""
 
     def __init__(self, mesh: Mesh) -> None:
-        self._mesh = mesh
+        import igl
+
+        self._mesh, self._box = mesh, (mesh.vertices.min(axis=0), mesh.vertices.max(axis=0))
+        self._tree, self._winding = igl.AABB(), igl.FastWindingNumberBVH()
+        self._tree.init(mesh.vertices, mesh.faces)
+        self._winding.init(mesh.vertices, mesh.faces)
 
     def __call__(self, X: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch"]:
         """Distances at points in the mesh's frame."""
-        import igl
-
-        kind = igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER  # right for overlapping parts as well
         flat = np.ascontiguousarray(X.reshape(-1, 3))
-        distance = igl.signed_distance(flat, self._mesh.vertices, self._mesh.faces, kind)[0]
-        return np.asarray(distance, dtype=float).reshape(X.shape[:-1])
+        distance = np.sqrt(self._tree.squared_distance(self._mesh.vertices, self._mesh.faces, flat)[0])
+        boxed = np.flatnonzero(np.all((flat >= self._box[0]) & (flat <= self._box[1]), axis=1))
+        inside = boxed[np.abs(self._winding.winding_number(flat[boxed])) > 0.5] if boxed.size else boxed
+        distance[inside] *= -1.0
+        return distance.reshape(X.shape[:-1])
 
 
 @dataclass(frozen=True)
