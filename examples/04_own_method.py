@@ -2,7 +2,7 @@
 
     python examples/04_own_method.py OUT
 
-compares it with two others on four synthetic clips; tables and results go into OUT (default: out/own-method).
+compares it with two others on two synthetic clips; tables and results go into OUT (default: out/own-method).
 """
 
 import sys
@@ -35,4 +35,4 @@ if __name__ == "__main__":
 
     out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/own-method")
     methods = ["static", "soft-hinge", "coarse-static"]
-    sys.exit(main(["bench", "synthetic", "--clips", "4", "--out", str(out), "--methods", *methods]))
+    sys.exit(main(["bench", "synthetic", "--clips", "2", "--out", str(out), "--methods", *methods]))

@@ -4,21 +4,45 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from getagrip.fitting.methods import METHODS
 from helpers.paths import DATA, ROOT, needs
 
 EXAMPLES = {path.name[:2]: path for path in sorted((ROOT / "examples").glob("*.py"))}
 
 
-def run(code: str | Path, folder: Path, *args: object) -> str:
-    """What a script prints that is run in a folder of its own."""
-    command = [sys.executable, *(["-c", code] if isinstance(code, str) else [str(code)]), *map(str, args)]
+Call = Callable[..., str]
+
+
+@pytest.fixture
+def printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
+    """Run a script in a folder of its own, in this process; returns what it prints."""
+    monkeypatch.chdir(tmp_path)
+    before = dict(METHODS)
+
+    def call(script: Path, *args: object) -> str:
+        monkeypatch.setattr(sys, "argv", [str(script), *map(str, args)])
+        try:
+            runpy.run_path(str(script), run_name="__main__")
+        finally:
+            METHODS.clear()
+            METHODS.update(before)
+        return capsys.readouterr().out
+
+    return call
+
+
+def in_a_process(script: Path, folder: Path, *args: object) -> str:
+    """Run a script in a folder of its own, in a process of its own; returns what it prints."""
     environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
+    command = [sys.executable, str(script), *map(str, args)]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -36,43 +60,44 @@ def test_they_are_numbered() -> None:
 
 
 @pytest.mark.slow
-def test_a_synthetic_clip(tmp_path: Path) -> None:
-    out = run(EXAMPLES["01"], tmp_path, "out")
-    assert number_after("mask IOU", out) > 0.95
+def test_a_synthetic_clip(tmp_path: Path, printed: Call) -> None:
+    assert number_after("mask IOU", printed(EXAMPLES["01"], "out")) > 0.95
     assert (tmp_path / "out" / "report.png").stat().st_size > 10_000
 
 
 @pytest.mark.slow
-def test_own_arrays(tmp_path: Path) -> None:
-    assert number_after("mask IOU", run(EXAMPLES["02"], tmp_path, "out")) > 0.9
+def test_own_arrays(tmp_path: Path, printed: Call) -> None:
+    assert number_after("mask IOU", printed(EXAMPLES["02"], "out")) > 0.9
     assert (tmp_path / "out" / "poses.npz").is_file()
 
 
 def test_a_dataset_that_is_absent_is_skipped(tmp_path: Path) -> None:
-    assert run(EXAMPLES["03"], tmp_path, "nowhere").startswith("skipped: name the folder")
+    assert in_a_process(EXAMPLES["03"], tmp_path, "nowhere").startswith("skipped: name the folder")
 
 
 @pytest.mark.slow
 @needs(DATA / "dexycb")
-def test_a_real_dataset(tmp_path: Path) -> None:
-    assert number_after("mask IOU", run(EXAMPLES["03"], tmp_path, DATA / "dexycb", DATA / "ycb")) > 0.9
+def test_a_real_dataset(printed: Call) -> None:
+    assert number_after("mask IOU", printed(EXAMPLES["03"], DATA / "dexycb", DATA / "ycb")) > 0.9
 
 
 @pytest.mark.slow
 def test_a_method_of_ones_own_in_the_benchmark(tmp_path: Path) -> None:
-    assert "coarse-static" in run(EXAMPLES["04"], tmp_path, "out")
+    assert "coarse-static" in in_a_process(EXAMPLES["04"], tmp_path, "out")  # the benchmark's processes import it
     assert "coarse-static" in (tmp_path / "out" / "methods.md").read_text()
 
 
 @pytest.mark.slow
-def test_an_energy_term_of_ones_own(tmp_path: Path) -> None:
-    out = run(EXAMPLES["05"], tmp_path)
+def test_an_energy_term_of_ones_own(printed: Call) -> None:
+    out = printed(EXAMPLES["05"])
     usual, level = (number_after(f"{label}: axis", out) for label in ("soft hinge", "Level soft hinge"))
     assert level < usual
 
 
 @pytest.mark.slow
-def test_the_python_in_the_readme(tmp_path: Path) -> None:
+def test_the_python_in_the_readme(tmp_path: Path, printed: Call) -> None:
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
-    run(code, tmp_path)
+    script = tmp_path / "readme.py"
+    script.write_text(code, encoding="utf-8")
+    printed(script)
     assert (tmp_path / "report.png").is_file()
