@@ -26,11 +26,9 @@ from getagrip.view.matrix import write_matrix
 from getagrip.view.style import FOUND
 from helpers.clips import box, small_clip
 from helpers.command_line import Run
-from helpers.paths import DATA, needs
 from helpers.pictures import pixels_of, read_picture
 
 RADIUS = 0.03
-HOT3D = DATA / "hot3d"
 
 
 def ball(radius: float, subdivisions: int = 3) -> Mesh:
@@ -277,18 +275,3 @@ def test_a_picture_is_drawn_of_any_length(frames: int, tmp_path: Path) -> None:
     assert bare.shape == marked.shape
     assert pixels_of(marked, FOUND) > pixels_of(bare, FOUND) + 1000  # the frame, and the strip below
     assert pixels_of(bare, "#16283a") > 0.3 * bare[..., 0].size  # every pair has the same contact
-
-
-# Real data.
-
-
-@needs(HOT3D)
-@pytest.mark.slow
-def test_the_pot_of_hot3d_is_held_from_first_to_last_frame(tmp_path: Path) -> None:
-    from getagrip.datasets.dataset import clips
-    from getagrip.datasets.hot3d.reader import Hot3d
-
-    found = {clip.category: clip for clip, _ in clips(Hot3d(root=HOT3D))}
-    # The one proper lifted grasp: contact is reliable at 5 mm.
-    for points in ("vertices", "area"):
-        assert segment(found["coffee_pot"], Definition(contact=0.005, points=points))[1] == [(0, 33)]

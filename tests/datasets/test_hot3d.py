@@ -1,4 +1,4 @@
-"""The HOT3D reader: on a synthetic recording, on broken ones, and on HOT3D's own samples where they are."""
+"""The HOT3D reader: on a synthetic recording, and on broken ones."""
 
 import csv
 import json
@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from getagrip.clip import FINGERS
 from getagrip.datasets import cutting
 from getagrip.datasets.dataset import clips
 from getagrip.datasets.hot3d import recording
@@ -18,10 +17,8 @@ from getagrip.geometry.depth import depth_and_face
 from getagrip.grasps import lists
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.stable import segment
-from helpers.paths import DATA, needs
 from helpers.umetrack_profile import profile
 
-HOT3D = DATA / "hot3d"
 NAME = "P0000_0123abcd"
 HOLD = "P0000--0123abcd--red_box--right"
 FRAMES = 16
@@ -292,28 +289,3 @@ def test_what_is_no_list_is_refused(tmp_path, content):
     (tmp_path / "hit.json").write_bytes(content)
     with pytest.raises(InputError, match=r"hit\.json"):
         lists.read(tmp_path / "hit.json")
-
-
-@needs(HOT3D)
-@pytest.mark.slow
-def test_the_three_holds_of_the_samples():
-    from scipy.spatial import cKDTree
-
-    notes = []
-    found = {}
-    for clip, masks in read(HOT3D, notes.append):
-        found[clip.name] = len(clip)
-        assert masks.object.any(axis=(1, 2)).all()
-        assert clip.truth.scale == 1.0
-        hand = se3.transform(clip.truth.T_cam_hand, clip.truth.hand_vertices)
-        corners = se3.transform(clip.truth.T_cam_obj, clip.mesh.vertices[clip.mesh.faces].mean(axis=1))
-        for n in (0, len(clip) - 1):
-            distance, _ = cKDTree(corners[n]).query(hand[n])
-            pads = [distance[clip.hand.regions[finger]].min() for finger in FINGERS]
-            assert sorted(pads)[2] < 0.008  # three fingertips and more are at the object
-    assert found == {
-        "P0002--273c2819--mouse--right": 15,
-        "P0003--c701bd11--coffee_pot--left": 34,
-        "P0003--c701bd11--mug_white--right": 34,
-    }
-    assert notes == []

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import is_dataclass
 from functools import cache, wraps
@@ -17,7 +18,7 @@ from beartype import beartype
 from jaxtyping import AbstractArray, AbstractDtype, install_import_hook, jaxtyped
 
 FIRST_CALLS = 20
-_test = 0
+_calls: Counter[Any] = Counter()
 
 
 def check_package() -> None:
@@ -36,24 +37,19 @@ def check_package() -> None:
 
 def next_test() -> None:
     """Check the first calls again."""
-    global _test
-    _test += 1
+    _calls.clear()
 
 
 def in_first_calls(it: Any, checked: Any) -> Any:
     """A function that is checked in its first calls of every test; a class is checked whenever it is made."""
     if isinstance(it, type):
         return checked
-    test, calls = -1, 0
 
     @wraps(it)
     def call(*args: Any, **kwargs: Any) -> Any:
-        nonlocal test, calls
-        if test != _test:
-            test, calls = _test, 0
-        if calls == FIRST_CALLS:
+        if _calls[it] == FIRST_CALLS:
             return it(*args, **kwargs)
-        calls += 1
+        _calls[it] += 1
         return checked(*args, **kwargs)
 
     return call

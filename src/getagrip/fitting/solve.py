@@ -35,7 +35,7 @@ class Status(StrEnum):
     CONVERGED = "converged: further steps gain less than 0.1 % of the energy"
     STUCK = "stopped: no step lowers the energy any more"
     LIMIT = "stopped at the iteration limit while the energy was still falling a little; --thorough goes on longer"
-    FINISHED = "stopped after its number of iterations"
+    FINISHED = "stopped: all iterations of the fixed number were made"
     INVISIBLE = "failed: the object is behind the camera or too near to it in every hypothesis tried"
 
 
