@@ -6,6 +6,7 @@ It is built from published anthropometry (``generic_skeleton``) and an implicit 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from itertools import pairwise
 
@@ -67,7 +68,7 @@ def load(side: Side) -> HandModel:
 
 
 def skin_weights(
-    vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], fingers: dict[str, Finger]
+    vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], fingers: Mapping[str, Finger]
 ) -> Float[ndarray, "V 16"]:
     """Skinning weights: a vertex belongs to the nearest finger, and along it to the bones whose joints it lies between.
 
@@ -102,7 +103,7 @@ def stretch_directions(
     vertices: Float[ndarray, "V 3"],
     joints: Float[ndarray, "16 3"],
     weights: Float[ndarray, "V 16"],
-    fingers: dict[str, Finger],
+    fingers: Mapping[str, Finger],
 ) -> tuple[Float[ndarray, "V 3 S"], Float[ndarray, "16 3 S"]]:
     """Displacements of vertices and joints per unit of each shape parameter.
 
@@ -120,7 +121,7 @@ def stretch_directions(
     return np.einsum("vj,svja->vas", weights, moved), np.moveaxis(shift, 0, -1)
 
 
-def _stretches(fingers: dict[str, Finger]) -> Float[ndarray, "S 16 3 3"]:
+def _stretches(fingers: Mapping[str, Finger]) -> Float[ndarray, "S 16 3 3"]:
     M = {name: np.zeros((16, 3, 3)) for name in SHAPES}
     M["size"][:] = np.eye(3)
     M["palm_length"][0, 0, 0] = M["thickness"][0, 1, 1] = M["palm_breadth"][0, 2, 2] = 1.0
@@ -139,7 +140,7 @@ def _stretches(fingers: dict[str, Finger]) -> Float[ndarray, "S 16 3 3"]:
 
 
 def contact_regions(
-    vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], fingers: dict[str, Finger]
+    vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], fingers: Mapping[str, Finger]
 ) -> dict[str, Int[ndarray, "_"]]:
     """The pads of the fingertips, then the ball of the thumb, the fingers' roots and the edge of the palm."""
     normals = vertex_normals(vertices, faces)
