@@ -71,6 +71,7 @@ def test_own_arrays(tmp_path: Path, printed: Call) -> None:
     assert (tmp_path / "out" / "poses.npz").is_file()
 
 
+@pytest.mark.slow
 def test_a_dataset_that_is_absent_is_skipped(tmp_path: Path) -> None:
     assert in_a_process(EXAMPLES["03"], tmp_path, "nowhere").startswith("skipped: name the folder")
 

@@ -6,6 +6,8 @@ import inspect
 import subprocess
 import sys
 
+import pytest
+
 import getagrip
 
 FUNCTIONS = {name for name in getagrip.__all__ if name == name.lower()}
@@ -33,6 +35,7 @@ def test_importing_the_root_and_its_options_loads_nothing_heavy() -> None:
     assert fresh(f"import getagrip\ngetagrip.Options(seed=1), getagrip.InputError\nprint({HEAVY})") == "set()"
 
 
+@pytest.mark.slow
 def test_no_module_takes_the_place_of_a_function() -> None:
     everything = (
         "import importlib, pkgutil, getagrip\n"

@@ -49,6 +49,7 @@ def small_result(frames: int = 3, candidates: int = 2, hinged: bool = True, seed
 
 
 @given(frames=st.integers(1, 4), candidates=st.integers(1, 3), hinged=st.booleans(), seed=st.integers(0, 99))
+@pytest.mark.slow
 def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, candidates: int, hinged: bool, seed: int) -> None:
     result = small_result(frames, candidates, hinged, seed)
     folder = write_result(result, tmp_path_factory.mktemp("round") / "trip", "sum", {"add": 1.5}, clip_folder="clip")

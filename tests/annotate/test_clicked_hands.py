@@ -59,6 +59,7 @@ def joints_of(found: ClickedHands, rows: tuple[int, ...] = KEYS) -> np.ndarray:
 
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
 def test_known_hands_are_found_again(side: Side, seed: int) -> None:
     truth = held(side, seed)
     found = hands_from_clicks(clicked(truth, seed), K, side, 0, 40)
@@ -72,6 +73,7 @@ def test_known_hands_are_found_again(side: Side, seed: int) -> None:
     assert np.array_equal(np.isnan(found.residuals), np.isnan(list(clicked(truth, seed).values())).any(axis=-1))
 
 
+@pytest.mark.slow
 def test_a_few_wrong_clicks_are_reported_and_do_little_harm() -> None:
     truth = held("right", 5)
     clicks = clicked(truth, 5, missing=2)
@@ -84,6 +86,7 @@ def test_a_few_wrong_clicks_are_reported_and_do_little_harm() -> None:
     assert np.median(np.linalg.norm(project(K, joints_of(found)) - truth.uv, axis=-1)) < 3.0
 
 
+@pytest.mark.slow
 def test_the_mirrored_image_is_of_the_mirrored_hand() -> None:
     """Both sides' starts differ, hence the tolerance."""
     clicks = clicked(held("left", 6), 6, noise=0.0, missing=3)
@@ -93,6 +96,7 @@ def test_the_mirrored_image_is_of_the_mirrored_hand() -> None:
     np.testing.assert_allclose(other * [-1.0, 1.0, 1.0], one, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_size_is_the_generic_hands_whatever_the_focal_length() -> None:
     """What one view does not determine stays a guess."""
     truth = held("right", 7)
@@ -102,6 +106,7 @@ def test_size_is_the_generic_hands_whatever_the_focal_length() -> None:
         assert np.abs(found.shape).max() < 0.25
 
 
+@pytest.mark.slow
 def test_hands_move_smoothly_between_keys_and_rest_beyond_them() -> None:
     truth = held("left", 8)
     clicks = {n + 10: points for n, points in clicked(truth, 8).items()}
@@ -125,6 +130,7 @@ def test_one_frame_will_do() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
 def test_points_without_sense_give_a_hand_before_the_camera_or_are_refused(seed: int) -> None:
     rng = np.random.default_rng(seed)
     clicks = {n: rng.normal([900.0, 500.0], [30.0, 150.0, 1500.0][seed], (21, 2)) for n in (2, 9)}

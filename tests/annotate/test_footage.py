@@ -25,6 +25,7 @@ UNEVEN = [40 + n + n * n // 30 for n in range(FRAMES)]
 
 @pytest.mark.parametrize("suffix", ["mp4", "mkv", "ts"])
 @pytest.mark.parametrize("times", [None, UNEVEN], ids=["even", "uneven"])
+@pytest.mark.slow
 def test_every_frame_is_the_one_written(tmp_path: Path, suffix: str, times: list[int] | None) -> None:
     video = Video(write_video(tmp_path / f"a.{suffix}", times))
     assert video.frames == FRAMES

@@ -143,6 +143,7 @@ steps = st.lists(
 
 @settings(max_examples=10)
 @given(steps)
+@pytest.mark.slow
 def test_undo_goes_back_through_every_state(
     tmp_path_factory: Any, video: Path, steps: list[tuple[int, dict[str, Any]]]
 ) -> None:
@@ -295,6 +296,7 @@ def test_labels_over_http(server: Server, clicking: Clicking) -> None:
     assert (json.loads(answer)["undone"], json.loads(answer)["frame"]) == (True, 4)
 
 
+@pytest.mark.slow
 def test_hostile_clicks_over_http_are_answered_in_words(server: Server, clicking: Clicking) -> None:
     many = {"outlines": {"the-disc": {"of": "object", "closed": True, "points": [[1, 1]] * 10**6}}}
     body = json.dumps(clicking.change(4, {"joints": {"0": [1, 2]}}))
@@ -378,6 +380,7 @@ def test_too_few_labels_are_reported(clicking: Clicking) -> None:
         clicking.project.work(clicking.about | {"work": "propagate"})
 
 
+@pytest.mark.slow
 def test_clicks_that_are_no_hand_are_reported_with_the_number_of_their_frame_and_masks_filled_in(
     clicking: Clicking,
 ) -> None:

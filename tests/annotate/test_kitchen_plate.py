@@ -26,6 +26,7 @@ LABELS = ROOT / "tests" / "helpers" / "kitchen_plate_labels.json"
 VIDEO = DATA / "egocentric" / "kitchen_plate.mp4"
 
 
+@pytest.mark.slow
 def test_the_labels_are_of_one_hand_and_one_plate() -> None:
     given = labels.read(LABELS)
     K, _ = intrinsics(Lens(guess_focal=True), given.size)

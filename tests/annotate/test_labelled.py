@@ -70,6 +70,7 @@ def image(n: int) -> ndarray:
     return scene(n).image
 
 
+@pytest.mark.slow
 def test_between_keys_hands_follow_the_footage() -> None:
     clicked = hands_from_clicks(labels_of(0, LAST).clicks, K, "right", 0, LAST)
     followed = steadied(clicked, 0, K, SIZE, image)
@@ -84,6 +85,7 @@ def test_between_keys_hands_follow_the_footage() -> None:
     np.testing.assert_array_equal(followed.hand.T_cam_hand[[0, LAST]], clicked.hand.T_cam_hand[[0, LAST]])
 
 
+@pytest.mark.slow
 def test_beyond_the_keys_too() -> None:
     clicked = hands_from_clicks({4: scene(4).uv}, K, "right", 0, LAST)
     followed = steadied(clicked, 0, K, SIZE, image).hand
@@ -149,6 +151,7 @@ def test_what_is_in_front_or_may_be_is_ignored(tmp_path: Path) -> None:
         assert "guess" in str(file["provenance_hands_scale"])
 
 
+@pytest.mark.slow
 def test_only_what_was_made_of_labels_is_overwritten(tmp_path: Path) -> None:
     (tmp_path / "made").mkdir()
     (tmp_path / "made" / "letter.txt").write_text("dear")

@@ -55,6 +55,7 @@ one_frame = st.builds(FrameLabels, st.none() | joints_, st.none() | shapes, st.n
 
 
 @given(st.dictionaries(st.integers(0, 40), one_frame, max_size=4), st.sampled_from(["left", "right"]))
+@pytest.mark.slow
 def test_any_labels_survive_json(frames: dict[int, FrameLabels], side: Any) -> None:
     given_labels = Labels("a.mp4", (64, 48), side, 30.0, 0, 40, frames)
     content = json.loads(json.dumps(labels.to_json(given_labels)))

@@ -95,6 +95,7 @@ def test_a_moving_thing_is_kept_between_two_keys() -> None:
         assert found[key].confidence == 1.0
 
 
+@pytest.mark.slow
 def test_before_the_first_and_after_the_last_key_it_is_followed_and_trusted_less_and_less() -> None:
     found = carried((5,))
     assert worst(found)[0] > 0.93
@@ -103,12 +104,14 @@ def test_before_the_first_and_after_the_last_key_it_is_followed_and_trusted_less
     assert sure[5:] == sorted(sure[5:], reverse=True)
 
 
+@pytest.mark.slow
 def test_backwards_is_the_same_as_forwards() -> None:
     there, back = carried((0, 4), last=4), carried((0, 4), lambda n: drawn(4 - n), last=4)
     for n, each in there.items():
         assert iou(each.labels == OBJECT, back[4 - n].labels == OBJECT) > 0.98
 
 
+@pytest.mark.slow
 def test_what_is_in_front_stays_in_front() -> None:
     for each in (found := carried((0, 5), lambda n: drawn(n, bar=True), last=5)).values():
         assert (each.labels[105:120, 40:200] == FRONT).mean() > 0.95
@@ -134,12 +137,14 @@ def test_a_cut_lowers_the_confidence() -> None:
     assert worst(carried((0, LAST), cut))[1] < 0.5
 
 
+@pytest.mark.slow
 def test_nothing_stays_nothing() -> None:
     keys = {0: drawn(0)[1], 6: np.zeros(SIZE[::-1], np.uint8), LAST: np.zeros(SIZE[::-1], np.uint8)}
     found = {n: (labels, sure) for n, labels, sure in propagate(lambda n: drawn(n)[0], keys, 0, LAST)}
     assert all(not found[n][0].any() and found[n][1] == 1.0 for n in range(6, LAST + 1))
 
 
+@pytest.mark.slow
 def test_images_may_be_smaller_than_masks() -> None:
     """As footage is that is shown smaller than it is."""
 

@@ -41,6 +41,7 @@ def test_an_unknown_dataset_is_refused_and_the_known_ones_are_named(run: Run) ->
     assert all(name in err for name in DATASETS)
 
 
+@pytest.mark.slow
 def test_help_loads_no_reader() -> None:
     code = (
         "import sys\n"
@@ -54,6 +55,7 @@ def test_help_loads_no_reader() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_the_table_loads_no_compiler() -> None:
     """Or else ``getagrip import --help`` would wait for numba."""
     code = "import sys, getagrip.cli.imports\nsys.exit('numba' in sys.modules)"

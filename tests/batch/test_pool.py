@@ -9,11 +9,14 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from getagrip.batch.pool import in_processes
 from helpers.jobs import work
 from helpers.paths import ROOT
 
 
+@pytest.mark.slow
 def test_a_dying_process_takes_no_other_job_along() -> None:
     before = os.environ.get("OMP_NUM_THREADS")
     outcomes = dict(in_processes(work, range(8), workers=2))

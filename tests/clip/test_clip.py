@@ -51,6 +51,7 @@ def read_all(folder: Path) -> tuple[Clip, Masks]:
 
 
 @given(frames=st.integers(1, 4), seed=st.integers(0, 99), side=st.sampled_from(["left", "right"]), steady=st.booleans())
+@pytest.mark.slow
 def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, seed: int, side: str, steady: bool) -> None:
     clip, masks = small_clip(frames, seed)
     K = clip.K if steady else clip.K * np.linspace(1.0, 1.1, frames)[:, None, None] ** [[1, 1, 1], [1, 1, 1], [0, 0, 0]]
@@ -222,6 +223,7 @@ def test_frames_without_a_visible_object_are_dropped_and_named() -> None:
 
 
 @given(hidden=st.lists(st.booleans(), min_size=5, max_size=5))
+@pytest.mark.slow
 def test_reading_some_frames_is_reading_all_and_choosing(five_frames: Path, hidden: list[bool]) -> None:
     clip = read_clip(five_frames)
     whole = read_masks(clip)
@@ -635,6 +637,7 @@ def damaged_folder(tmp_path_factory: Any) -> Path:
 
 @pytest.mark.parametrize("file", FILES)
 @given(data=st.data())
+@pytest.mark.slow
 def test_a_damaged_file_is_an_input_error_or_still_valid(damaged_folder: Path, file: str, data: st.DataObject) -> None:
     whole = (damaged_folder / file).read_bytes()
     broken = bytearray(whole)
@@ -653,6 +656,7 @@ def test_a_damaged_file_is_an_input_error_or_still_valid(damaged_folder: Path, f
 
 @pytest.mark.parametrize("file", ["hand.npz", "truth.npz", "masks/object/0001.png", "masks/ignore/0001.png"])
 @given(data=st.data())
+@pytest.mark.slow
 def test_truncated_binary_files_are_never_valid(damaged_folder: Path, file: str, data: st.DataObject) -> None:
     whole = (damaged_folder / file).read_bytes()
     (damaged_folder / file).write_bytes(whole[: data.draw(st.integers(0, len(whole) - 1))])

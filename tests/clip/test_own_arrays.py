@@ -49,6 +49,7 @@ def test_what_no_clip_can_be_is_refused(refused: Refused, words: str) -> None:
     refused(lambda: reconstruct(clip, MASKS), key, words)
 
 
+@pytest.mark.slow
 def test_masks_of_another_clip_are_refused_everywhere() -> None:
     two = MASKS.take(np.array([0, 1]))
     result = reconstruct(CLIP, MASKS, Options(inits=1))

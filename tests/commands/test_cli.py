@@ -74,6 +74,7 @@ def test_help_is_there(run: Run, args: tuple[str, ...]) -> None:
         ("report",),
     ],
 )
+@pytest.mark.slow
 def test_wrong_calls_exit_with_2(run: Run, args: tuple[str, ...], tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     status, _, err = run(*args)
@@ -135,6 +136,7 @@ def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
     assert Path(printed.strip()).stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_one_broken_clip_stops_no_other(run: Run, made: Path, tmp_path: Path) -> None:
     broken = broken_clip(made, tmp_path / "broken")
     status, printed, err = run(
@@ -195,6 +197,7 @@ def test_an_interrupt_leaves_no_traceback(made: Path, tmp_path: Path, monkeypatc
 # Start-up.
 
 
+@pytest.mark.slow
 def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys, getagrip\n"

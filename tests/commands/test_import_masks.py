@@ -209,6 +209,7 @@ JUNK = st.recursive(
 
 @settings(max_examples=200, deadline=None)
 @given(JUNK | st.fixed_dictionaries({"size": st.just([14, 20]), "counts": JUNK | st.text("0123456789:;<=>?@PQRSTUVo")}))
+@pytest.mark.slow
 def test_any_segmentation_is_read_or_refused(value: Any) -> None:
     try:
         assert region(Path("c.json"), "annotations[0].segmentation", value, SIZE).shape == SIZE[::-1]
@@ -237,6 +238,7 @@ def test_impossible_segmentations(refused: Callable[..., str], segmentation: Any
 
 @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
+@pytest.mark.slow
 def test_damaged_files_are_refused_or_read(tmp_path: Path, data: st.DataObject) -> None:
     """Truncated files and swapped bytes."""
     kind = data.draw(st.sampled_from(["png", "json", "npz"]))

@@ -136,6 +136,7 @@ def test_what_is_missing_is_reported(made: Path, capsys: pytest.CaptureFixture[s
     assert not (made / "cup").exists()
 
 
+@pytest.mark.slow
 def test_in_steps(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without masks and hands the clip has its images; each is added later, frames without a hand are left out."""
     mesh = ["--mesh", str(made / "unit.obj"), "--diameter-mm", "130", "--guess-focal"]
@@ -180,6 +181,7 @@ def test_only_a_clip_is_overwritten(made: Path, run: Run) -> None:
     assert contents(made) == before
 
 
+@pytest.mark.slow
 def test_hands_and_what_clip_json_says_of_them_come_together_or_not_at_all(
     made: Path, run: Run, full_disk: FullDisk
 ) -> None:
@@ -294,6 +296,7 @@ def test_a_wrong_label_is_reported_before_there_are_hands(made: Path, capsys: py
     assert not (made / "cup").exists()
 
 
+@pytest.mark.slow
 def test_joints_that_do_not_fit_the_clip_are_refused_in_plain_words(
     made: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -333,6 +336,7 @@ def test_upright_videos_of_telephones_are_upright(made: Path) -> None:
     shown.close()
 
 
+@pytest.mark.slow
 def test_hands_need_a_place_to_go(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_clip(*small_clip(), made / "small")
     path = made / "hands.npz"

@@ -251,6 +251,7 @@ def test_wrong_calls_exit_with_2_and_write_nothing(run: Run, tmp_path: Path) -> 
     assert run("segment", "--help")[0] == 0
 
 
+@pytest.mark.slow
 def test_help_loads_nothing_heavy() -> None:
     code = (
         "import sys\n"
@@ -267,6 +268,7 @@ def test_help_loads_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize("frames", [1, 3, 40, 2500])
+@pytest.mark.slow
 def test_a_picture_is_drawn_of_any_length(frames: int, tmp_path: Path) -> None:
     contact = np.tile(np.arange(5) < 3, (frames, 1))
     iou = contact_iou(contact)

@@ -125,6 +125,7 @@ def clips(root: Path, mano: Path, whole: bool = False) -> list[Any]:
     return [cutting.clip(piece, 20, notes.append) for piece in found]
 
 
+@pytest.mark.slow
 def test_poses_and_hands_are_those_that_were_written(root: Path, mano: Path) -> None:
     left, right = read(root, mano)
     of = scene()
@@ -141,12 +142,14 @@ def test_poses_and_hands_are_those_that_were_written(root: Path, mano: Path) -> 
         assert same_points(right.surface(n)[0], se3.transform(of["T_cam_obj"][n], expected), 1e-6)
 
 
+@pytest.mark.slow
 def test_the_view_on_the_head_is_of_a_third_of_the_size(root: Path, mano: Path) -> None:
     track = read(root, mano)[0]
     assert track.size == (840, 600)
     np.testing.assert_allclose(track.K, [[516.0, 0.0, 420.0], [0.0, 513.0, 300.0], [0.0, 0.0, 1.0]])
 
 
+@pytest.mark.slow
 def test_a_fixed_view_stands_still(root: Path, mano: Path) -> None:
     head, fixed = read(root, mano)[1], read(root, mano, view=8)[1]
     T_world = se3.inverse(scene()["T_cam_world"])
@@ -155,6 +158,7 @@ def test_a_fixed_view_stands_still(root: Path, mano: Path) -> None:
         Arctic(root=root, mano=mano, view=9).sources()
 
 
+@pytest.mark.slow
 def test_opening_ends_a_grasp(root: Path, mano: Path) -> None:
     ((clip, masks),) = clips(root, mano)
     assert clip.name == "s01--ball_use_01--ball--right"
@@ -165,6 +169,7 @@ def test_opening_ends_a_grasp(root: Path, mano: Path) -> None:
     assert segment(clip, Definition())[1] == [(0, len(clip) - 1)]
 
 
+@pytest.mark.slow
 def test_masks_show_the_object_and_ignore_both_hands(root: Path, mano: Path) -> None:
     ((clip, masks),) = clips(root, mano)
     left, right = read(root, mano)
@@ -178,6 +183,7 @@ def test_masks_show_the_object_and_ignore_both_hands(root: Path, mano: Path) -> 
     assert masks.ignore[0].sum() > 300
 
 
+@pytest.mark.slow
 def test_whole_sequences_are_not_cut_where_the_joint_turns(root: Path, mano: Path) -> None:
     """So that `segment` finds in them what an import finds."""
     found = clips(root, mano, whole=True)
@@ -202,6 +208,7 @@ def test_neutral_frames_are_of_the_shape_alone() -> None:
         np.testing.assert_allclose(arctic.neutral_frame(moved) @ T, own, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_import_writes_clips_and_keeps_them(
     root: Path, mano: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
@@ -217,6 +224,7 @@ def test_import_writes_clips_and_keeps_them(
     assert "0 clips, 2 already there, 0 sequences failed" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_wrong_calls_are_refused(root: Path, mano: Path, tmp_path: Path, run: Run) -> None:
     status, _, err = run("import", "arctic", root, "--mano", mano, "--meshes", tmp_path, "--out", tmp_path / "out")
     assert (status, "--meshes" in err) == (2, True)
@@ -258,6 +266,7 @@ NAN = np.full((FRAMES, 3), np.nan)
         (("right", "trans"), Hostile(), "system, expected .* nothing in it was run"),
     ],
 )
+@pytest.mark.slow
 def test_broken_hands_are_named(root: Path, mano: Path, keys: tuple[str, ...], value: Any, named: str) -> None:
     edited(root / "raw_seqs" / "s01" / "ball_use_01.mano.npy", *keys, value=value)
     with pytest.raises(InputError, match=rf"ball_use_01\.mano\.npy: .*{named}"):
@@ -281,6 +290,7 @@ def test_absurdly_long_sequences_are_refused_before_memory_is_taken(root: Path, 
         ("intrinsics", None),
     ],
 )
+@pytest.mark.slow
 def test_broken_cameras_are_named(root: Path, mano: Path, key: str, value: Any) -> None:
     edited(root / "raw_seqs" / "s01" / "ball_use_01.egocam.dist.npy", key, value=value)
     with pytest.raises(InputError, match=r"egocam\.dist\.npy"):
@@ -304,6 +314,7 @@ def test_broken_cameras_are_named(root: Path, mano: Path, key: str, value: Any) 
         ("meta/object_vtemplates/ball/mesh.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", "0.001 m large"),
     ],
 )
+@pytest.mark.slow
 def test_broken_files_are_named(root: Path, mano: Path, name: str, content: bytes, named: str) -> None:
     (root / name).write_bytes(content)
     with pytest.raises(InputError, match=rf"{Path(name).name}.*{named}"):
@@ -311,6 +322,7 @@ def test_broken_files_are_named(root: Path, mano: Path, name: str, content: byte
 
 
 @pytest.mark.parametrize("name", ["ball_use_01.mano.npy", "ball_use_01.egocam.dist.npy", "ball_use_01.object.npy"])
+@pytest.mark.slow
 def test_truncated_and_missing_files_are_named(root: Path, mano: Path, name: str) -> None:
     path = root / "raw_seqs" / "s01" / name
     content = path.read_bytes()
@@ -323,6 +335,7 @@ def test_truncated_and_missing_files_are_named(root: Path, mano: Path, name: str
         read(root, mano)
 
 
+@pytest.mark.slow
 def test_wrong_shapes_of_poses_are_named(root: Path, mano: Path) -> None:
     np.save(root / "raw_seqs" / "s01" / "ball_use_01.object.npy", np.zeros((FRAMES, 6)))
     with pytest.raises(InputError, match=r"\(32, 6\), expected \(any, 7\)"):

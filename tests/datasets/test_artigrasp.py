@@ -84,6 +84,7 @@ def test_meshes_have_enough_vertices_to_count_contact(root: Path) -> None:
     assert 2000 < len(read(root)[1].object(0.0).vertices) < 9000  # of boxes with 8 each
 
 
+@pytest.mark.slow
 def test_a_grasp_ends_where_the_joint_turns(root: Path) -> None:
     found = list(cutting.pieces(read(root), print, ArtiGrasp(root=root).cut(print)))
     spans = [(p.track.side, int(p.track.numbers[0]), int(p.track.numbers[-1])) for p in found]

@@ -76,6 +76,7 @@ def numbers(folder: Path) -> tuple[int, int, int]:
     return int(frames[0]) - ORIGIN, int(frames[-1]) - ORIGIN, len(frames)
 
 
+@pytest.mark.slow
 def test_an_import_and_segment_agree_on_a_joint_that_drifts(tmp_path: Path) -> None:
     cut = Cut(Definition())
     (found,) = pieces([drifting()], print, cut)
@@ -95,6 +96,7 @@ def test_an_import_and_segment_agree_on_a_joint_that_drifts(tmp_path: Path) -> N
     assert [tuple(end) for end in ends] == segment(made[0], Definition(shortest=5))[1] == [(30, 54), (55, 70)]
 
 
+@pytest.mark.slow
 def test_contact_is_that_of_the_object_as_its_joint_was(tmp_path: Path) -> None:
     """A lid that opens away from the hand: at the mean angle of its clip it would seem to touch."""
     track = drifting()

@@ -157,6 +157,7 @@ def grasps(sequence, note=lambda _: None):
     return list(pieces(sequence.read(note), note, WITHIN_10_MM.cut(note)))
 
 
+@pytest.mark.slow
 def test_a_stable_grasp_becomes_a_clip(root):
     notes = []
     ((clip, masks),) = read(root, note=notes.append)
@@ -177,6 +178,7 @@ def test_a_stable_grasp_becomes_a_clip(root):
     assert notes == []
 
 
+@pytest.mark.slow
 def test_masks_are_the_object_less_what_hides_it(root):
     ((clip, masks),) = read(root)
     ball = se3.transform(clip.truth.T_cam_obj[0], clip.mesh.vertices)
@@ -190,6 +192,7 @@ def test_masks_are_the_object_less_what_hides_it(root):
     assert masks.ignore[0].any()
 
 
+@pytest.mark.slow
 def test_other_objects_in_front_are_ignored(root):
     for path in (root / SUBJECT / SEQUENCE / SERIALS[0]).iterdir():
         label = dict(np.load(path))
@@ -203,6 +206,7 @@ def test_other_objects_in_front_are_ignored(root):
     assert masks.ignore[0][seen].all()
 
 
+@pytest.mark.slow
 def test_the_camera_that_sees_most_is_taken(root):
     folder = root / SUBJECT / SEQUENCE
     ((_, first),) = read(root)
@@ -215,6 +219,7 @@ def test_the_camera_that_sees_most_is_taken(root):
     assert first.object.any()
 
 
+@pytest.mark.slow
 def test_a_packed_file_holds_the_same(root, pack):
     folder, meshes = pack
     ((own, _),) = read(root)
@@ -234,6 +239,7 @@ def test_bent_fingers_determine_the_hand():
     assert bent_side(mirrored(joints)) == "left"
 
 
+@pytest.mark.slow
 def test_a_mirrored_scene_gives_the_mirrored_hand(tmp_path, pack):
     _, meshes = pack
     flip = np.diag([-1.0, 1.0, 1.0])
@@ -248,6 +254,7 @@ def test_a_mirrored_scene_gives_the_mirrored_hand(tmp_path, pack):
     np.testing.assert_allclose(left.hand.vertices, mirrored(right.hand.vertices), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_grasps_end_where_the_hand_is_not_known(root):
     """What lies between two gaps is a grasp where it has 20 frames."""
     for lost, expected in ((LOST, [(TAKEN, LOST - 1)]), (8, [(9, FRAMES - 1)]), (18, [])):
@@ -258,6 +265,7 @@ def test_grasps_end_where_the_hand_is_not_known(root):
         assert all(float(piece.stable_area.split()[0]) > 0.9 for piece in found)
 
 
+@pytest.mark.slow
 def test_a_hand_that_lets_go_gives_no_clip(root):
     for path in (root / SUBJECT / SEQUENCE / SERIALS[0]).iterdir():
         label = dict(np.load(path))
@@ -268,6 +276,7 @@ def test_a_hand_that_lets_go_gives_no_clip(root):
     assert "no stable grasp of 20 frames" in notes[0]
 
 
+@pytest.mark.slow
 def test_an_object_outside_the_image_gives_no_clip(root):
     path = root / "calibration" / "intrinsics" / f"{SERIALS[0]}_640x480.yml"
     path.write_text(INTRINSICS.replace("308.5", "-2000.0"))
@@ -323,6 +332,7 @@ def test_subjects_are_known_by_the_name():
         ("836212060125_640x480.yml", INTRINSICS, "[" * 5000),
     ],
 )
+@pytest.mark.slow
 def test_broken_descriptions_are_named(root, name, old, new):
     (path,) = root.rglob(name)
     assert old in path.read_text()
@@ -394,6 +404,7 @@ def test_sequences_of_absurd_lengths_are_refused(pack, monkeypatch):
         find(pack[0])
 
 
+@pytest.mark.slow
 def test_the_other_sequences_are_read_before_an_error_is_raised(root):
     broken = root / SUBJECT / "20200709_000000"
     broken.mkdir()
@@ -404,6 +415,7 @@ def test_the_other_sequences_are_read_before_an_error_is_raised(root):
         list(found)
 
 
+@pytest.mark.slow
 def test_import_writes_clips_and_goes_on_where_it_stopped(root, tmp_path, capsys):
     out = tmp_path / "out"
     assert import_clips(DexYcb(root=root), out, debug=False) == 0

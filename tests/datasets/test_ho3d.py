@@ -89,6 +89,7 @@ def read(root: Path, mano: Path | None) -> list[tracks.Track]:
     return [track for source in Ho3d(root=root, mano=mano).sources() for track in source.read(lambda _: None)]
 
 
+@pytest.mark.slow
 def test_axes_of_opengl_are_turned(root: Path, mano: Path) -> None:
     _, T_cam_obj = motion()
     known = np.arange(FRAMES) != LOST
@@ -100,6 +101,7 @@ def test_axes_of_opengl_are_turned(root: Path, mano: Path) -> None:
         np.testing.assert_array_equal(track.numbers, np.flatnonzero(known))
 
 
+@pytest.mark.slow
 def test_hands_are_mano_s_or_fitted_to_the_joints(root: Path, mano: Path) -> None:
     T_cam_hand, _ = motion()
     known = np.arange(FRAMES) != LOST
@@ -113,6 +115,7 @@ def test_hands_are_mano_s_or_fitted_to_the_joints(root: Path, mano: Path) -> Non
     assert np.linalg.norm(seen - se3.transform(T_cam_hand[known], joints), axis=-1).max() < 0.003
 
 
+@pytest.mark.slow
 def test_a_grasp_ends_where_nothing_is_known(root: Path) -> None:
     notes: list[str] = []
     (piece,) = cutting.pieces(read(root, None), notes.append, WITHIN_10_MM.cut(print))
@@ -126,6 +129,7 @@ def test_a_grasp_ends_where_nothing_is_known(root: Path) -> None:
     assert masks.object.any(axis=(1, 2)).all()
 
 
+@pytest.mark.slow
 def test_hands_of_the_evaluation_split_are_not_known(root: Path) -> None:
     notes: list[str] = []
     for source in Ho3d(root=root).sources():
@@ -136,6 +140,7 @@ def test_hands_of_the_evaluation_split_are_not_known(root: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_import_writes_clips(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert import_clips(Ho3d(root=root), tmp_path / "out", debug=False) == 0
     clip = read_clip(tmp_path / "out" / f"ABF--ABF12--{HELD}--right")
@@ -166,6 +171,7 @@ def test_import_writes_clips(root: Path, tmp_path: Path, capsys: pytest.CaptureF
         ("handBeta", None, "handBeta"),
     ],
 )
+@pytest.mark.slow
 def test_broken_labels_are_named(root: Path, mano: Path, key: str, value: Any, named: str) -> None:
     path = root / "train" / "ABF12" / "meta" / "0007.pkl"
     save(path, pickle.loads(path.read_bytes()) | {key: value})
@@ -173,6 +179,7 @@ def test_broken_labels_are_named(root: Path, mano: Path, key: str, value: Any, n
         read(root, mano if key in ("handPose", "handBeta") else None)
 
 
+@pytest.mark.slow
 def test_damaged_and_missing_files_are_named(root: Path, tmp_path: Path) -> None:
     path = root / "train" / "ABF12" / "meta" / "0007.pkl"
     content = path.read_bytes()

@@ -104,6 +104,7 @@ def read(root: Path, mano: Path) -> list[tracks.Track]:
     return list(source.read(lambda _: None))
 
 
+@pytest.mark.slow
 def test_poses_and_hands_are_those_that_were_written(root: Path, mano: Path) -> None:
     (track,) = read(root, mano)
     T_cam_hand, T_cam_obj = motion()
@@ -116,6 +117,7 @@ def test_poses_and_hands_are_those_that_were_written(root: Path, mano: Path) -> 
     assert same_points(track.surface(7)[0], se3.transform(T_cam_obj[7], np.asarray(ball(0.03).vertices)), 1e-6)
 
 
+@pytest.mark.slow
 def test_left_hands_are_those_of_the_published_file(root: Path, mano: Path) -> None:
     left = root / "handpose" / "refinehandpose_left" / INDEX
     left.mkdir(parents=True)
@@ -128,6 +130,7 @@ def test_left_hands_are_those_of_the_published_file(root: Path, mano: Path) -> N
     np.testing.assert_allclose(track.hand.vertices[3], posed(mano, "left")[1].vertices, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_frames_without_a_hand_are_gaps(root: Path, mano: Path) -> None:
     (root / "handpose" / "refinehandpose_right" / INDEX / "28.pickle").unlink()
     notes: list[str] = []
@@ -152,6 +155,7 @@ def test_labels_are_masks(root: Path, mano: Path, kind: str) -> None:
     assert ignore.sum() == 50 * 50 + 50 * 51
 
 
+@pytest.mark.slow
 def test_masks_are_rendered_where_there_are_none(root: Path, mano: Path, tmp_path: Path) -> None:
     assert import_clips(Hoi4d(root=root, mano=mano), tmp_path / "out", debug=False) == 0
     clip = read_clip(tmp_path / "out" / NAME)
@@ -190,12 +194,14 @@ HAND = f"handpose/refinehandpose_right/{INDEX}/7.pickle"
         ("HOI4D_CAD_Model_for_release/rigid/Bottle/011.obj", b"f 1 2 3", "vertex 3"),
     ],
 )
+@pytest.mark.slow
 def test_broken_files_are_named(root: Path, mano: Path, name: str, content: bytes, named: str) -> None:
     (root / name).write_bytes(content)
     with pytest.raises(InputError, match=rf"{Path(name).name}.*{named}"):
         read(root, mano)
 
 
+@pytest.mark.slow
 def test_broken_labels_are_named(root: Path, mano: Path) -> None:
     write_labels(root)
     path = root / "HOI4D_annotations" / INDEX / "2Dseg" / "mask" / "00007.png"
@@ -209,6 +215,7 @@ def test_broken_labels_are_named(root: Path, mano: Path) -> None:
             cutting.clip(piece, 20, print)
 
 
+@pytest.mark.slow
 def test_wrong_calls_are_refused(root: Path, mano: Path, tmp_path: Path, run: Run) -> None:
     with pytest.raises(UsageError, match="--mano: HOI4D"):
         Hoi4d(root=root).sources()

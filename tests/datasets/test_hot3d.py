@@ -78,6 +78,7 @@ def read(root, note=lambda _: None):
     return clips(Hot3d(root=root), note)
 
 
+@pytest.mark.slow
 def test_a_hold_becomes_a_clip(root):
     notes = []
     ((clip, masks),) = read(root, notes.append)
@@ -102,6 +103,7 @@ def test_a_hold_becomes_a_clip(root):
     json.dumps(clip.provenance)
 
 
+@pytest.mark.slow
 def test_files_may_lie_apart(root):
     apart = root / "hands" / NAME
     apart.mkdir(parents=True)
@@ -111,12 +113,14 @@ def test_files_may_lie_apart(root):
     assert len(clip) == 12
 
 
+@pytest.mark.slow
 def test_short_touches_are_no_holds(root):
     path = root / "sequences" / NAME / "umetrack_hand_pose_trajectory.jsonl"
     path.write_text("\n".join(path.read_text().splitlines()[:10]))  # contact in 8 frames; no hand after them
     assert list(read(root)) == []
 
 
+@pytest.mark.slow
 def test_the_other_recordings_are_read_before_an_error_is_raised(root):
     broken = root / "sequences" / "P0000_bad"
     broken.mkdir()
@@ -182,6 +186,7 @@ def test_object_names_that_could_be_paths_are_refused(root, name):
         list(read(root))
 
 
+@pytest.mark.slow
 def test_an_import_goes_on_where_it_stopped(root, tmp_path, run):
     call = ("import", "hot3d", root, "--out", tmp_path / "out")
     status, printed, _ = run(*call)
@@ -198,6 +203,7 @@ def test_an_import_goes_on_where_it_stopped(root, tmp_path, run):
     assert json.loads((made / "clip.json").read_text())["provenance"]["subject"] == "P0000"
 
 
+@pytest.mark.slow
 def test_whole_recordings_show_what_is_outside_of_the_holds(root, tmp_path, run):
     assert run("import", "hot3d", root, "--out", tmp_path / "out", "--whole")[0] == 0
     assert [folder.name for folder in (tmp_path / "out").iterdir()] == [HOLD]
@@ -227,6 +233,7 @@ def timelines(path, **changes):
     return path
 
 
+@pytest.mark.slow
 def test_grasps_of_a_list(root, tmp_path, run):
     listed = timelines(tmp_path / "hit.json")
     status, _, err = run("import", "hot3d", root, "--out", tmp_path / "out", "--list", listed)
@@ -240,6 +247,7 @@ def test_grasps_of_a_list(root, tmp_path, run):
     }
 
 
+@pytest.mark.slow
 def test_a_list_that_counts_other_frames_is_refused_unless_its_first_number_is_given(root, tmp_path, run):
     listed = timelines(tmp_path / "hit.json", total_end=FRAMES + 4)
     call = ("import", "hot3d", root, "--out", tmp_path / "out", "--list", listed)
@@ -252,6 +260,7 @@ def test_a_list_that_counts_other_frames_is_refused_unless_its_first_number_is_g
     assert found[f"{HOLD}--00008-00040"][0] == "000004"
 
 
+@pytest.mark.slow
 def test_wrong_calls_with_lists(root, tmp_path, run):
     listed = timelines(tmp_path / "hit.json", seq_name="P0001_other")
     call = ("import", "hot3d", root, "--out", tmp_path / "out")

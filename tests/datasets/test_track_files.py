@@ -62,6 +62,7 @@ def test_the_object_is_where_it_is_in_the_hand(tmp_path: Path, side: Side) -> No
     assert np.sqrt(np.mean(apart**2)) < 2e-3
 
 
+@pytest.mark.slow
 def test_the_order_of_the_joints_is_as_stated(tmp_path: Path) -> None:
     as_ho3d = recording().joints["right"][:, np.argsort(ORDERS["ho3d"])]
     (ours,) = read(write(tmp_path))

@@ -52,6 +52,7 @@ def write(meshes: list[Mesh | None], clip: Clip, folder: Path, suffix: str = ".o
     return folder
 
 
+@pytest.mark.slow
 def test_the_true_mesh_in_every_frame_scores_as_the_truth(scene: tuple[Clip, Masks]) -> None:
     clip, masks = scene
     ours = evaluate(perfect(clip), clip, masks)
@@ -69,6 +70,7 @@ def test_the_true_mesh_in_every_frame_scores_as_the_truth(scene: tuple[Clip, Mas
 
 @pytest.mark.parametrize("frame", ["camera", "hand"])
 @pytest.mark.parametrize("suffix", [".obj", ".ply"])
+@pytest.mark.slow
 def test_files_in_either_frame_say_the_same(
     scene: tuple[Clip, Masks], tmp_path: Path, frame: MeshFrame, suffix: str
 ) -> None:
@@ -111,6 +113,7 @@ def test_the_order_of_vertices_and_faces_does_not_matter(seed: int) -> None:
     np.testing.assert_allclose(one.depth("object").max(axis=1), other.depth("object").max(axis=1), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_frame_without_a_mesh_shows_nothing_and_touches_nothing(scene: tuple[Clip, Masks]) -> None:
     clip, masks = scene
     meshes = true_meshes(clip)
@@ -132,6 +135,7 @@ def test_a_frame_without_a_mesh_shows_nothing_and_touches_nothing(scene: tuple[C
     assert "penetration_hand_mm" not in nothing
 
 
+@pytest.mark.slow
 def test_beside_our_results(scene: tuple[Clip, Masks], tmp_path: Path, run: Run) -> None:
     clip, _ = scene
     folder, result = written(scene, tmp_path)
@@ -148,6 +152,7 @@ def test_beside_our_results(scene: tuple[Clip, Masks], tmp_path: Path, run: Run)
     assert content["methods"]["theirs"]["clips"]["iou"] == 1
 
 
+@pytest.mark.slow
 def test_only_the_frames_of_our_result_count_where_there_is_one(
     scene: tuple[Clip, Masks], tmp_path: Path, run: Run
 ) -> None:

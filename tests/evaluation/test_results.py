@@ -83,6 +83,7 @@ def test_scale_is_judged_where_it_is_free(scene: tuple[Clip, Masks]) -> None:
     assert metrics["iou_full"] < 0.95
 
 
+@pytest.mark.slow
 def test_folders_give_what_memory_gives(scene: tuple[Clip, Masks], tmp_path: Path) -> None:
     clip, result = written(scene, tmp_path)
     expected = ev.evaluate(perfect(scene[0]), *scene)["metrics"]
@@ -90,6 +91,7 @@ def test_folders_give_what_memory_gives(scene: tuple[Clip, Masks], tmp_path: Pat
         same(ev.evaluate_result(result, clips)["metrics"], expected, 1e-4)
 
 
+@pytest.mark.slow
 def test_a_moved_clip_is_found_beside_its_result(scene: tuple[Clip, Masks], tmp_path: Path) -> None:
     clip, result = written(scene, tmp_path)
     clip.rename(tmp_path / "elsewhere")
@@ -176,6 +178,7 @@ def test_every_number_stands_in_the_table_once(scene: tuple[Clip, Masks]) -> Non
     assert {*out["metrics"], *out["per_frame"]} <= {*keys}
 
 
+@pytest.mark.slow
 def test_the_table_says_which_numbers_need_ground_truth(scene: tuple[Clip, Masks]) -> None:
     clip, masks = scene
     known, blind = (

@@ -366,6 +366,7 @@ def test_the_list_beside_clips_says_what_contact_is(tmp_path: Path) -> None:
         _ = source.contact_mm
 
 
+@pytest.mark.slow
 def test_results_of_other_options_are_made_again(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     call = ("bench", made, "--out", tmp_path, "--workers", "1", "--methods", "static", "--clips", "1")
     assert "1 done" in run(*call, "--inits", "8")[1]
@@ -380,6 +381,7 @@ def test_results_of_other_options_are_made_again(made: Path, tmp_path: Path, run
     assert "1 done" in run(*call, "--inits", "9", "--overwrite")[1]
 
 
+@pytest.mark.slow
 def test_what_fails_is_named_and_the_rest_done(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     folder = tmp_path / "clips"
     for name in ("can", "box"):
@@ -464,6 +466,7 @@ def test_a_folder_of_synthetic_clips_belongs_to_one_preset(tmp_path: Path) -> No
         samples(source_of("synthetic", preset="wild"), clips, None, debug=False)
 
 
+@pytest.mark.slow
 def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
     folder = tmp_path / "clips"
     clip, masks = synthesise("can", 0, SceneOptions(frames=2))

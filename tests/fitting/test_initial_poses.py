@@ -31,6 +31,7 @@ def projected(clip: Clip, point: np.ndarray) -> np.ndarray:
     return np.array([project(K, x[None])[0] for K, x in zip(clip.K, at, strict=True)])
 
 
+@pytest.mark.slow
 def test_rays_through_the_grip_itself_give_the_grip(made: tuple[Clip, Masks]) -> None:
     clip = made[0]
     np.testing.assert_allclose(grip_point(clip, projected(clip, grip(clip))), grip(clip), atol=1e-9)

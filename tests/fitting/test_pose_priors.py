@@ -86,6 +86,7 @@ def test_half_turns_about_opposite_directions_are_one_cluster_but_for_rotation_v
 
 
 @given(SEEDS, st.integers(1, 12), st.integers(1, 12))
+@pytest.mark.slow
 def test_no_more_clusters_than_asked_for_or_than_there_are_rotations(seed: int, n: int, k: int) -> None:
     R = rotations(n, seed)
     twice = np.concatenate([R, R])
@@ -96,6 +97,7 @@ def test_no_more_clusters_than_asked_for_or_than_there_are_rotations(seed: int, 
 
 
 @given(SEEDS)
+@pytest.mark.slow
 def test_the_mean_rotation_has_the_least_mean_squared_angle(seed: int) -> None:
     R = near(rotations(1, seed)[0], 7, 40.0, seed)
     mean = karcher_mean(R)
@@ -108,6 +110,7 @@ def test_the_mean_rotation_has_the_least_mean_squared_angle(seed: int) -> None:
 
 
 @given(SEEDS)
+@pytest.mark.slow
 def test_a_learnt_object_is_at_the_mean_place_of_the_grasps_wherever_its_cad_has_its_origin(seed: int) -> None:
     clips = [held("a", seed=1), held("b", seed=2)]
     shift = np.random.default_rng(seed).uniform(-0.2, 0.2, 3)

@@ -99,6 +99,7 @@ def test_the_static_method_recovers_a_still_object() -> None:
     np.testing.assert_array_equal(result.T_hand_obj, np.broadcast_to(result.T_hand_obj[0], (8, 4, 4)))
 
 
+@pytest.mark.slow
 def test_a_still_object_is_found_still() -> None:
     result = found("mug", 2, STILL)
     assert scores(result, *made("mug", 2, STILL))["add_success"] == 1.0
@@ -137,6 +138,7 @@ def test_what_a_result_holds(method: Any) -> None:
     assert result.notes == ()
 
 
+@pytest.mark.slow
 def test_the_axis_describes_the_motion() -> None:
     """Eq. 3: from frame to frame the object turns about the axis by the difference of the angles."""
     result = found("mug", 2, SMALL, Options(method="one-dof"))
@@ -155,6 +157,7 @@ def test_an_axis_through_the_hand() -> None:
     np.testing.assert_array_equal(axis.point, np.zeros(3))
 
 
+@pytest.mark.slow
 def test_progress_is_reported_after_each_stage() -> None:
     calls: list[tuple[str, float]] = []
     result = reconstruct(*made("spoon", 1), Options(inits=8), lambda stage, part: calls.append((stage, part)))
@@ -163,6 +166,7 @@ def test_progress_is_reported_after_each_stage() -> None:
     assert (np.diff([part for _, part in calls]) > 0).all()
 
 
+@pytest.mark.slow
 def test_frames_are_sampled_linearly() -> None:
     clip, masks = made("spoon", 1)
     result = reconstruct(clip, masks, Options(inits=8, frames=3))
@@ -170,6 +174,7 @@ def test_frames_are_sampled_linearly() -> None:
     assert result.T_hand_obj.shape == (3, 4, 4)
 
 
+@pytest.mark.slow
 def test_the_truth_explains_clean_masks() -> None:
     clip, masks = made("kettle", 1)
     assert clip.truth is not None
@@ -232,6 +237,7 @@ def test_turning_the_camera_about_its_axis_does_not_matter() -> None:
     assert apart(posed(a, clip.mesh), posed(b, clip.mesh)) < 0.02 * clip.mesh.diameter
 
 
+@pytest.mark.slow
 def test_a_left_hand_is_a_right_hand_in_a_mirror() -> None:
     left = replace(SMALL, side="left")
     a, b = found("kettle", 1), found("kettle", 1, left)
@@ -239,6 +245,7 @@ def test_a_left_hand_is_a_right_hand_in_a_mirror() -> None:
     assert apart(posed(a, mesh), posed(b, mirrored) * [-1.0, 1.0, 1.0]) < 0.02 * mesh.diameter
 
 
+@pytest.mark.slow
 def test_the_size_of_the_pixels_does_not_matter() -> None:
     """Masks of twice the resolution give the same object."""
     clip, masks = made("kettle", 1)
@@ -276,6 +283,7 @@ def test_one_visible_frame_is_refused(refused: Callable[..., str]) -> None:
     refused(lambda: reconstruct(clip, Masks(seen, masks.ignore)), "1 of 3")
 
 
+@pytest.mark.slow
 def test_frames_without_a_visible_object_are_left_out_and_reported() -> None:
     clip, masks = made("spoon", 1)
     seen = masks.object.copy()
@@ -294,6 +302,7 @@ def test_an_object_behind_the_camera_is_reported() -> None:
 
 
 @pytest.mark.parametrize("inits", [1, 2])
+@pytest.mark.slow
 def test_few_starts_and_two_frames_will_do(inits: int) -> None:
     clip, masks = made("spoon", 1)
     index = np.array([0, 7])
@@ -310,6 +319,7 @@ def test_a_single_visible_pixel_will_do() -> None:
     assert np.isfinite(result.T_hand_obj).all()
 
 
+@pytest.mark.slow
 def test_hidden_pixels_may_be_counted_for_an_ablation() -> None:
     with_ignore = found("kettle", 1)
     without = found("kettle", 1, SMALL, Options(occlusion=False))
@@ -320,6 +330,7 @@ def test_hidden_pixels_may_be_counted_for_an_ablation() -> None:
 # What it asks of the machine
 
 
+@pytest.mark.slow
 def test_blas_runs_on_one_thread_and_has_its_own_again_after_that() -> None:
     def threads() -> set[int]:
         return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}

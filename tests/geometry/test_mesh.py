@@ -113,6 +113,7 @@ def test_the_diameter_of_any_points_is_the_largest_distance(points: np.ndarray) 
 
 
 @pytest.mark.parametrize("kind", ["sphere", "antipodes"])
+@pytest.mark.slow
 def test_the_diameter_takes_memory_in_proportion_to_the_points(kind: str) -> None:
     """All of them are corners of their convex hull: a table of their distances would take 1.6 GB."""
     assert peak(cloud(kind, 20_000, 0)) < 4e6

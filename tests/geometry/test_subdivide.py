@@ -16,6 +16,7 @@ MESH = Mesh(np.asarray(BOX.vertices), np.asarray(BOX.faces))
 
 
 @given(st.floats(0.01, 0.4))
+@pytest.mark.slow
 def test_the_surface_stays_and_no_edge_is_longer(longest: float) -> None:
     vertices, faces = subdivided(MESH.vertices, MESH.faces, longest)
     fine = Mesh(vertices, faces)

@@ -114,6 +114,7 @@ def test_a_hinge_is_never_worse_than_one_pose(seed: int, noise: float) -> None:
 
 @settings(max_examples=10)
 @given(seeds, st.sampled_from([0.03, 0.3, 3.0]))
+@pytest.mark.slow
 def test_no_hinge_fits_rotations_better(seed: int, noise: float) -> None:
     rng = np.random.default_rng(seed)
     R, c = noisy(rng, noise)
@@ -141,6 +142,7 @@ def test_random_restarts_find_no_better_hinge(noise: float, through: np.ndarray 
         assert best <= _refined(start, R, c, through, 60).energy(R, c) * (1.0 + 1e-6)
 
 
+@pytest.mark.slow
 def test_the_hand_frame_does_not_matter_for_an_axis_anywhere() -> None:
     rng = np.random.default_rng(0)
     R, c = noisy(rng, 0.2)
@@ -211,6 +213,7 @@ def test_a_grasp_with_known_answers() -> None:
     assert curve[np.argmin(np.abs(TIMES - 1.0))] == pytest.approx(abs(angle[-1] - angle.mean()), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_moving_hand_and_object_together_changes_nothing() -> None:
     clip = turning()
     assert clip.truth is not None
@@ -302,6 +305,7 @@ def test_all_is_written_and_printed(run: Run, tmp_path: Path) -> None:
     assert again == (status, printed, err)  # a clip without grasps is none that failed
 
 
+@pytest.mark.slow
 def test_one_bad_clip_stops_no_other(run: Run, tmp_path: Path) -> None:
     write_clip(turning("good"), None, tmp_path / "good")
     write_clip(replace(turning("blind"), truth=None), None, tmp_path / "blind")

@@ -112,6 +112,7 @@ def test_pose_encodings(right: tuple[Path, dict[str, Any]]) -> None:
         hand.pose(np.zeros(48), "pca", flat_hand_mean=True)
 
 
+@pytest.mark.slow
 def test_second_time_comes_from_the_cache(right: tuple[Path, dict[str, Any]], cache: Path) -> None:
     path, _ = right
     first = mano.load(path, "right")

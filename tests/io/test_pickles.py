@@ -271,6 +271,7 @@ def mutants(count: int) -> Iterator[bytes]:
         yield bytes(content)
 
 
+@pytest.mark.slow
 def test_forged_states_get_no_further_than_an_error() -> None:
     """Bytes that claim to be objects, sizes that are not those of the bytes: each is refused or harmless."""
     forged = (*forged_arrays(), *from_buffers())
@@ -278,6 +279,7 @@ def test_forged_states_get_no_further_than_an_error() -> None:
     assert in_a_child(contents)["refused"] > 0.8 * len(contents)
 
 
+@pytest.mark.slow
 def test_damaged_pickles_get_no_further_than_an_error() -> None:
     done = in_a_child(list(mutants(2000)))
     assert min(done.values()) > 100
@@ -395,6 +397,7 @@ VAST = {
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the limit is set as Linux does")
+@pytest.mark.slow
 def test_small_files_take_little_memory() -> None:
     """A memo is as large as what is in it, whatever its indices: those two files are read."""
     assert in_a_child(list(VAST.values()), LIMITED) == {"read": 2, "refused": len(VAST) - 2}

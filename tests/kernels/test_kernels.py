@@ -126,6 +126,7 @@ def test_silhouette_edges(which: str, seed: int) -> None:
 
 
 @given(WHICH, SEEDS)
+@pytest.mark.slow
 def test_a_silhouette_covers_what_its_faces_cover(which: str, seed: int) -> None:
     mesh = MESHES[which]
     uvz, _, bits = _outlined(mesh, seed)
@@ -142,6 +143,7 @@ def test_any_triangle_soup_has_a_silhouette(seed: int) -> None:
 
 @settings(max_examples=10)
 @given(WHICH, SEEDS, st.integers(5, 90), st.integers(5, 150))
+@pytest.mark.slow
 def test_silhouettes_of_many_poses_in_images_of_any_size(which: str, seed: int, height: int, width: int) -> None:
     mesh = MESHES[which]
     poses = [_pose(seed + k) for k in range(4)]
@@ -196,6 +198,7 @@ def test_contour_points(which: str, seed: int, step: float, zoom: float) -> None
 
 @settings(max_examples=8)
 @given(SEEDS)
+@pytest.mark.slow
 def test_contour_points_lie_on_the_contour_and_face_outward(seed: int) -> None:
     uvz, edges, bits = _outlined(MESHES["mug"], seed)
     points = np.zeros((7, 1500))
@@ -327,6 +330,7 @@ def _corners(mesh: Mesh) -> tuple[ndarray, ndarray]:
 
 
 @pytest.mark.parametrize("which", ["box", "mug", "spoon"])
+@pytest.mark.slow
 def test_the_specification_of_distance_agrees_with_libigl(which: str) -> None:
     import igl
 
@@ -343,6 +347,7 @@ def test_the_specification_of_distance_agrees_with_libigl(which: str) -> None:
 
 @settings(max_examples=10)
 @given(st.sampled_from(["box", "mug", "sheet", "two boxes"]), SEEDS)
+@pytest.mark.slow
 def test_distance_from_a_grid_of_near_faces(which: str, seed: int) -> None:
     mesh = MESHES[which]
     corners, normals = _corners(mesh)
@@ -361,6 +366,7 @@ def test_distance_from_a_grid_of_near_faces(which: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("which", ["mug", "plate", "bowl"])
+@pytest.mark.slow
 def test_inside_and_outside_of_thin_walls(which: str) -> None:
     mesh = getattr(shapes, which)()
     corners, normals = _corners(mesh)
@@ -379,6 +385,7 @@ def test_inside_and_outside_of_thin_walls(which: str) -> None:
 
 @settings(max_examples=10)
 @given(SEEDS)
+@pytest.mark.slow
 def test_screening_brings_points_into_the_frame_of_the_object(seed: int) -> None:
     mesh = MESHES["mug"]
     corners, normals = _corners(mesh)

@@ -60,6 +60,7 @@ def test_stable_contact_area_of_one_set_of_disjoint_sets_and_of_none() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.1))
+@pytest.mark.slow
 def test_signed_distance_to_a_ball(seed: int, radius: float) -> None:
     points = np.random.default_rng(seed).normal(scale=radius, size=(200, 3))
     ball = sphere(radius)
@@ -110,6 +111,7 @@ def test_touching_balls_are_in_contact_where_the_formula_says() -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 2.0))
+@pytest.mark.slow
 def test_contact_does_not_depend_on_the_hand_frame_nor_on_where_the_scale_is(seed: int, scale: float) -> None:
     rng = np.random.default_rng(seed)
     G = se3.rigid(se3.exp_so3(rng.normal(size=3)), rng.normal(size=3))

@@ -111,6 +111,7 @@ def test_surface_points_are_spread_by_area() -> None:
         (CAN, "continuous, flips"),
     ],
 )
+@pytest.mark.slow
 def test_symmetries_of_known_objects(mesh: Mesh, expected: str) -> None:
     assert find_symmetries(mesh).describe() == expected
     assert find_symmetries(moved(mesh, np.random.default_rng(1), scale=0.7)).describe() == expected
@@ -126,6 +127,7 @@ def test_a_cube_has_24_turns_and_a_ball_all() -> None:
     assert len(found.axes) == 3
 
 
+@pytest.mark.slow
 def test_symmetries_map_the_surface_onto_itself() -> None:
     for mesh in (BOX, CAN, shapes.ketchup()):
         symmetries = find_symmetries(mesh)
@@ -151,6 +153,7 @@ def test_an_invisible_rotation_is_no_error(seed: int, angle: float, scale: float
     assert pose_errors(CAN, predicted, true, best).rotation.max() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_half_turn_of_a_box_is_forgiven_and_of_a_mug_is_not() -> None:
     T, half = poses(np.random.default_rng(0)), np.diag([-1.0, -1.0, 1.0, 1.0])
     for mesh, forgiven in ((BOX, True), (MUG, False)):

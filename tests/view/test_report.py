@@ -98,6 +98,7 @@ def test_every_part_of_the_picture_is_drawn(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("with_masks", [True, False])
+@pytest.mark.slow
 def test_results_without_axis_truth_masks_or_many_frames(with_masks: bool) -> None:
     clip, masks, _ = given()
     result = result_of(clip.take(np.array([1, 4])), None)

@@ -58,6 +58,7 @@ def test_archives_hold_what_folders_hold(tmp_path: Path, form: int, prefix: str,
         Frames(tmp_path / "tars", V)([9])
 
 
+@pytest.mark.slow
 def test_clips_come_from_archives_as_from_folders(run: Run, epic_folder: Path, tmp_path: Path) -> None:
     assert import_epic(run, epic_folder, "--out", tmp_path / "a")[0] == 0
     folder = epic_folder / "images" / SUBJECT / "rgb_frames" / V

@@ -26,6 +26,7 @@ from helpers.folders import FullDisk
 from helpers.paths import DATA, needs
 
 
+@pytest.mark.slow
 def test_a_clip_without_hands_has_all_else_and_gets_them_later(run: Run, epic_folder: Path) -> None:
     status, out, err = import_epic(run, epic_folder)
     assert status == 0, err
@@ -60,6 +61,7 @@ def test_a_clip_without_hands_has_all_else_and_gets_them_later(run: Run, epic_fo
     assert clip.K[0, 0, 0] == 500.0
 
 
+@pytest.mark.slow
 def test_clips_that_the_disk_has_no_room_for_are_reported_and_made_the_next_time(
     run: Run, epic_folder: Path, full_disk: FullDisk
 ) -> None:
@@ -85,6 +87,7 @@ def test_videos_can_be_sent_to_other_processes(epic_folder: Path) -> None:
     assert [part.name for part in parts] == [V]
 
 
+@pytest.mark.slow
 def test_masks_are_the_polygons_and_hands_and_things_in_front_are_ignored(run: Run, epic_folder: Path) -> None:
     (epic_folder / "hands").mkdir()
     arrays.write(epic_folder / "hands" / f"{NAME}.npz", hand_arrays(30))
@@ -109,6 +112,7 @@ def test_masks_are_the_polygons_and_hands_and_things_in_front_are_ignored(run: R
     assert "1 frames annotated by people, 29 interpolated" in clip.provenance["masks"]
 
 
+@pytest.mark.slow
 def test_hand_files_may_say_which_frames_and_camera_they_have(run: Run, epic_folder: Path) -> None:
     (epic_folder / "hands").mkdir()
     known = np.arange(1001, 1061, 2)
@@ -125,6 +129,7 @@ def test_hand_files_may_say_which_frames_and_camera_they_have(run: Run, epic_fol
     np.testing.assert_array_equal(clip.K[0], K)
 
 
+@pytest.mark.slow
 def test_meshes_and_cameras_are_brought_along(run: Run, epic_folder: Path, refused: Callable[..., str]) -> None:
     from getagrip.geometry.mesh_files import write_mesh
 
@@ -175,6 +180,7 @@ def test_what_is_missing_is_reported_and_the_rest_is_done(run: Run, epic_folder:
     assert not (epic_folder / "out" / NAME).exists()
 
 
+@pytest.mark.slow
 def test_calls_that_make_no_sense_are_refused(run: Run, epic_folder: Path) -> None:
     table, visor_folder, out = epic_folder / "grasps.csv", epic_folder / "visor", epic_folder / "out"
     call = ("import", "epic", table, "--visor", visor_folder, "--out", out)

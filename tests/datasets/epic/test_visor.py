@@ -135,6 +135,7 @@ def test_files_are_found_wherever_they_are_and_as_they_come(tmp_path: Path) -> N
         ({"class_id": 1.5}, "annotations[0].class_id"),
     ],
 )
+@pytest.mark.slow
 def test_what_is_wrong_is_named(tmp_path: Path, refused: Callable[..., str], change: dict[str, Any], key: str) -> None:
     bad = sparse(V, 7, thing("b", "cup", 13, box(0, 0, 5, 5)) | change)
     path = write(tmp_path / f"{V}.json", [sparse(V, 6), bad])
@@ -178,6 +179,7 @@ def test_a_file_is_read_in_little_memory(tmp_path: Path) -> None:
     tracemalloc.stop()
 
 
+@pytest.mark.slow
 def test_an_endless_item_is_refused_before_memory_is_out(
     tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,6 +193,7 @@ def test_an_endless_item_is_refused_before_memory_is_out(
 
 
 @pytest.mark.parametrize(("limit", "words"), [("LARGEST", "more than 100000 bytes"), ("MOST", "100000 values")])
+@pytest.mark.slow
 def test_an_endless_file_is_refused(
     tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch, limit: str, words: str
 ) -> None:
@@ -212,6 +215,7 @@ JSON = st.recursive(
 @given(
     before=st.dictionaries(st.text(), JSON, max_size=3), items=st.lists(st.dictionaries(st.text(), JSON), max_size=5)
 )
+@pytest.mark.slow
 def test_items_are_those_of_the_list_wherever_it_stands(
     tmp_path_factory: pytest.TempPathFactory, before: dict[str, Any], items: list[dict[str, Any]]
 ) -> None:

@@ -35,6 +35,7 @@ def displaced(clip: Clip, noise: Noise, seed: int = 0) -> tuple[np.ndarray, np.n
     return turn, 1e3 * (after - before), 1e3 * np.sum((after - before) * ray, axis=1)
 
 
+@pytest.mark.slow
 def test_no_noise_changes_nothing(made: tuple[Clip, Masks]) -> None:
     clip, masks = perturbed(*made, NOISE["none"], 3)
     np.testing.assert_allclose(clip.hand.T_cam_hand, made[0].hand.T_cam_hand, atol=1e-12)

@@ -45,6 +45,7 @@ def test_the_same_seed_gives_the_same_clip() -> None:
     assert not np.allclose(a.hand.T_cam_hand, other.hand.T_cam_hand)
 
 
+@pytest.mark.slow
 def test_left_clips_are_mirror_images() -> None:
     right, masks_right = synthesise("mug", 3, replace(FEW, other_hand=True))
     left, masks_left = synthesise("mug", 3, replace(FEW, other_hand=True, side="left"))
@@ -61,6 +62,7 @@ def test_left_clips_are_mirror_images() -> None:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.slow
 def test_the_object_turns_about_the_axis_alone_without_a_residual(side: str) -> None:
     scene = make_scene("glass", 1, replace(FEW, side=side, residual_deg=0.0, residual_mm=0.0))
     T = in_hand(scene.clip)
@@ -109,6 +111,7 @@ def test_noise_leaves_the_truth_alone() -> None:
     np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 6e-3, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_jitter_has_the_given_size() -> None:
     clip, _ = synthesise("spoon", 0, SceneOptions(frames=200, size=(64, 48), focal=60.0, hand_jitter_deg=2.0))
     assert clip.truth is not None
@@ -117,6 +120,7 @@ def test_jitter_has_the_given_size() -> None:
     assert np.degrees(rms) == pytest.approx(2.0, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_free_scale_hides_the_size_and_nothing_else() -> None:
     (known, masks_known), (free, masks_free) = (synthesise("bowl", 4, replace(FEW, scale=s)) for s in ("known", "free"))
     assert free.truth is not None
@@ -204,6 +208,7 @@ def test_presets_share_their_truth() -> None:
             split(*wrong)
 
 
+@pytest.mark.slow
 def test_clips_survive_their_folder(tmp_path) -> None:
     clip, masks = synthesise("pan", 0, FEW)
     images = pictures(make_scene("pan", 0, FEW))

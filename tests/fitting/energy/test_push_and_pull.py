@@ -78,6 +78,7 @@ def test_gradients_of_push_and_pull(name: str, which: str) -> None:
 
 @settings(max_examples=15)
 @given(st.sampled_from(sorted(MESHES)), st.integers(0, 10**6))
+@pytest.mark.slow
 def test_hessians_of_push_and_pull(which: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     hand, poses = contacts(rng, 2), random_poses(rng, 2, 2)
@@ -133,6 +134,7 @@ def test_a_far_finger_holds_nothing() -> None:
 
 @settings(max_examples=10)
 @given(st.integers(0, 10**6))
+@pytest.mark.slow
 def test_contact_does_not_depend_on_the_camera(seed: int) -> None:
     rng = np.random.default_rng(seed)
     hand, poses = contacts(rng, 2), random_poses(rng, 2, 2)

@@ -60,6 +60,7 @@ def test_an_unknown_scale_is_recovered(method: str) -> None:
 
 
 @pytest.mark.parametrize("method", BASELINES)
+@pytest.mark.slow
 def test_what_a_result_holds(method: str) -> None:
     result = found(method, "kettle", 1)
     assert result.method == method

@@ -30,6 +30,7 @@ def small_problem(options: Options | None = None) -> Problem:
     return prepare(replace(clip, mesh=mesh), masks, options or Options(method="paper", inits=3))
 
 
+@pytest.mark.slow
 def test_with_all_departures_it_is_one_dof() -> None:
     ours = reconstruct(*small_clip(), Options(method="one-dof", inits=4))
     all_made = reconstruct(*small_clip(), Options(method="paper", inits=4, departures=ALL))
@@ -39,6 +40,7 @@ def test_with_all_departures_it_is_one_dof() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.slow
 def test_each_departure_can_be_made_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paper, "ITERATIONS", 5)
     made = Departures(**{name: True, "optimiser": name in ("optimiser", "search")})

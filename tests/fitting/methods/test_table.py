@@ -26,6 +26,7 @@ def test_an_unknown_method_is_refused_with_the_known_ones() -> None:
 
 
 @pytest.mark.parametrize("name", METHODS)
+@pytest.mark.slow
 def test_results_have_an_axis_where_the_table_says_so(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paper, "ITERATIONS", 5)
     result = reconstruct(*small_clip(), Options(method=name, inits=4))
@@ -33,6 +34,7 @@ def test_results_have_an_axis_where_the_table_says_so(name: str, monkeypatch: py
     assert result.method == name
 
 
+@pytest.mark.slow
 def test_a_method_of_ones_own_is_used_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     stages = []
 
@@ -46,6 +48,7 @@ def test_a_method_of_ones_own_is_used_by_its_name(monkeypatch: pytest.MonkeyPatc
     assert stages == ["coarse", "middle", "fine", "finest"]
 
 
+@pytest.mark.slow
 def test_a_term_of_ones_own_counts_in_all_stages(monkeypatch: pytest.MonkeyPatch) -> None:
     """The object is drawn to a place, the more the heavier the term."""
     clip, masks = small_clip()

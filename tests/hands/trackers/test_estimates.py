@@ -149,6 +149,7 @@ def joints_of(hands: Hands) -> ndarray:
 @pytest.mark.parametrize("with_mano", [True, False])
 @pytest.mark.parametrize("kind", ["crop", "full", "assumed", "box"])
 @pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
 def test_hamer(tmp_path: Path, mano_folder: Path, side: Side, kind: str, with_mano: bool) -> None:
     folder = mano_folder if with_mano else None
     known = Known(side, folder)
@@ -215,6 +216,7 @@ def test_torch_is_named_where_it_is_missing(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
 def test_wilor_mini(tmp_path: Path, mano_folder: Path, side: Side) -> None:
     """Rotations are vectors, of left hands turned back already."""
     known = Known(side, mano_folder)
@@ -236,6 +238,7 @@ def test_wilor_mini(tmp_path: Path, mano_folder: Path, side: Side) -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
 def test_hawor(tmp_path: Path, mano_folder: Path, side: Side) -> None:
     """A focal length other than the clip's is divided out: the hand is seen where it was, at the clip's own depth."""
     known = Known(side, mano_folder)
@@ -281,6 +284,7 @@ def frankmocap_record(known: Known, n: int, mean: ndarray | float = 0.0) -> dict
 
 
 @pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
 def test_frankmocap(tmp_path: Path, mano_folder: Path, side: Side) -> None:
     known = Known(side, mano_folder)
     known.betas[:] = 0.0
@@ -317,6 +321,7 @@ def test_frankmocap(tmp_path: Path, mano_folder: Path, side: Side) -> None:
 @pytest.mark.parametrize("mean", ["flat", "mean"])
 @pytest.mark.parametrize("pose", ["axis-angle", "pca", "matrix"])
 @pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
 def test_plain_parameters(tmp_path: Path, mano_folder: Path, side: Side, pose: Any, mean: Any) -> None:
     known = Known(side, mano_folder)
     hand = mano.load(mano_folder / f"MANO_{side.upper()}.pkl", side)
@@ -434,6 +439,7 @@ def test_weak_perspective_keeps_the_projection() -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
 def test_scripts_write_what_the_importer_makes(tmp_path: Path, mano_folder: Path, side: Side) -> None:
     """The hand file that the estimators' scripts write, in plain numpy, is that of ``import hands``."""
     known = Known(side, mano_folder)
@@ -571,6 +577,7 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path, mano_folder: Path, da
         assert se3.is_rigid(hands.track.T_cam_hand).all()
 
 
+@pytest.mark.slow
 def test_small_pickles_that_are_large_in_memory(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
     """A list that holds another twice, which holds ...; an array that has a size and no contents."""
 
