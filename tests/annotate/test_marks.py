@@ -24,7 +24,7 @@ from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import RefusedError
 from getagrip.commands.annotate import DATABASE, write_files
 from getagrip.datasets.epic.tables import read_grasps
-from getagrip.experiments.durations import read_list
+from getagrip.grasps import lists
 from helpers.annotation_page import ask
 from helpers.command_line import Run
 from helpers.numbered_footage import FRAMES, number_in, write_images, write_video
@@ -236,7 +236,9 @@ def test_the_table_is_read_back_as_epic_grasps(project: Project, tmp_path: Path)
     assert (whole.start, whole.end, whole.contact) == (6, 10, None)
     rows = json.loads((tmp_path / "grasps-ann.json").read_text())
     assert [(row["clip"], row["start"], row["end"]) for row in rows] == [(VIDEO, 5, 9), (VIDEO, 12, 45)]
-    assert [one.duration for one in read_list(tmp_path / "grasps-ann.json")] == pytest.approx([0.1, 0.68], abs=1e-3)
+    assert [one.duration for one in lists.read(tmp_path / "grasps-ann.json").grasps] == pytest.approx(
+        [0.1, 0.68], abs=1e-3
+    )
     (pair,) = json.loads((tmp_path / "agreement.json").read_text())
     assert pair["iou"] == pytest.approx(temporal_iou((12, 45), (1, 30)))
 

@@ -9,7 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.experiments.durations import LastingGrasp, durations, read_epic, read_list
+from getagrip.datasets.epic.tables import read_grasps
+from getagrip.experiments.counts import Counts
+from getagrip.experiments.counts import of_epic as counts_of_epic
+from getagrip.experiments.durations import LastingGrasp, durations, of_epic
+from getagrip.grasps import lists
 from helpers.paths import DATA, needs
 
 Run = Callable[..., tuple[int, str, str]]
@@ -53,7 +57,7 @@ def epic_table(folder: Path) -> Path:
 
 @needs(EPIC)
 def test_the_papers_table_comes_out() -> None:
-    rows = {row.category: row for row in durations(read_epic(EPIC))}
+    rows = {row.category: row for row in durations(of_epic(read_grasps(EPIC)))}
     assert set(rows) == set(PAPER)
     for category, (mean, std, longest, clips) in PAPER.items():
         row = rows[category]
@@ -69,18 +73,18 @@ def test_the_papers_table_comes_out() -> None:
 
 @needs(EPIC)
 def test_true_rates_make_the_first_videos_shorter_only() -> None:
-    paper, true = durations(read_epic(EPIC)), durations(read_epic(EPIC, "true"))
+    paper, true = durations(of_epic(read_grasps(EPIC))), durations(of_epic(read_grasps(EPIC), "true"))
     for one, other in zip(paper, true, strict=True):
         assert other.mean < one.mean <= 1.2 * other.mean
         assert one.clips == other.clips
 
 
 def test_durations_with_known_answers(tmp_path: Path) -> None:
-    assert read_epic(epic_table(tmp_path)) == [
+    assert of_epic(read_grasps(epic_table(tmp_path))) == [
         LastingGrasp("cup", "left", 2.4), LastingGrasp("cup", "right", 4.0), LastingGrasp("pan", "right", 6.0)
     ]  # fmt: skip
-    assert [grasp.duration for grasp in read_epic(epic_table(tmp_path), "true")] == [2.0, 4.0, 5.0]
-    cup, pan, all_ = durations(read_epic(epic_table(tmp_path), "true"))
+    assert [grasp.duration for grasp in of_epic(read_grasps(epic_table(tmp_path)), "true")] == [2.0, 4.0, 5.0]
+    cup, pan, all_ = durations(of_epic(read_grasps(epic_table(tmp_path)), "true"))
     assert (cup.mean, cup.std, cup.longest, cup.clips, cup.left, cup.right) == (3.0, 1.0, 4.0, 2, 1, 1)
     assert (pan.category, all_.category, all_.clips, all_.longest) == ("pan", "All", 3, 5.0)
     assert durations([]) == []
@@ -93,21 +97,55 @@ def errata_table(folder: Path, action: str = "REMAKE", of: str = "cup/P01_01_lef
 
 def test_errata_change_hands_or_take_grasps_away(run: Run, tmp_path: Path) -> None:
     table = epic_table(tmp_path)
-    assert [grasp.side for grasp in read_epic(table, "paper", errata_table(tmp_path))] == ["right"] * 3
-    assert (
-        run("stats", "epic-grasps", table, "--errata", errata_table(tmp_path, "DELETE"), "--json", tmp_path / "j")[0]
-        == 0
-    )
-    assert json.loads((tmp_path / "j").read_text())[-1]["clips"] == 2
+    assert [grasp.side for grasp in read_grasps(table, errata_table(tmp_path))] == ["right"] * 3
+    written = tmp_path / "j"
+    call = ("stats", "epic-grasps", table, "--json", written)
+    for options, clips in (
+        ((), 3), (("--no-errata",), 3), (("--errata-file", errata_table(tmp_path, "DELETE")), 2),
+    ):  # fmt: skip
+        assert run(*call, *options)[0] == 0
+        content = json.loads(written.read_text())
+        assert (content["durations"][-1]["clips"], content["counts"]["grasps"]) == (clips, clips)
+    assert run(*call, "--errata")[0] == 2  # there are none beside it
+    (tmp_path / "errata.csv").rename(tmp_path / "epic_errata.csv")
+    assert run(*call, "--errata")[0] == 0
+    assert json.loads(written.read_text())["counts"]["grasps"] == 2
     for action, of, words in (("TURN", "cup/P01_01_left_hand_101_220", "ACTION"), ("DELETE", "cup/x", "old_fmt")):
-        status, _, err = run("stats", "epic-grasps", table, "--errata", errata_table(tmp_path, action, of))
+        status, _, err = run("stats", "epic-grasps", table, "--errata-file", errata_table(tmp_path, action, of))
         assert (status, words in err) == (1, True)
 
 
 @needs(EPIC)
 def test_the_published_errata() -> None:
-    all_ = durations(read_epic(EPIC, "paper", EPIC.with_name("epicgrasps_2431_errata.csv")))[-1]
+    all_ = durations(of_epic(read_grasps(EPIC, EPIC.with_name("epicgrasps_2431_errata.csv"))))[-1]
     assert (all_.clips, all_.left, all_.right) == (2425, 1439, 986)
+
+
+@needs(EPIC)
+def test_the_papers_comparison_of_datasets_comes_out() -> None:
+    """141 environments, 31 subjects, 9 categories, about 390 instances; with the errata, 319,661 masks."""
+    without = counts_of_epic(read_grasps(EPIC))
+    assert without == Counts(141, 31, 9, 390, 2426, 1445, 981, 319_764)
+    mended = counts_of_epic(read_grasps(EPIC, EPIC.with_name("epicgrasps_2431_errata.csv")))
+    assert mended == Counts(141, 31, 9, 390, 2425, 1439, 986, 319_661)
+
+
+def test_figures_of_a_table_and_of_a_list(run: Run, tmp_path: Path) -> None:
+    assert counts_of_epic(read_grasps(epic_table(tmp_path))) == Counts(3, 2, 2, 3, 3, 1, 2, 3)
+    blank = (tmp_path / "epic.csv").read_text().replace(",120,1,", ",120,,", 1)
+    (tmp_path / "epic.csv").write_text(blank)
+    assert counts_of_epic(read_grasps(tmp_path / "epic.csv")).masks is None
+    rows = [
+        {"sequence": f"{who}--x", "side": "left", "object": "cup", "start": 0, "end": 1, "duration": 1} for who in "ab"
+    ]
+    (tmp_path / "grasps.json").write_text(json.dumps({"version": 1, "grasps": rows}))
+    (tmp_path / "a" / "masks" / "object").mkdir(parents=True)
+    (tmp_path / "a" / "masks" / "object" / "0.png").touch()
+    status, printed, _ = run("stats", tmp_path, "--out", tmp_path / "out")
+    assert (status, printed.splitlines()[-2]) == (0, "2 subjects, 1 categories, 2 grasps, 2 left, 0 right, 1 masks")
+    with (tmp_path / "out" / "counts.csv").open(newline="") as stream:
+        assert [row["masks"] for row in csv.DictReader(stream)] == ["1"]
+    assert "| - | 2 | 1 | - | 2 | 2 | 0 | 1 |" in (tmp_path / "out" / "stats.md").read_text()
 
 
 def test_a_list_in_either_form_says_the_same(run: Run, tmp_path: Path) -> None:
@@ -116,11 +154,11 @@ def test_a_list_in_either_form_says_the_same(run: Run, tmp_path: Path) -> None:
     with table.open(newline="") as stream:
         rows = [{**row, "duration": float(row["duration"])} for row in csv.DictReader(stream)]
     file.write_text(json.dumps(rows))
-    assert read_list(table) == read_list(file)
+    assert lists.read(table).grasps == lists.read(file).grasps
     first = run("stats", table, "--out", tmp_path / "out", "--json", tmp_path / "stats.json")
     assert (first[0], first[2]) == (0, "")
     assert run("stats", file)[1] in first[1]
-    content = json.loads((tmp_path / "stats.json").read_text())
+    content = json.loads((tmp_path / "stats.json").read_text())["durations"]
     assert [row["category"] for row in content] == ["box", "cup", "All"]
     assert content[0]["mean"] == 2.0
     page = (tmp_path / "out" / "stats.md").read_text()
@@ -132,7 +170,7 @@ def test_a_list_in_either_form_says_the_same(run: Run, tmp_path: Path) -> None:
 def test_empty_lists_have_no_rows(run: Run, tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("[]")
     status, printed, _ = run("stats", tmp_path / "a.json", "--out", tmp_path / "out", "--json", tmp_path / "b.json")
-    assert (status, json.loads((tmp_path / "b.json").read_text())) == (0, [])
+    assert (status, json.loads((tmp_path / "b.json").read_text())["durations"]) == (0, [])
     assert "no grasps" in printed
 
 
@@ -211,7 +249,8 @@ def test_wrong_calls_exit_with_2(run: Run, tmp_path: Path) -> None:
         ("epic-grasps",),
         (tmp_path / "a.csv", tmp_path / "a.csv"),
         (tmp_path / "a.csv", "--fps", "true"),
-        (tmp_path / "a.csv", "--errata", tmp_path / "a.csv"),
+        (tmp_path / "a.csv", "--errata"),
+        (tmp_path / "a.csv", "--errata-file", tmp_path / "a.csv"),
         ("epic-grasps", epic_table(tmp_path), "--fps", "30"),
     ):
         assert run("stats", *wrong)[0] == 2

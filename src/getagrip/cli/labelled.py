@@ -63,22 +63,24 @@ class Study(GraspCommand):
 
 @dataclass(frozen=True, kw_only=True)
 class Stats(Command):
-    """Print how long stable grasps last, category by category: the paper's dataset tables."""
+    """Print how long stable grasps last, category by category, and what a dataset has: the paper's dataset tables."""
 
     source: Annotated[Positional[str], arg(metavar="epic-grasps|LIST")]
     """epic-grasps, followed by its CSV; or a list of grasps, or the folder of clips that import wrote it into."""
     csv: Annotated[Positional[Path | None], arg(metavar="CSV", help_behavior_hint="")] = None
     """EPIC-Grasps' table, as published."""
-    errata: OptionalFile = None
-    """epic-grasps: apply its errata. The paper's table is without."""
+    errata: bool = False
+    """epic-grasps: apply the errata that lie beside the table (<CSV>_errata.csv). The paper's table is without."""
+    errata_file: OptionalFile = None
+    """epic-grasps: the errata, where they lie elsewhere."""
     fps: Annotated[Literal["paper", "true"] | None, arg(help_behavior_hint="(default: paper)")] = None
     """epic-grasps: 50 frames per second in every video, as in the paper; or the rate at which EPIC numbers frames."""
     out: OptionalFolder = None
-    """Write stats.md and stats.csv here."""
+    """Write stats.md, stats.csv and counts.csv here."""
     json: OptionalFile = None
     """Write every number here, unrounded."""
 
     def run(self) -> int:
         from getagrip.commands.stats import print_stats
 
-        return print_stats(self.source, self.csv, self.errata, self.fps, self.out, self.json)
+        return print_stats(self.source, self.csv, self.errata, self.errata_file, self.fps, self.out, self.json)

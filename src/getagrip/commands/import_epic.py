@@ -18,7 +18,7 @@ class ImportEpic(EpicGrasps):
     """EPIC-Grasps: its stable grasps in EPIC-KITCHENS, with VISOR's masks; hands come from an estimator's files."""
 
     priors: OptionalFolder = None
-    """Initial poses, by category and hand, for reconstruct --init priors: they are only checked."""
+    """Initial poses of reconstruct --init priors, by category and hand: they are only checked."""
 
     def parts(self, note: Note) -> Sequence[Part]:
         """The videos; it is reported how the poses will be used, and whether they can be. Raises ``InputError``."""

@@ -6,10 +6,13 @@ import csv
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
+from getagrip.datasets.epic.tables import chosen_errata, read_grasps
 from getagrip.errors import UsageError
-from getagrip.experiments.durations import ALL, CategoryDurations, Fps, durations, read_epic, read_list
+from getagrip.experiments import counts, durations
+from getagrip.experiments.counts import Counts
+from getagrip.experiments.durations import ALL, CategoryDurations, Fps
+from getagrip.grasps import lists
 from getagrip.io import files
 from getagrip.io.terminal import console, plain_table, report
 
@@ -18,34 +21,49 @@ HEADINGS = ("category", "avg [s]", "std [s]", "max [s]", "clips", "left", "right
 
 
 def print_stats(
-    source: str, table: Path | None, errata: Path | None, fps: Fps | None, out: Path | None, json: Path | None
+    source: str,
+    table: Path | None,
+    errata: bool,
+    errata_file: Path | None,
+    fps: Fps | None,
+    out: Path | None,
+    json: Path | None,
 ) -> int:
-    """Print how long the grasps of a list last, and write it as ``out/stats.md`` and ``stats.csv``; returns 0.
+    """Print how long the grasps of a dataset last and what it has, and write it to files; returns 0.
 
-    ``source`` is ``epic-grasps``, and ``table`` its CSV, or ``source`` is a list of grasps. ``errata`` of
-    the CSV are applied where they are given. Raises ``UsageError`` for calls that are neither, and ``InputError``.
+    ``source`` is ``epic-grasps``, and ``table`` its CSV, or ``source`` is a list of grasps, or a folder of clips with
+    one. ``out`` gets ``stats.md``, ``stats.csv`` and ``counts.csv``. Raises ``UsageError`` for calls that are neither,
+    and ``InputError``.
     """
     if source == EPIC:
         if table is None:
             raise UsageError(f"stats {EPIC}: got no file, expected its CSV")
-        grasps = read_epic(table, fps or "paper", errata)
+        chosen = chosen_errata(table, errata or errata_file is not None, errata_file)
+        if errata and chosen is None:
+            raise UsageError(f"--errata: got no {table.stem}_errata.csv beside {table}, expected it or --errata-file")
+        grasps = read_grasps(table, chosen)
+        lasting, counted = durations.of_epic(grasps, fps or "paper"), counts.of_epic(grasps)
     else:
         if table is not None:
             raise UsageError(f"stats: got {source!r} and {table}, expected {EPIC} and its CSV, or one list of grasps")
-        if errata is not None:
-            raise UsageError(f"--errata: got {errata}, expected none: they are of {EPIC}")
+        if errata or errata_file is not None:
+            raise UsageError(f"--errata: got it for {source}, expected none: they are of {EPIC}")
         if fps is not None:
             raise UsageError(f"--fps: got {fps}, expected none: a list of grasps is in seconds")
-        grasps = read_list(Path(source), report)
-    rows = durations(grasps)
+        folder = Path(source) if Path(source).is_dir() else None
+        path = Path(source) if folder is None else folder / lists.FILE
+        listed = lists.read(path, report).grasps
+        lasting, counted = durations.of_list(path, listed), counts.of_list(listed, folder)
+    rows = durations.durations(lasting)
     if not rows:
         print("no grasps")
     else:
         _print(rows)
+        print(", ".join(f"{number} {name}" for name, number in asdict(counted).items() if number is not None))
     if out is not None:
-        _write(rows, out)
+        _write(rows, counted, out)
     if json is not None:
-        files.write_json(json, [asdict(row) for row in rows])
+        files.write_json(json, {"durations": [asdict(row) for row in rows], "counts": asdict(counted)})
     return 0
 
 
@@ -68,14 +86,22 @@ def _print(rows: Sequence[CategoryDurations]) -> None:
     console().print(shown)
 
 
-def _write(rows: Sequence[CategoryDurations], out: Path) -> None:
+def _write(rows: Sequence[CategoryDurations], counted: Counts, out: Path) -> None:
     """The same as Markdown, and unrounded as CSV."""
     out.mkdir(parents=True, exist_ok=True)
-    lines: list[Sequence[Any]] = [HEADINGS, ["---", *["---:"] * (len(HEADINGS) - 1)], *map(_cells, rows)]
-    page = "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
-    (out / "stats.md").write_text(page, "utf-8")
+    figures = {name: "-" if number is None else f"{number}" for name, number in asdict(counted).items()}
+    pages = [_grid(HEADINGS, [_cells(row) for row in rows]), _grid(list(figures), [list(figures.values())])]
+    (out / "stats.md").write_text("\n".join(pages), "utf-8")
+    with (out / "counts.csv").open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream).writerows([asdict(counted), asdict(counted).values()])
     with (out / "stats.csv").open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(asdict(rows[0]) if rows else ())
         writer.writerows(asdict(row).values() for row in rows)
     print(out / "stats.md")
+
+
+def _grid(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]
+    return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)

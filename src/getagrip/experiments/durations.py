@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from getagrip.datasets.epic.tables import numbering_rate, read_grasps
+from getagrip.datasets.epic.tables import EpicGrasp, numbering_rate
 from getagrip.errors import InputError
-from getagrip.grasps import lists
+from getagrip.grasps.lists import ListedGrasp
 
 Fps = Literal["paper", "true"]
 PAPER_FPS = 50.0
@@ -57,22 +57,20 @@ def _row(category: str, grasps: Sequence[LastingGrasp]) -> CategoryDurations:
     return CategoryDurations(category, float(seconds.mean()), float(seconds.std()), float(seconds.max()), *counts)
 
 
-def read_epic(path: Path, fps: Fps = "paper", errata: Path | None = None) -> list[LastingGrasp]:
-    """EPIC-Grasps' table, corrected where errata are given. Raises ``InputError``, which names the line and the column.
+def of_epic(grasps: Sequence[EpicGrasp], fps: Fps = "paper") -> list[LastingGrasp]:
+    """EPIC-Grasps.
 
     ``paper``: 50 frames per second in every video. ``true``: as EPIC numbers the frames of each video.
     """
     return [
         LastingGrasp(one.category, one.side, one.frames / (PAPER_FPS if fps == "paper" else numbering_rate(one.video)))
-        for one in read_grasps(path, errata)
+        for one in grasps
     ]
 
 
-def read_list(path: Path, note: Callable[[str], None] = lambda _: None) -> list[LastingGrasp]:
-    """A list of grasps, or that of a folder of clips. Raises ``InputError``, which names the row and the key."""
-    path = path / lists.FILE if path.is_dir() else path
-    found = lists.read(path, note).grasps
-    for n, grasp in enumerate(found):
+def of_list(path: Path, grasps: Sequence[ListedGrasp]) -> list[LastingGrasp]:
+    """A list. Raises ``InputError`` where it does not say how long a grasp lasts."""
+    for n, grasp in enumerate(grasps):
         if grasp.duration is None:
             raise InputError(path, f"grasp {n + 1}, duration", "none", "how long it lasts, in seconds")
-    return [LastingGrasp(grasp.object, grasp.side, grasp.duration or 0.0) for grasp in found]
+    return [LastingGrasp(grasp.object, grasp.side, grasp.duration or 0.0) for grasp in grasps]

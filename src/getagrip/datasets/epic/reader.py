@@ -17,7 +17,7 @@ from getagrip.clip import Clip, Masks
 from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
 from getagrip.datasets.epic import clips, visor
 from getagrip.datasets.epic.images import Frames, Images, Video
-from getagrip.datasets.epic.tables import EpicGrasp, errata_beside, read_grasps
+from getagrip.datasets.epic.tables import EpicGrasp, chosen_errata, read_grasps
 from getagrip.errors import UsageError
 from getagrip.io.arguments import Folder, OptionalFolder
 
@@ -29,7 +29,7 @@ class EpicGrasps(Dataset):
     parts_are = "videos"
 
     csv: Annotated[Positional[Path], arg(metavar="CSV")]
-    """EPIC-Grasps' table, as published. Its errata are applied where they lie beside it (<CSV>_errata.csv)."""
+    """EPIC-Grasps' table, as published."""
     visor: Folder
     """VISOR's annotations, sparse, dense or both, and its frame_mapping.json, anywhere below."""
     frames: OptionalFolder = None
@@ -44,12 +44,14 @@ class EpicGrasps(Dataset):
     """EPIC-Fields' cameras, <video>.json each."""
     focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="(default: a guess)")] = None
     """Instead of cameras, the focal length in pixels of images 854 wide."""
-    errata: Annotated[Path | None, arg(metavar="CSV", help_behavior_hint="(default: beside the table)")] = None
-    """EPIC-Grasps' errata."""
+    errata: bool = True
+    """Apply the errata that lie beside the table (<CSV>_errata.csv), if they do. The paper's are not applied."""
+    errata_file: Annotated[Path | None, arg(metavar="CSV", help_behavior_hint="(default: beside the table)")] = None
+    """The errata, where they lie elsewhere."""
 
     def grasps(self) -> list[EpicGrasp]:
-        """The stable grasps of the table. Raises ``InputError``."""
-        return read_grasps(self.csv, self.errata or errata_beside(self.csv))
+        """The stable grasps of the table. Raises ``UsageError`` and ``InputError``."""
+        return read_grasps(self.csv, chosen_errata(self.csv, self.errata, self.errata_file))
 
     def parts(self, note: Note) -> Sequence[Part]:
         """The videos that have grasps and annotations."""

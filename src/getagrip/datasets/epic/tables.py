@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
 from getagrip.io.files import plain, read_bytes, shown
 
@@ -49,6 +49,8 @@ class EpicGrasp:
     """A frame in which VISOR says that the hand touches the object."""
     note: str = ""
     """What was mended, in words."""
+    masks: int | None = None
+    """Masks of hand and object in its frames (``n_unfiltered_masks``), where the table says."""
 
     @property
     def name(self) -> str:
@@ -88,6 +90,16 @@ def errata_beside(path: Path) -> Path | None:
     return errata if errata.is_file() else None
 
 
+def chosen_errata(path: Path, wanted: bool, file: Path | None) -> Path | None:
+    """The errata to apply to a table: a file that is named, or that beside it; None where there is none.
+
+    Raises ``UsageError`` for a file that is named though no errata are ``wanted``.
+    """
+    if file is not None and not wanted:
+        raise UsageError(f"--errata-file: got {file}, expected none with --no-errata")
+    return (file or errata_beside(path)) if wanted else None
+
+
 def read_grasps(path: Path, errata: Path | None = None) -> list[EpicGrasp]:
     """The stable grasps of EPIC-Grasps' CSV, mended by its errata where they are given.
 
@@ -95,7 +107,7 @@ def read_grasps(path: Path, errata: Path | None = None) -> list[EpicGrasp]:
     agree with it. Raises ``InputError``, which names the line and the column.
     """
     rows = _table(path, ("vid", "st", "ed", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name",
-                         "duration", "example", "fmt"))  # fmt: skip
+                         "duration", "example", "fmt"), optional=("n_unfiltered_masks",))  # fmt: skip
     grasps = {row.text("fmt"): _grasp(row, row.text("handside"), "handside") for row in rows}
     if len(grasps) < len(rows):
         raise InputError(path, "fmt", "the same grasp twice", "each once")
@@ -141,6 +153,7 @@ def _grasp(row: _Row, side: str, column: str) -> EpicGrasp:
         end_bound=row.frame("ed_bound"),
         contact=None if contact < 0 else contact,
         note=note,
+        masks=row.whole("n_unfiltered_masks", 0, LAST_FRAME) if row.cells["n_unfiltered_masks"].strip() else None,
     )
 
 
@@ -201,8 +214,8 @@ class _Row:
         return self.cells[column]
 
 
-def _table(path: Path, columns: Sequence[str]) -> list[_Row]:
-    """The rows of a CSV that has certain columns, without the others."""
+def _table(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> list[_Row]:
+    """The rows of a CSV that has certain columns, without the others; empty ``optional`` ones where there are none."""
     try:
         text = read_bytes(path, LARGEST_TABLE).decode("utf-8-sig")
         lines = csv.reader(io.StringIO(text, newline=""), strict=True)
@@ -210,14 +223,15 @@ def _table(path: Path, columns: Sequence[str]) -> list[_Row]:
         missing = [column for column in columns if heads.count(column) != 1]
         if missing:
             raise InputError(path, plain(missing[0]), f"{heads.count(missing[0])} columns of this name", "one")
-        where = {column: heads.index(column) for column in columns}
+        where = {column: heads.index(column) for column in (*columns, *optional) if column in heads}
+        empty = dict.fromkeys(optional, "")
         rows = []
         for cells in lines:
             if not cells:
                 continue
             if len(cells) != len(heads):
                 raise InputError(path, f"line {lines.line_num}", f"{len(cells)} cells", f"{len(heads)}, as in line 1")
-            rows.append(_Row(path, lines.line_num, {column: cells[n] for column, n in where.items()}))
+            rows.append(_Row(path, lines.line_num, empty | {column: cells[n] for column, n in where.items()}))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "", f"text that is no CSV ({error})", "a CSV file in UTF-8") from error
     if not rows:
