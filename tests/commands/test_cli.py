@@ -26,7 +26,7 @@ def made(tmp_path_factory: Any) -> Path:
     """A folder of two clips, a can and a box; nothing in it is changed by tests."""
     folder: Path = tmp_path_factory.mktemp("made") / "clips"
     for name in ("can", "box"):
-        clip, masks = synthesise(name, 0, SceneOptions(frames=4))
+        clip, masks = synthesise(name, 0, SceneOptions(frames=4, size=(320, 240), focal=300.0))
         write_clip(clip, masks, folder / name)
     return folder
 

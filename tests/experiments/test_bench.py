@@ -43,7 +43,7 @@ def made(tmp_path_factory: Any) -> Path:
     """A folder of two clips; nothing in it is changed by tests."""
     folder: Path = tmp_path_factory.mktemp("made") / "clips"
     for category in ("can", "box"):
-        write_clip(*synthesise(category, 0, SceneOptions(frames=4)), folder / category)
+        write_clip(*synthesise(category, 0, SceneOptions(frames=4, size=(320, 240), focal=300.0)), folder / category)
     return folder
 
 
@@ -223,7 +223,7 @@ def test_departures_lead_step_by_step_from_the_paper_to_ours() -> None:
 
 @pytest.mark.slow
 def test_scale_made_free_and_known_again() -> None:
-    clip, masks = synthesise("can", 0, SceneOptions(frames=2))
+    clip, masks = synthesise("can", 0, SceneOptions(frames=2, size=(320, 240), focal=300.0))
     free, _ = ScaleFree()(clip, masks, 0)
     assert free.scale == "free"
     assert free.truth is not None
@@ -469,7 +469,7 @@ def test_a_folder_of_synthetic_clips_belongs_to_one_preset(tmp_path: Path) -> No
 @pytest.mark.slow
 def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
     folder = tmp_path / "clips"
-    clip, masks = synthesise("can", 0, SceneOptions(frames=2))
+    clip, masks = synthesise("can", 0, SceneOptions(frames=2, size=(320, 240), focal=300.0))
     for n in range(7):
         name = f"subject-{n}--sequence--can"
         write_clip(replace(clip, name=name), masks, folder / name)
