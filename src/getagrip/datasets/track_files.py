@@ -134,7 +134,7 @@ def _object(file: Path, given: Arrays) -> tuple[Mesh, Joint | None]:
         raise InputError(file, ", ".join(JOINT), f"only {', '.join(has)}", "all of them, or none")
     parts = []
     for key in ("mesh", "mesh_top") if has else ("mesh",):
-        parts.append(read_mesh(inside(file.parent, _text(file, given, key), key, "a mesh in the same folder", file)))
+        parts.append(read_mesh(inside(file.parent, _text(file, given, key), key, "a mesh", file)))
     mesh, part = fine(parts)
     if not has:
         return mesh, None

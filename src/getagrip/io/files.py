@@ -54,7 +54,7 @@ def inside(folder: Path, relative: str, key: str, what: str, given_in: Path | No
     source = given_in or folder / relative
     parts = PurePosixPath(relative)
     if not relative or "\0" in relative or "\\" in relative or parts.is_absolute() or ".." in parts.parts:
-        raise InputError(source, key, f"the path {shown(relative)}", f"{what} inside the clip folder")
+        raise InputError(source, key, f"the path {shown(relative)}", f"{what} inside the folder")
     path = folder / relative
     try:
         leaves = not os.path.realpath(path).startswith(os.path.join(os.path.realpath(folder), ""))
@@ -62,7 +62,7 @@ def inside(folder: Path, relative: str, key: str, what: str, given_in: Path | No
     except OSError as error:  # names that are too long, no permission
         raise InputError(source, key, f"the path {shown(relative)} ({error.strerror})", what) from error
     if leaves:
-        raise InputError(source, key, f"the path {shown(relative)}, which leads out", f"{what} inside the clip folder")
+        raise InputError(source, key, f"the path {shown(relative)}, which leads out", f"{what} inside the folder")
     if not there:
         raise InputError(path, "" if given_in is None else key, "no such file", what)
     return path
