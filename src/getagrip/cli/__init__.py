@@ -13,7 +13,7 @@ from tyro.conf import OmitArgPrefixes, subcommand
 from getagrip.cli.command import Command
 from getagrip.cli.footage import Annotate, ClipCommand, Epic
 from getagrip.cli.labelled import Segment, Stats, Study
-from getagrip.cli.results import Bench, Demo, Doctor, Evaluate, InitCommand, Reconstruct, Report
+from getagrip.cli.results import Bench, Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct, Report
 from getagrip.errors import GetagripError, UsageError
 
 DESCRIPTION = "Where an object is in the hand that holds it: from hands, masks and the object's mesh, for every frame."
@@ -35,6 +35,7 @@ def commands(imports: Any) -> Any:
         | Annotated[Epic, subcommand("epic")]
         | Annotated[Annotate, subcommand("annotate")]
         | Annotated[Report, subcommand("report")]
+        | Annotated[Export, subcommand("export")]
         | Annotated[Doctor, subcommand("doctor")]
     )
 

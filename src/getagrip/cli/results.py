@@ -231,6 +231,37 @@ class Report(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Export(Command):
+    """Write results in other programs' formats: poses, animated scenes, benchmark files."""
+
+    results: Results
+    """Result folders, or folders of results."""
+    to: Annotated[str, arg(metavar="FORMAT")]
+    """csv: a table of poses; npz: arrays; obj: posed meshes, one per frame; glb: glTF, animated, for Blender and
+    browsers; bop: files of the BOP benchmark."""
+    out: OptionalFolder = None
+    """Where the exports go, each into a folder named as its result's. Otherwise RESULT/export-FORMAT."""
+    clips: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: where they were made from)")] = None
+    """A clip, or the folder that holds the clips by name."""
+    overwrite: Flag = False
+    """Replace exports that are there already."""
+
+    def check(self) -> None:
+        from getagrip.export import FORMATS
+
+        super().check()
+        if self.to not in FORMATS:
+            raise UsageError(f"--to: got {self.to!r}, expected one of {', '.join(FORMATS)}")
+        if not self.results:
+            raise UsageError("RESULT: name at least one result")
+
+    def run(self) -> int:
+        from getagrip.commands.export import export_results
+
+        return export_results(self.results, self.to, self.out, self.clips, self.overwrite, self.debug)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Doctor(Command):
     """Check the installation, and compile what the first run would have to."""
 

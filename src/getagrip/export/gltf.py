@@ -1,0 +1,140 @@
+"""glTF: one binary file with the object's node and the hand's animated, for Blender and browsers.
+
+glTF's axes are x right, y up, z towards the viewer; a root node turns the camera frame there. The object's node and the
+hand's have a translation [m] and a rotation (x, y, z, w) at each time [s]; the hand's bending is a chain of morph
+targets, one for each frame, of which one at a time has the weight 1.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+from numpy import ndarray
+
+from getagrip.export.scene import Scene
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import vertex_normals
+from getagrip.io import files
+
+FILE = "scene.glb"
+OBJECT, HAND = (0.47, 0.60, 0.68, 1.0), (0.86, 0.68, 0.58, 1.0)
+"""Colours."""
+
+
+def write(scene: Scene, folder: Path) -> dict[str, str]:
+    """Write ``scene.glb``."""
+    from pygltflib import GLTF2, Animation, Asset, Material, Node, PbrMetallicRoughness
+    from pygltflib import Scene as Root
+
+    gltf, buffers = GLTF2(), _Buffers()
+    gltf.asset = Asset(generator="getagrip", extras={"units": "metres", "notes": list(scene.notes)})
+    for colour in (OBJECT, HAND):
+        pbr = PbrMetallicRoughness(baseColorFactor=list(colour), metallicFactor=0.0, roughnessFactor=0.8)
+        gltf.materials.append(Material(pbrMetallicRoughness=pbr, doubleSided=True))
+    bent = scene.hand_vertices - scene.hand_vertices[0]
+    moves = bool(np.abs(bent).max() > 1e-7)
+    gltf.meshes = [
+        _mesh(buffers, "object", scene.object.vertices, scene.object.faces, 0),
+        _mesh(buffers, "hand", scene.hand_vertices[0], scene.hand_faces, 1, bent if moves else bent[:0]),
+    ]
+    flip = [1.0, 0.0, 0.0, 0.0]  # half a turn about x: y down, z forward becomes y up, z back
+    gltf.nodes = [
+        Node(name="camera frame", rotation=flip, children=[1, 2]),
+        Node(name="object", mesh=0),
+        Node(name="hand", mesh=1),
+    ]
+    gltf.scenes, gltf.scene = [Root(name=scene.name, nodes=[0])], 0
+    time = buffers.add((scene.time - scene.time[0]).astype(np.float32), bounds=True)
+    animation = Animation(name="grasp")
+    for node, T in ((1, scene.T_cam_obj), (2, scene.T_cam_hand)):
+        _channel(animation, time, buffers.add(T[:, :3, 3].astype(np.float32)), node, "translation")
+        _channel(animation, time, buffers.add(_rotations(T)), node, "rotation")
+    if moves:
+        _channel(animation, time, buffers.add(np.eye(len(bent), dtype=np.float32).ravel()), 2, "weights")
+    gltf.animations = [animation]
+    buffers.into(gltf)
+    files.write_bytes(folder / FILE, b"".join(gltf.save_to_bytes()))
+    return {FILE: "glTF 2.0: y up, z towards the viewer; metres; nodes object and hand, an animation of both"}
+
+
+def _rotations(T: Float[ndarray, "T 4 4"]) -> Shaped[ndarray, "T 4"]:
+    """Quaternions (x, y, z, w), each on the side of the one before it, so that those between are the short way."""
+    q = np.roll(se3.quaternion(T[:, :3, :3]), -1, axis=1)
+    turn = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))
+    q[1:] *= turn[:, None]
+    return q.astype(np.float32)
+
+
+def _mesh(
+    buffers: _Buffers,
+    name: str,
+    vertices: Float[ndarray, "V 3"],
+    faces: Int[ndarray, "F 3"],
+    material: int,
+    moved: Float[ndarray, "S V 3"] | None = None,
+) -> Any:
+    """A mesh; ``moved`` are the displacements of its morph targets."""
+    from pygltflib import Attributes, Mesh, Primitive
+
+    given = Attributes(
+        POSITION=buffers.add(vertices.astype(np.float32), bounds=True),
+        NORMAL=buffers.add(vertex_normals(vertices, faces).astype(np.float32)),
+    )
+    targets = [
+        {"POSITION": buffers.add(step.astype(np.float32), bounds=True)} for step in ([] if moved is None else moved)
+    ]
+    corners = buffers.add(faces.astype(np.uint32).ravel(), corners=True)
+    part = Primitive(attributes=given, indices=corners, material=material, targets=targets)
+    return Mesh(name=name, primitives=[part], weights=[0.0] * len(targets))
+
+
+def _channel(animation: Any, time: int, values: int, node: int, path: str) -> None:
+    """Let a node's property go through values."""
+    from pygltflib import AnimationChannel, AnimationChannelTarget, AnimationSampler
+
+    sampler = AnimationSampler(input=time, output=values, interpolation="LINEAR")
+    target = AnimationChannelTarget(node=node, path=path)
+    animation.channels.append(AnimationChannel(sampler=len(animation.samplers), target=target))
+    animation.samplers.append(sampler)
+
+
+class _Buffers:
+    """Arrays one after another in the file's binary part."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._views: list[Any] = []
+        self._accessors: list[Any] = []
+        self._size = 0
+
+    def add(self, values: Shaped[ndarray, "..."], bounds: bool = False, corners: bool = False) -> int:
+        """The number of the accessor of an array of float32, or of uint32 (``corners``)."""
+        import pygltflib as gltf
+
+        content = np.ascontiguousarray(values).tobytes()
+        target = gltf.ELEMENT_ARRAY_BUFFER if corners else None
+        self._views.append(gltf.BufferView(buffer=0, byteOffset=self._size, byteLength=len(content), target=target))
+        rows = values.reshape(len(values), -1)
+        accessor = gltf.Accessor(
+            bufferView=len(self._views) - 1,
+            componentType=gltf.UNSIGNED_INT if corners else gltf.FLOAT,
+            count=len(rows),
+            type={1: gltf.SCALAR, 3: gltf.VEC3, 4: gltf.VEC4}[rows.shape[1]],
+        )
+        if bounds:
+            accessor.min, accessor.max = rows.min(axis=0).tolist(), rows.max(axis=0).tolist()
+        self._accessors.append(accessor)
+        self._parts.append(content)  # each a multiple of four bytes, as glTF wants it
+        self._size += len(content)
+        return len(self._accessors) - 1
+
+    def into(self, gltf: Any) -> None:
+        """Put all into a file."""
+        from pygltflib import Buffer
+
+        gltf.buffers = [Buffer(byteLength=self._size)]
+        gltf.bufferViews, gltf.accessors = self._views, self._accessors
+        gltf.set_binary_blob(b"".join(self._parts))

@@ -1,0 +1,193 @@
+"""Exports: what is read back, by other libraries, is the scene that was written."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy import ndarray
+from pygltflib import GLTF2
+from scipy.spatial.transform import Rotation
+
+from getagrip.cli import main
+from getagrip.clip import input_sha256, read_clip
+from getagrip.errors import UsageError
+from getagrip.export import FORMATS, Scene, export
+from getagrip.export.bop import image_ids
+from getagrip.geometry import se3
+from getagrip.result import Axis, Candidates, Reconstruction, write_result
+from helpers.clips import small_clip
+from helpers.command_line import Run
+
+TURN = np.array([[0.0, 0.1, 3.0], [0.0, 0.2, 3.1], [0.0, 0.3, 3.2]])
+"""Rotation vectors that go through half a turn, where quaternions change their signs."""
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return Scene.of(*result_and_clip())
+
+
+def result_and_clip() -> tuple[Reconstruction, Any]:
+    """The result is of the last three of five frames."""
+    clip, _ = small_clip(5)
+    T = se3.rigid(se3.exp_so3(TURN), np.array([[0.01, 0.02, 0.03]] * 3))
+    result = Reconstruction(
+        clip=clip.name,
+        method="soft-hinge",
+        frames=clip.frames[2:],
+        T_hand_obj=T,
+        scale=1.25,
+        iou=np.array([0.9, 0.8, 0.7]),
+        axis=Axis(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.1, 0.2])),
+        candidates=Candidates(T[None], np.array([1.25]), np.array([2.0])),
+        energy={"total": 2.0},
+        status="converged: so",
+        ambiguous=False,
+        seconds={"total": 0.1},
+        notes=("the scale is a guess",),
+    )
+    return result, clip
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+def object_in_camera(scene: Scene) -> ndarray:
+    return se3.transform(scene.T_cam_obj, scene.object.vertices[None])
+
+
+def test_the_scene_is_that_of_the_result(scene: Scene) -> None:
+    result, clip = result_and_clip()
+    np.testing.assert_allclose(scene.T_cam_obj, clip.hand.T_cam_hand[2:] @ result.T_hand_obj)
+    np.testing.assert_allclose(scene.object.vertices, 1.25 * clip.mesh.vertices)
+    np.testing.assert_allclose(scene.time, np.arange(2, 5) / clip.fps)
+    np.testing.assert_array_equal(scene.hand_vertices, clip.hand.vertices[2:])
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_every_format_says_what_its_files_hold(scene: Scene, tmp_path: Path, to: str) -> None:
+    folder = export(scene, tmp_path / "out", to)
+    about = json.loads((folder / "about.json").read_text())
+    assert about["format"] == to
+    assert about["notes"] == ["the scale is a guess"]
+    assert len(about["time_s"]) == len(about["frames"]) == 3
+    written = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()} - {"about.json"}
+    named = {name.replace("<frame>", frame) for name in about["files"] for frame in scene.frames}
+    assert written == named
+    assert all("mm" in words or "metres" in words or "intrinsics" in words or "same" in words
+               for words in about["files"].values())  # fmt: skip
+    with pytest.raises(UsageError, match="exists already"):
+        export(scene, folder, to)
+    assert export(scene, folder, to, overwrite=True) == folder
+
+
+def test_csv_rows_are_the_poses(scene: Scene, tmp_path: Path) -> None:
+    rows = rows_of(export(scene, tmp_path / "out", "csv") / "poses.csv")
+    for name, T in (("T_cam_obj", scene.T_cam_obj), ("T_hand_obj", scene.T_hand_obj)):
+        place = np.array([[float(row[f"{name}_{axis}_m"]) for axis in "xyz"] for row in rows])
+        q = np.array([[float(row[f"{name}_q{axis}"]) for axis in "xyzw"] for row in rows])
+        np.testing.assert_allclose(place, T[:, :3, 3], atol=1e-8)
+        np.testing.assert_allclose(Rotation.from_quat(q).as_matrix(), T[:, :3, :3], atol=1e-7)
+    assert [row["frame"] for row in rows] == list(scene.frames)
+    assert [float(row["angle_deg"]) for row in rows] == pytest.approx(np.degrees([0.0, 0.1, 0.2]))
+    free = export(replace(scene, angle=None), tmp_path / "free", "csv") / "poses.csv"
+    assert [row["angle_deg"] for row in rows_of(free)] == ["", "", ""]
+
+
+def test_npz_arrays_are_the_scene(scene: Scene, tmp_path: Path) -> None:
+    with np.load(export(scene, tmp_path / "out", "npz") / "scene.npz") as file:
+        np.testing.assert_array_equal(file["T_cam_obj"], scene.T_cam_obj)
+        np.testing.assert_array_equal(file["hand_vertices_cam"], scene.hand_in_camera)
+        np.testing.assert_array_equal(file["object_vertices"], scene.object.vertices)
+
+
+def test_obj_meshes_are_posed(scene: Scene, tmp_path: Path) -> None:
+    folder = export(scene, tmp_path / "out", "obj")
+    for n, frame in enumerate(scene.frames):
+        found = trimesh.load(folder / "object" / f"{frame}.obj", process=False)
+        np.testing.assert_allclose(found.vertices, object_in_camera(scene)[n], atol=1e-6)
+        hand = trimesh.load(folder / "hand" / f"{frame}.obj", process=False)
+        np.testing.assert_allclose(hand.vertices, scene.hand_in_camera[n], atol=1e-6)
+
+
+def test_bop_poses_bring_the_model_into_the_camera(scene: Scene, tmp_path: Path) -> None:
+    folder = export(replace(scene, name="a_b"), tmp_path / "out", "bop")
+    model = trimesh.load(folder / "models" / "obj_000001.ply", process=False)
+    (file,) = folder.glob("*.csv")
+    method, rest = file.stem.split("_")  # METHOD_DATASET-test: the toolkit parts names at underscores
+    assert (method, rest) == ("getagrip-soft-hinge", "a-b-test")
+    given = json.loads((folder / "scene_gt.json").read_text())
+    for n, row in enumerate(rows_of(file)):
+        R, t = (np.array(row[key].split(), dtype=float) for key in ("R", "t"))
+        posed = model.vertices @ R.reshape(3, 3).T + t
+        np.testing.assert_allclose(posed, 1e3 * object_in_camera(scene)[n], atol=1e-3)
+        (entry,) = given[row["im_id"]]
+        np.testing.assert_allclose(entry["cam_R_m2c"], R, atol=1e-8)
+        np.testing.assert_allclose(entry["cam_t_m2c"], t, atol=1e-6)
+    assert image_ids(("000007", "000012")) == [7, 12]
+    assert image_ids(("7", "007")) == image_ids(("a", "b")) == [0, 1]
+
+
+def accessor(gltf: GLTF2, which: int) -> ndarray:
+    it = gltf.accessors[which]
+    view = gltf.bufferViews[it.bufferView]
+    kind = {5126: np.float32, 5125: np.uint32}[it.componentType]
+    content = gltf.binary_blob()[view.byteOffset : view.byteOffset + view.byteLength]
+    return np.frombuffer(content, kind).reshape(it.count, {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[it.type])
+
+
+@pytest.mark.parametrize("stiff", [False, True])
+def test_the_animation_goes_through_every_pose(scene: Scene, tmp_path: Path, stiff: bool) -> None:
+    if stiff:
+        scene = replace(scene, hand_vertices=np.repeat(scene.hand_vertices[:1], 3, axis=0))
+    else:
+        scene = replace(scene, hand_vertices=scene.hand_vertices * np.array([1.0, 1.1, 1.2])[:, None, None])
+    file = export(scene, tmp_path / "out", "glb") / "scene.glb"
+    gltf = GLTF2().load(file)
+    channels = {(it.target.node, it.target.path): it.sampler for it in gltf.animations[0].channels}
+
+    def values(node: int, path: str) -> ndarray:
+        return accessor(gltf, gltf.animations[0].samplers[channels[node, path]].output)
+
+    time = accessor(gltf, gltf.animations[0].samplers[0].input)[:, 0]
+    np.testing.assert_allclose(time, scene.time - scene.time[0], atol=1e-6)
+    flip = np.diag([1.0, -1.0, -1.0])  # glTF's y is up
+    np.testing.assert_allclose(Rotation.from_quat(gltf.nodes[0].rotation).as_matrix(), flip, atol=1e-12)
+    for node, true in ((1, object_in_camera(scene)), (2, scene.hand_in_camera)):
+        part = gltf.meshes[gltf.nodes[node].mesh].primitives[0]
+        rest = accessor(gltf, part.attributes.POSITION).astype(float)
+        q, t = values(node, "rotation"), values(node, "translation")
+        assert (np.sum(q[1:] * q[:-1], axis=1) > 0.0).all()  # the short way from one to the next
+        targets = [accessor(gltf, target["POSITION"]) for target in part.targets or []]
+        assert len(targets) == (0 if stiff or node == 1 else 3)
+        weights = values(2, "weights").reshape(3, 3) if targets else np.zeros((3, 0))
+        for n in range(3):
+            bent = rest + sum(w * step for w, step in zip(weights[n], targets, strict=True))
+            posed = bent @ Rotation.from_quat(q[n]).as_matrix().T + t[n]
+            np.testing.assert_allclose(posed, true[n], atol=1e-6)
+    assert set(trimesh.load(file).geometry) == {"object", "hand"}
+
+
+def test_the_command_exports_results_and_names_what_it_cannot(clip_folder: Path, tmp_path: Path, run: Run) -> None:
+    result, _ = result_and_clip()
+    result = replace(result, frames=read_clip(clip_folder).frames)  # three, of the small clip
+    write_result(result, tmp_path / "results" / "one", input_sha256(clip_folder), {}, clip_folder)
+    status, printed, _ = run("export", tmp_path / "results", "--to", "csv")
+    assert (status, printed.strip()) == (0, str(tmp_path / "results" / "one" / "export-csv"))
+    status, _, err = run("export", tmp_path / "results", "--to", "csv")
+    assert (status, "exists already" in err) == (1, True)
+    assert run("export", tmp_path / "results", "--to", "csv", "--overwrite")[0] == 0
+    assert run("export", tmp_path / "results", "--to", "npz", "--out", tmp_path / "out")[0] == 0
+    assert (tmp_path / "out" / "one" / "scene.npz").is_file()
+    assert main(["export", str(tmp_path / "nothing"), "--to", "csv"]) == 1
+    status, _, err = run("export", tmp_path / "results", "--to", "pdf")
+    assert (status, all(name in err for name in FORMATS)) == (2, True)
+    assert all(f"{name}:" in run("export", "--help")[1] for name in FORMATS)
