@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -12,11 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+import getagrip
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.result import read_result
 from helpers.command_line import Run
+from helpers.paths import ROOT
 
 QUICK = ("--inits", "8", "--frames", "4")
 
@@ -209,3 +212,39 @@ def test_help_loads_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_version_is_printed(run: Run) -> None:
+    assert run("--version")[:2] == (0, f"getagrip {getagrip.__version__}\n")
+
+
+@pytest.mark.parametrize("words", ["clip new", "epic candidates", "init learn"])
+def test_help_shows_commands_as_they_are_typed(run: Run, words: str) -> None:
+    assert run(*words.split(), "--help")[1].startswith(f"usage: getagrip {words} ")
+    assert f" {words} " in run("--help")[1]
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("--K", "1000", "1000", "960"), "Expected 4 values"),
+        (("--side", "l"), "Expected one of ('left', 'right')"),
+    ],
+)
+def test_wrong_values_are_explained_without_types(run: Run, args: tuple[str, ...], words: str, tmp_path: Path) -> None:
+    status, _, err = run("clip", "new", "v.mp4", "--out", tmp_path / "clip", *args)
+    assert status == 2
+    assert words in err
+    assert "None" not in err
+
+
+@pytest.mark.slow
+def test_a_reader_that_leaves_ends_the_command_quietly() -> None:
+    command = [sys.executable, "-m", "getagrip", "init", "learn", "--help"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "src"), "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait() == 141

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -10,13 +11,20 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import OmitArgPrefixes, subcommand
 
+from getagrip import __version__
 from getagrip.cli.command import Command
 from getagrip.cli.footage import Annotate, ClipCommand, Epic
 from getagrip.cli.labelled import Segment, Stats, Study
 from getagrip.cli.results import Bench, Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct, Report
 from getagrip.errors import GetagripError, UsageError
 
-DESCRIPTION = "Where an object is in the hand that holds it: from hands, masks and the object's mesh, for every frame."
+DESCRIPTION = (
+    "Where an object is in the hand that holds it: from hands, masks and the object's mesh, for every frame. "
+    "--version prints the version."
+)
+
+TWO_WORDS = ("clip new", "epic candidates", "init learn")
+"""Commands that are typed as two words."""
 
 
 def commands(imports: Any) -> Any:
@@ -29,10 +37,10 @@ def commands(imports: Any) -> Any:
         | Annotated[Study, subcommand("study")]
         | Annotated[Stats, subcommand("stats")]
         | Annotated[Bench, subcommand("bench")]
-        | Annotated[InitCommand, subcommand("init")]
+        | Annotated[InitCommand, subcommand("init learn")]
         | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
-        | Annotated[ClipCommand, subcommand("clip")]
-        | Annotated[Epic, subcommand("epic")]
+        | Annotated[ClipCommand, subcommand("clip new")]
+        | Annotated[Epic, subcommand("epic candidates")]
         | Annotated[Annotate, subcommand("annotate")]
         | Annotated[Report, subcommand("report")]
         | Annotated[Export, subcommand("export")]
@@ -42,10 +50,21 @@ def commands(imports: Any) -> Any:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run a command. Returns 0 when all is done, 1 when some of it failed, 2 when the call is wrong."""
-    command = _parsed(sys.argv[1:] if args is None else args)
+    try:
+        status = _run(_parsed(sys.argv[1:] if args is None else args))
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:  # whoever read the output has enough of it, as with `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141  # as for a process that SIGPIPE ends
+
+
+def _run(command: Command) -> int:
     try:
         command.check()
         return command.run()
+    except BrokenPipeError:
+        raise
     except KeyboardInterrupt:
         print("interrupted; what was finished is kept", file=sys.stderr)
         return 130
@@ -63,6 +82,11 @@ def _parsed(args: Sequence[str]) -> Command:
         from getagrip.cli.imports import Imports
 
         imports = Imports
+    if list(args) == ["--version"]:
+        print(f"getagrip {__version__}")
+        sys.exit(0)
+    if " ".join(args[:2]) in TWO_WORDS:
+        args = [" ".join(args[:2]), *args[2:]]
     command: Command = tyro.cli(
         commands(imports), prog="getagrip", description=DESCRIPTION, args=args, config=(OmitArgPrefixes,)
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from getagrip.fitting.methods import METHODS
-from getagrip.io.arguments import Flag
+from getagrip.io.arguments import Flag, numbers, one_of
 
 Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
 Results = Annotated[Positional[tuple[Path, ...]], arg(metavar="RESULT...", help_behavior_hint="")]
@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 else:
     Method = Literal[tuple(METHODS)]
 Intrinsics = Annotated[
-    tuple[float, float, float, float] | None, arg(name="K", metavar="FX FY CX CY", help_behavior_hint="")
+    tuple[float, float, float, float] | None, numbers(4, "FX FY CX CY"), arg(name="K", help_behavior_hint="")
 ]
 Focal = Annotated[float | None, arg(metavar="PX", help_behavior_hint="")]
+OptionalSide = Annotated[Literal["left", "right"] | None, one_of("left", "right"), arg(help_behavior_hint="")]
 Labels = Annotated[tuple[str, ...], arg(metavar="LABEL...", help_behavior_hint="")]
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from getagrip.cli.command import Command, Focal, Intrinsics, Labels
+from getagrip.cli.command import Command, Focal, Intrinsics, Labels, OptionalSide
 from getagrip.io.arguments import File, Flag, Folder, OptionalFile
 
 Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan"]
@@ -18,15 +18,13 @@ Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate
 class ClipCommand(Command):
     """Make a clip of your own video, in one go or in steps. What is missing is listed, with how to get it."""
 
-    action: Positional[Literal["new"]]
-    """new: make one."""
     video: Annotated[Positional[Path], arg(metavar="VIDEO")]
     """The video, undistorted."""
     out: Folder
     """The clip's folder; its name is the clip's."""
     interval: Annotated[tuple[int, int] | None, arg(metavar="START END", help_behavior_hint="")] = None
     """The stable grasp: its first and last frame, counted from 1."""
-    side: Literal["left", "right"] | None = None
+    side: OptionalSide = None
     """Which hand."""
     mesh: Annotated[Path | None, arg(metavar="FILE|KIND", help_behavior_hint="")] = None
     """The object's shape: .obj, .ply, .stl or .glb. Or, where there is no such file, the kind of a shape that this
@@ -77,8 +75,6 @@ class ClipCommand(Command):
 class Epic(Command):
     """Find where stable grasps may be in EPIC-KITCHENS: where VISOR says that a hand touches an object."""
 
-    action: Positional[Literal["candidates"]]
-    """candidates: a table of hands, objects and rough extents, to be annotated."""
     visor: Folder
     """VISOR's sparse annotations, and its frame_mapping.json, anywhere below."""
     actions: Annotated[tuple[Path, ...], arg(metavar="CSV...")]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Generic, Literal, TypeAlias, T
 from tyro.conf import Positional, arg, subcommand
 
 from getagrip.batch.imports import import_clips
-from getagrip.cli.command import Command, Focal, Intrinsics, Labels
+from getagrip.cli.command import Command, Focal, Intrinsics, Labels, OptionalSide
 from getagrip.clip.intrinsics import Lens
 from getagrip.commands.datasets import DATASETS
 from getagrip.commands.import_hands import NewFrames, import_hands
@@ -60,7 +60,7 @@ class ImportHands(Command):
     """Instead of a clip, a file for clip new --hands. It needs --side, --frames, --size and a camera."""
     mano: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: the generic hand)")] = None
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
-    side: Literal["left", "right"] | None = None
+    side: OptionalSide = None
     """With --out: which hand."""
     frames: Annotated[tuple[int, int] | None, arg(metavar="FIRST LAST", help_behavior_hint="")] = None
     """With --out: numbers of the frames, the last included."""

@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.cli.command import Clips, Command, Workers
 from getagrip.grasps.options import GraspOptions
-from getagrip.io.arguments import Folder, OptionalFile, OptionalFolder
+from getagrip.io.arguments import Folder, OptionalFile, OptionalFolder, one_of
 from getagrip.io.terminal import report
 
 if TYPE_CHECKING:
@@ -73,7 +73,9 @@ class Stats(Command):
     """epic-grasps: apply the errata that lie beside the table (<CSV>_errata.csv). The paper's table is without."""
     errata_file: OptionalFile = None
     """epic-grasps: the errata, where they lie elsewhere."""
-    fps: Annotated[Literal["paper", "true"] | None, arg(help_behavior_hint="(default: paper)")] = None
+    fps: Annotated[
+        Literal["paper", "true"] | None, one_of("paper", "true"), arg(help_behavior_hint="(default: paper)")
+    ] = None
     """epic-grasps: 50 frames per second in every video, as in the paper; or the rate at which EPIC numbers frames."""
     out: OptionalFolder = None
     """Write stats.md, stats.csv and counts.csv here."""

@@ -12,7 +12,7 @@ from getagrip.cli.command import Clips, Command, Method, Results, Seed, Workers
 from getagrip.errors import UsageError
 from getagrip.experiments.sources import SOURCES, source_of
 from getagrip.fitting.options import Init, Options, PriorsFile
-from getagrip.io.arguments import File, Flag, Folder, OptionalFile, OptionalFolder
+from getagrip.io.arguments import File, Flag, Folder, OptionalFile, OptionalFolder, one_of
 
 Inits = Annotated[int, arg(metavar="N")]
 
@@ -96,7 +96,7 @@ class Evaluate(Command):
     meshes: OptionalFolder = None
     """Another system's meshes, one for each frame, in metres: DIR/<clip>/<frame>.obj (.ply, .stl, .glb). They need
     --clips and --mesh-frame, and appear under the name of DIR."""
-    mesh_frame: Annotated[Literal["camera", "hand"] | None, arg(help_behavior_hint="")] = None
+    mesh_frame: Annotated[Literal["camera", "hand"] | None, one_of("camera", "hand"), arg(help_behavior_hint="")] = None
     """The frame of their vertices: the clip's camera frame, or its hand frame."""
     json: OptionalFile = None
     """Write every number here, unrounded."""
@@ -131,7 +131,9 @@ class Bench(Command):
     ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_ablations)] = None
     """Compare settings of each method, instead of the methods as they are."""
     split: Annotated[
-        Literal["train", "test", "all"] | None, arg(help_behavior_hint="(default: test; all of a folder)")
+        Literal["train", "test", "all"] | None,
+        one_of("train", "test", "all"),
+        arg(help_behavior_hint="(default: test; all of a folder)"),
     ] = None
     """Which part of a dataset: train is for tuning."""
     hands: Annotated[tuple[str, ...], arg(metavar="NAME=DIR...", help_behavior_hint="")] = ()
@@ -191,8 +193,6 @@ class Bench(Command):
 class InitCommand(Command):
     """Learn where a search may start, from clips with true poses: rotations of each kind of object in each hand."""
 
-    action: Positional[Literal["learn"]]
-    """learn: cluster the true rotations, and take the mean of the true translations."""
     clips: Clips = ()
     """Clip folders, or folders of clips."""
     out: File
