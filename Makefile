@@ -6,7 +6,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 KERNELS := $(shell grep -rl --include='*.py' '^@njit' src)
-PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist worksteal
+# A process for each core, so one thread of BLAS in each.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 .PHONY: help demo test quick check lint imports types bench lock clean
 

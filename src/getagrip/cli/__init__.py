@@ -8,6 +8,9 @@ import traceback
 from collections.abc import Sequence
 from typing import Annotated, Any
 
+# Commands share their work between processes, one for each core. Said before numpy is loaded, which reads it once.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import tyro
 from tyro.conf import OmitArgPrefixes, subcommand
 

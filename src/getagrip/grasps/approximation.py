@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from threadpoolctl import threadpool_limits
 
 from getagrip.geometry import se3
 
@@ -96,11 +97,14 @@ def pose_hinge(
     the two best axes that the eigenvectors of the quaternions span with the mean rotation, each with the best angles
     of its rotations, and with all angles zero. The latter begin at the E of the best single pose, and E only falls.
     """
-    guesses = list(_circles(R, c, size, through))[:2]
-    guesses += [_still(guess, R, c, through) for guess in guesses]
-    tried = [_refined(guess, R, c, through, TRIAL) for guess in guesses]
-    best = min(tried, key=lambda hinge: hinge.energy(R, c))
-    return _refined(best, R, c, through, LONGEST)
+    import scipy.optimize  # noqa: F401  (before the limit: it brings a BLAS of its own)
+
+    with threadpool_limits(1, user_api="blas"):  # several threads on such small matrices wait for each other
+        guesses = list(_circles(R, c, size, through))[:2]
+        guesses += [_still(guess, R, c, through) for guess in guesses]
+        tried = [_refined(guess, R, c, through, TRIAL) for guess in guesses]
+        best = min(tried, key=lambda hinge: hinge.energy(R, c))
+        return _refined(best, R, c, through, LONGEST)
 
 
 def _circles(
