@@ -13,6 +13,7 @@ from jaxtyping import Float, Shaped
 from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
+from getagrip.finding import Finding, read_checks, read_findings
 from getagrip.geometry import se3
 from getagrip.io import arrays, files
 from getagrip.io.array_data import ArrayData
@@ -33,6 +34,8 @@ FIELDS: dict[str, tuple[type, str]] = {
     "status": (str, "a text"),
     "ambiguous": (bool, "true or false"),
     "notes": (list, "a list of texts"),
+    "findings": (list, "a list of findings"),
+    "checks": (dict, "numbers by name"),
     "energy": (dict, "an object"),
     "metrics": (dict, "an object"),
     "seconds": (dict, "an object"),
@@ -92,6 +95,8 @@ class Reconstruction(ArrayData):
         options: the options of the method.
         seed: seed of the initial poses.
         notes: frames left out and values that are guesses (scale, focal length), in words.
+        findings: what is unusual about the inputs and the result, the inputs first.
+        checks: what each check has measured, by its name; NaN where it could not.
     """
 
     clip: str
@@ -109,6 +114,8 @@ class Reconstruction(ArrayData):
     options: dict[str, Any] = field(default_factory=dict)
     seed: int = 0
     notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    checks: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -153,6 +160,8 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
         options=fields["options"],
         seed=fields["seed"],
         notes=tuple(fields["notes"]),
+        findings=read_findings(folder / "result.json", fields["findings"]),
+        checks=read_checks(folder / "result.json", fields["checks"]),
     )
     return result, fields
 
@@ -168,6 +177,8 @@ def read_record(folder: str | Path) -> dict[str, Any]:
         raise InputError(path, "version", files.shown(fields.get("version")), str(VERSION))
     fields.setdefault("ambiguous", False)
     fields.setdefault("notes", [])
+    fields.setdefault("findings", [])
+    fields.setdefault("checks", {})
     for key, (kind, expected) in FIELDS.items():
         if key not in fields:
             raise InputError(path, key, "no such key", expected)
@@ -235,6 +246,8 @@ def _fields(
         "status": result.status,
         "ambiguous": result.ambiguous,
         "notes": result.notes,
+        "findings": [finding.fields() for finding in result.findings],
+        "checks": result.checks,
         "energy": result.energy,
         "metrics": metrics or {},
         "seconds": result.seconds,

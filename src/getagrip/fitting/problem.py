@@ -26,6 +26,7 @@ class Problem:
     Attributes:
         clip: the clip, in the frames that are used.
         masks: its masks, in the same frames.
+        given_masks: the same as they were given; ``masks`` may ignore what the drawn hand covers besides.
         observation: its masks as crops, with contours.
         surface: surface of the object.
         options: options of the reconstruction.
@@ -35,6 +36,7 @@ class Problem:
 
     clip: Clip
     masks: Masks
+    given_masks: Masks
     observation: Observation
     surface: ObjectSurface
     options: Options
@@ -67,8 +69,8 @@ def prepare(clip: Clip, masks: Masks | None, options: Options) -> Problem:
     Without ``masks``, those of the frames that are used are read from the clip's folder. Raises ``InputError`` for
     fewer than 2 frames, and for initial poses as ``pose_priors.poses_for`` does.
     """
-    clip, masks = _sampled(clip, masks, options.frames)
-    notes = []
+    clip, given = _sampled(clip, masks, options.frames)
+    masks, notes = given, []
     if clip.left_out:
         names = ", ".join(clip.left_out)
         notes.append(f"{len(clip.left_out)} frames without a visible object were left out: {names}")
@@ -79,7 +81,7 @@ def prepare(clip: Clip, masks: Masks | None, options: Options) -> Problem:
     notes += of_poses
     notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
     observation = observe(masks, clip.K, options.occlusion)
-    return Problem(clip, masks, observation, ObjectSurface.of(clip.mesh), options, poses, tuple(notes))
+    return Problem(clip, masks, given, observation, ObjectSurface.of(clip.mesh), options, poses, tuple(notes))
 
 
 def _sampled(clip: Clip, masks: Masks | None, frames: int) -> tuple[Clip, Masks]:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 from threadpoolctl import threadpool_limits
 
+from getagrip.checks import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Evidence, examine
 from getagrip.clip import Clip, Masks, check_clip, check_masks
+from getagrip.errors import GetagripError, InputError
+from getagrip.finding import Finding
 from getagrip.fitting.energy.mask import SilhouetteMesh
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
@@ -22,6 +25,9 @@ from getagrip.result import Candidates, Reconstruction
 
 AMBIGUOUS = 1.05
 """A distinct candidate within this factor of the best energy makes a result ambiguous."""
+
+UNEXPLAINED = "failed: the best pose meets the masks with a mean IOU of {:.2f} only; nothing is known of the object"
+"""The status of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
 
 
 def reconstruct(
@@ -48,11 +54,27 @@ def reconstruct(
         clock = Clock(progress)
         problem = prepare(clip, masks, options)
         clock("prepare")
-        found = METHODS[options.method].fit(problem, clock)
+        given = Evidence(problem.clip, problem.given_masks)
+        measured, findings = examine(INPUT_CHECKS, given)
+        clock("check")
+        found = _fitted(problem, clock, findings)
         T_hand_obj = placed(found, problem.clip.mesh.centre)
         iou = image_iou(problem.clip, problem.masks, T_hand_obj[0], float(found.poses.scale[0]))
+        held = replace(given, T_hand_obj=T_hand_obj[0], scale=float(found.poses.scale[0]), iou=iou)
+        of_result, more = examine(RESULT_CHECKS, held)
         clock("finish")
-    return _reconstruction(problem, found, T_hand_obj, iou, clock.seconds())
+    result = _reconstruction(problem, found, T_hand_obj, iou, clock.seconds())
+    return replace(result, findings=(*findings, *more), checks=measured | of_result)
+
+
+def _fitted(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> MethodResult:
+    """What the method finds. Where it fails, the error also says what was unusual about its inputs."""
+    try:
+        return METHODS[problem.options.method].fit(problem, clock)
+    except InputError:
+        raise
+    except GetagripError as error:
+        raise GetagripError("; ".join(map(str, (error, *findings)))) from error
 
 
 def placed(found: MethodResult, centre: Float[ndarray, "3"]) -> Float[ndarray, "K T 4 4"]:
@@ -83,7 +105,7 @@ def _reconstruction(
 ) -> Reconstruction:
     """A method's solutions, with all that is known about how they were found."""
     clip, options, energy = problem.clip, problem.options, found.energy
-    scale = float(found.poses.scale[0])
+    scale, mean_iou = float(found.poses.scale[0]), float(iou.mean())
     guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
     return Reconstruction(
         clip=clip.name,
@@ -95,7 +117,7 @@ def _reconstruction(
         axis=found.axis,
         candidates=Candidates(T_hand_obj, found.poses.scale, energy),
         energy={"total": float(energy[0]), **found.terms},
-        status=found.status,
+        status=found.status if mean_iou >= LEAST_IOU else UNEXPLAINED.format(mean_iou),
         ambiguous=bool(len(energy) > 1 and energy[1] < AMBIGUOUS * energy[0]),
         seconds=seconds,
         options=asdict(options),
@@ -107,7 +129,7 @@ def _reconstruction(
 class Clock:
     """Seconds per stage, and the caller's progress."""
 
-    STAGES = ("prepare", "coarse", "middle", "fine", "finest", "finish")
+    STAGES = ("prepare", "check", "coarse", "middle", "fine", "finest", "finish")
 
     def __init__(self, progress: Callable[[str, float], None] | None) -> None:
         self.progress, self.spent, self.since = progress, dict[str, float](), time.perf_counter()

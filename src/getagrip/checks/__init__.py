@@ -1,0 +1,10 @@
+"""Whether inputs and results can be believed: each check measures one thing, and finds fault beyond its limit.
+
+``INPUT_CHECKS`` need the clip and its masks, ``RESULT_CHECKS`` the poses that were found, too. Limits were chosen on
+training data (docs/checks.md).
+"""
+
+from getagrip.checks.evidence import Evidence
+from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Check, examine
+
+__all__ = ["INPUT_CHECKS", "LEAST_IOU", "RESULT_CHECKS", "Check", "Evidence", "examine"]

@@ -1,0 +1,117 @@
+"""What the checks look at: a clip, its masks and, after the fit, the result, in the same frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks
+from getagrip.clip.sampling import frame_indices
+from getagrip.geometry import se3
+from getagrip.geometry.camera import bounding_boxes
+from getagrip.geometry.depth import covered
+from getagrip.metrics.contact import moving_distance
+
+POINTS = 400
+"""Vertices of the hand whose distances to the object are measured."""
+SMALL = 64
+"""Longer side of the images in which the hand is drawn [px]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A clip with its masks; each part is computed when a check first reads it.
+
+    Attributes:
+        clip: the clip, at the frames that are looked at.
+        masks: its masks as they were given, in the same frames.
+        T_hand_obj: (T, 4, 4) poses that were found; None before the fit.
+        scale: the scale that was found.
+        iou: (T,) overlap of rendered and observed mask; NaN where no mask shows the object.
+    """
+
+    clip: Clip
+    masks: Masks
+    T_hand_obj: Float[ndarray, "T 4 4"] | None = None
+    scale: float = 1.0
+    iou: Float[ndarray, "T"] | None = None
+
+    @cached_property
+    def depth(self) -> Float[ndarray, "T"]:
+        """Distance of the hand before the camera [m]."""
+        middle = self.clip.hand.vertices.mean(axis=1, keepdims=True)
+        return np.asarray(se3.transform(self.clip.hand.T_cam_hand, middle)[:, 0, 2])
+
+    @cached_property
+    def hand_size(self) -> float:
+        """Largest side of the box around the hand, median over frames [m]."""
+        return float(np.median(np.ptp(self.clip.hand.vertices, axis=1).max(axis=-1)))
+
+    @cached_property
+    def centroids(self) -> Float[ndarray, "T 2"]:
+        """Middles of the object's masks [px]; NaN where a mask is empty."""
+        height, width = self.masks.object.shape[1:]
+        area = self.mask_area
+        with np.errstate(invalid="ignore", divide="ignore"):
+            u = self.masks.object.sum(axis=1) @ (np.arange(width) + 0.5) / area
+            v = self.masks.object.sum(axis=2) @ (np.arange(height) + 0.5) / area
+        return np.stack([u, v], axis=1)
+
+    @cached_property
+    def mask_area(self) -> Float[ndarray, "T"]:
+        """Pixels of the object's masks."""
+        return self.masks.object.sum(axis=(1, 2)).astype(float)
+
+    @cached_property
+    def apparent_size(self) -> float:
+        """Diagonal of the largest mask's box, as long as it would be at the hand's distance [m]."""
+        boxes = bounding_boxes(self.masks.object)
+        return float(np.max(np.linalg.norm((boxes[:, 2:] - boxes[:, :2]) / self._focal, axis=1) * self.depth))
+
+    @property
+    def _focal(self) -> Float[ndarray, "T 2"]:
+        return self.clip.K[:, [0, 1], [0, 1]]
+
+    @cached_property
+    def drawn_hands(self) -> Bool[ndarray, "T h w"]:
+        """The given hand in small images."""
+        K, size = np.diag([self._zoom, self._zoom, 1.0]) @ self.clip.K, self._small
+        posed = se3.transform(self.clip.hand.T_cam_hand, self.clip.hand.vertices)
+        return np.stack([covered(v, self.clip.hand.faces, k, size) for v, k in zip(posed, K, strict=True)])
+
+    @cached_property
+    def small_ignore(self) -> Bool[ndarray, "T h w"]:
+        """The ignored pixels, as small."""
+        width, height = self._small
+        rows = ((np.arange(height) + 0.5) / self._zoom).astype(int)
+        columns = ((np.arange(width) + 0.5) / self._zoom).astype(int)
+        return self.masks.ignore[:, rows[:, None], columns]
+
+    @property
+    def _zoom(self) -> float:
+        return min(1.0, SMALL / max(self.clip.size))
+
+    @property
+    def _small(self) -> tuple[int, int]:
+        width, height = self.clip.size
+        return max(1, int(width * self._zoom)), max(1, int(height * self._zoom))
+
+    @property
+    def overlaps(self) -> Float[ndarray, "T"]:
+        """Overlap of rendered and observed mask of each frame; NaN where no mask shows the object."""
+        assert self.iou is not None
+        return self.iou
+
+    @cached_property
+    def to_object(self) -> Float[ndarray, "T P"]:
+        """Signed distances [m] of points of the hand to the found object, negative inside."""
+        assert self.T_hand_obj is not None
+        hand, mesh = self.clip.hand, self.clip.mesh
+        some = frame_indices(hand.vertices.shape[1], POINTS)
+        points = se3.transform(se3.inverse(self.T_hand_obj), hand.vertices[:, some])
+        vertices = np.broadcast_to(self.scale * mesh.vertices, (len(points), *mesh.vertices.shape))
+        return moving_distance(points, vertices, mesh.faces)

@@ -1,0 +1,85 @@
+"""Whether the masks belong to the frames of the hands: held against the same masks in reverse, and shifted.
+
+While a grasp is stable, a point that is fixed in the hand lies near the middle of the object's mask in every frame. So
+does the drawn hand over the pixels that are ignored, where they are the hand's. Masks that fit so much better in
+another order are probably in the wrong one. Where hand and camera hardly move, all orders fit alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip.checks.evidence import Evidence
+
+NEAR = 0.15
+"""The point is pulled towards the hand's middle by a hundredth of the weight of the masks at this distance [m]."""
+LEAST_SHARE = 0.6
+"""Shifted masks must still be those of this share of the frames."""
+FEWEST = 5
+"""Fewer frames have no order."""
+LEAST_MISS, LEAST_OVERLAP = 0.05, 0.05
+"""Smaller distances, in sizes of the mask, and smaller overlaps count as these."""
+
+
+def following(given: Evidence) -> float:
+    """Distance of the masks' middles from a point that moves with the hand, in sizes of the mask (root of its area)."""
+    here = np.flatnonzero(given.mask_area > 0)
+    return _miss(given, here, here) if len(here) >= FEWEST else float("nan")
+
+
+def misorder(given: Evidence) -> float:
+    """How many times better the masks fit the hands in another order than in the given one; 1: no order is better.
+
+    The distance of the masks' middles in the given order over that in the other; times, likewise, the overlap of hands
+    and ignored pixels, where there are any.
+    """
+    shown = given.mask_area > 0
+    overlap = _overlap(given) if given.masks.ignore.any() else None
+    best = 1.0 if shown.sum() >= FEWEST else float("nan")
+    for frames, others in _orders(len(shown)):
+        both = shown[frames] & shown[others]
+        n, m = frames[both], others[both]
+        if len(n) < FEWEST:
+            continue
+        times = _miss(given, n, n) / max(_miss(given, n, m), LEAST_MISS)
+        if overlap is not None:
+            times *= overlap[n, m].mean() / max(overlap[n, n].mean(), LEAST_OVERLAP)
+        best = max(best, times)
+    return best
+
+
+def _orders(count: int) -> Iterator[tuple[Int[ndarray, "n"], Int[ndarray, "n"]]]:
+    """Frames, and the frames whose masks they might have: in reverse, and shifted either way."""
+    every = np.arange(count)
+    yield every, every[::-1]
+    for shift in range(1, int((1.0 - LEAST_SHARE) * count) + 1):
+        yield every[shift:], every[:-shift]
+        yield every[:-shift], every[shift:]
+
+
+def _miss(given: Evidence, frames: Int[ndarray, "n"], masks: Int[ndarray, "n"]) -> float:
+    """Root mean square distance of the masks' middles from the projection of the best point in the hand."""
+    hand, K = given.clip.hand, given.clip.K[frames]
+    T = hand.T_cam_hand[frames]
+    middle = hand.vertices[frames].mean(axis=(0, 1))
+    P = K @ T[:, :3]
+    uv, depth = given.centroids[masks], given.depth[frames]
+    rows = (P[:, :2] - uv[..., None] * P[:, 2:]) / depth[:, None, None]  # (n, 2, 4): pixels off, nearly
+    size = np.sqrt(np.median(given.mask_area[masks]))
+    rows = rows / size
+    A, b = rows[..., :3].reshape(-1, 3), -(rows @ np.append(middle, 1.0)).ravel()
+    ridge = 0.01 * len(frames) / NEAR**2
+    p = np.linalg.solve(A.T @ A + ridge * np.eye(3), A.T @ b)
+    return float(np.sqrt(np.sum((A @ p - b) ** 2) / len(frames)))
+
+
+def _overlap(given: Evidence) -> Float[ndarray, "T T"]:
+    """Overlap (IOU) of each drawn hand with the ignored pixels of each frame."""
+    hands, ignored = (x.reshape(len(x), -1).astype(np.float32) for x in (given.drawn_hands, given.small_ignore))
+    both = hands @ ignored.T
+    either = hands.sum(axis=1)[:, None] + ignored.sum(axis=1)[None] - both
+    return both / np.maximum(either, 1.0)

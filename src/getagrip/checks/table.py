@@ -1,0 +1,134 @@
+"""The table of checks: what each measures, what is usual, and what to do about the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from getagrip.checks import frame_order, held, mesh_form
+from getagrip.checks.evidence import Evidence
+from getagrip.checks.hand_side import bend
+from getagrip.result import Finding
+
+LEAST_IOU = 0.5
+"""A result whose mean IOU is below this explains nothing, however well the minimisation ended."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """A number about a clip or its result, and the range in which it is nearly always when all is right."""
+
+    name: str
+    measure: Callable[[Evidence], float]
+    """NaN where it cannot be known."""
+    fault: str
+    """What is wrong beyond the limits, with the ``{value}``."""
+    advice: str
+    low: float = -np.inf
+    high: float = np.inf
+    serious: bool = True
+    """Whether the result is probably worthless; else it may be right."""
+
+    def finding(self, value: float) -> Finding | None:
+        """What there is to say about a measured value."""
+        if np.isnan(value) or self.low <= value <= self.high:
+            return None
+        limit, least = (self.low, "least") if value < self.low else (self.high, "most")
+        fault = self.fault.format(value=f"{value:.3g}")
+        message = f"{fault} (usual: at {least} {limit:g}); {self.advice}"
+        return Finding(self.name, self.serious, value, limit, message)
+
+
+INPUT_CHECKS: tuple[Check, ...] = (
+    Check(
+        "mesh-holes", lambda it: mesh_form.hole_share(it.clip.mesh), high=0.15,
+        fault="holes are {value} of the mesh's surface",
+        advice="are faces missing? Close the mesh, or give a thin shell its two sides",
+    ),
+    Check(
+        "mesh-open", lambda it: mesh_form.hole_share(it.clip.mesh), high=0.01, serious=False,
+        fault="the mesh is open, by {value} of its surface", advice="what is inside it is a guess; close it",
+    ),
+    Check(
+        "mesh-flat", lambda it: float(mesh_form.extents(it.clip.mesh)[0]), low=0.005,
+        fault="the mesh's thickness is {value} of its length", advice="a flat mesh is no body: give it its thickness",
+    ),
+    Check(
+        "mesh-needle", lambda it: float(mesh_form.extents(it.clip.mesh)[1]), low=0.015,
+        fault="the mesh's width is {value} of its length", advice="is it stretched along one axis, or another object's?",
+    ),
+    Check(
+        "object-size", held.given_size, low=0.1, high=6.0,
+        fault="the mesh is {value} times as large as the hand",
+        advice="check the units of mesh and hand; an unknown size is \"scale\": \"free\"",
+    ),
+    Check(
+        "mask-size", held.mask_size, low=0.15, high=2.5,
+        fault="the masks show something {value} times as large as the mesh, at the hand's distance",
+        advice="check the masks' label, the mesh's size, the focal length and the hand's distance",
+    ),
+    Check(
+        "seen-size", held.seen_size, low=0.1, high=8.0,
+        fault="the masks show something {value} times as large as the hand, at the hand's distance",
+        advice="check the masks' label, the focal length and the hand's distance",
+    ),
+    Check(
+        "focal-jumps", held.focal_jump, high=1.1,
+        fault="from one frame to the next the focal length changes by a factor of {value}",
+        advice="give one camera for all frames, unless the lens zooms",
+    ),
+    Check(
+        "hand-side", lambda it: bend(it.clip), low=-5.0,
+        fault="the fingers bend by {value} degrees towards the palm that such a hand would have",
+        advice="it is the other hand: correct \"side\" in clip.json, or the hand was mirrored",
+    ),
+    Check(
+        "frame-order", frame_order.misorder, high=2.5,
+        fault="in reverse, or shifted, the masks would fit the hands {value} times better",
+        advice="check that hands and masks have the same frames in the same order, counted from the same number",
+    ),
+    Check(
+        "masks-follow-hand", frame_order.following, high=0.8,
+        fault="the masks' middles stray from the hand's motion by {value} of their size",
+        advice="check that hands and masks are of the same frames, and that the grasp is stable throughout",
+    ),
+)  # fmt: skip
+
+RESULT_CHECKS: tuple[Check, ...] = (
+    Check(
+        "mask-fit", lambda it: float(np.nanmean(it.overlaps)), low=0.7,
+        fault="the masks are met with a mean IOU of {value}",
+        advice="is it the mesh of this object? Check mesh, masks and camera; more initial poses: --inits 200",
+    ),
+    Check(
+        "worst-frame", lambda it: float(np.nanmin(it.overlaps)), low=0.4, serious=False,
+        fault="in the worst frame the mask is met with an IOU of {value}",
+        advice="look at the IOU over time in the report: is the mask of that frame right?",
+    ),
+    Check(
+        "contact-gap", held.gap, high=20.0,
+        fault="hand and object are {value} mm apart in half of the frames",
+        advice="nothing is held there: check the hands' distance from the camera, and --method one-dof",
+    ),
+    Check(
+        "penetration", held.penetration, high=25.0, serious=False,
+        fault="the hand is {value} mm inside the object in half of the frames",
+        advice="hands, mesh size or pose are off by about as much",
+    ),
+    Check(
+        "found-size", held.found_size, low=0.1, high=6.0,
+        fault="the object was found to be {value} times as large as the hand",
+        advice="a free scale needs masks and hands that agree; give the size if you know it",
+    ),
+)  # fmt: skip
+
+
+def examine(checks: Iterable[Check], given: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
+    """What each check measures, and what is found."""
+    measured = {check.name: float(check.measure(given)) for check in checks}
+    findings = [check.finding(measured[check.name]) for check in checks]
+    found = [finding for finding in findings if finding is not None]
+    holes = any(finding.check == "mesh-holes" for finding in found)
+    return measured, tuple(f for f in found if not (holes and f.check == "mesh-open"))

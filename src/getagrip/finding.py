@@ -1,0 +1,57 @@
+"""What a check has found to be unusual about a clip or a result."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from getagrip.errors import InputError
+from getagrip.io.files import shown
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check has found to be unusual (docs/checks.md).
+
+    Attributes:
+        check: name of the check.
+        serious: whether the result is probably worthless.
+        value: what was measured.
+        limit: the limit that it is beyond.
+        message: what is wrong and what to do, in words.
+    """
+
+    check: str
+    serious: bool
+    value: float
+    limit: float
+    message: str
+
+    def __str__(self) -> str:
+        return f"{'serious' if self.serious else 'note'}: {self.check}: {self.message}"
+
+    def fields(self) -> dict[str, Any]:
+        """As ``result.json`` holds it."""
+        return asdict(self)
+
+
+KINDS: dict[str, tuple[type, ...]] = {
+    "check": (str,), "serious": (bool,), "value": (int, float), "limit": (int, float), "message": (str,),
+}  # fmt: skip
+
+
+def read_findings(path: Path, given: list[Any]) -> tuple[Finding, ...]:
+    """The findings of a ``result.json``. Raises ``InputError``."""
+    for n, item in enumerate(given):
+        if not isinstance(item, dict) or not all(isinstance(item.get(key), kind) for key, kind in KINDS.items()):
+            raise InputError(path, f"findings[{n}]", shown(item), f"an object with {', '.join(KINDS)}")
+    return tuple(Finding(**{key: item[key] for key in KINDS}) for item in given)
+
+
+def read_checks(path: Path, given: dict[str, Any]) -> dict[str, float]:
+    """What the checks of a ``result.json`` measured; NaN for null. Raises ``InputError``."""
+    for key, value in given.items():
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+            raise InputError(path, f"checks.{shown(key)}", shown(value), "a number, or null")
+    return {key: float("nan") if value is None else float(value) for key, value in given.items()}
