@@ -54,6 +54,20 @@ def score(variant: str, value: float, failed: bool = False) -> Score:
     return Score(variant, {} if failed else dict.fromkeys(keys, value), 1.0, 2.0, False, "stopped", failed)
 
 
+# ---------------------------------------------------------------- findings
+
+
+def test_findings_are_counted_for_each_variant() -> None:
+    variants = method_variants(("static",), Options())
+    doubted = replace(score("static", 1.0), serious=("mask-fit", "hand-side"), noted=("penetration",))
+    scores = [Scores(name, scores=(s,)) for name, s in (("a", doubted), ("b", score("static", 0.0)))]
+    (row,) = compare(scores, variants)[0].rows
+    assert row.serious == {"mask-fit": 1, "hand-side": 1}
+    assert row.noted == {"penetration": 1}
+    assert (row.doubtful, row.doubtful_right) == (1, 1)
+    assert "1 of 2" in markdown(compare(scores, variants), "Methods", [])
+
+
 # ---------------------------------------------------------------- statistics
 
 

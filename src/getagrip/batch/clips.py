@@ -23,11 +23,18 @@ FEW = 3
 
 
 def reconstruct_clips(
-    paths: Sequence[Path], out: Path, options: Options, workers: int | None, overwrite: bool, debug: bool
+    paths: Sequence[Path],
+    out: Path,
+    options: Options,
+    workers: int | None,
+    overwrite: bool,
+    debug: bool,
+    strict: bool = False,
 ) -> int:
     """Reconstruct clips into ``out/<clip name>/`` and print the outcome of each; 1 if any failed, else 0.
 
-    Raises ``UsageError`` where there is nothing to do, or where two clips have the same name.
+    With ``strict`` also 1 where a check has found something serious. Raises ``UsageError`` where there is nothing to
+    do, or where two clips have the same name.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
@@ -36,14 +43,17 @@ def reconstruct_clips(
     jobs, failed = plan(paths, out, options, overwrite)
     for outcome in failed:
         print_outcome(outcome, debug)
-    counts = {"done": 0, "kept": 0, "failed": len(failed)}
+    counts, doubtful = {"done": 0, "kept": 0, "failed": len(failed)}, list[str]()
     with progress_bar() as bar:
         for outcome in _outcomes(jobs, workers, bar):
             print_outcome(outcome, debug)
             counts[outcome.state] += 1
+            doubtful += [outcome.name] * any(finding.serious for finding in outcome.findings)
     if len(jobs) + len(failed) > 1:
         print(f"{counts['done']} done, {counts['kept']} already done, {counts['failed']} failed")
-    return 1 if counts["failed"] else 0
+        if doubtful:
+            print(f"{len(doubtful)} with serious findings: {', '.join(sorted(doubtful))}")
+    return 1 if counts["failed"] or (strict and doubtful) else 0
 
 
 def _outcomes(jobs: Sequence[Job], workers: int | None, bar: Progress) -> Iterator[Outcome]:
@@ -78,9 +88,11 @@ def _side_by_side(jobs: Sequence[Job], workers: int) -> Iterator[Outcome]:
 
 
 def print_outcome(outcome: Outcome, debug: bool) -> None:
-    """One line about a clip: failures on stderr, the rest on stdout."""
+    """One line about a clip, and one for each finding: failures on stderr, the rest on stdout."""
     failed = outcome.state == "failed"
     parts = ["failed"] * failed + [outcome.name] * bool(outcome.name) + [outcome.message]
     print(": ".join(parts), file=sys.stderr if failed else sys.stdout)
+    for finding in outcome.findings:
+        print(f"  {finding}")
     if failed and debug:
         print(outcome.trace, file=sys.stderr)

@@ -7,10 +7,11 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from getagrip.clip import input_sha256, read_clip, read_name
 from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.finding import Finding, read_findings
 from getagrip.io import files
 from getagrip.result import is_result, read_record, write_result
 
@@ -44,6 +45,8 @@ class Outcome:
     message: str
     trace: str = ""
     """Where the error arose, for ``--debug``."""
+    findings: tuple[Finding, ...] = ()
+    """What is unusual about a result."""
 
 
 def failure(name: str, error: Exception) -> Outcome:
@@ -111,10 +114,11 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         metrics = {"iou_full": float(result.iou.mean())}
         write_result(result, job.out, checksum, metrics, clip_folder=job.clip, overwrite=job.overwrite)
     except Exception as error:  # one clip's trouble must not end the others
-        return failure(job.name, error)
+        meanwhile = settled(job)
+        return meanwhile if meanwhile is not None and meanwhile.state == "kept" else failure(job.name, error)
     ambiguous = ", ambiguous" if result.ambiguous else ""
     summary = f"IOU {metrics['iou_full']:.2f}{ambiguous}, {result.seconds['total']:.1f} s, {job.out}; {result.status}"
-    return Outcome(job.name, "done", summary)
+    return Outcome(job.name, "done", summary, findings=result.findings)
 
 
 def settled(job: Job) -> Outcome | None:
@@ -126,17 +130,18 @@ def settled(job: Job) -> Outcome | None:
             raise UsageError(f"{job.out}: exists and is no result; it is not overwritten")
         if job.overwrite:
             return None
-        other = _differences(job)
+        record = read_record(job.out)
+        other = _differences(job, record)
         if other:
             raise UsageError(f"{job.out}: holds a result of another {' and '.join(other)}; replace it with --overwrite")
+        findings = read_findings(job.out / "result.json", record["findings"])
     except Exception as error:  # as above
         return failure(job.name, error)
-    return Outcome(job.name, "kept", f"already done in {job.out}")
+    return Outcome(job.name, "kept", f"already done in {job.out}", findings=findings)
 
 
-def _differences(job: Job) -> list[str]:
+def _differences(job: Job, record: dict[str, Any]) -> list[str]:
     """In what the result that is there differs from the one that the job would make."""
-    record = read_record(job.out)
     options = json.loads(files.to_json(asdict(job.options)))
     wanted = {"method": job.options.method, "seed": job.options.seed, "options": options}
     if record["input_sha256"] != input_sha256(job.clip):

@@ -15,6 +15,9 @@ from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.io.arguments import File, Flag, Folder, OptionalFile, OptionalFolder, one_of
 
 Inits = Annotated[int, arg(metavar="N")]
+ClipsFolder = Annotated[
+    Path | None, arg(metavar="DIR", help_behavior_hint="(default: where the results were made from)")
+]
 
 
 def _ablations(_: str) -> str:
@@ -74,6 +77,8 @@ class Reconstruct(Command):
     """Processes to share the clips between."""
     overwrite: Flag = False
     """Make results again that are there already."""
+    strict: Flag = False
+    """Exit with 1 also where a check finds something serious: the result is probably worthless."""
 
     def run(self) -> int:
         from getagrip.batch.clips import reconstruct_clips
@@ -82,7 +87,9 @@ class Reconstruct(Command):
             method=self.method, inits=self.inits, seed=self.seed, frames=self.frames, thorough=self.thorough,
             init=self.init, priors=_priors(self.priors, self.init),
         )  # fmt: skip
-        return reconstruct_clips(self.clips, self.out, options, self.workers, self.overwrite, self.debug)
+        return reconstruct_clips(
+            self.clips, self.out, options, self.workers, self.overwrite, self.debug, self.strict
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +98,7 @@ class Evaluate(Command):
 
     results: Results = ()
     """Result folders, or folders of results."""
-    clips: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: where they were made from)")] = None
+    clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     meshes: OptionalFolder = None
     """Another system's meshes, one for each frame, in metres: DIR/<clip>/<frame>.obj (.ply, .stl, .glb). They need
@@ -223,11 +230,13 @@ class Report(Command):
 
     result: Annotated[Positional[Path], arg(metavar="RESULT")]
     """A result folder."""
+    clips: ClipsFolder = None
+    """A clip, or the folder that holds the clips by name."""
 
     def run(self) -> int:
         from getagrip.commands.evaluate import report_result
 
-        return report_result(self.result)
+        return report_result(self.result, self.clips)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -65,12 +65,19 @@ def evaluate_results(
         for table in tables(evaluations):
             console().print(table)
     for made in evaluations:
-        if missing := int(made["metrics"].get("frames_without_mesh", 0)):
-            of = f"{made['method']}, {made['clip']}"
-            print(f"{of}: no mesh of {missing} of {len(made['frames'])} frames: IOU 0, no contact", file=sys.stderr)
+        _print_doubts(made)
     if json is not None:
         files.write_json(json, summary(evaluations))
     return 1 if problems else 0
+
+
+def _print_doubts(made: dict[str, Any]) -> None:
+    """What speaks against an evaluated result, on stderr."""
+    doubts = list(made.get("findings", ()))
+    if missing := int(made["metrics"].get("frames_without_mesh", 0)):
+        doubts.append(f"no mesh of {missing} of {len(made['frames'])} frames: IOU 0, no contact")
+    for doubt in doubts:
+        print(f"{made['method']}, {made['clip']}: {doubt}", file=sys.stderr)
 
 
 J = TypeVar("J", ResultJob, MeshJob)
@@ -113,11 +120,11 @@ def results_in(path: Path) -> list[Path]:
     return results
 
 
-def report_result(folder: Path) -> int:
-    """Draw ``report.png`` into a result folder."""
+def report_result(folder: Path, clips: Path | None = None) -> int:
+    """Draw ``report.png`` into a result folder. ``clips`` says where its clip is, as for ``evaluate_result``."""
     from getagrip.view.report import write_report
 
-    result, clip, masks = read_evaluated(folder)
+    result, clip, masks = read_evaluated(folder, clips)
     metrics = evaluate(result, clip, masks)["metrics"]
     print(write_report(result, clip, masks, folder / "report.png", metrics))
     return 0

@@ -12,7 +12,7 @@ from numpy import ndarray
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh, diameter
-from getagrip.geometry.mesh_files import SUFFIXES, checked_mesh, parse_mesh, with_area
+from getagrip.geometry.mesh_files import LARGEST, SMALLEST, SUFFIXES, checked_mesh, parse_mesh, with_area
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ def _rescaled(vertices: Float[ndarray, "..."], wanted: Wanted) -> tuple[Float[nd
     if len(stated) > 1:
         raise UsageError("--size-mm, --diameter-mm: got both, expected one")
     option, value = stated[0]
-    if not 0 < value < 1e5:
-        raise UsageError(f"{option}: got {value:g}, expected millimetres above 0")
+    if not 1e3 * SMALLEST <= value <= 1e3 * LARGEST:
+        raise UsageError(f"{option}: got {value:g}, expected {1e3 * SMALLEST:g} to {1e3 * LARGEST:g} millimetres")
     now = 0.0
     if vertices.ndim == 2 and vertices.size > 0 and np.isfinite(vertices).all():
         now = float(np.ptp(vertices, axis=0).max() if option == "--size-mm" else diameter(vertices))

@@ -58,7 +58,7 @@ def evaluate(
     clip, masks = clip.take(index), None if masks is None else masks.take(index)
     it = _ResultComparison(clip, masks, ObjectTrack(result.T_hand_obj, result.scale), contacts=tuple(contacts))
     symmetry = None if clip.truth is None else it.symmetries.describe()
-    return evaluation(it, result.method, symmetry)
+    return {**evaluation(it, result.method, symmetry), "findings": [str(finding) for finding in result.findings]}
 
 
 def evaluation(it: Comparison, method: str, symmetry: str | None) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -37,6 +38,14 @@ class Row:
     """Results whose pose is wrong, up to symmetries."""
     wrong_ambiguous: int
     """Of these, how many are marked ambiguous."""
+    serious: dict[str, int]
+    """On how many clips each check found something serious; the checks that found anything."""
+    doubtful: int
+    """Results with a serious finding."""
+    doubtful_right: int
+    """Of these, those whose pose is right."""
+    noted: dict[str, int]
+    """As ``serious``, of findings that are not."""
     seconds: float
     """Median for a clip."""
     failed: int
@@ -97,7 +106,7 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], we
         compared = other is not None and variant.label != variant.against
         tried = [score for clip in scores if (score := _score(clip, variant))]
         done = [score for score in tried if not score.failed]
-        wrong = [score for score in done if score.metrics.get(ADD_SYM.key(variant.contact)) == 0.0]
+        wrong = [score for score in done if _is_right(score, variant) is False]
         errors = {e.label: [score.metrics.get(e.key(variant.contact), np.nan) for score in done] for e in ERRORS}
         rows.append(
             Row(
@@ -110,6 +119,10 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], we
                 ambiguous=sum(score.ambiguous for score in done),
                 wrong=len(wrong),
                 wrong_ambiguous=sum(score.ambiguous for score in wrong),
+                serious=_counts([score.serious for score in done]),
+                doubtful=sum(bool(score.serious) for score in done),
+                doubtful_right=sum(bool(score.serious) for score in done if _is_right(score, variant)),
+                noted=_counts([score.noted for score in done]),
                 seconds=_median([score.seconds for score in done]),
                 failed=len(tried) - len(done),
             )
@@ -119,6 +132,17 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], we
 
 def _score(clip: Scores, variant: Variant) -> Score | None:
     return next((score for score in clip.scores if score.variant == variant.folder), None)
+
+
+def _is_right(score: Score, variant: Variant) -> bool | None:
+    """Whether the pose is right up to symmetries; None where nobody knows."""
+    success = score.metrics.get(ADD_SYM.key(variant.contact), np.nan)
+    return None if np.isnan(success) else bool(success)
+
+
+def _counts(names: Sequence[tuple[str, ...]]) -> dict[str, int]:
+    """How often each name occurs, the most frequent first."""
+    return dict(Counter(name for some in names for name in some).most_common())
 
 
 def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float[ndarray, "n"]:

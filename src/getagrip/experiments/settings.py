@@ -13,6 +13,7 @@ import numpy as np
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
 from getagrip.errors import InputError
+from getagrip.experiments.wrong_inputs import MISTAKES, Wrong
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures, Options
 from getagrip.geometry.mesh import Mesh
@@ -213,6 +214,12 @@ ABLATIONS: dict[str, Ablation] = {
         None,
         tuple(Setting(f"{d.side}, {d.distance}", contact=d) for d in CONTACT_DEFINITIONS),
         COMPARED,
+    ),
+    "wrong-input": Ablation(
+        "Mistakes made on purpose: what the checks find",
+        "none",
+        (Setting("none"), *(Setting(mistake, change=Wrong(mistake)) for mistake in MISTAKES)),
+        ("soft-hinge",),
     ),
     "departures": Ablation(
         "From the paper's method to ours: one departure more in each row",

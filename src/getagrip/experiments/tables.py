@@ -114,6 +114,17 @@ def _errors(table: Table, style: Style) -> list[list[str]]:
     return rows
 
 
+def _findings(table: Table, style: Style) -> list[list[str]]:
+    """Headings and rows of how many results each check doubts (docs/checks.md)."""
+    rows = [["", "doubted", "right ones", "serious findings", "notes"]]
+    for row in table.rows:
+        known = any(not math.isnan(row.medians[error.label]) for error in ERRORS)
+        right = str(row.doubtful_right) if known else "–"
+        named = [", ".join(f"{name} {count}" for name, count in of.items()) or "–" for of in (row.serious, row.noted)]
+        rows.append([style.text(row.variant.label), f"{row.doubtful} of {table.clips}", right, *named])
+    return rows
+
+
 def markdown(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
     """A page: what was run; over all clips means, differences and medians; the means of each category folded away."""
     lines = [f"# {title}", "", *(f"- {line}" for line in about)]
@@ -128,6 +139,8 @@ def markdown(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
             "Medians over clips; results marked ambiguous, of all and of those whose pose is wrong (ADD sym.):",
         ]
         lines += ["", *_grid(_errors(table, MARKDOWN))]
+        lines += ["", "Results that the checks doubt, how many of them are right, and the checks:", ""]
+        lines += _grid(_findings(table, MARKDOWN))
     if tables[1:]:
         lines += ["", "<details><summary>Each category</summary>"]
         for table in tables[1:]:
@@ -200,15 +213,18 @@ def write_clips_csv(scores: Sequence[Scores], variants: Sequence[Variant], path:
     keys = list(dict.fromkeys(key for clip in scores for score in clip.scores for key in score.metrics))
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        about = ("clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "status")
+        about = (
+            "clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "findings", "status",
+        )  # fmt: skip
         writer.writerow([*about, *keys])
         for clip in scores:
             if clip.failure:
-                writer.writerow([clip.clip, *[""] * 7, f"failed: {clip.failure}", *[""] * len(keys)])
+                writer.writerow([clip.clip, *[""] * 8, f"failed: {clip.failure}", *[""] * len(keys)])
             for score in clip.scores:
                 variant = of[score.variant]
                 status = f"failed: {score.status}" if score.failed else score.status
-                how = [score.seconds, score.energy, score.ambiguous, status]
+                found = " ".join((*score.serious, *score.noted))
+                how = [score.seconds, score.energy, score.ambiguous, found, status]
                 metrics = [score.metrics.get(key, "") for key in keys]
                 what = [clip.clip, clip.category, clip.subject, variant.options.method, variant.step]
                 writer.writerow([*what, *how, *metrics])
@@ -242,6 +258,10 @@ def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, Any]
                         "ambiguous": row.ambiguous,
                         "wrong": row.wrong,
                         "wrong_ambiguous": row.wrong_ambiguous,
+                        "serious": row.serious,
+                        "doubtful": row.doubtful,
+                        "doubtful_right": row.doubtful_right,
+                        "noted": row.noted,
                         "seconds": row.seconds,
                         "failed": row.failed,
                         "values": {key: vars(value) for key, value in row.values.items()},

@@ -23,6 +23,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.evaluation.metric import SCA
 from getagrip.experiments.settings import AS_GIVEN, Variant
 from getagrip.experiments.sources import Sample
+from getagrip.finding import read_findings
 from getagrip.fitting.options import Options
 from getagrip.io import files
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
@@ -57,6 +58,10 @@ class Score:
     failed: bool = False
     outdated: bool = False
     """Whether its result existed already and is older than the package's files."""
+    serious: tuple[str, ...] = ()
+    """Names of the checks that found something serious."""
+    noted: tuple[str, ...] = ()
+    """Names of those that found something else."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,7 @@ def run(trial: Trial) -> Scores:
             if record is None or not _measured(record, trial.contacts):
                 missing.append(variant)
             else:
-                scores[variant.folder] = replace(_score(variant, record), outdated=_outdated(place))
+                scores[variant.folder] = replace(_score(variant, place, record), outdated=_outdated(place))
         if missing:
             scores |= _made(trial, clip, missing, checksum)
     except Exception as error:  # one clip's trouble must not end the others
@@ -138,7 +143,7 @@ def _try(trial: Trial, variant: Variant, changed: tuple[Clip, Masks], masks: Mas
         raise
     except Exception as error:
         return Score(variant.folder, {}, np.nan, np.nan, False, failure(clip.name, error).message, failed=True)
-    return _score(variant, read_record(place))
+    return _score(variant, place, read_record(place))
 
 
 def _measured(record: Mapping[str, Any], contacts: Sequence[ContactDefinition]) -> bool:
@@ -146,11 +151,14 @@ def _measured(record: Mapping[str, Any], contacts: Sequence[ContactDefinition]) 
     return all(SCA.key(contact) in record["metrics"] for contact in contacts)
 
 
-def _score(variant: Variant, record: dict[str, Any]) -> Score:
+def _score(variant: Variant, place: Path, record: dict[str, Any]) -> Score:
     """The score that a result's record holds."""
     metrics = {key: np.nan if value is None else float(value) for key, value in record["metrics"].items()}
     seconds, energy = float(record["seconds"]["total"]), float(record["energy"]["total"])
-    return Score(variant.folder, metrics, seconds, energy, record["ambiguous"], record["status"])
+    found = read_findings(place / "result.json", record["findings"])
+    serious, noted = (tuple(f.check for f in found if f.serious == kind) for kind in (True, False))
+    how = record["ambiguous"], record["status"]
+    return Score(variant.folder, metrics, seconds, energy, *how, serious=serious, noted=noted)
 
 
 def _place(trial: Trial, variant: Variant) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import cv2
@@ -31,6 +32,8 @@ TILES = 5
 """Frames shown."""
 TILE = 320
 """Side of a tile [px]."""
+LETTERS = 150
+"""In a line of a finding."""
 SIDE_VIEW = np.radians(80.0)
 """The side view looks from this far to the left."""
 SHOWN = {"ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "rotation": ROTATION_SYM}
@@ -103,7 +106,9 @@ def _draw(view: _View, metrics: Mapping[str, float]) -> Figure:
     with letters():
         left, right, gap, tile = 0.62, 0.25, 0.08, 2.3  # inches
         width = left + right + TILES * tile + (TILES - 1) * gap
-        head, foot, plots, between = 1.22, 0.48, 1.75, 0.62
+        found = [str(finding) for finding in view.result.findings]
+        lines = [line for text in found for line in wrap(text, LETTERS)]
+        head, foot, plots, between = 1.22 + 0.2 * len(lines), 0.48, 1.75, 0.62
         height = head + 3 * tile + 2 * gap + between + plots + foot
         figure = Figure(figsize=(width, height), dpi=130)
         FigureCanvasAgg(figure)
@@ -112,6 +117,7 @@ def _draw(view: _View, metrics: Mapping[str, float]) -> Figure:
             return figure.add_axes((x / width, 1.0 - (top + h) / height, w / width, h / height))
 
         _title(figure, view, metrics, left / width, 1.0 - 0.2 / height, 0.27 / height)
+        figure.text(left / width, 1.0 - 1.02 / height, "\n".join(lines), color=FOUND, fontsize=9.5, va="top")
         frames = np.unique(np.linspace(0, len(view.result.frames) - 1, TILES).round().astype(int))
         crops = view.crops(frames)
         rows = ("input and fitted contour", "result, from the camera", "result, from the side")

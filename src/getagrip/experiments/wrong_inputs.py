@@ -1,0 +1,138 @@
+"""Mistakes that are easily made with inputs, made on purpose: do the checks find them (docs/checks.md)?
+
+Each is a ``Change`` of a clip. The ground truth goes: nothing true remains to be found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks
+from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.geometry.camera import bounding_boxes
+from getagrip.geometry.mesh import Mesh, merged
+
+Mistake = Callable[[Clip, Masks, np.random.Generator], tuple[Clip, Masks]]
+AWAY, FAR, TINY = 0.24, 10.0, 0.006
+"""How much farther from the camera a hand is moved [m], how far from it one is put [m], and a tiny mesh's size [m]."""
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """A clip with a mistake: a key of ``MISTAKES``."""
+
+    mistake: str
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        return MISTAKES[self.mistake](replace(clip, truth=None), masks, np.random.default_rng(seed))
+
+
+def other_mesh(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """Scissors; a mug for scissors."""
+    return replace(clip, mesh=CATEGORIES["mug" if clip.category == "scissors" else "scissors"].make()), masks
+
+
+def reversed_hands(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The hand of the last frame in the first."""
+    return _hands_of(clip, np.arange(len(clip))[::-1]), masks
+
+
+def late_masks(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """Each mask a third of the clip too late, as where two files count frames from different numbers."""
+    return clip, masks.take(np.maximum(np.arange(len(clip)) - len(clip) // 3, 0))
+
+
+def other_side(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """A left hand called a right one, or the other way round."""
+    return replace(clip, side="right" if clip.side == "left" else "left"), masks
+
+
+def away(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The hand farther from the camera by ``AWAY``."""
+    T = clip.hand.T_cam_hand.copy()
+    T[:, 2, 3] += AWAY
+    return replace(clip, hand=replace(clip.hand, T_cam_hand=T)), masks
+
+
+def far(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The hand on the same ray, ``FAR`` from the camera."""
+    T = clip.hand.T_cam_hand.copy()
+    T[:, :3, 3] *= FAR / T[:, 2:3, 3]
+    return replace(clip, hand=replace(clip.hand, T_cam_hand=T)), masks
+
+
+def one_pixel(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """Of each mask the pixel in the middle of its box."""
+    shown, boxes = np.zeros_like(masks.object), bounding_boxes(masks.object)
+    for n in np.flatnonzero(masks.object.any(axis=(1, 2))):
+        rows, columns = np.nonzero(masks.object[n])
+        middle = (boxes[n, :2] + boxes[n, 2:]) / 2
+        nearest = np.argmin((columns - middle[0]) ** 2 + (rows - middle[1]) ** 2)
+        shown[n, rows[nearest], columns[nearest]] = True
+    return clip, Masks(shown, masks.ignore)
+
+
+def noise_masks(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """Each pixel at random."""
+    return clip, Masks(rng.random(masks.object.shape) < 0.5, np.zeros_like(masks.ignore))
+
+
+def focal_jumps(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """Half as much focal length again in every second frame."""
+    K = clip.K.copy()
+    K[::2, [0, 1], [0, 1]] *= 1.5
+    return replace(clip, K=K), masks
+
+
+def needle(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The mesh at a hundredth of its width and height."""
+    return _stretched(clip, np.array([1.0, 0.01, 0.01])), masks
+
+
+def flat(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The mesh at a thousandth of its least extent."""
+    return _stretched(clip, np.where(np.ptp(clip.mesh.vertices, axis=0).argmin() == np.arange(3), 1e-3, 1.0)), masks
+
+
+def tiny(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The mesh ``TINY`` large, as where it is in other units; its scale taken for known."""
+    vertices = clip.mesh.vertices * (TINY / np.ptp(clip.mesh.vertices, axis=0).max())
+    return replace(clip, mesh=Mesh(vertices, clip.mesh.faces), scale="known"), masks
+
+
+def missing_faces(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The mesh without the last third of its faces."""
+    vertices, faces = clip.mesh.vertices, clip.mesh.faces[: 2 * len(clip.mesh.faces) // 3]
+    used, kept = np.unique(merged(vertices)[faces], return_inverse=True)
+    return replace(clip, mesh=Mesh(vertices[used], kept.reshape(faces.shape))), masks
+
+
+MISTAKES: dict[str, Mistake] = {
+    "other mesh": other_mesh,
+    "hands reversed": reversed_hands,
+    "masks late": late_masks,
+    "side flipped": other_side,
+    "hands 24 cm away": away,
+    "hand at 10 m": far,
+    "one-pixel masks": one_pixel,
+    "noise masks": noise_masks,
+    "focal jumps": focal_jumps,
+    "needle mesh": needle,
+    "flat mesh": flat,
+    "6 mm mesh": tiny,
+    "a third of the faces missing": missing_faces,
+}
+
+
+def _hands_of(clip: Clip, index: Int[ndarray, "T"]) -> Clip:
+    """The clip with the hands of other frames."""
+    return replace(clip, hand=clip.take(index).hand)
+
+
+def _stretched(clip: Clip, by: Float[ndarray, "3"]) -> Clip:
+    return replace(clip, mesh=Mesh(clip.mesh.vertices * by, clip.mesh.faces))

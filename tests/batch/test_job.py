@@ -1,0 +1,38 @@
+"""One clip from its folder to its result."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from getagrip.batch.job import Job, reconstruct_one
+from getagrip.clip import input_sha256, write_clip
+from getagrip.finding import Finding
+from getagrip.fitting.options import Options
+from getagrip.io.files import to_json
+from getagrip.result import Reconstruction, write_result
+from helpers.egg_and_mug import egg_and_mug, perfect
+
+DOUBT = Finding("contact-gap", True, 240.0, 15.0, "nothing is held")
+
+
+def test_a_result_that_another_run_made_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = egg_and_mug()
+    folder = write_clip(*scene, tmp_path / "clip")
+    job = Job("egg-and-mug", folder, tmp_path / "out", Options(method="static"), overwrite=False)
+    options = json.loads(to_json(asdict(job.options)))
+    found = replace(perfect(scene[0]), options=options, findings=(DOUBT,))
+
+    def slow(*_: Any) -> Reconstruction:
+        write_result(found, job.out, input_sha256(folder))  # the other run ends first
+        return found
+
+    monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", slow)
+    outcome = reconstruct_one(job)
+    assert outcome.state == "kept"
+    assert outcome.findings == (DOUBT,)
+    assert reconstruct_one(replace(job, options=Options(method="static", seed=1))).state == "failed"

@@ -1,0 +1,113 @@
+"""Inputs that are wrong and used to pass in silence: each is found, and right ones are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from getagrip.checks import INPUT_CHECKS, Evidence, examine
+from getagrip.checks.hand_side import bend
+from getagrip.clip import Clip, Masks, write_clip
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.errors import GetagripError
+from getagrip.experiments.wrong_inputs import MISTAKES, Wrong
+from getagrip.fitting.methods import METHODS, Method, OnStage
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import MethodResult, Problem
+from getagrip.fitting.reconstruct import reconstruct
+from helpers.command_line import Run
+
+SMALL = SceneOptions(frames=8, size=(320, 240), focal=300.0)
+QUICK = Options(inits=6)
+
+
+@cache
+def mug(side: str = "right") -> tuple[Clip, Masks]:
+    return synthesise("mug", 2, replace(SMALL, side=side))
+
+
+def faults(clip: Clip, masks: Masks) -> set[str]:
+    """The serious findings about inputs alone."""
+    _, findings = examine(INPUT_CHECKS, Evidence(clip, masks))
+    return {finding.check for finding in findings if finding.serious}
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_right_inputs_raise_no_finding(side: str) -> None:
+    assert examine(INPUT_CHECKS, Evidence(*mug(side)))[1] == ()
+
+
+OF_INPUTS = {
+    "hands reversed": "frame-order",
+    "masks late": "frame-order",
+    "side flipped": "hand-side",
+    "hand at 10 m": "mask-size",
+    "one-pixel masks": "mask-size",
+    "noise masks": "mask-size",
+    "focal jumps": "focal-jumps",
+    "needle mesh": "mesh-needle",
+    "flat mesh": "mesh-flat",
+    "6 mm mesh": "mask-size",
+    "a third of the faces missing": "mesh-holes",
+}
+OF_RESULTS = {"hands 24 cm away": "contact-gap", "other mesh": "mask-fit"}
+
+
+@pytest.mark.parametrize(("mistake", "check"), OF_INPUTS.items())
+def test_what_is_wrong_with_inputs_is_found_before_the_fit(mistake: str, check: str) -> None:
+    assert check in faults(*Wrong(mistake)(*mug(), seed=0))
+
+
+@pytest.mark.parametrize(("mistake", "check"), OF_RESULTS.items())
+def test_what_only_the_result_shows_is_found_after_the_fit(mistake: str, check: str) -> None:
+    result = reconstruct(*Wrong(mistake)(*mug(), seed=0), QUICK)
+    assert check in {finding.check for finding in result.findings if finding.serious}
+
+
+def test_a_right_result_raises_no_finding() -> None:
+    result = reconstruct(*mug(), Options(inits=10))
+    assert result.findings == ()
+    assert result.checks["mask-fit"] == pytest.approx(result.iou.mean())
+
+
+def test_nothing_that_misses_the_masks_is_called_converged() -> None:
+    result = reconstruct(*Wrong("noise masks")(*mug(), seed=0), QUICK)
+    assert result.iou.mean() < 0.5
+    assert result.status.startswith("failed: the best pose meets the masks with a mean IOU of")
+
+
+def test_every_mistake_has_its_case() -> None:
+    assert {*OF_INPUTS, *OF_RESULTS} == {*MISTAKES}
+
+
+def test_a_mirrored_hand_bends_the_other_way() -> None:
+    right, left = mug("right")[0], mug("left")[0]
+    assert bend(right) == pytest.approx(bend(left), abs=1e-6)
+    assert bend(replace(right, side="left")) == pytest.approx(-bend(right))
+    assert np.isnan(bend(replace(right, hand=replace(right.hand, joints=None))))
+
+
+def test_a_failed_fit_says_what_was_wrong_with_its_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(problem: Problem, on_stage: OnStage) -> MethodResult:
+        raise GetagripError("nothing can be rendered")
+
+    monkeypatch.setitem(METHODS, "fails", Method("fails", fails))
+    with pytest.raises(GetagripError, match="nothing can be rendered; serious: hand-side: the fingers bend"):
+        reconstruct(*Wrong("side flipped")(*mug(), seed=0), Options(method="fails"))
+
+
+def test_strict_exits_with_1_and_findings_are_printed_stored_and_drawn(run: Run, tmp_path: Path) -> None:
+    clip, masks = Wrong("side flipped")(*mug(), seed=0)
+    folder = write_clip(replace(clip, name="flipped"), masks, tmp_path / "clips" / "flipped")
+    call = ("reconstruct", folder, "--out", tmp_path / "out", "--method", "static", "--inits", "4")
+    assert run(*call, "--strict")[0] == 1
+    status, out, _ = run(*call)  # kept, and still doubted
+    assert status == 0
+    assert "serious: hand-side: the fingers bend by" in out
+    status, _, err = run("evaluate", tmp_path / "out" / "flipped")
+    assert "serious: hand-side" in err
