@@ -15,7 +15,8 @@ from getagrip.clip import Clip, Masks, write_clip
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError
-from getagrip.experiments.wrong_inputs import MISTAKES, Wrong
+from getagrip.experiments.settings import Wrong
+from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.fitting.methods import METHODS, Method, OnStage
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem

@@ -10,7 +10,7 @@ import numpy as np
 from getagrip.checks import frame_order, held, mesh_form
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.hand_side import bend
-from getagrip.result import Finding
+from getagrip.finding import Finding
 
 LEAST_IOU = 0.5
 """A result whose mean IOU is below this explains nothing, however well the minimisation ended."""

@@ -13,7 +13,7 @@ import numpy as np
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
 from getagrip.errors import InputError
-from getagrip.experiments.wrong_inputs import MISTAKES, Wrong
+from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures, Options
 from getagrip.geometry.mesh import Mesh
@@ -84,6 +84,16 @@ def _resized(clip: Clip, factor: float) -> Clip:
         joint = truth.joint and replace(truth.joint, point=factor * truth.joint.point)
         truth = replace(truth, scale=truth.scale / factor, joint=joint)
     return replace(clip, mesh=Mesh(factor * clip.mesh.vertices, clip.mesh.faces), truth=truth)
+
+
+@dataclass(frozen=True)
+class Wrong(Change):
+    """A mistake, a key of ``MISTAKES``. The ground truth goes: nothing true remains to be found."""
+
+    mistake: str
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        return MISTAKES[self.mistake](replace(clip, truth=None), masks, np.random.default_rng(seed))
 
 
 AS_GIVEN = AsGiven()

@@ -1,12 +1,12 @@
 """Mistakes that are easily made with inputs, made on purpose: do the checks find them (docs/checks.md)?
 
-Each is a ``Change`` of a clip. The ground truth goes: nothing true remains to be found.
+``settings.Wrong`` makes them, on clips without ground truth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,16 +20,6 @@ from getagrip.geometry.mesh import Mesh, merged
 Mistake = Callable[[Clip, Masks, np.random.Generator], tuple[Clip, Masks]]
 AWAY, FAR, TINY = 0.24, 10.0, 0.006
 """How much farther from the camera a hand is moved [m], how far from it one is put [m], and a tiny mesh's size [m]."""
-
-
-@dataclass(frozen=True)
-class Wrong:
-    """A clip with a mistake: a key of ``MISTAKES``."""
-
-    mistake: str
-
-    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
-        return MISTAKES[self.mistake](replace(clip, truth=None), masks, np.random.default_rng(seed))
 
 
 def other_mesh(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
