@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import platform
-import subprocess
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
+
+from getagrip.experiments.stamp import stamp
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 LIBRARIES = ("numpy", "numba", "scipy", "deodr")
@@ -31,12 +32,12 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def circumstances() -> str:
-    """One line that says where, with what and how undisturbed a measurement was made."""
+    """One line that says when, where, with what and how undisturbed a measurement was made."""
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in LIBRARIES)
     load = os.getloadavg()[0]
     return (
         f"*{_processor()}, {os.cpu_count()} cores, load before the run {load:.1f}; one thread. "
-        f"Python {platform.python_version()}, {versions}; getagrip {_commit()}.*"
+        f"Python {platform.python_version()}, {versions}; getagrip, {stamp()}.*"
     )
 
 
@@ -44,13 +45,3 @@ def _processor() -> str:
     """The processor's name, as Linux reports it."""
     lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
-
-
-def _commit() -> str:
-    """The commit measured; ``dirty`` where the package's files differ from it."""
-
-    def git(*words: str) -> str:
-        return subprocess.run(["git", *words], cwd=DOCS, capture_output=True, text=True, check=True).stdout.strip()
-
-    changed = git("status", "--porcelain", "--", "../src")
-    return git("rev-parse", "--short", "HEAD") + (" (dirty)" if changed else "")

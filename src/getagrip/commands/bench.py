@@ -16,6 +16,7 @@ from getagrip.experiments.comparison import Table, compare, groups
 from getagrip.experiments.hand_sources import HandSource, comparison
 from getagrip.experiments.settings import ABLATIONS, Ablation, Variant, ablation_variants, method_variants
 from getagrip.experiments.sources import ClipSource, samples
+from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import RESAMPLES
 from getagrip.experiments.tables import as_json, latex, markdown, terminal, write_clips_csv, write_csv
 from getagrip.experiments.trials import Scores, Trial, run
@@ -174,7 +175,7 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
         f"in brackets: 95 % intervals from {RESAMPLES} bootstrap resamples of {units}",
         f"contact: {' and '.join(contact.description for contact in plan.contacts)}, unless the row says otherwise; a "
         "method that fails on a clip scores 0 there",
-        versions,
+        f"made {stamp()}; {versions}",
     ]
 
 

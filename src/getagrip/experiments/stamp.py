@@ -1,0 +1,34 @@
+"""When numbers were made, and by which code."""
+
+from __future__ import annotations
+
+import subprocess
+from datetime import date
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def stamp() -> str:
+    """The date and, where the package runs from a git checkout, its commit: "2025-03-01, commit a1b2c3d".
+
+    The commit is marked where files of the package differ from it.
+    """
+    today = date.today().isoformat()
+    found = commit(PACKAGE)
+    return f"{today}, commit {found}" if found else today
+
+
+def commit(folder: Path) -> str | None:
+    """The commit that a folder is checked out at, with a mark if files in it have changed; None if git has it not."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        if not git("ls-files", "."):  # ignored: installed into an environment within another checkout
+            return None
+        changed = git("status", "--porcelain", "--", ".")
+        return git("rev-parse", "--short", "HEAD") + (" with uncommitted changes" if changed else "")
+    except (OSError, subprocess.CalledProcessError):  # no git, or no checkout
+        return None
