@@ -161,7 +161,7 @@ def test_tables_fit_a_terminal_and_json_holds_what_they_show(scene: tuple[Clip, 
     clip, masks = scene
     samples = [ev.evaluate(perfect(clip), clip, masks), ev.evaluate(perfect(clip), replace(clip, truth=None), masks)]
     console = Console(width=80, record=True, file=io.StringIO())
-    for table in ev.tables(samples):
+    for table in (ev.results_table(samples), *ev.contact_tables(samples)):
         console.print(table)
     text = console.export_text()
     assert "mean of 2" in text

@@ -105,6 +105,9 @@ class Evaluate(Command):
     --clips and --mesh-frame, and appear under the name of DIR."""
     mesh_frame: Annotated[Literal["camera", "hand"] | None, one_of("camera", "hand"), arg(help_behavior_hint="")] = None
     """The frame of their vertices: the clip's camera frame, or its hand frame."""
+    contact: Flag = False
+    """Print stable contact by nine definitions of contact, too: within 0, 5 and 10 mm, of the object's vertices, the
+    hand's, and points of the object's surface."""
     json: OptionalFile = None
     """Write every number here, unrounded."""
 
@@ -119,7 +122,7 @@ class Evaluate(Command):
             meshes = Meshes(self.meshes, self.mesh_frame, self.clips)
         elif self.mesh_frame is not None:
             raise UsageError(f"--mesh-frame: got {self.mesh_frame}, expected none without --meshes")
-        return evaluate_results(self.results, self.clips, meshes, self.json, self.debug)
+        return evaluate_results(self.results, self.clips, meshes, self.contact, self.json, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)

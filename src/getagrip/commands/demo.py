@@ -8,7 +8,7 @@ from getagrip.clip import Clip, input_sha256, read_clip, read_masks, write_clip
 from getagrip.datasets.synthetic.noise import perturbed
 from getagrip.datasets.synthetic.scene import clip_name, ground_truth_masks, make_scene, pictures
 from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.evaluation import evaluate, tables
+from getagrip.evaluation import evaluate, results_table
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.io.terminal import console, progress_bar
 from getagrip.result import write_result
@@ -47,7 +47,7 @@ def run(out: Path) -> None:
         bar.update(steps, completed=3.0, description="draw the report")
         report = write_report(result, clip, masks, out / "report.png", evaluation["metrics"])
         screen.print(f"report   {report}\n")
-    screen.print(*tables([evaluation]), sep="\n")
+    screen.print(results_table([evaluation]))
 
 
 def _clip(folder: Path) -> Clip:

@@ -13,7 +13,7 @@ from getagrip.batch.job import Outcome, failure
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.commands.evaluate_meshes import Meshes, MeshJob, evaluate_clip_meshes, mesh_jobs
 from getagrip.errors import InputError, UsageError
-from getagrip.evaluation import evaluate, evaluate_result, read_evaluated, summary, tables
+from getagrip.evaluation import contact_tables, evaluate, evaluate_result, read_evaluated, results_table, summary
 from getagrip.io import files
 from getagrip.io.terminal import console, progress_bar
 
@@ -30,13 +30,13 @@ class ResultJob:
 
 
 def evaluate_results(
-    paths: Sequence[Path], clips: Path | None, meshes: Meshes | None, json: Path | None, debug: bool
+    paths: Sequence[Path], clips: Path | None, meshes: Meshes | None, contact: bool, json: Path | None, debug: bool
 ) -> int:
     """Print the metrics of results, and write them to a file; 1 if anything could not be evaluated, else 0.
 
     A path is a result, or a folder of results. ``meshes`` of another system are evaluated in the frames of our results
-    of the same clip, else in all of the clip's. Raises ``UsageError`` where there is nothing to do, and ``InputError``
-    where there are no such meshes.
+    of the same clip, else in all of the clip's. ``contact`` adds a table of stable contact by definition. Raises
+    ``UsageError`` where there is nothing to do, and ``InputError`` where there are no such meshes.
     """
     if not paths and meshes is None:
         raise UsageError("RESULT: name at least one result, or --meshes")
@@ -62,7 +62,7 @@ def evaluate_results(
     for outcome in problems:
         print_outcome(outcome, debug)
     if evaluations:
-        for table in tables(evaluations):
+        for table in (results_table(evaluations), *(contact_tables(evaluations) if contact else ())):
             console().print(table)
     for made in evaluations:
         _print_doubts(made)

@@ -7,6 +7,15 @@
 
 from getagrip.evaluation.meshes import evaluate_meshes
 from getagrip.evaluation.results import clip_of, evaluate, evaluate_result, read_evaluated
-from getagrip.evaluation.tables import summary, tables
+from getagrip.evaluation.tables import contact_tables, results_table, summary
 
-__all__ = ["clip_of", "evaluate", "evaluate_meshes", "evaluate_result", "read_evaluated", "summary", "tables"]
+__all__ = [
+    "clip_of",
+    "contact_tables",
+    "evaluate",
+    "evaluate_meshes",
+    "evaluate_result",
+    "read_evaluated",
+    "results_table",
+    "summary",
+]

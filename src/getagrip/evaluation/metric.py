@@ -124,7 +124,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("translation_sym_mm", lambda it, _: 1e3 * it.errors_sym.translation, "mm", "trans", needs_truth=True),
     Metric("scale_error", lambda it, _: it.scale_error, "%", "scale", needs_truth=True),
     Metric("diameter_mm", lambda it, _: 1e3 * it.errors.diameter, "mm", needs_truth=True),
-    *_penetration("penetration_object", lambda it: it.depth("object"), "depth"),
+    *_penetration("penetration_object", lambda it: it.depth("object"), "penetr."),
     *_penetration("penetration_hand", lambda it: it.depth("hand")),
     *_penetration("truth_penetration_object", lambda it: it.true_depth("object"), needs_truth=True),
     *_penetration("truth_penetration_hand", lambda it: it.true_depth("hand"), needs_truth=True),

@@ -43,8 +43,8 @@ def _means(evaluations: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     }
 
 
-def tables(evaluations: Sequence[dict[str, Any]]) -> list[Table]:
-    """One row per result and the mean of each method; then, method by method, stable contact area by definition.
+def results_table(evaluations: Sequence[dict[str, Any]]) -> Table:
+    """One row per result and the mean of each method.
 
     Columns without any value (there is no ground truth, the scale is known) are left out.
     """
@@ -71,7 +71,13 @@ def tables(evaluations: Sequence[dict[str, Any]]) -> list[Table]:
         for method, group in groups.items():
             of = f" ({method})" if len(groups) > 1 else ""
             results.add_row(Text(f"mean of {len(group)}{of}"), *cells(means[method]))
-    return [results, *(_contact(method if len(groups) > 1 else "", mean) for method, mean in means.items())]
+    return results
+
+
+def contact_tables(evaluations: Sequence[dict[str, Any]]) -> list[Table]:
+    """Method by method, the metrics of stable contact by each definition of contact."""
+    groups = by_method(evaluations)
+    return [_contact(method if len(groups) > 1 else "", _means(group)["mean"]) for method, group in groups.items()]
 
 
 def _contact(method: str, mean: Mapping[str, float]) -> Table:
