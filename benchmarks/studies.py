@@ -1,16 +1,20 @@
-"""Put the measurements of ``getagrip study`` into docs/arctic.md: ``python -m benchmarks.studies DIR...``.
+"""Put the measurements of ``getagrip study`` into docs/arctic.md: ``python -m benchmarks.studies DIR OTHER...``.
 
-Each folder is one that was given to ``study --out``; its ``summary.csv`` goes between the markers "<name>-study".
+Folders are those that were given to ``study --out``. The first one's ``summary.csv`` goes between the markers
+"<name>-study"; a line for each of the others, which are of other definitions of contact, between "<name>-definitions".
 """
 
 from __future__ import annotations
 
 import csv
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks import page
+from getagrip.grasps.definition import Definition
 from getagrip.grasps.study import MEASURES
+from getagrip.io import files
 
 PAGE = "arctic.md"
 ALL = "All"
@@ -23,11 +27,36 @@ BY_OBJECT = {
 """Columns of the table by object: measures within grasps."""
 
 
-def main(folders: list[Path]) -> None:
+def main(first: Path, *others: Path) -> None:
     """Update the page."""
+    page.write(f"{first.name}-study", section(summary(first)), PAGE)
+    if others:
+        page.write(f"{first.name}-definitions", definitions(others), PAGE)
+
+
+def summary(folder: Path) -> list[dict[str, str]]:
+    """The lines of a study's table."""
+    with (folder / "summary.csv").open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def definitions(folders: Sequence[Path]) -> str:
+    """A table of all grasps under each definition."""
+    rows = []
     for folder in folders:
-        with (folder / "summary.csv").open(encoding="utf-8", newline="") as stream:
-            page.write(f"{folder.name}-study", section(list(csv.DictReader(stream))), PAGE)
+        inside = {r["measure"]: r for r in summary(folder) if r["object"] == ALL and r["where"] == "inside"}
+        definition = Definition(**files.read_json(folder / "grasps.json")["cut"])
+        columns = (", ".join(shown(inside[name]) for name in names) for names in BY_OBJECT.values())
+        rows.append([definition.description, inside["static_rotation"]["grasps"], *columns])
+    return page.table(["grasps of", "", *BY_OBJECT], rows)
+
+
+def shown(row: dict[str, str], spread: bool = False) -> str:
+    """A measure's mean, and its standard deviation, as people read them."""
+    measure = MEASURES[row["measure"]]
+    digits = 1 if measure.unit else 2
+    numbers = [f"{float(row[key]) * measure.factor:.{digits}f}" for key in ("mean", "std")[: 1 + spread]]
+    return " ± ".join(numbers) + (f" {measure.unit}" if measure.unit else "")
 
 
 def section(rows: list[dict[str, str]]) -> str:
@@ -36,22 +65,16 @@ def section(rows: list[dict[str, str]]) -> str:
     objects = list(dict.fromkeys(row["object"] for row in rows))
     total = ALL if ALL in objects else objects[0]
 
-    def cell(obj: str, where: str, name: str, spread: bool = False) -> str:
-        measure, row = MEASURES[name], of[obj, where, name]
-        digits = 1 if measure.unit else 2
-        shown = [f"{float(row[key]) * measure.factor:.{digits}f}" for key in ("mean", "std")[: 1 + spread]]
-        return " ± ".join(shown) + (f" {measure.unit}" if measure.unit else "")
-
     by_object = [
         [
             obj,
             of[obj, "inside", "static_rotation"]["grasps"],
-            *(", ".join(cell(obj, "inside", n) for n in names) for names in BY_OBJECT.values()),
+            *(", ".join(shown(of[obj, "inside", n]) for n in names) for names in BY_OBJECT.values()),
         ]
         for obj in objects
     ]
     inside_outside = [
-        [measure.label, cell(total, "inside", name, True), cell(total, "outside", name, True)]
+        [measure.label, *(shown(of[total, where, name], spread=True) for where in ("inside", "outside"))]
         for name, measure in MEASURES.items()
     ]
     outside = of[total, "outside", "static_rotation"]["grasps"]
@@ -66,4 +89,4 @@ def section(rows: list[dict[str, str]]) -> str:
 
 
 if __name__ == "__main__":
-    main([Path(name) for name in sys.argv[1:]])
+    main(*map(Path, sys.argv[1:]))
