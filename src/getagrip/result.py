@@ -23,7 +23,8 @@ FILES = ("result.json", "result.npz")
 """Of a result's folder."""
 AXIS = ("axis_point", "axis_direction", "angle")
 ARRAYS = (
-    "T_hand_obj", "scale", "frames", "iou", *AXIS, "candidate_T_hand_obj", "candidate_scale", "candidate_energy",
+    "T_hand_obj", "T_cam_hand", "scale", "frames", "iou", *AXIS,
+    "candidate_T_hand_obj", "candidate_scale", "candidate_energy",
 )  # fmt: skip
 """What ``result.npz`` holds."""
 FIELDS: dict[str, tuple[type, str]] = {
@@ -97,6 +98,8 @@ class Reconstruction(ArrayData):
         notes: frames left out and values that are guesses (scale, focal length), in words.
         findings: what is unusual about the inputs and the result, the inputs first.
         checks: what each check has measured, by its name; NaN where it could not.
+        T_cam_hand: (T, 4, 4) pose of the corrected hand, hand frame to camera frame [m], which ``T_hand_obj`` and the
+            axis are relative to; None where the hand is as the clip gives it.
     """
 
     clip: str
@@ -116,6 +119,7 @@ class Reconstruction(ArrayData):
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     checks: dict[str, float] = field(default_factory=dict)
+    T_cam_hand: Float[ndarray, "T 4 4"] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -162,6 +166,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
         notes=tuple(fields["notes"]),
         findings=read_findings(folder / "result.json", fields["findings"]),
         checks=read_checks(folder / "result.json", fields["checks"]),
+        T_cam_hand=_rigid(path, given, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in given else None,
     )
     return result, fields
 
@@ -226,6 +231,8 @@ def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
         "candidate_scale": result.candidates.scale,
         "candidate_energy": result.candidates.energy,
     }
+    if result.T_cam_hand is not None:
+        out["T_cam_hand"] = result.T_cam_hand
     if result.axis is not None:
         axis = result.axis
         out |= {"axis_point": axis.point, "axis_direction": axis.direction, "angle": axis.angle}

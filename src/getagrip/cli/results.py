@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 from getagrip.cli.command import Clips, Command, Method, Results, Seed, Workers
 from getagrip.errors import UsageError
 from getagrip.experiments.sources import SOURCES, source_of
-from getagrip.fitting.options import Init, Options, PriorsFile
+from getagrip.fitting.options import Hands, Init, Options, PriorsFile
 from getagrip.io.arguments import File, Flag, Folder, OptionalFile, OptionalFolder, one_of
 
 Inits = Annotated[int, arg(metavar="N")]
@@ -32,6 +32,11 @@ def _presets(_: str) -> str:
     from getagrip.datasets.synthetic.splits import PRESETS
 
     return f"(one of {', '.join(PRESETS)}; default: clean)"
+
+
+def _hands(given: bool) -> Hands:
+    """The option of the name."""
+    return "as-given" if given else "corrected"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +74,9 @@ class Reconstruct(Command):
     """For clusters, the file that init learn has written; for priors, the folder."""
     thorough: Flag = False
     """Search two to three times as long, for the methods that fit all frames at once."""
+    given_hands: Flag = False
+    """Keep the hands where they are given. Else they are turned and moved to where their own pixels (masks/ignore) are,
+    if they disagree."""
     seed: Seed = 0
     """Seed of all that is random."""
     frames: Annotated[int, arg(metavar="N")] = 30
@@ -85,7 +93,7 @@ class Reconstruct(Command):
 
         options = Options(
             method=self.method, inits=self.inits, seed=self.seed, frames=self.frames, thorough=self.thorough,
-            init=self.init, priors=_priors(self.priors, self.init),
+            init=self.init, priors=_priors(self.priors, self.init), hands=_hands(self.given_hands),
         )  # fmt: skip
         return reconstruct_clips(
             self.clips, self.out, options, self.workers, self.overwrite, self.debug, self.strict
@@ -171,6 +179,8 @@ class Bench(Command):
     """Number of initial poses; more is slower and safer."""
     thorough: Flag = False
     """Search two to three times as long, for the methods that fit all frames at once."""
+    given_hands: Flag = False
+    """Keep the hands where they are given, as of reconstruct."""
     seed: Seed = 0
     """Seed of all that is random."""
     workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
@@ -189,7 +199,7 @@ class Bench(Command):
         )  # fmt: skip
         options = Options(
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
-            priors=_priors(self.priors, self.init),
+            priors=_priors(self.priors, self.init), hands=_hands(self.given_hands),
         )  # fmt: skip
         hands = tuple(HandSource.of(text) for text in self.hands)
         plan = Plan(

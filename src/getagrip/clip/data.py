@@ -204,6 +204,10 @@ class Clip(ArrayData):
             raise InputError(self.origin, "frames", f"the frame {shown(unknown)}", known)
         return np.array([place[name] for name in frames], dtype=np.int64)
 
+    def with_hand_at(self, T_cam_hand: Float[ndarray, "T 4 4"] | None) -> Clip:
+        """The clip with its hand elsewhere, as where a result has it; where that is None, the clip itself."""
+        return self if T_cam_hand is None else replace(self, hand=replace(self.hand, T_cam_hand=T_cam_hand))
+
     def take(self, index: Int[ndarray, "n"]) -> Clip:
         """The clip at some of its frames, in the given order."""
         hand = replace(

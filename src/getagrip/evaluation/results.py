@@ -55,7 +55,7 @@ def evaluate(
     if masks is not None:
         check_masks(clip, masks)
     index = clip.index_of(result.frames)
-    clip, masks = clip.take(index), None if masks is None else masks.take(index)
+    clip, masks = clip.take(index).with_hand_at(result.T_cam_hand), None if masks is None else masks.take(index)
     it = _ResultComparison(clip, masks, ObjectTrack(result.T_hand_obj, result.scale), contacts=tuple(contacts))
     symmetry = None if clip.truth is None else it.symmetries.describe()
     return {**evaluation(it, result.method, symmetry), "findings": [str(finding) for finding in result.findings]}

@@ -209,6 +209,16 @@ ABLATIONS: dict[str, Ablation] = {
             _noise_level("strong"),
         ),
     ),
+    "hand-correction": Ablation(
+        "Hands corrected by their own pixels, or as they are given",
+        "none, as given",
+        tuple(
+            replace(noise, label=f"{noise.label}, {word}", options={"hands": hands})
+            for noise in (Setting("none"), _hand_noise(10.0), _noise_level("moderate"), _noise_level("strong"))
+            for hands, word in (("as-given", "as given"), ("corrected", "corrected"))
+        ),
+        ("soft-hinge",),
+    ),
     "mask-noise": Ablation(
         "Noise of the masks: distance of their contours from the true ones, root mean square",
         "none",

@@ -67,7 +67,7 @@ class Scene:
     def of(result: Reconstruction, clip: Clip) -> Scene:
         """Of a result and the clip that it was made from. Raises ``InputError`` where the frames are not the clip's."""
         index = clip.index_of(result.frames)
-        some = clip.take(index)
+        some = clip.take(index).with_hand_at(result.T_cam_hand)
         return Scene(
             name=clip.name,
             method=result.method,

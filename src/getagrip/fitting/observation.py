@@ -77,7 +77,7 @@ def observe(masks: Masks, K: Float[ndarray, "T 3 3"], use_ignore: bool = True) -
     field = np.empty((len(observed), FIELD, FIELD), np.float32)
     targets = np.empty((len(observed), TARGETS, 5))
     for n, (s, c) in enumerate(zip(*_reduce(observed, valid, FIELD), strict=True)):
-        field[n] = _signed_distance(s, c) * (CROP / FIELD)
+        field[n] = signed_distance(s, c) * (CROP / FIELD)
         _boundary(s, c, field[n], CROP / FIELD, targets[n])
     return Observation(
         crops=crops,
@@ -102,7 +102,7 @@ def _reduce(
     return 2 * n_observed > n_valid, (n_valid > 127) | (2 * n_observed > 255)
 
 
-def _signed_distance(observed: Bool[ndarray, "s s"], valid: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
+def signed_distance(observed: Bool[ndarray, "s s"], valid: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
     """Distance to the visible contour [px]: to the object outside of it, minus that to visible background inside."""
     background = valid & ~observed
     far = np.float32(2 * len(observed))

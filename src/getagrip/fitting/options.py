@@ -10,6 +10,7 @@ from typing import Literal
 from getagrip.errors import UsageError
 from getagrip.fitting.methods import method_of
 
+Hands = Literal["corrected", "as-given"]
 Init = Literal["uniform", "clusters", "priors"]
 
 
@@ -78,6 +79,7 @@ class Options:
         axis: where a hinge's axis may lie: anywhere (``free``), or through the origin of the hand frame
             (``hand``).
         occlusion: leave out pixels hidden by the hand (the paper's C_o).
+        hands: correct the given hands by their own pixels (``hand_correction``), or take them as they are given.
         departures: what ``paper`` does our way; no other method has a choice.
     """
 
@@ -92,6 +94,7 @@ class Options:
     pull: float = 0.1
     axis: Literal["free", "hand"] = "free"
     occlusion: bool = True
+    hands: Hands = "corrected"
     departures: Departures = TO_THE_LETTER
 
     def __post_init__(self) -> None:

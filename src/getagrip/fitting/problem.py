@@ -12,6 +12,8 @@ from getagrip.clip import Clip, Masks, observed_frames, read_masks, read_observe
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting import pose_priors
+from getagrip.fitting.hand_correction import correct_hand
+from getagrip.fitting.methods import method_of
 from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.observation import Observation, observe
 from getagrip.fitting.options import Options
@@ -24,13 +26,14 @@ class Problem:
     """A clip at the frames that are used.
 
     Attributes:
-        clip: the clip, in the frames that are used.
+        clip: the clip, in the frames that are used, its hand corrected where its pixels ask for it.
         masks: its masks, in the same frames.
         given_masks: the same as they were given; ``masks`` may ignore what the drawn hand covers besides.
         observation: its masks as crops, with contours.
         surface: surface of the object.
         options: options of the reconstruction.
         prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations.
+        hand_corrected: whether the clip's hand is no longer as it was given.
         notes: dropped frames, guesses, initial poses, what stands in for missing masks.
     """
 
@@ -41,6 +44,7 @@ class Problem:
     surface: ObjectSurface
     options: Options
     prior_poses: Float[ndarray, "k 4 4"]
+    hand_corrected: bool
     notes: tuple[str, ...]
 
 
@@ -74,6 +78,12 @@ def prepare(clip: Clip, masks: Masks | None, options: Options) -> Problem:
     if clip.left_out:
         names = ", ".join(clip.left_out)
         notes.append(f"{len(clip.left_out)} frames without a visible object were left out: {names}")
+    correction = None
+    if options.hands == "corrected" and not method_of(options.method).as_published:
+        correction = correct_hand(clip, masks)
+    if correction is not None:
+        clip = clip.with_hand_at(correction.T_cam_hand)
+        notes.append(str(correction))
     if options.occlusion and not masks.ignore.any():
         masks = occluded_by_hand(clip, masks)
         notes.append("no ignore masks: what the drawn hand covers outside the object's mask counts as hidden")
@@ -81,7 +91,8 @@ def prepare(clip: Clip, masks: Masks | None, options: Options) -> Problem:
     notes += of_poses
     notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
     observation = observe(masks, clip.K, options.occlusion)
-    return Problem(clip, masks, given, observation, ObjectSurface.of(clip.mesh), options, poses, tuple(notes))
+    surface, corrected = ObjectSurface.of(clip.mesh), correction is not None
+    return Problem(clip, masks, given, observation, surface, options, poses, corrected, tuple(notes))
 
 
 def _sampled(clip: Clip, masks: Masks | None, frames: int) -> tuple[Clip, Masks]:

@@ -122,6 +122,7 @@ def _reconstruction(
         seconds=seconds,
         options=asdict(options),
         seed=options.seed,
+        T_cam_hand=clip.hand.T_cam_hand if problem.hand_corrected else None,
         notes=(*problem.notes, *([guess] if clip.scale == "free" else [])),
     )
 

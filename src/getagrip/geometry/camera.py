@@ -81,7 +81,11 @@ def crops_around(masks: Shaped[ndarray, "T H W"], expand: float = 1.8, size: int
     One side for all frames, so that a pixel of energy means the same in each; one centre per frame, so that an object
     that crosses the image keeps its resolution. Every mask must have a pixel.
     """
-    boxes = bounding_boxes(masks).astype(float)
+    return crops_of_boxes(bounding_boxes(masks).astype(float), expand, size)
+
+
+def crops_of_boxes(boxes: Float[ndarray, "T 4"], expand: float, size: int) -> Crops:
+    """Square crops centred on each frame's box (u0, v0, u1, v1), all ``expand`` times as large as the largest."""
     side = expand * float((boxes[:, 2:] - boxes[:, :2]).max())
     centre = (boxes[:, :2] + boxes[:, 2:]) / 2.0
     return Crops(corner=centre - side / 2.0, side=side, size=size)

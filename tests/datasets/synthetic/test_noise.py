@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.fingers import bent, finger_weights
 from getagrip.datasets.synthetic.noise import NOISE, Noise, noisy_hand, perturbed, ragged
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands import generic
+from getagrip.hands.bending import bent, finger_weights
 from getagrip.hands.model import KNUCKLES
 
 

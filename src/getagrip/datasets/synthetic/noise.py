@@ -23,10 +23,10 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, HandTrack, Masks
-from getagrip.datasets.synthetic.fingers import bent, finger_weights
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
+from getagrip.hands.bending import bent, finger_weights
 
 
 @dataclass(frozen=True)

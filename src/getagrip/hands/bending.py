@@ -17,7 +17,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import edge_table
 
 _WRIST, _INDEX, _PINKY = 0, 5, 17
-_CHAINS = np.arange(1, 21).reshape(5, 4)
+CHAINS = np.arange(1, 21).reshape(5, 4)
 """Joints of each finger, from the palm to the tip."""
 _SMOOTHINGS = 4
 
@@ -28,8 +28,8 @@ def finger_weights(hand: HandTrack) -> Float[ndarray, "V 5 3"]:
     The hand must have joints.
     """
     assert hand.joints is not None
-    ends = [(a, b) for chain in _CHAINS for a, b in pairwise(chain)]
-    ends += [(_WRIST, knuckle) for knuckle in _CHAINS[:, 0]]
+    ends = [(a, b) for chain in CHAINS for a, b in pairwise(chain)]
+    ends += [(_WRIST, knuckle) for knuckle in CHAINS[:, 0]]
     some = np.unique(np.linspace(0, len(hand.vertices) - 1, 5).astype(int))
     a, b = (hand.joints[some][:, [pair[k] for pair in ends]] for k in (0, 1))
     nearest = np.argmin(_to_segments(hand.vertices[some], a, b).sum(axis=0), axis=1)
@@ -54,9 +54,9 @@ def bent(
 
     Fingers bend about an axis across the palm, the thumb towards the knuckle of the index finger or away from it.
     """
-    axes = _hinges(joints)
+    axes = hinges(joints)
     moved, skeleton = vertices.copy(), joints.copy()
-    for f, chain in enumerate(_CHAINS):
+    for f, chain in enumerate(CHAINS):
         T = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
         for k in range(3):
             T = T @ se3.rotation_about_line(joints[:, chain[k]], axes[:, f], angles[:, f, k])
@@ -65,12 +65,12 @@ def bent(
     return moved, skeleton
 
 
-def _hinges(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
+def hinges(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
     """Unit axes about which fingers bend: across the palm; of the thumb, across its plane with the index knuckle."""
     index, pinky = (joints[:, k] - joints[:, _WRIST] for k in (_INDEX, _PINKY))
     palm = np.cross(index, pinky)
-    thumb, ahead = joints[:, _CHAINS[0, 3]] - joints[:, _CHAINS[0, 0]], joints[:, _INDEX] - joints[:, _CHAINS[0, 0]]
-    along = joints[:, _CHAINS[1:, 1]] - joints[:, _CHAINS[1:, 0]]
+    thumb, ahead = joints[:, CHAINS[0, 3]] - joints[:, CHAINS[0, 0]], joints[:, _INDEX] - joints[:, CHAINS[0, 0]]
+    along = joints[:, CHAINS[1:, 1]] - joints[:, CHAINS[1:, 0]]
     fingers = np.cross(along, palm[:, None])
     axes = np.concatenate([np.cross(thumb, ahead)[:, None], fingers], axis=1)
     return np.asarray(axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-12))

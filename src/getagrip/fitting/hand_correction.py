@@ -1,0 +1,148 @@
+"""The hand is an unknown too: its poses corrected by its own pixels, under a prior on how trackers err.
+
+Minimised is, over the errors x_n = b + e_n of each frame (``HandErrors``), b the same in all frames,
+
+    PIXEL * sum_n E_n(x_n) + 1/2 |b / BIAS|^2 + 1/2 sum_n |e_n / JITTER|^2
+
+with E_n the pixels in which the hand's silhouette differs from its mask (``HandSilhouette``). E counts area, so that a
+finger that is elsewhere weighs by its length and not by its square.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip import least_squares
+from getagrip.clip import Clip, Masks
+from getagrip.clip.sampling import frame_indices
+from getagrip.fitting.hand_errors import RIGID
+from getagrip.fitting.hand_silhouette import HandSilhouette
+from getagrip.geometry import se3
+from getagrip.least_squares import arrow_step, damped
+
+PIXEL = 0.03
+"""What a pixel counts against the prior: thirty of them, side by side along a contour, are as much as one fact."""
+BIAS = np.repeat([0.08, 0.008, 0.01, 0.2], [3, 3, 1, 15])
+"""Assumed standard deviations of the errors that all frames share: turn about each axis [rad], shift along each [m],
+logarithm of the size, bend of each finger joint [rad]. They are no tracker's in particular."""
+JITTER = np.repeat([0.03, 0.003, 0.003, 0.1], [3, 3, 1, 15])
+"""Those of each frame's own errors; neighbouring frames are taken as independent."""
+WORTH = 0.01
+"""Share of the hand's seen pixels that a correction must set right; less is noise of masks."""
+AGREE = 0.4
+"""Share of them that may still differ afterwards; more is not this hand's mask."""
+STEPS = 10, 8, 3
+"""Iterations: without bends; with them, at some of the frames; at all of them."""
+FEW = 10
+"""Frames of the second of these."""
+
+
+@dataclass(frozen=True)
+class HandCorrection:
+    """A hand that its pixels have corrected.
+
+    Attributes:
+        T_cam_hand: (N, 4, 4) its poses.
+        turned: mean angle to the given poses [rad].
+        moved: mean distance of the hand's middle from where it was given [m].
+        before, after: share of the hand's seen pixels that differed from its silhouette, and that still do.
+    """
+
+    T_cam_hand: Float[ndarray, "N 4 4"]
+    turned: float
+    moved: float
+    before: float
+    after: float
+
+    def __str__(self) -> str:
+        return (
+            f"the hand was corrected by its own pixels: turned by {np.degrees(self.turned):.1f} degrees and moved by "
+            f"{1e3 * self.moved:.1f} mm on average; {100 * self.before:.0f} % of its pixels differed, "
+            f"{100 * self.after:.0f} % still do"
+        )
+
+
+def correct_hand(clip: Clip, masks: Masks) -> HandCorrection | None:
+    """The correction of a clip's hand; None where its pixels are not known or ask for none.
+
+    Pixels of the hand are the ignored ones near the given hand. They are known to be its own if it can be made to
+    agree with them.
+    """
+    seen = HandSilhouette.of(clip, masks)
+    if seen.mask.pixels == 0:
+        return None
+    start = _Fit.of(seen.rigid, np.zeros((len(clip), RIGID)))
+    before = start.pixels / seen.mask.pixels
+    if not np.isfinite(before) or before < WORTH:
+        return None
+    found = _fitted(seen, start)
+    after = found.pixels / seen.mask.pixels
+    if after > AGREE or before - after < WORTH:
+        return None
+    T, given, middle = found.T_cam_hand, clip.hand.T_cam_hand, seen.errors.middle[None]
+    turned = se3.angle_between(T[:, :3, :3], given[:, :3, :3])
+    moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(given, middle), axis=-1)
+    return HandCorrection(T, float(turned.mean()), float(moved.mean()), before, after)
+
+
+def _fitted(seen: HandSilhouette, start: _Fit) -> _Fit:
+    """The least cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
+    rigid, few, all_frames = STEPS
+    found = least_squares.minimise(start, rigid).state
+    if seen.errors.weights is None:
+        return found
+    spare = seen.errors.size - RIGID
+    shared, own = np.pad(found.shared, (0, spare)), np.pad(found.own, ((0, 0), (0, spare)))
+    index = frame_indices(len(own), FEW)
+    some = least_squares.minimise(_Fit.of(seen.take(index), own[index], shared), few).state
+    return least_squares.minimise(_Fit.of(seen, own, some.shared), all_frames).state
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Errors, and all that is known about them (``least_squares.State``, of one problem)."""
+
+    seen: HandSilhouette
+    shared: Float[ndarray, "P"]
+    own: Float[ndarray, "N P"]
+    value: Float[ndarray, "N"] = field(repr=False)
+    g: Float[ndarray, "N P"] = field(repr=False)
+    H: Float[ndarray, "N P P"] = field(repr=False)
+
+    @staticmethod
+    def of(seen: HandSilhouette, own: Float[ndarray, "N P"], shared: Float[ndarray, "P"] | None = None) -> _Fit:
+        """Evaluated at some errors."""
+        shared = np.zeros(own.shape[1]) if shared is None else shared
+        return _Fit(seen, shared, own, *seen(shared + own))
+
+    @property
+    def pixels(self) -> float:
+        """How many differ, in all frames."""
+        return float(self.value.sum())
+
+    @property
+    def T_cam_hand(self) -> Float[ndarray, "N 4 4"]:
+        return self.seen.errors.T_cam_hand(self.shared + self.own)
+
+    @property
+    def cost(self) -> Float[ndarray, "1"]:
+        P = len(self.shared)
+        prior = np.sum((self.shared / BIAS[:P]) ** 2) + np.sum((self.own / JITTER[:P]) ** 2)
+        return np.array([PIXEL * self.pixels + 0.5 * prior])
+
+    def trial(self, active: Int[ndarray, "n"], damping: Float[ndarray, "n"]) -> _Fit:
+        P = len(self.shared)
+        bias, jitter, H = BIAS[:P] ** -2.0, JITTER[:P] ** -2.0, PIXEL * self.H
+        H_ss, H_ll = H.sum(axis=0) + np.diag(bias), H + np.diag(jitter)
+        g_s, g_l = PIXEL * self.g.sum(axis=0) + bias * self.shared, PIXEL * self.g + jitter * self.own
+        shared, own = arrow_step(
+            damped(H_ss[None], damping), H[None], damped(H_ll[None], damping[:, None]), g_s[None], g_l[None]
+        )
+        return _Fit.of(self.seen, self.own + own[0], self.shared + shared[0])
+
+    def accept(self, trial: _Fit, active: Int[ndarray, "n"], better: Bool[ndarray, "n"]) -> _Fit:
+        return trial if better.all() else self

@@ -1,0 +1,113 @@
+"""How a given hand may be wrong in each frame, in numbers that move it, and where they move its contour.
+
+    corrected T_cam_hand = given T_cam_hand . turn_and_shift(w, s)
+
+w turns the hand about its middle, s shifts it, both in the hand's frame. Its size and the bends of its 15 finger joints
+are off as well. Those only explain the silhouette: without them, wrong fingers would turn the palm, and a hand that is
+too large would come nearer. (One silhouette says nothing about depth unless the hand's size is known.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.clip import HandTrack
+from getagrip.geometry import se3
+from getagrip.hands.bending import CHAINS, bent, finger_weights, hinges
+
+TURN, SHIFT, SIZE, BENDS = slice(0, 3), slice(3, 6), 6, slice(7, 22)
+"""Where each error stands among the numbers of a frame: [rad], [m], logarithm, [rad]."""
+RIGID = 7
+"""So many numbers without the fingers."""
+
+
+@dataclass(frozen=True)
+class HandErrors:
+    """The given hand in N frames, and how errors x (N, P) change it.
+
+    Attributes:
+        given: the hand as it was given.
+        middle: (3,) the point that it turns about, in the hand frame [m].
+        weights: (V, 5, 3) how far vertices go with each bone; None: the fingers keep their bends, and P is ``RIGID``.
+    """
+
+    given: HandTrack
+    middle: Float[ndarray, "3"]
+    weights: Float[ndarray, "V 5 3"] | None
+
+    @staticmethod
+    def of(hand: HandTrack) -> HandErrors:
+        """All the errors that a hand can have; one without joints has rigid ones only."""
+        return HandErrors(hand, hand.vertices.mean(axis=(0, 1)), None if hand.joints is None else finger_weights(hand))
+
+    @property
+    def rigid(self) -> HandErrors:
+        """The same without bends."""
+        return replace(self, weights=None)
+
+    @property
+    def size(self) -> int:
+        """How many numbers each frame has."""
+        return RIGID if self.weights is None else BENDS.stop
+
+    def take(self, index: Int[ndarray, "n"]) -> HandErrors:
+        """The hand at some of its frames."""
+        hand = self.given
+        joints = None if hand.joints is None else hand.joints[index]
+        taken = replace(hand, vertices=hand.vertices[index], T_cam_hand=hand.T_cam_hand[index], joints=joints)
+        return replace(self, given=taken)
+
+    def T_cam_hand(self, x: Float[ndarray, "N P"]) -> Float[ndarray, "N 4 4"]:
+        """Poses of the corrected hand."""
+        R = se3.exp_so3(x[:, TURN])
+        return self.given.T_cam_hand @ se3.rigid(R, self.middle + x[:, SHIFT] - R @ self.middle)
+
+    def surface(self, x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N V 3"], Float[ndarray, "N 21 3"] | None]:
+        """Vertices and joints in the corrected hand's frame, in the size and with the bends that explain it best."""
+        vertices, joints = self.given.vertices, self.given.joints
+        if self.weights is not None and joints is not None:
+            vertices, joints = bent(vertices, joints, self.weights, x[:, BENDS].reshape(-1, 5, 3))
+        size = np.exp(x[:, SIZE, None, None])
+        return (
+            self.middle + size * (vertices - self.middle),
+            None if joints is None else self.middle + size * (joints - self.middle),
+        )
+
+    def jacobian(
+        self,
+        x: Float[ndarray, "N P"],
+        vertices: Float[ndarray, "N V 3"],
+        joints: Float[ndarray, "N 21 3"] | None,
+        nearest: Int[ndarray, "N M"],
+        along: Float[ndarray, "N M 3"],
+    ) -> Float[ndarray, "N M P"]:
+        """Derivative, by the errors, of how far points of the ``surface`` move.
+
+        ``nearest`` is the vertex that each of M points goes with, ``along`` the direction that counts, in the camera
+        frame.
+        """
+        turn = se3.exp_so3(x[:, TURN])
+        in_given = along @ self.given.T_cam_hand[:, :3, :3]
+        X = np.take_along_axis(vertices, nearest[..., None], axis=1)
+        arm = (X - self.middle) @ np.swapaxes(turn, 1, 2)
+        J = np.empty((*nearest.shape, x.shape[1]))
+        J[..., TURN] = np.cross(arm, in_given) @ se3.left_jacobian(x[:, TURN])
+        J[..., SHIFT] = in_given
+        J[..., SIZE] = np.sum(arm * in_given, axis=-1)
+        if self.weights is None or joints is None or self.given.joints is None:
+            return J
+        in_hand = in_given @ turn
+        moment = np.cross(X, in_hand)
+        axes = hinges(self.given.joints)  # those of a finger are parallel: bends do not turn them
+        beyond = np.cumsum(self.weights[..., ::-1], axis=-1)[..., ::-1]  # what moves with a joint
+        for f, chain in enumerate(CHAINS):
+            # Turning X about the axis a through p moves it by a x (X - p), along n by a . (X x n) - (a x p) . n.
+            about_origin = (moment @ axes[:, f, :, None])[..., 0]
+            offset = in_hand @ np.swapaxes(np.cross(axes[:, f, None], joints[:, chain[:3]]), 1, 2)
+            first = BENDS.start + 3 * f
+            J[..., first : first + 3] = beyond[nearest, f] * (about_origin[..., None] - offset)
+        return J

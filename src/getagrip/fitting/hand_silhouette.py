@@ -1,0 +1,159 @@
+"""The hand's silhouette against its own pixels: which pixels those are, and in how many of them the two differ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int, UInt64
+from numpy import ndarray
+
+from getagrip.clip import Clip, HandTrack, Masks
+from getagrip.fitting.hand_errors import HandErrors
+from getagrip.fitting.observation import signed_distance
+from getagrip.geometry import se3
+from getagrip.geometry.camera import crops_of_boxes, project
+from getagrip.geometry.mesh import edge_table
+from getagrip.kernels.contour import DISTANCE, NX, NY, WEIGHT, U, V, Z
+from getagrip.kernels.hand import contours
+from getagrip.kernels.silhouette import pack, unpack
+
+SIZE = 128
+"""Side of the crops [px]; a hand is half as large. Resampled directly: a reduced mask is a little too large."""
+EXPAND = 1.8
+"""Side of the crops in the largest side of a given hand's box."""
+STEP = 4.0
+"""Distance of contour points [px]."""
+DELTA = 1.0
+"""Distances below this count as this in the curvature [px]."""
+MOST_POINTS = 200
+REACH = 16
+"""Ignored pixels farther than this from the given hand may be anything else [px]: a quarter of a hand."""
+WRIST, MIDDLE = 0, 9
+"""Joints: wrist, and knuckle of the middle finger."""
+
+
+@dataclass(frozen=True)
+class HandMask:
+    """The hand's own pixels in N frames, in crops about the given hand.
+
+    Attributes:
+        K: (N, 4) fx, fy, cx, cy of the crops [px].
+        observed: (N, n, words) the hand's pixels, as bits.
+        valid: (N, n, words) pixels that are known to be the hand's or not: not those of the object, which may hide the
+            hand, not ignored pixels far from the given hand, and not those beyond its wrist, where an arm is.
+        field: (N, n, n) signed distance to the visible contour [px].
+    """
+
+    K: Float[ndarray, "N 4"]
+    observed: UInt64[ndarray, "N _ _"]
+    valid: UInt64[ndarray, "N _ _"]
+    field: Float32[ndarray, "N _ _"]
+
+    @staticmethod
+    def of(clip: Clip, masks: Masks) -> HandMask:
+        """The pixels of a clip's hand, from the ignored ones."""
+        uv = project(clip.K, se3.transform(clip.hand.T_cam_hand, clip.hand.vertices))
+        crops = crops_of_boxes(np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1), EXPAND, SIZE)
+        K = crops.intrinsics(clip.K)
+        # The border of the object's mask is the object's or the hand's: nobody knows to a pixel.
+        objects = np.stack([cv2.dilate(m.view(np.uint8), np.ones((3, 3), np.uint8)) for m in masks.object]).view(bool)
+        hand = crops.resample(masks.ignore & ~objects, outside=False)
+        valid = ~crops.resample(objects, outside=True)
+        fxfycxcy = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], axis=1)
+        near = _near(_given_bits(clip.hand, fxfycxcy))
+        valid &= (near | ~hand) & ~_beyond_wrist(clip.hand, K)
+        hand &= valid
+        field = np.stack([signed_distance(h, v) for h, v in zip(hand, valid, strict=True)])
+        return HandMask(fxfycxcy, pack(hand), pack(valid), field)
+
+    def take(self, index: Int[ndarray, "n"]) -> HandMask:
+        """The masks of some of the frames."""
+        return HandMask(self.K[index], self.observed[index], self.valid[index], self.field[index])
+
+    @cached_property
+    def pixels(self) -> int:
+        """How many pixels of the hand are seen, in all frames."""
+        return int(unpack(self.observed, SIZE).sum())
+
+
+@dataclass(frozen=True)
+class HandSilhouette:
+    """A hand's errors, and the mask that tells them."""
+
+    errors: HandErrors
+    mask: HandMask
+    edges: Int[ndarray, "4 E"]
+
+    @staticmethod
+    def of(clip: Clip, masks: Masks) -> HandSilhouette:
+        """Of a clip and its masks."""
+        return HandSilhouette(HandErrors.of(clip.hand), HandMask.of(clip, masks), _edges(clip.hand))
+
+    @property
+    def rigid(self) -> HandSilhouette:
+        """The same, but fingers keep their bends."""
+        return replace(self, errors=self.errors.rigid)
+
+    def take(self, index: Int[ndarray, "n"]) -> HandSilhouette:
+        """The same at some of the frames."""
+        return replace(self, errors=self.errors.take(index), mask=self.mask.take(index))
+
+    def __call__(
+        self, x: Float[ndarray, "N P"]
+    ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
+        """Pixels of each frame in which silhouette and mask differ, gradient and Gauss-Newton Hessian by the errors."""
+        vertices, joints = self.errors.surface(x)
+        in_camera = se3.transform(self.errors.T_cam_hand(x), vertices)
+        value, points, nearest, _ = _contours(in_camera, self.errors.given, self.edges, self.mask)
+        z, (fx, fy, cx, cy) = np.maximum(points[:, Z], 1e-6), self.mask.K.T[..., None]
+        nx, ny = points[:, NX] / z, points[:, NY] / z
+        depth = -(nx * (points[:, U] - cx) + ny * (points[:, V] - cy))
+        J = self.errors.jacobian(x, vertices, joints, nearest, np.stack([nx * fx, ny * fy, depth], axis=-1))
+        hJ = np.swapaxes(points[:, WEIGHT, :, None] * J, 1, 2)
+        return value, (hJ @ points[:, DISTANCE, :, None])[..., 0], hJ @ J
+
+
+def _contours(
+    vertices: Float[ndarray, "N V 3"], hand: HandTrack, edges: Int[ndarray, "4 E"], mask: HandMask
+) -> tuple[Float[ndarray, "N"], Float[ndarray, "N 7 M"], Int[ndarray, "N M"], UInt64[ndarray, "N _ _"]]:
+    """What ``kernels.hand.contours`` fills in: value, points, nearest, bits."""
+    N = len(vertices)
+    value, points, nearest = np.empty(N), np.empty((N, 7, MOST_POINTS)), np.empty((N, MOST_POINTS), np.int64)
+    bits = np.empty_like(mask.observed)
+    contours(
+        np.ascontiguousarray(np.swapaxes(vertices, 1, 2)), hand.faces, edges, bool(np.all(edges[3] < len(hand.faces))),
+        mask.K, mask.observed, mask.valid, mask.field, STEP, DELTA, bits, value, points, nearest,
+    )  # fmt: skip
+    return value, points, nearest, bits
+
+
+def _edges(hand: HandTrack) -> Int[ndarray, "4 E"]:
+    return np.ascontiguousarray(edge_table(hand.faces).T)
+
+
+def _given_bits(hand: HandTrack, K: Float[ndarray, "N 4"]) -> UInt64[ndarray, "N _ _"]:
+    """The given hand's silhouette in the crops."""
+    N = len(K)
+    nothing = np.zeros((N, SIZE, SIZE // 64), np.uint64)
+    unseen = HandMask(K, nothing, nothing, np.zeros((N, SIZE, SIZE), np.float32))
+    return _contours(se3.transform(hand.T_cam_hand, hand.vertices), hand, _edges(hand), unseen)[3]
+
+
+def _near(bits: UInt64[ndarray, "N _ _"]) -> Bool[ndarray, "N n n"]:
+    """Pixels at most ``REACH`` from a silhouette."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * REACH + 1, 2 * REACH + 1))
+    return np.stack([cv2.dilate(m.view(np.uint8), disc) for m in unpack(bits, SIZE)]).view(bool)
+
+
+def _beyond_wrist(hand: HandTrack, K: Float[ndarray, "N 3 3"]) -> Bool[ndarray, "N n n"]:
+    """Pixels on the arm's side of the wrist; none where the joints are not known."""
+    if hand.joints is None:
+        return np.zeros((len(K), SIZE, SIZE), dtype=bool)
+    wrist, knuckle = np.moveaxis(project(K, se3.transform(hand.T_cam_hand, hand.joints[:, [WRIST, MIDDLE]])), 1, 0)
+    v, u = np.mgrid[:SIZE, :SIZE] + 0.5
+    return np.stack(
+        [(u - x) * du + (v - y) * dv > 0.0 for (x, y), (du, dv) in zip(wrist, wrist - knuckle, strict=True)]
+    )

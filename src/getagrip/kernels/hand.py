@@ -1,0 +1,60 @@
+"""Silhouettes of a mesh that has another shape in every frame, a hand's, against masks, and their contour points.
+
+The kernels of ``silhouette`` and ``contour`` do the work. Here the mesh comes as vertices in the camera frame, and each
+contour point says which vertex it goes with.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from getagrip.kernels.contour import WEIGHT, U, V, Z, sample_contour, sample_field
+from getagrip.kernels.silhouette import NEAR, OPTIONS, PLANES, mismatch, project, rasterise, silhouette_edges
+
+
+@njit(**OPTIONS)
+def contours(vertices, faces, edges, closed, K, observed, valid, field, step, delta, bits, value, points, nearest):
+    """Fill in, per frame, the silhouette's bits (N, n, words), value (N,), its pixels that differ from the mask where
+    valid, points (N, 7, M) (``kernels.contour``; weight 0 where there are no more), and nearest (N, M), the vertex
+    nearest to each point.
+
+    vertices (N, 3, V) are in the camera frame, faces (F, 3) and edges (4, E) those of the mesh, field (N, n, n) is the
+    signed distance to the mask's contour, all at one resolution. Too near to the camera, a hand has infinite value.
+    """
+    uvz = np.empty((3, vertices.shape[2]))
+    planes = np.zeros((4, len(faces)))
+    sign = np.empty(len(faces) + 1, np.int64)
+    edge = np.empty((3, edges.shape[1] + 1), np.int64)
+    counters = np.empty((PLANES, observed.shape[1], observed.shape[2]), np.uint64)
+    here, origin = np.eye(3), np.zeros(3)
+    for n in range(len(vertices)):
+        X = vertices[n]
+        points[n] = 0.0
+        nearest[n] = 0
+        if project(X, here, origin, 1.0, K[n], uvz) < NEAR:
+            bits[n] = np.uint64(0)
+            value[n] = np.inf
+            continue
+        for f in range(len(faces)):  # for a camera at the origin, the sign of the triple product is the face's side
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            bx, by, bz = X[0, b] - X[0, a], X[1, b] - X[1, a], X[2, b] - X[2, a]
+            cx, cy, cz = X[0, c] - X[0, a], X[1, c] - X[1, a], X[2, c] - X[2, a]
+            planes[3, f] = -(
+                X[0, a] * (by * cz - bz * cy) + X[1, a] * (bz * cx - bx * cz) + X[2, a] * (bx * cy - by * cx)
+            )
+        count = silhouette_edges(planes, edges, here, origin, 1.0, sign, edge)
+        rasterise(uvz, edge, count, closed, 1.0, counters, bits[n])
+        value[n] = mismatch(bits[n], observed[n], valid[n])
+        found = sample_contour(uvz, edge, count, 1.0, step, bits[n], valid[n], points[n])
+        sample_field(points[n], found, field[n], 1.0, step, delta)
+        points[n, WEIGHT, found:] = 0.0
+        for k in range(found):
+            u, v, z = points[n, U, k], points[n, V, k], points[n, Z, k]
+            least = np.inf
+            for i in range(uvz.shape[1]):
+                du, dv, dz = (uvz[0, i] - u) * z / K[n, 0], (uvz[1, i] - v) * z / K[n, 1], uvz[2, i] - z
+                d = du * du + dv * dv + dz * dz
+                if d < least:
+                    least = d
+                    nearest[n, k] = i

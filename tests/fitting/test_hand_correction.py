@@ -1,0 +1,140 @@
+"""Laws of the hand's correction: derivatives, nothing at the truth, known errors found, the prior without pixels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy import ndarray
+
+from getagrip.clip import Clip, HandTrack, Masks
+from getagrip.datasets.synthetic.noise import Noise, noisy_hand
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.fitting.hand_correction import correct_hand
+from getagrip.fitting.hand_errors import HandErrors
+from getagrip.fitting.hand_silhouette import SIZE, HandMask, HandSilhouette
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import prepare
+from getagrip.geometry import se3
+from getagrip.geometry.depth import covered
+from getagrip.kernels.silhouette import unpack
+
+CONSTANT = Noise(hand_bias_deg=8.0, hand_bias_mm=10.0)
+
+
+@pytest.fixture(scope="module")
+def made() -> tuple[Clip, Masks]:
+    return synthesise("can", 0, SceneOptions(frames=6, size=(320, 240), focal=300.0))
+
+
+def off(clip: Clip, noise: Noise) -> Clip:
+    return replace(clip, hand=noisy_hand(clip, noise, np.random.default_rng(3)))
+
+
+def apart(clip: Clip, T_cam_hand: ndarray) -> tuple[float, float]:
+    """Mean angle [degrees] to the true hand, and mean distance of its middle across the line of sight [mm]."""
+    assert clip.truth is not None
+    true, middle = clip.truth.T_cam_hand, clip.truth.hand_vertices.mean(axis=(0, 1))[None]
+    there = se3.transform(true, middle)[:, 0]
+    d = se3.transform(T_cam_hand, middle)[:, 0] - there
+    ray = there / np.linalg.norm(there, axis=1, keepdims=True)
+    across = np.linalg.norm(d - np.sum(d * ray, axis=1, keepdims=True) * ray, axis=1)
+    return np.degrees(se3.angle_between(T_cam_hand[:, :3, :3], true[:, :3, :3])).mean(), 1e3 * across.mean()
+
+
+@pytest.mark.parametrize("number", range(22))
+def test_points_move_as_the_jacobian_says(made: tuple[Clip, Masks], number: int) -> None:
+    errors = HandErrors.of(made[0].hand).take(np.arange(2))
+    rng = np.random.default_rng(number)
+    x = 0.02 * rng.standard_normal((2, errors.size))
+    nearest = rng.integers(errors.given.vertices.shape[1], size=(2, 40))
+    along = rng.standard_normal((2, 40, 3))
+
+    def place(x: ndarray) -> ndarray:
+        moved = se3.transform(errors.T_cam_hand(x), errors.surface(x)[0])
+        return np.sum(np.take_along_axis(moved, nearest[..., None], axis=1) * along, axis=-1)
+
+    step = 1e-5 * np.eye(errors.size)[number]
+    J = errors.jacobian(x, *errors.surface(x), nearest, along)[..., number]
+    # Bends: blended vertices move nearly, not exactly, about the finger's axis.
+    tolerance = 1e-6 if number < 7 else 2e-3
+    np.testing.assert_allclose((place(x + step) - place(x - step)) / 2e-5, J, atol=tolerance)
+
+
+def test_at_the_truth_hardly_a_pixel_differs(
+    made: tuple[Clip, Masks],
+) -> None:
+    clip, masks = made
+    seen = HandSilhouette.of(clip, masks)
+    value, g, H = seen(np.zeros((len(clip), seen.errors.size)))
+    assert value.sum() < 0.03 * seen.mask.pixels  # resampled pixels, no more
+    assert g.shape == (6, 22)
+    assert H.shape == (6, 22, 22)
+    drawn = covered(se3.transform(clip.hand.T_cam_hand, clip.hand.vertices)[0], clip.hand.faces, clip.K[0], clip.size)
+    assert unpack(seen.mask.observed, SIZE)[0].any() == (masks.ignore[0] & drawn).any()
+
+
+def test_a_true_hand_is_left_alone(made: tuple[Clip, Masks]) -> None:
+    assert correct_hand(*made) is None
+    problem = prepare(*made, Options())
+    assert not problem.hand_corrected
+    np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, made[0].hand.T_cam_hand)
+
+
+def test_a_constant_error_is_found(made: tuple[Clip, Masks]) -> None:
+    clip = off(made[0], CONSTANT)
+    found = correct_hand(clip, made[1])
+    assert found is not None
+    assert found.after < 0.3 * found.before
+    before, after = apart(clip, clip.hand.T_cam_hand), apart(clip, found.T_cam_hand)
+    assert after[0] < 0.5 * before[0]
+    assert after[1] < 0.3 * before[1]
+    assert f"{100 * found.before:.0f} %" in str(found)
+
+
+def test_without_joints_the_hand_is_corrected_as_a_rigid_one(made: tuple[Clip, Masks]) -> None:
+    clip = off(made[0], CONSTANT)
+    clip = replace(clip, hand=replace(clip.hand, joints=None))
+    found = correct_hand(clip, made[1])
+    assert found is not None
+    assert apart(clip, found.T_cam_hand)[1] < 0.3 * apart(clip, clip.hand.T_cam_hand)[1]
+
+
+def test_without_pixels_the_prior_decides(made: tuple[Clip, Masks]) -> None:
+    clip = off(made[0], CONSTANT)
+    assert correct_hand(clip, Masks(made[1].object, np.zeros_like(made[1].ignore))) is None
+
+
+def test_pixels_that_are_not_the_hand_move_nothing(made: tuple[Clip, Masks]) -> None:
+    clip, masks = made
+    everything = Masks(masks.object, ~masks.object)
+    assert correct_hand(clip, everything) is None
+    far = np.zeros_like(masks.ignore)
+    far[:, :20, :20] = True
+    assert HandMask.of(clip, Masks(masks.object, masks.ignore | far)).pixels == HandMask.of(clip, masks).pixels
+
+
+def test_the_arm_says_nothing(made: tuple[Clip, Masks]) -> None:
+    clip, masks = made
+    hand: HandTrack = clip.hand
+    assert hand.joints is not None
+    wrist = se3.transform(hand.T_cam_hand, hand.joints[:, [0, 9]])
+    arm = Masks(masks.object, masks.ignore.copy())
+    for n, K in enumerate(clip.K):
+        (u0, v0), (u1, v1) = (wrist[n] @ K.T)[:, :2] / wrist[n][:, 2:]
+        for t in np.linspace(0.3, 2.0, 60):
+            u, v = int(u0 + t * (u0 - u1)), int(v0 + t * (v0 - v1))
+            arm.ignore[n, max(v - 3, 0) : v + 3, max(u - 3, 0) : u + 3] = True
+    assert (arm.ignore & ~masks.ignore).any()
+    assert correct_hand(clip, arm) is None
+
+
+def test_as_given_leaves_everything_as_it_is(made: tuple[Clip, Masks]) -> None:
+    clip = off(made[0], CONSTANT)
+    assert prepare(clip, made[1], Options()).hand_corrected
+    for options in (Options(hands="as-given"), Options(method="paper")):
+        problem = prepare(clip, made[1], options)
+        assert not problem.hand_corrected
+        np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, clip.hand.T_cam_hand)
