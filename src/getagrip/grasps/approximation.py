@@ -107,6 +107,14 @@ def pose_hinge(
         return _refined(best, R, c, through, LONGEST)
 
 
+def nearby_hinge(start: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> AxisRotation:
+    """The hinge to which a few steps lead from a good guess; several times as quick as ``pose_hinge``."""
+    import scipy.optimize  # noqa: F401  (as above)
+
+    with threadpool_limits(1, user_api="blas"):
+        return _refined(start, R, c, None, TRIAL)
+
+
 def _circles(
     R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float, through: Float[ndarray, "3"] | None
 ) -> Iterator[AxisRotation]:

@@ -59,7 +59,11 @@ class Residual:
     @staticmethod
     def of(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float) -> Residual:
         """Of rotations and positions of the centre [m] of an object of some size [m] (``study.object_in_hand``)."""
-        hinge = pose_hinge(R, c, size)
+        return Residual.beside(pose_hinge(R, c, size), R, c)
+
+    @staticmethod
+    def beside(hinge: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> Residual:
+        """Beside a hinge that is known."""
         angle = np.unwrap(hinge.angles(R, c))
         R_hinge, c_hinge = hinge.at(angle)
         axes = hinge_axes(hinge.direction, se3.exp_so3(np.median(angle) * hinge.direction) @ hinge.arm)

@@ -1,7 +1,7 @@
 """Synthetic clips with ground truth: a generic hand holds a procedural object in front of a moving, egocentric camera.
 
-The grasp comes from contact (``grasp``); the object turns in the hand about a line near the contacts (Eq. 3 of the
-paper) and departs from that by a small smooth residual, and the fingers follow it; hand and head move smoothly.
+The grasp comes from contact (``grasp``); the object moves in the hand, almost about one axis or as was measured of real
+grasps, and the fingers follow it (``in_hand``); hand and head move smoothly.
 Everything is drawn for a right hand; the left hand's clip is its exact mirror image. The ground truth depends on the
 seed, the category and the options of the scene. Noise has its own random stream, so the same ground truth can be had
 with and without it (noise is not mirrored).
@@ -9,6 +9,7 @@ with and without it (noise is not mirrored).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -16,9 +17,11 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from getagrip.clip import Clip, HandTrack, Masks, Truth
+from getagrip.datasets.synthetic import in_hand
 from getagrip.datasets.synthetic.categories import CATEGORIES
-from getagrip.datasets.synthetic.egocentric import about, other_hand, seen_from_head, smooth
-from getagrip.datasets.synthetic.grasp import NEAR, Grasper, Grip, SignedDistance, looseness, thumb_miss, varied
+from getagrip.datasets.synthetic.deform import aligned, drawn
+from getagrip.datasets.synthetic.egocentric import other_hand, seen_from_head
+from getagrip.datasets.synthetic.grasp import Grasper, Grip, SignedDistance, looseness, varied
 from getagrip.datasets.synthetic.noise import perturbed
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import UsageError
@@ -27,11 +30,10 @@ from getagrip.geometry.camera import project
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.render import Surface, render_rgb, true_masks
 from getagrip.hands import generic
-from getagrip.hands.model import PosedHand, hand_track, mirrored
+from getagrip.hands.model import hand_track, mirrored
 from getagrip.result import Axis
 
-DEEPEST = 0.0035
-"""How deep the object may turn into the open hand [m]."""
+Shape = Callable[[Float[ndarray, "n 3"]], Float[ndarray, "n 3"]]
 DRAWS = 3
 """Grips to choose from, where they vary."""
 
@@ -100,18 +102,22 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
     rng, moves = np.random.default_rng([seed, *category.encode()]).spawn(2)
     stretch = 1.0 + options.vary * rng.uniform(-1.0, 1.0, 3)
     mean = kind.make()
-    held = Mesh(mean.vertices * stretch, mean.faces)
+    shaped = _shape(mean, stretch, category, seed, options)
+    held = Mesh(shaped(mean.vertices), mean.faces)
     grip = kind.grips[rng.integers(len(kind.grips))]
-    grip = replace(grip, at=tuple(stretch * grip.at + rng.normal(0.0, 0.002, 3)))
+    grip = replace(grip, at=tuple(shaped(np.array([grip.at]))[0] + rng.normal(0.0, 0.002, 3)))
     model = generic.load("right")
     hand = model.with_shape(rng.normal(0.0, 0.04, len(model.shape_names)))
     if options.grip_deg > 0.0:
-        grip = _drawn_grip(category, seed, stretch, options, Grasper(hand, SignedDistance(held), grip.hold))
+        grip = _drawn_grip(category, seed, shaped, options, Grasper(hand, SignedDistance(held), grip.hold))
     grasper = Grasper(hand, SignedDistance(held), grip.hold)
 
     T_base = grasper.approach(grip)
-    axis = _axis(grasper, T_base, options, rng)
-    T_hand_held, posed = _turned(grasper, T_base, axis, options, rng)
+    if options.motion == "measured":
+        moved = in_hand.measured(grasper, T_base, held, options.frames, _own_stream(category, seed, 3))
+    else:
+        moved = in_hand.hinge(grasper, T_base, options, rng)
+    T_hand_held, posed = moved.T_hand_obj, moved.posed
     middle = (posed.joints[:, 9].mean(axis=0) + se3.transform(T_hand_held, held.centre[None]).mean(axis=0)[0]) / 2.0
     T_cam_hand = seen_from_head(T_hand_held[0], middle, held.diameter, options.frames, moves)
     unknown = 1.0 if options.scale == "known" else float(rng.uniform(0.8, 1.25))
@@ -125,7 +131,7 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
         name=clip_name(category, seed, options),
         category=category,
         side="right",
-        fps=options.fps,
+        fps=options.frames / moved.duration if moved.duration else options.fps,
         frames=tuple(f"{n:06d}" for n in range(options.frames)),
         size=options.size,
         K=np.broadcast_to(K, (options.frames, 3, 3)).copy(),
@@ -137,34 +143,31 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
     )
     other = other_hand(grasper, T_cam_hand, middle, moves) if options.other_hand else None
     shown = Mesh(se3.transform(se3.inverse(T_held_cad), held.vertices), held.faces)
-    scene = Scene(clip, shown, axis, other, options)
+    scene = Scene(clip, shown, moved.axis, other, options)
     return scene if options.side == "right" else _mirror_image(scene)
 
 
-def aligned(cad: Mesh, held: Mesh, resize: bool) -> tuple[Float[ndarray, "4 4"], float]:
-    """``T_held_cad`` and the scale that bring a CAD nearest to the object that it stands for, vertex by vertex.
-
-    Minimised is sum_i a_i |x_i - (R s y_i + t)|^2 over corresponding vertices x of ``held`` and y of ``cad``, with a_i
-    the areas of ``held``; s stays 1 unless ``resize`` (Umeyama, "Least-squares estimation of transformation
-    parameters", 1991).
-    """
-    a = held.vertex_areas / held.vertex_areas.sum()
-    x0, y0 = a @ held.vertices, a @ cad.vertices
-    x, y = held.vertices - x0, cad.vertices - y0
-    R = se3.nearest_rotation((a[:, None] * x).T @ y)
-    size = float(np.sum(a[:, None] * x * (y @ R.T)) / np.sum(a[:, None] * y * y)) if resize else 1.0
-    return se3.rigid(R, x0 - size * R @ y0), size
+def _own_stream(category: str, seed: int, number: int) -> np.random.Generator:
+    """A random stream of a clip beside those that all clips draw from, which it leaves as they are."""
+    return np.random.default_rng([seed, *category.encode(), number])
 
 
-def _drawn_grip(
-    category: str, seed: int, stretch: Float[ndarray, "3"], options: SceneOptions, grasper: Grasper
-) -> Grip:
+def _shape(mean: Mesh, stretch: Float[ndarray, "3"], category: str, seed: int, options: SceneOptions) -> Shape:
+    """Where points of the category's mean shape are on the object."""
+    stretched = Mesh(mean.vertices * stretch, mean.faces)
+    if options.deform == 0.0:
+        return lambda X: X * stretch
+    deformation = drawn(stretched, options.deform, _own_stream(category, seed, 4))
+    return lambda X: deformation(X * stretch)
+
+
+def _drawn_grip(category: str, seed: int, shaped: Shape, options: SceneOptions, grasper: Grasper) -> Grip:
     """Any grip of the category, at random off the usual: of a few draws the one that holds the object best."""
     kind = CATEGORIES[category]
-    rng = np.random.default_rng([seed, *category.encode(), 2])
+    rng = _own_stream(category, seed, 2)
     grips = (*kind.grips, *kind.rarer)
     usual = grips[rng.integers(len(grips))]
-    usual = replace(usual, at=tuple(stretch * usual.at))
+    usual = replace(usual, at=tuple(shaped(np.array([usual.at]))[0]))
     grasper = replace(grasper, hold=usual.hold)
 
     def badness(grip: Grip) -> float:
@@ -174,51 +177,9 @@ def _drawn_grip(
     return min((varied(usual, options.grip_deg, 8.0, rng) for _ in range(DRAWS)), key=badness)
 
 
-def _turned(
-    grasper: Grasper, T_base: Float[ndarray, "4 4"], axis: Axis, options: SceneOptions, rng: np.random.Generator
-) -> tuple[Float[ndarray, "T 4 4"], PosedHand]:
-    """``T_hand_obj`` of the object as it turns about the axis, nearly, and the hand that follows it."""
-    line = se3.rotation_about_line(axis.point, axis.direction, axis.angle)
-    residual = about(
-        axis.point,
-        np.radians(options.residual_deg) * smooth(rng, options.frames, 3),
-        1e-3 * options.residual_mm * smooth(rng, options.frames, 3),
-    )
-    keys = np.linspace(axis.angle.min(), axis.angle.max(), 5)
-    T_keys = se3.rotation_about_line(axis.point, axis.direction, keys) @ T_base
-    closed = grasper.close(T_keys)
-    if thumb_miss(grasper.gaps(closed, T_keys)) > NEAR:
-        grasper = grasper.steered(closed, T_keys)
-        closed = grasper.close(T_keys)
-    bent = np.stack([np.interp(axis.angle, keys, joint) for joint in closed.reshape(len(keys), 15).T], axis=-1)
-    return residual @ line @ T_base, grasper.posed(bent.reshape(-1, 5, 3))
-
-
 def clip_name(category: str, seed: int, options: SceneOptions) -> str:
     """What the clip is called."""
     return f"{category}-{options.side}-{seed:04d}"
-
-
-def _axis(grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions, rng: np.random.Generator) -> Axis:
-    """A line near the contacts about which the object can turn with the least way into the open hand."""
-    closed = grasper.posed(grasper.close(T_base[None]))
-    gap = grasper.distance(se3.transform(se3.inverse(T_base), closed.vertices[0]))
-    contact = closed.vertices[0][gap < 0.003]
-    directions = rng.normal(size=(24, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    points = contact.mean(axis=0) + rng.normal(0.0, 0.008, (24, 3))
-    curve = smooth(rng, options.frames, 1)[:, 0]
-    curve = (curve - curve.min()) / np.ptp(curve) - 0.5
-    least, most = np.radians(options.turn_deg)
-    turn = rng.uniform(least, most)
-    while True:  # a smaller turn where every axis leads deep into the hand
-        ends = np.array([-0.5, 0.5]) * turn
-        T = se3.rotation_about_line(points[:, None], directions[:, None], ends) @ T_base
-        depth = -grasper.distance(se3.transform(se3.inverse(T), grasper.opened().vertices)).min(axis=(1, 2))
-        best = int(np.argmin(depth))
-        if depth[best] < DEEPEST or turn <= least:
-            return Axis(points[best], directions[best], turn * curve)
-        turn = max(0.8 * turn, least)
 
 
 def _mirror_image(scene: Scene) -> Scene:

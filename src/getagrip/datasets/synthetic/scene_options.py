@@ -25,21 +25,25 @@ class SceneOptions(Noise):
         jitter_memory_s: time after which the correlation of the jitter has fallen to 1/e [s]; zero: new in every frame.
         mask_ragged_px: root mean square distance of the masks' boundaries from the true ones [px].
         frames: number of frames, at least 2.
-        fps: frames per second.
+        fps: frames per second; where motion is measured, the duration is drawn instead.
         size: width and height of the images [px].
         focal: focal length [px].
         side: ``left`` or ``right`` hand.
         scale: ``known``: the mesh of the clip has the size of the object. ``free``: it is divided by an unknown scale
             between 0.8 and 1.25.
         vary: largest share by which each axis of the object is stretched or shrunk.
+        deform: root mean square distance by which a smooth deformation besides displaces the object's surface, as a
+            share of its diameter.
         cad: ``exact``: the mesh of the clip has the shape of the object. ``mean``: it has the mean shape of the
             category.
         grip_deg: root mean square rotation of the object in the hand away from a usual grip [degrees]; above zero,
             rarer grips occur as well.
+        motion: of the object in the hand. ``hinge``: about one axis, nearly, as the next three say. ``measured``: drawn
+            from the statistics of real grasps.
         turn_deg: smallest and largest range of the angle about the axis over the clip [degrees].
         residual_deg: largest rotation of the object in the hand besides the one about the axis [degrees].
         residual_mm: largest translation of the object in the hand besides that of the axis [mm].
-        other_hand: (T, V, 3) vertices of the other hand in the camera frame [m]; None where it is not in the images.
+        other_hand: whether the other hand comes in front.
     """
 
     frames: int = 30
@@ -49,8 +53,10 @@ class SceneOptions(Noise):
     side: Literal["left", "right"] = "right"
     scale: Literal["known", "free"] = "known"
     vary: float = 0.08
+    deform: float = 0.0
     cad: Literal["exact", "mean"] = "exact"
     grip_deg: float = 0.0
+    motion: Literal["hinge", "measured"] = "hinge"
     turn_deg: tuple[float, float] = (10.0, 60.0)
     residual_deg: float = 1.0
     residual_mm: float = 1.0

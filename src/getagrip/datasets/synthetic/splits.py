@@ -23,6 +23,9 @@ PRESETS: dict[str, SceneOptions] = {
     "moderate": SceneOptions(**asdict(NOISE["moderate"])),
     "strong": SceneOptions(**asdict(NOISE["strong"])),
     "wild": SceneOptions(**asdict(NOISE["moderate"]), cad="mean", vary=0.15, scale="free"),
+    "measured": SceneOptions(
+        **asdict(NOISE["moderate"]), cad="mean", vary=0.15, deform=0.03, scale="free", motion="measured"
+    ),
 }
 """What is known: everything; hands and masks with noise; and in the wild no more than the mean shape, without its size.
 """
@@ -37,7 +40,8 @@ BOTH_HANDS = 0.3
 def split(name: Split, preset: str = "clean") -> list[tuple[str, int, SceneOptions]]:
     """Category, seed and options of every clip of a split, as ``synthesise`` takes them.
 
-    Left and right hands alternate. Grips vary, and the object departs from its axis by up to 4 degrees and 2 mm.
+    Left and right hands alternate. Grips vary, and the object departs from its axis by up to 4 degrees and 2 mm, except
+    in ``measured``.
     Raises ``UsageError`` for an unknown split or preset.
     """
     if name not in SEEDS:

@@ -1,0 +1,69 @@
+"""Smooth deformations of objects: the CAD model of a category has not the shape of the object in hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+
+WAVES = 6
+LENGTHS = (0.8, 2.0)
+"""Shortest and longest wave, in diameters of the object: long enough that the surface does not fold."""
+
+
+@dataclass(frozen=True)
+class Deformation:
+    """Points moved by a few sine waves.
+
+    Attributes:
+        waves: (W, 3) wave vectors [rad/m].
+        phase: (W,) phases [rad].
+        amplitude: (W, 3) displacements [m].
+    """
+
+    waves: Float[ndarray, "W 3"]
+    phase: Float[ndarray, "W"]
+    amplitude: Float[ndarray, "W 3"]
+
+    def __call__(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
+        """The points where they come to lie [m]."""
+        return X + np.sin(X @ self.waves.T + self.phase) @ self.amplitude
+
+
+def drawn(mesh: Mesh, share: float, rng: np.random.Generator) -> Deformation:
+    """A random deformation that leaves the mesh off by ``share`` of its diameter, root mean square over its surface.
+
+    Counted is what no similarity undoes.
+    """
+    waves = rng.normal(size=(WAVES, 3))
+    waves *= 2.0 * np.pi / (mesh.diameter * rng.uniform(*LENGTHS, (WAVES, 1)) * np.linalg.norm(waves, axis=1)[:, None])
+    unit = Deformation(waves, rng.uniform(0.0, 2.0 * np.pi, WAVES), 1e-3 * mesh.diameter * rng.normal(size=(WAVES, 3)))
+    deformed = Mesh(unit(mesh.vertices), mesh.faces)
+    return replace(unit, amplitude=unit.amplitude * share * mesh.diameter / misfit(mesh, deformed))
+
+
+def misfit(cad: Mesh, held: Mesh) -> float:
+    """Root mean square distance of corresponding points of the surfaces after the best similarity [m]."""
+    T, size = aligned(cad, held, resize=True)
+    off = np.sum((se3.transform(T, size * cad.vertices) - held.vertices) ** 2, axis=1)
+    return float(np.sqrt(held.vertex_areas @ off / held.vertex_areas.sum()))
+
+
+def aligned(cad: Mesh, held: Mesh, resize: bool) -> tuple[Float[ndarray, "4 4"], float]:
+    """``T_held_cad`` and the scale that bring a CAD nearest to the object that it stands for, vertex by vertex.
+
+    Minimised is sum_i a_i |x_i - (R s y_i + t)|^2 over corresponding vertices x of ``held`` and y of ``cad``, with a_i
+    the areas of ``held``; s stays 1 unless ``resize`` (Umeyama, "Least-squares estimation of transformation
+    parameters", 1991).
+    """
+    a = held.vertex_areas / held.vertex_areas.sum()
+    x0, y0 = a @ held.vertices, a @ cad.vertices
+    x, y = held.vertices - x0, cad.vertices - y0
+    R = se3.nearest_rotation((a[:, None] * x).T @ y)
+    size = float(np.sum(a[:, None] * x * (y @ R.T)) / np.sum(a[:, None] * y * y)) if resize else 1.0
+    return se3.rigid(R, x0 - size * R @ y0), size

@@ -1,0 +1,244 @@
+"""How the object moves in the hand, and how the fingers follow it.
+
+``hinge``: about one axis near the contacts (Eq. 3 of the paper), with a small smooth residual: almost what is fitted.
+
+``measured``: as objects moved in the hands of real people. How far it turns, how far it is off its best hinge, how long
+that takes and how far the axis is from the contacts are drawn from ``measured.MEASURED``; so are the shares of slow and
+of fast motion. What is drawn is scaled until ``grasps.motion`` measures the drawn numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.datasets.synthetic.egocentric import about, smooth
+from getagrip.datasets.synthetic.grasp import NEAR, Grasper, thumb_miss
+from getagrip.datasets.synthetic.measured import MEASURED
+from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.grasps.approximation import AxisRotation, nearby_hinge
+from getagrip.grasps.motion import JOINT, QUANTILES, MotionStatistics, Residual, bend, hinge_axes, spectrum
+from getagrip.hands.model import PosedHand
+from getagrip.result import Axis
+
+DEEPEST = 0.0035
+"""How deep the object may turn into the open hand [m], where the turn is not measured."""
+AXES = 24
+"""Axes to choose from."""
+KEYS = 7
+"""Frames in which fingers are closed about a measured motion; between them they move evenly."""
+UNUSUAL = 2.0
+"""No drawn number is further from the mean than this, in standard deviations."""
+ROUNDS, SCALED = 6, 2
+"""Of correcting a drawn motion, and how many of them, the last, correct its sizes only."""
+TRIES, CLOSE = 4, 0.1
+"""Motions that are drawn until the sizes of one are as close as this to those asked for, as logarithms."""
+
+
+@dataclass(frozen=True)
+class InHand:
+    """The object in the hand over a clip.
+
+    Attributes:
+        T_hand_obj: (T, 4, 4) its poses.
+        axis: the axis that it turns about; of a measured motion, that of its best hinge.
+        posed: the hand that holds it.
+        duration: time that it takes [s]; None: as long as the clip's frames last.
+    """
+
+    T_hand_obj: Float[ndarray, "T 4 4"]
+    axis: Axis
+    posed: PosedHand
+    duration: float | None
+
+
+def hinge(grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions, rng: np.random.Generator) -> InHand:
+    """Nearly a rotation about one axis."""
+    axis = _turning_axis(grasper, T_base, options, rng)
+    line = se3.rotation_about_line(axis.point, axis.direction, axis.angle)
+    residual = about(
+        axis.point,
+        np.radians(options.residual_deg) * smooth(rng, options.frames, 3),
+        1e-3 * options.residual_mm * smooth(rng, options.frames, 3),
+    )
+    keys = np.linspace(axis.angle.min(), axis.angle.max(), 5)
+    posed = _held(grasper, se3.rotation_about_line(axis.point, axis.direction, keys) @ T_base, keys, axis.angle)
+    return InHand(residual @ line @ T_base, axis, posed, None)
+
+
+def measured(
+    grasper: Grasper, T_base: Float[ndarray, "4 4"], held: Mesh, frames: int, rng: np.random.Generator
+) -> InHand:
+    """A motion drawn from the statistics of one of the datasets in ``MEASURED``."""
+    statistics = list(MEASURED.values())[rng.integers(len(MEASURED))]
+    areas = held.vertex_areas / held.vertex_areas.sum()
+    centre = areas @ held.vertices
+    size = float(np.sqrt(areas @ np.sum((held.vertices - centre) ** 2, axis=1) / 3.0))
+    drawn = draw(statistics, rng)
+    around = rng.normal(size=(AXES, 2, 3))
+    directions = around[:, 0] / np.linalg.norm(around[:, 0], axis=1, keepdims=True)
+    off = np.cross(directions, around[:, 1])
+    points = _contact(grasper, T_base) + drawn["pivot"] * off / np.linalg.norm(off, axis=1, keepdims=True)
+    best = np.argmin(_depth(grasper, T_base, points, directions, drawn["turn"]))
+    sizes = np.array([drawn[name] for name in ("turn", "rotation", "place")])
+    arm = se3.transform(T_base, centre[None])[0] - points[best]
+    start = AxisRotation(T_base[:3, :3], directions[best], points[best], arm, size)
+    R, c, residual = motion(start, sizes, statistics, frames, rng)
+    T = se3.rigid(R, c - R @ centre)
+    keys = np.linspace(0.0, frames - 1.0, min(KEYS, frames)).round()
+    posed = _held(grasper, T[keys.astype(int)], keys, np.arange(float(frames)))
+    axis = Axis(residual.hinge.point, residual.hinge.direction, residual.angle)
+    return InHand(T, axis, posed, drawn["duration"])
+
+
+def draw(statistics: MotionStatistics, rng: np.random.Generator) -> dict[str, float]:
+    """Numbers of one grasp, in SI units: the measures of ``JOINT``."""
+    root = np.linalg.cholesky(statistics.log_covariance)
+    while np.abs(z := rng.normal(size=len(JOINT))).max() > UNUSUAL:
+        pass
+    return dict(zip(JOINT, np.exp(statistics.log_mean + root @ z).tolist(), strict=True))
+
+
+def motion(
+    start: AxisRotation,
+    sizes: Float[ndarray, "3"],
+    statistics: MotionStatistics,
+    frames: int,
+    rng: np.random.Generator,
+) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"], Residual]:
+    """Rotations and positions of the centre [m] about a hinge, with the spectra of some statistics; and their residual.
+
+    ``sizes`` are what ``Residual.sizes`` is to find. It may find another hinge, and others: the best of a few motions.
+    """
+    best, least = None, np.inf
+    for _ in range(TRIES):
+        R, c = _motion(start, sizes, statistics, frames, rng)
+        residual = Residual.of(R, c, start.size)
+        off = np.abs(np.log(residual.sizes / sizes)).max()
+        if best is None or off < least:
+            best, least = (R, c, residual), off
+        if least < CLOSE:
+            break
+    assert best is not None
+    return best
+
+
+def _motion(
+    start: AxisRotation,
+    sizes: Float[ndarray, "3"],
+    statistics: MotionStatistics,
+    frames: int,
+    rng: np.random.Generator,
+) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"]]:
+    """One of the motions."""
+    axes = hinge_axes(start.direction, start.arm)
+    angle = _curves(statistics.angle, frames, 1, rng)[:, 0]
+    rotation = _curves(statistics.rotation, frames, 3, rng) * np.sqrt(statistics.rotation_shares) @ axes.T
+    place = _curves(statistics.place, frames, 3, rng) * np.sqrt(statistics.place_shares) @ axes.T
+    towards, bent = axes[:, 1:] @ rng.normal(size=2), statistics.quantiles["bend"][QUANTILES.index(50)]
+    scale = sizes / [np.ptp(angle), *(np.sqrt(np.mean(np.sum(x**2, axis=1))) for x in (rotation, place))]
+    hinge = start
+    for k in range(ROUNDS):
+        R, c = start.at(scale[0] * angle)
+        R, c = se3.exp_so3(scale[1] * rotation) @ R, c + scale[2] * place
+        hinge = nearby_hinge(hinge, R, c)
+        residual = Residual.beside(hinge, R, c)
+        scale = scale * sizes / residual.sizes
+        if k < ROUNDS - SCALED:
+            place = _equalised(place, residual.place, statistics.place)
+            rotation = _equalised(rotation, residual.rotation, statistics.rotation)
+            rotation = _bent(rotation, angle, bent - bend(residual), towards)
+    return R, c
+
+
+def _equalised(
+    drawn: Float[ndarray, "T 3"], found: Float[ndarray, "T 3"], wanted: tuple[float, ...]
+) -> Float[ndarray, "T 3"]:
+    """A curve whose frequencies are amplified where less of them is found than wanted: the best hinge takes some."""
+    from scipy.fft import dct, idct
+
+    gain = np.sqrt(np.array(wanted) / np.maximum(spectrum(found), 1e-6)).clip(0.7, 1.4)
+    each = gain[np.minimum(np.arange(len(drawn) - 1), len(gain) - 1)]
+    amplitudes = dct(drawn, axis=0, norm="ortho")
+    amplitudes[1:] *= each[:, None]
+    return np.asarray(idct(amplitudes, axis=0, norm="ortho"))
+
+
+def _bent(
+    rotation: Float[ndarray, "T 3"], angle: Float[ndarray, "T"], share: float, towards: Float[ndarray, "3"]
+) -> Float[ndarray, "T 3"]:
+    """A rotation with a share that goes with the square of the angle, if it is above zero: so the axis drifts."""
+    powers = np.vander(angle - angle.mean(), 3)
+    parabola = powers[:, 0] - powers[:, 1:] @ np.linalg.lstsq(powers[:, 1:], powers[:, 0], rcond=None)[0]
+    more = np.sqrt(max(0.0, share) * np.sum(rotation**2) / (np.sum(parabola**2) * np.sum(towards**2)))
+    return rotation + more * parabola[:, None] * towards
+
+
+def _curves(wanted: tuple[float, ...], frames: int, count: int, rng: np.random.Generator) -> Float[ndarray, "T count"]:
+    """Random curves of a spectrum (``grasps.motion.spectrum``), its last share spread over all that is faster."""
+    from scipy.fft import idct
+
+    last = len(wanted) - 1
+    shares = np.zeros(max(frames - 1, last + 1))
+    shares[:last] = wanted[:last]
+    shares[last:] = wanted[last] / len(shares[last:])
+    amplitudes = np.zeros((frames, count))
+    towards = rng.normal(size=(frames - 1, count))
+    amplitudes[1:] = np.sqrt(shares[: frames - 1, None]) * towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    return np.asarray(idct(amplitudes, axis=0, norm="ortho"))
+
+
+def _held(
+    grasper: Grasper, T_keys: Float[ndarray, "K 4 4"], keys: Float[ndarray, "K"], at: Float[ndarray, "T"]
+) -> PosedHand:
+    """The hand with its fingers closed about the object in some poses, and between them in between."""
+    closed = grasper.close(T_keys)
+    if thumb_miss(grasper.gaps(closed, T_keys)) > NEAR:
+        grasper = grasper.steered(closed, T_keys)
+        closed = grasper.close(T_keys)
+    bent = np.stack([np.interp(at, keys, joint) for joint in closed.reshape(len(keys), 15).T], axis=-1)
+    return grasper.posed(bent.reshape(-1, 5, 3))
+
+
+def _contact(grasper: Grasper, T_base: Float[ndarray, "4 4"]) -> Float[ndarray, "3"]:
+    """The middle of what touches the object in its base pose [m]."""
+    closed = grasper.posed(grasper.close(T_base[None]))
+    gap = grasper.distance(se3.transform(se3.inverse(T_base), closed.vertices[0]))
+    return np.asarray(closed.vertices[0][gap < 0.003].mean(axis=0))
+
+
+def _depth(
+    grasper: Grasper,
+    T_base: Float[ndarray, "4 4"],
+    points: Float[ndarray, "A 3"],
+    directions: Float[ndarray, "A 3"],
+    turn: float,
+) -> Float[ndarray, "A"]:
+    """How deep the object turns into the open hand about some axes [m]."""
+    ends = np.array([-0.5, 0.5]) * turn
+    T = se3.rotation_about_line(points[:, None], directions[:, None], ends) @ T_base
+    return np.asarray(-grasper.distance(se3.transform(se3.inverse(T), grasper.opened().vertices)).min(axis=(1, 2)))
+
+
+def _turning_axis(
+    grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions, rng: np.random.Generator
+) -> Axis:
+    """A line near the contacts about which the object can turn with the least way into the open hand."""
+    directions = rng.normal(size=(AXES, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    points = _contact(grasper, T_base) + rng.normal(0.0, 0.008, (AXES, 3))
+    curve = smooth(rng, options.frames, 1)[:, 0]
+    curve = (curve - curve.min()) / np.ptp(curve) - 0.5
+    least, most = np.radians(options.turn_deg)
+    turn = rng.uniform(least, most)
+    while True:  # a smaller turn where every axis leads deep into the hand
+        depth = _depth(grasper, T_base, points, directions, turn)
+        best = int(np.argmin(depth))
+        if depth[best] < DEEPEST or turn <= least:
+            return Axis(points[best], directions[best], turn * curve)
+        turn = max(0.8 * turn, least)
