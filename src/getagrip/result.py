@@ -6,10 +6,10 @@ import platform
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
@@ -19,11 +19,14 @@ from getagrip.io import arrays, files
 from getagrip.io.array_data import ArrayData
 
 VERSION = 1
+FrameKind = Literal["sampled", "fitted", "interpolated"]
+"""How the pose of a frame was found: together with the other sampled ones; by its own mask, what frames share held still;
+or from its neighbours alone."""
 FILES = ("result.json", "result.npz")
 """Of a result's folder."""
 AXIS = ("axis_point", "axis_direction", "angle")
 ARRAYS = (
-    "T_hand_obj", "T_cam_hand", "scale", "frames", "iou", *AXIS,
+    "T_hand_obj", "T_cam_hand", "scale", "frames", "frame_kind", "iou", *AXIS,
     "candidate_T_hand_obj", "candidate_scale", "candidate_energy",
 )  # fmt: skip
 """What ``result.npz`` holds."""
@@ -83,10 +86,12 @@ class Reconstruction(ArrayData):
     Attributes:
         clip: name of the clip.
         method: name of the method.
-        frames: names of the T frames that were used, in the clip's order.
+        frames: names of the T frames, in the clip's order.
+        frame_kind: how the pose of each frame was found; by default, all frames were sampled.
         T_hand_obj: (T, 4, 4) pose of the object in each frame, object frame to hand frame [m].
         scale: factor by which the mesh is scaled before it is posed; 1 where the clip's scale is known.
-        iou: (T,) intersection over union of rendered and observed mask on the full image, outside ignored pixels.
+        iou: (T,) intersection over union of rendered and observed mask on the full image, outside ignored pixels;
+            NaN where no mask shows the object.
         axis: the axis in the hand that the object turns about; None for methods without one.
         candidates: the best distinct solutions.
         energy: ``total`` and one entry per term, weighted [pixels squared of the 256-pixel crop].
@@ -120,12 +125,27 @@ class Reconstruction(ArrayData):
     findings: tuple[Finding, ...] = ()
     checks: dict[str, float] = field(default_factory=dict)
     T_cam_hand: Float[ndarray, "T 4 4"] | None = None
+    frame_kind: tuple[FrameKind, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.frames) != len(self.T_hand_obj):
             given = f"got {len(self.frames)} names"
             raise UsageError(f"Reconstruction.frames: {given}, expected {len(self.T_hand_obj)}, as many as T_hand_obj")
+        if not self.frame_kind:
+            object.__setattr__(self, "frame_kind", ("sampled",) * len(self.frames))
+        if len(self.frame_kind) != len(self.frames) or not {*self.frame_kind} <= {*get_args(FrameKind)}:
+            expected = f"one of {', '.join(get_args(FrameKind))} for each frame"
+            raise UsageError(f"Reconstruction.frame_kind: got {self.frame_kind}, expected {expected}")
+
+    def frames_of(self, *kinds: FrameKind) -> Int[ndarray, "n"]:
+        """Where the frames of some kinds are."""
+        return np.flatnonzero([kind in kinds for kind in self.frame_kind])
+
+    @property
+    def mean_iou(self) -> float:
+        """Mean IOU over the frames whose masks show the object."""
+        return float(np.nanmean(self.iou))
 
 
 def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
@@ -136,6 +156,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
     given = arrays.read(path, lambda key: key in ARRAYS)
     frames = _texts(path, given, "frames")
     T = len(frames)
+    kind = _frame_kind(path, given, T)
     K = len(given.get("candidate_energy", [])) if np.ndim(given.get("candidate_energy", 0)) else 1
     axis = None
     if any(key in given for key in AXIS):
@@ -148,9 +169,10 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
         clip=fields["clip"],
         method=fields["method"],
         frames=frames,
+        frame_kind=kind,
         T_hand_obj=_rigid(path, given, "T_hand_obj", (T, 4, 4)),
         scale=float(_above_zero(path, given, "scale", ())),
-        iou=arrays.floats(path, given, "iou", (T,)),
+        iou=_iou(path, given, kind),
         axis=axis,
         candidates=Candidates(
             T_hand_obj=_rigid(path, given, "candidate_T_hand_obj", (K, T, 4, 4)),
@@ -226,6 +248,7 @@ def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
         "T_hand_obj": result.T_hand_obj,
         "scale": np.array(result.scale, dtype=float),
         "frames": np.array(result.frames, dtype=np.str_),
+        "frame_kind": np.array(result.frame_kind, dtype=np.str_),
         "iou": result.iou,
         "candidate_T_hand_obj": result.candidates.T_hand_obj,
         "candidate_scale": result.candidates.scale,
@@ -277,6 +300,26 @@ def _texts(path: Path, given: dict[str, ndarray], key: str) -> tuple[str, ...]:
         return tuple(str(text) for text in given[key])
     except ValueError as error:  # code points that do not exist
         raise InputError(path, key, "a damaged text", "the frames' names") from error
+
+
+def _frame_kind(path: Path, given: dict[str, ndarray], frames: int) -> tuple[FrameKind, ...]:
+    """How each frame's pose was found; in older results, all frames were sampled."""
+    if "frame_kind" not in given:
+        return ("sampled",) * frames
+    kinds = {kind: kind for kind in get_args(FrameKind)}
+    found = tuple(kinds.get(text, "") for text in _texts(path, given, "frame_kind"))
+    if len(found) != frames or "" in found:
+        raise InputError(path, "frame_kind", "something else", f"{', '.join(kinds)} for each of {frames} frames")
+    return found
+
+
+def _iou(path: Path, given: dict[str, ndarray], kind: tuple[FrameKind, ...]) -> Float[ndarray, "T"]:
+    """The IOU of each frame; only interpolated ones may have none."""
+    if "iou" in given and given["iou"].dtype.kind == "f" and given["iou"].shape == (len(kind),):
+        unknown = np.isnan(given["iou"]) & (np.array(kind) == "interpolated")
+        known = arrays.floats(path, given | {"iou": np.where(unknown, 0.0, given["iou"])}, "iou", (len(kind),))
+        return np.where(unknown, np.nan, known)
+    return arrays.floats(path, given, "iou", (len(kind),))
 
 
 def _rigid(path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "*batch 4 4"]:

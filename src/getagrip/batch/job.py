@@ -111,7 +111,7 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         clip = read_clip(job.clip)
         checksum = input_sha256(job.clip)
         result = reconstruct(clip, None, job.options, progress)
-        metrics = {"iou_full": float(result.iou.mean())}
+        metrics = {"iou_full": result.mean_iou}
         write_result(result, job.out, checksum, metrics, clip_folder=job.clip, overwrite=job.overwrite)
     except Exception as error:  # one clip's trouble must not end the others
         meanwhile = settled(job)

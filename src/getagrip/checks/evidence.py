@@ -31,14 +31,14 @@ class Evidence:
         masks: its masks as they were given, in the same frames.
         T_hand_obj: (T, 4, 4) poses that were found; None before the fit.
         scale: the scale that was found.
-        iou: (T,) overlap of rendered and observed mask; NaN where no mask shows the object.
+        iou: (n,) overlap of rendered and observed mask, in these frames or more; NaN where no mask shows the object.
     """
 
     clip: Clip
     masks: Masks
     T_hand_obj: Float[ndarray, "T 4 4"] | None = None
     scale: float = 1.0
-    iou: Float[ndarray, "T"] | None = None
+    iou: Float[ndarray, "n"] | None = None
 
     @cached_property
     def depth(self) -> Float[ndarray, "T"]:
@@ -101,7 +101,7 @@ class Evidence:
         return max(1, int(width * self._zoom)), max(1, int(height * self._zoom))
 
     @property
-    def overlaps(self) -> Float[ndarray, "T"]:
+    def overlaps(self) -> Float[ndarray, "n"]:
         """Overlap of rendered and observed mask of each frame; NaN where no mask shows the object."""
         assert self.iou is not None
         return self.iou

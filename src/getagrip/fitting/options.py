@@ -73,7 +73,8 @@ class Options:
         priors: the file or folder of the poses of ``init``; None for ``uniform``.
         thorough: search two to three times as long, for the methods that fit all frames at once; no other changes.
         seed: rotates the set of initial rotations; the same seed gives the same result.
-        frames: number of frames that are used, sampled evenly from the clip.
+        frames: number of frames that are fitted together, sampled evenly from the clip.
+        every_frame: go on from these to every frame of the clip.
         push: weight of E_push, the paper's lambda_2 without the focal length.
         pull: weight of E_pull, the paper's lambda_3 without the focal length.
         axis: where a hinge's axis may lie: anywhere (``free``), or through the origin of the hand frame
@@ -90,6 +91,7 @@ class Options:
     thorough: bool = False
     seed: int = 0
     frames: int = 30
+    every_frame: bool = True
     push: float = 0.1
     pull: float = 0.1
     axis: Literal["free", "hand"] = "free"

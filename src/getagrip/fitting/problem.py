@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -12,9 +13,10 @@ from getagrip.clip import Clip, Masks, observed_frames, read_masks, read_observe
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting import pose_priors
+from getagrip.fitting.energy import Energy
 from getagrip.fitting.hand_correction import correct_hand
 from getagrip.fitting.methods import method_of
-from getagrip.fitting.motion import PosesInHand
+from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.observation import Observation, observe
 from getagrip.fitting.options import Options
 from getagrip.fitting.surface import ObjectSurface
@@ -32,6 +34,7 @@ class Problem:
         observation: its masks as crops, with contours.
         surface: surface of the object.
         options: options of the reconstruction.
+        hand_drawn: whether pixels that the drawn hand covers are ignored, for want of ignore masks.
         prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations.
         hand_corrected: whether the clip's hand is no longer as it was given.
         notes: dropped frames, guesses, initial poses, what stands in for missing masks.
@@ -46,6 +49,17 @@ class Problem:
     prior_poses: Float[ndarray, "k 4 4"]
     hand_corrected: bool
     notes: tuple[str, ...]
+    hand_drawn: bool
+
+    def at(self, clip: Clip, masks: Masks) -> Problem:
+        """The same problem in other frames of its clip, with the masks that are given for them."""
+        shown = occluded_by_hand(clip, masks) if self.hand_drawn and not masks.ignore.any() else masks
+        observation = observe(shown, clip.K, self.options.occlusion)
+        return replace(self, clip=clip, masks=shown, given_masks=masks, observation=observation)
+
+
+EnergyOf = Callable[[Problem], Energy]
+"""The energy of a problem: the same terms, at its frames."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +72,9 @@ class MethodResult:
         terms: energy of the best one, per term.
         status: how the minimisation ended.
         axis: axis of the best one, where the method has one.
+        motion: the motions of the solutions, whose own parameters are fitted in the frames that were not sampled; None
+            where poses are interpolated there.
+        energy_of: the energy of that fit.
     """
 
     poses: PosesInHand
@@ -65,6 +82,8 @@ class MethodResult:
     terms: dict[str, float]
     status: str
     axis: Axis | None = None
+    motion: Motion | None = None
+    energy_of: EnergyOf | None = None
 
 
 def prepare(clip: Clip, masks: Masks | None, options: Options) -> Problem:
@@ -84,7 +103,8 @@ def prepare(clip: Clip, masks: Masks | None, options: Options) -> Problem:
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
-    if options.occlusion and not masks.ignore.any():
+    hand_drawn = options.occlusion and not masks.ignore.any()
+    if hand_drawn:
         masks = occluded_by_hand(clip, masks)
         notes.append("no ignore masks: what the drawn hand covers outside the object's mask counts as hidden")
     poses, of_poses = pose_priors.poses_for(clip, options)
@@ -92,7 +112,7 @@ def prepare(clip: Clip, masks: Masks | None, options: Options) -> Problem:
     notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
     observation = observe(masks, clip.K, options.occlusion)
     surface, corrected = ObjectSurface.of(clip.mesh), correction is not None
-    return Problem(clip, masks, given, observation, surface, options, poses, corrected, tuple(notes))
+    return Problem(clip, masks, given, observation, surface, options, poses, corrected, tuple(notes), hand_drawn)
 
 
 def _sampled(clip: Clip, masks: Masks | None, frames: int) -> tuple[Clip, Masks]:

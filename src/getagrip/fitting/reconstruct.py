@@ -15,12 +15,10 @@ from getagrip.checks import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Evidence, ex
 from getagrip.clip import Clip, Masks, check_clip, check_masks
 from getagrip.errors import GetagripError, InputError
 from getagrip.finding import Finding
-from getagrip.fitting.energy.mask import SilhouetteMesh
+from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare
-from getagrip.geometry import se3
-from getagrip.kernels.silhouette import silhouettes, unpack
 from getagrip.result import Candidates, Reconstruction
 
 AMBIGUOUS = 1.05
@@ -43,6 +41,8 @@ def reconstruct(
     masks of another clip, ``InputError`` for what no clip can be (as ``read_clip`` does) and where the object is
     visible in fewer than two frames, and ``GetagripError`` when nothing can be rendered.
 
+    ``options.frames`` frames, sampled evenly, are fitted together. The others follow from them (``every_frame``).
+
     BLAS runs on one thread meanwhile, in the whole process: the matrices are small, and with several threads that wait
     for busy cores a clip takes ten times as long.
     """
@@ -56,14 +56,16 @@ def reconstruct(
         clock("prepare")
         given = Evidence(problem.clip, problem.given_masks)
         measured, findings = examine(INPUT_CHECKS, given)
-        clock("check")
+        clock("check of the input")
         found = _fitted(problem, clock, findings)
-        T_hand_obj = placed(found, problem.clip.mesh.centre)
-        iou = image_iou(problem.clip, problem.masks, T_hand_obj[0], float(found.poses.scale[0]))
-        held = replace(given, T_hand_obj=T_hand_obj[0], scale=float(found.poses.scale[0]), iou=iou)
-        of_result, more = examine(RESULT_CHECKS, held)
+        track, scale = at_sampled_frames(problem, found), float(found.poses.scale[0])
         clock("finish")
-    result = _reconstruction(problem, found, T_hand_obj, iou, clock.seconds())
+        whole = at_every_frame(clip, masks, problem, found, track) if options.every_frame else track
+        clock("every frame")
+        held = replace(given, T_hand_obj=track.T_hand_obj[0], scale=scale, iou=whole.iou)
+        of_result, more = examine(RESULT_CHECKS, held)
+        clock("check of the result")
+    result = _reconstruction(problem, found, whole, clock.seconds())
     return replace(result, findings=(*findings, *more), checks=measured | of_result)
 
 
@@ -77,45 +79,22 @@ def _fitted(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> Me
         raise GetagripError("; ".join(map(str, (error, *findings)))) from error
 
 
-def placed(found: MethodResult, centre: Float[ndarray, "3"]) -> Float[ndarray, "K T 4 4"]:
-    """``T_hand_obj`` of poses about the mesh's centre, which lies at ``centre`` in its own frame."""
-    R, scale = found.poses.R, found.poses.scale[:, None, None]
-    return se3.rigid(R, found.poses.centre - scale * (R @ centre))
-
-
-def image_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:
-    """IOU of rendered and observed object mask on the full image, outside ignored pixels."""
-    T_cam_obj = clip.hand.T_cam_hand @ T_hand_obj
-    K = np.stack([clip.K[:, 0, 0], clip.K[:, 1, 1], clip.K[:, 0, 2], clip.K[:, 1, 2]], axis=1)
-    width, height = clip.size
-    bits = np.empty((len(clip), height, -(-width // 64)), np.uint64)
-    R, t = np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3])
-    silhouettes(R, t, np.full(len(clip), scale), *SilhouetteMesh.of(clip.mesh, np.zeros(3)).tables, K, bits)
-    rendered = unpack(bits, width) & (masks.object | ~masks.ignore)
-    union = (rendered | masks.object).sum(axis=(1, 2))
-    return np.asarray((rendered & masks.object).sum(axis=(1, 2)) / np.maximum(union, 1))
-
-
-def _reconstruction(
-    problem: Problem,
-    found: MethodResult,
-    T_hand_obj: Float[ndarray, "K T 4 4"],
-    iou: Float[ndarray, "T"],
-    seconds: dict[str, float],
-) -> Reconstruction:
+def _reconstruction(problem: Problem, found: MethodResult, track: Track, seconds: dict[str, float]) -> Reconstruction:
     """A method's solutions, with all that is known about how they were found."""
     clip, options, energy = problem.clip, problem.options, found.energy
-    scale, mean_iou = float(found.poses.scale[0]), float(iou.mean())
+    scale, mean_iou = float(found.poses.scale[0]), float(np.nanmean(track.iou))
     guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
+    axis = None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle)
     return Reconstruction(
         clip=clip.name,
         method=options.method,
-        frames=clip.frames,
-        T_hand_obj=T_hand_obj[0],
+        frames=track.frames,
+        frame_kind=track.kind,
+        T_hand_obj=track.T_hand_obj[0],
         scale=scale,
-        iou=iou,
-        axis=found.axis,
-        candidates=Candidates(T_hand_obj, found.poses.scale, energy),
+        iou=track.iou,
+        axis=axis,
+        candidates=Candidates(track.T_hand_obj, found.poses.scale, energy),
         energy={"total": float(energy[0]), **found.terms},
         status=found.status if mean_iou >= LEAST_IOU else UNEXPLAINED.format(mean_iou),
         ambiguous=bool(len(energy) > 1 and energy[1] < AMBIGUOUS * energy[0]),
@@ -130,7 +109,7 @@ def _reconstruction(
 class Clock:
     """Seconds per stage, and the caller's progress."""
 
-    STAGES = ("prepare", "check", "coarse", "middle", "fine", "finest", "finish")
+    STAGES = ("prepare", "check of the input", "coarse", "middle", "fine", "finest", "finish", "every frame", "check of the result")
 
     def __init__(self, progress: Callable[[str, float], None] | None) -> None:
         self.progress, self.spent, self.since = progress, dict[str, float](), time.perf_counter()

@@ -12,7 +12,7 @@ from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import OnStage
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
 from getagrip.fitting.objective import NOTHING, consistency_of, energy_of, plus
-from getagrip.fitting.problem import MethodResult, Problem
+from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
 from getagrip.fitting.schedule import THOROUGH, USUAL
 from getagrip.fitting.search import Search
 from getagrip.fitting.solve import Solution
@@ -40,31 +40,39 @@ def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> M
     motion = search.at_all_frames(search.coarse(replace(relaxed, ridge=COARSE_RIDGE), coarse).motion)
     soft = Soft.around(hinge_of(problem, motion), motion.poses(), SOFT_RIDGE)
     found = search.fine(soft, steady(problem, coarse))
-    return result_of(found, found.motion.core)
+    if more is not NOTHING:  # terms of these frames only
+        return result_of(found, found.motion.core)
+    return result_of(found, found.motion.core, lambda other: steady(other, coarse_energy(other)))
 
 
 def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
     """A hinge (Eq. 3): ours, after the paper. ``methods.paper`` is the paper's method itself."""
-    search, energy = search_of(problem, on_stage), total_energy(problem, ALONE)
+    search, energy = search_of(problem, on_stage), energy_alone(problem)
     motion = hinge_of(problem, search.relax(initial_of(problem), energy))
     found = search.run(motion, energy)
-    return result_of(found, found.motion)
+    return result_of(found, found.motion, energy_alone)
 
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:
     """One pose for all frames (paper, Sec. 5.2)."""
-    search, energy = search_of(problem, on_stage), total_energy(problem, ALONE)
+    search, energy = search_of(problem, on_stage), energy_alone(problem)
     motion = search.relax(initial_of(problem), energy).core
     return result_of(search.run(motion, energy))
 
 
-def dynamic(problem: Problem, on_stage: OnStage, energy: Energy | None = None) -> MethodResult:
+def dynamic(problem: Problem, on_stage: OnStage, energy_of: EnergyOf | None = None) -> MethodResult:
     """A pose per frame (paper, Sec. 5.2), by another energy if given."""
-    search, energy = search_of(problem, on_stage), energy or total_energy(problem, ALONE)
+    energy_of = energy_of or energy_alone
+    search, energy = search_of(problem, on_stage), energy_of(problem)
     relaxed = search.relax(initial_of(problem), energy)
     held = relaxed.poses()
     motion = Free(held.R, held.centre, relaxed.core.log_scale, relaxed.core.free_scale)
-    return result_of(search.run(motion, energy))
+    return result_of(search.run(motion, energy), energy_of=energy_of)
+
+
+def energy_alone(problem: Problem) -> Energy:
+    """Eq. 5 where no other term ties the object to the hand."""
+    return total_energy(problem, ALONE)
 
 
 def total_energy(problem: Problem, contact: float) -> Energy:
@@ -105,11 +113,16 @@ def hinge_of(problem: Problem, relaxed: Soft[Fixed]) -> Hinge:
     return Hinge.nearest(relaxed.core, relaxed.deviation, free_location=anywhere, anchor=np.zeros(3))
 
 
-def result_of(found: Solution[M], hinge: Hinge | None = None) -> MethodResult:
-    """The solutions, and the axis of the best."""
-    axis = None
+def result_of(found: Solution[M], hinge: Hinge | None = None, energy_of: EnergyOf | None = None) -> MethodResult:
+    """The solutions, and the axis of the best: that of ``hinge``, which is the motion or what it deviates from.
+
+    ``energy_of`` is the energy by which the motion can be fitted in other frames; None: it cannot be.
+    """
+    motion, axis = found.motion, None
     if hinge is not None:
         best = hinge.zero_mean()
         axis = Axis(best.point[0], best.direction[0], best.angle[0])
+        motion = replace(motion, core=best) if isinstance(motion, Soft) else best
     terms = {name: float(value[0]) for name, value in found.terms.items()}
-    return MethodResult(found.motion.poses(), found.energy, terms, found.status[0].value, axis)
+    own = motion if energy_of else None
+    return MethodResult(found.motion.poses(), found.energy, terms, found.status[0].value, axis, own, energy_of)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from getagrip.fitting.energy import Energy
 from getagrip.fitting.methods import OnStage, all_frames
 from getagrip.fitting.objective import consistency_of, plus
 from getagrip.fitting.problem import MethodResult, Problem
@@ -12,5 +13,9 @@ WEIGHT = 0.1
 
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
     """Dynamic with one term more, in all stages. Raises ``GetagripError`` when nothing can be rendered."""
-    energy = plus(all_frames.total_energy(problem, contact=1.0), consistency_of(problem, WEIGHT))
-    return all_frames.dynamic(problem, on_stage, energy)
+    return all_frames.dynamic(problem, on_stage, energy_of)
+
+
+def energy_of(problem: Problem) -> Energy:
+    """Eq. 5 and the term."""
+    return plus(all_frames.total_energy(problem, contact=1.0), consistency_of(problem, WEIGHT))

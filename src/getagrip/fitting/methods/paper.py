@@ -67,7 +67,7 @@ def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
     else:
         found = every_start(problem, search.at_all_frames(hinge, 0), energy, on_stage)
     found = chosen(problem, found)
-    return result_of(found, found.motion)
+    return result_of(found, found.motion, energy_of)
 
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:
@@ -80,7 +80,8 @@ def dynamic(problem: Problem, on_stage: OnStage) -> MethodResult:
     initial = initial_of(problem)
     held = initial.poses()
     motion = Free(held.R.copy(), held.centre.copy(), initial.log_scale, initial.free_scale)
-    return result_of(chosen(problem, every_start(problem, motion, energy_of(problem), on_stage)))
+    found = chosen(problem, every_start(problem, motion, energy_of(problem), on_stage))
+    return result_of(found, energy_of=energy_of)
 
 
 def about_z(initial: Fixed, centre: Float[ndarray, "3"], anywhere: bool = True) -> Hinge:

@@ -1,0 +1,142 @@
+"""From the frames that were fitted together to every frame of the clip.
+
+What the frames share (axis, base pose, scale) stays as it was found. In the other frames that show the object, what is
+each frame's own (angle, deviations) starts between its neighbours and is fitted to the frame's mask. Where no mask
+shows the object, or the method has no motion to go on with, poses are interpolated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks, read_masks
+from getagrip.fitting.image_iou import image_iou
+from getagrip.fitting.motion import Free, Frozen, Hinge, Motion, PosesInHand
+from getagrip.fitting.problem import MethodResult, Problem
+from getagrip.fitting.solve import minimise
+from getagrip.geometry import se3
+from getagrip.result import FrameKind
+
+CHUNK = 30
+"""So many of the other frames are read and fitted at once."""
+STAGES = ((128, 5), (256, 5))
+"""Resolution [px] and iterations of their fit."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """K solutions in T frames.
+
+    Attributes:
+        frames: names of the frames.
+        kind: how each frame's pose was found.
+        T_hand_obj: (K, T, 4, 4) poses of the mesh's own frame in the hand frame.
+        angle: (T,) angle about the axis of the best [rad], where the method has one.
+        iou: (T,) overlap of the best with the masks (``image_iou``); NaN where no mask shows the object.
+    """
+
+    frames: tuple[str, ...]
+    kind: tuple[FrameKind, ...]
+    T_hand_obj: Float[ndarray, "K T 4 4"]
+    angle: Float[ndarray, "T"] | None
+    iou: Float[ndarray, "T"]
+
+
+def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
+    """A method's solutions as they are."""
+    clip = problem.clip
+    T_hand_obj = placed(found.poses, clip.mesh.centre)
+    iou = image_iou(clip, problem.masks, T_hand_obj[0], float(found.poses.scale[0]))
+    kind: tuple[FrameKind, ...] = ("sampled",) * len(clip)
+    return Track(clip.frames, kind, T_hand_obj, None if found.axis is None else found.axis.angle, iou)
+
+
+def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: MethodResult, track: Track) -> Track:
+    """A method's solutions in every frame of the clip; in the problem's frames, those of ``track``, as they are.
+
+    ``masks`` are those of the whole clip; without them, they are read from its folder, a few at a time.
+    """
+    sampled = clip.index_of(problem.clip.frames)
+    T, K, scale = len(clip), len(track.T_hand_obj), float(found.poses.scale[0])
+    kind: list[FrameKind] = ["interpolated"] * T
+    iou, angle, known = np.full(T, np.nan), np.full(T, np.nan), np.zeros(T, dtype=bool)
+    R, centre = np.empty((K, T, 3, 3)), np.empty((K, T, 3))
+    R[:, sampled], centre[:, sampled], known[sampled], iou[sampled] = found.poses.R, found.poses.centre, True, track.iou
+    if track.angle is not None:
+        angle[sampled] = track.angle
+    for index, part in _others(clip, masks, problem, sampled):
+        if found.motion is not None and found.energy_of is not None:
+            fitted = own_fit(part, found, sampled, index)
+            poses = fitted.poses()
+            angle[index] = _angle(fitted)
+            for n in index:
+                kind[n] = "fitted"
+        else:
+            poses = interpolated(found.poses, sampled, index)
+        R[:, index], centre[:, index], known[index] = poses.R, poses.centre, True
+        iou[index] = image_iou(part.clip, part.masks, placed(poses, clip.mesh.centre)[0], scale)
+    rest, there = np.flatnonzero(~known), np.flatnonzero(known)
+    poses = interpolated(PosesInHand(R[:, there], centre[:, there], found.poses.scale), there, rest)
+    R[:, rest], centre[:, rest] = poses.R, poses.centre
+    T_hand_obj = placed(PosesInHand(R, centre, found.poses.scale), clip.mesh.centre)
+    T_hand_obj[:, sampled] = track.T_hand_obj
+    for n in sampled:
+        kind[n] = "sampled"
+    if track.angle is None:
+        return Track(clip.frames, tuple(kind), T_hand_obj, None, iou)
+    seen = ~np.isnan(angle)
+    angle[~seen] = np.interp(np.flatnonzero(~seen), np.flatnonzero(seen), angle[seen])
+    return Track(clip.frames, tuple(kind), T_hand_obj, angle, iou)
+
+
+def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], index: Int[ndarray, "m"]) -> Motion:
+    """The motions found at the frames ``sampled`` of a clip, fitted in the problem's frames, which are at ``index``.
+
+    Only what is each frame's own is fitted.
+    """
+    assert found.motion is not None
+    assert found.energy_of is not None
+    motion: Frozen[Motion] = Frozen(found.motion.resampled(sampled, index))
+    energy, everywhere = found.energy_of(problem), np.arange(len(index))
+    if len(motion.lengths()[1]):
+        for level, iterations in STAGES:
+            terms = energy(level, everywhere)
+            motion = minimise(motion, terms, problem.clip.hand.T_cam_hand, iterations).motion
+    return motion.core
+
+
+def interpolated(poses: PosesInHand, old: Int[ndarray, "n"], new: Int[ndarray, "m"]) -> PosesInHand:
+    """Poses between others: rotations along the shortest path, centres on a line; beyond the ends, the last ones."""
+    free = Free(poses.R, poses.centre, np.log(poses.scale)).resampled(old, np.clip(new, old[0], old[-1]))
+    return PosesInHand(free.R, free.centre, poses.scale)
+
+
+def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "K T 4 4"]:
+    """``T_hand_obj`` of poses about the mesh's centre, which lies at ``centre`` in its own frame."""
+    R, scale = poses.R, poses.scale[:, None, None]
+    return se3.rigid(R, poses.centre - scale * (R @ centre))
+
+
+def _others(
+    clip: Clip, masks: Masks | None, problem: Problem, sampled: Int[ndarray, "n"]
+) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
+    """The frames beyond the sampled ones whose masks show the object, a few at a time, each few from all of the clip."""
+    hidden = {*problem.clip.left_out}
+    shown = np.flatnonzero([name not in hidden for name in clip.frames])
+    rest = np.setdiff1d(shown, sampled)
+    parts = -(-len(rest) // CHUNK)
+    for k in range(parts):
+        index = rest[k::parts]
+        part = clip.take(index)
+        yield index, problem.at(part, read_masks(part) if masks is None else masks.take(index))
+
+
+def _angle(motion: Motion) -> Float[ndarray, "T"] | float:
+    """The angle of the best hypothesis of a hinge, or of one that others deviate from; NaN for other motions."""
+    core = getattr(motion, "core", motion)
+    return core.angle[0] if isinstance(core, Hinge) else np.nan

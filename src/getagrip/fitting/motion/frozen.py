@@ -1,0 +1,45 @@
+"""Frozen: another motion whose shared parameters stay as they are; only those of each frame move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip.fitting.motion.base import Batch, Motion, PosesInHand, Prior
+
+Core = TypeVar("Core", bound=Motion)
+
+
+@dataclass(frozen=True)
+class Frozen(Batch, Generic[Core]):
+    """A motion of which only the per-frame parameters are to be found: S = 0, L as inside."""
+
+    core: Core
+
+    def poses(self) -> PosesInHand:
+        return self.core.poses()
+
+    def rotated(self, R: Float[ndarray, "B 3 3"]) -> Frozen[Core]:
+        return replace(self, core=self.core.rotated(R))
+
+    def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
+        shared, local = self.core.jacobian()
+        return shared[..., :0], local
+
+    def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
+        shared, local = self.core.lengths()
+        return shared[:0], local
+
+    def prior(self) -> Prior:
+        return self.core.prior()
+
+    def retract(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Frozen[Core]:
+        still = np.zeros((len(local), len(self.core.lengths()[0])))
+        return replace(self, core=self.core.retract(still, local))
+
+    def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Frozen[Core]:
+        return replace(self, core=self.core.resampled(old, new))
