@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, PosesInHand, Soft, tangents
+from getagrip.fitting.motion import Fixed, Free, Frozen, Hinge, Motion, PosesInHand, Soft, tangents
 from getagrip.geometry import se3
 
 B, N = 3, 4
@@ -58,6 +58,7 @@ MODELS: dict[str, Callable[[np.random.Generator], Motion]] = {
     "soft, scale": lambda rng: soft(fixed)(rng, free_scale=True),
     "soft hinge": soft(hinge),
     "soft hinge, scale": lambda rng: soft(hinge)(rng, free_scale=True),
+    "frozen": lambda rng: Frozen(soft(hinge)(rng, free_scale=True)),
 }
 EVERY = pytest.mark.parametrize("make", MODELS.values(), ids=MODELS.keys())
 

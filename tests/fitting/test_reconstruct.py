@@ -17,8 +17,8 @@ from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.evaluation import evaluate
-from getagrip.fitting.options import Options
 from getagrip.fitting.image_iou import image_iou
+from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import AMBIGUOUS, reconstruct
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh

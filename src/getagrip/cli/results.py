@@ -80,7 +80,10 @@ class Reconstruct(Command):
     seed: Seed = 0
     """Seed of all that is random."""
     frames: Annotated[int, arg(metavar="N")] = 30
-    """Frames to use, spread evenly over the clip."""
+    """Fit N frames together, sampled evenly from the clip. More is slower, and safer where the motion is fast."""
+    sampled_only: Flag = False
+    """Leave it at these frames. Otherwise the others follow: each is fitted to its own mask, what all frames share held
+    still, or interpolated where no mask shows the object."""
     workers: Workers = None
     """Processes to share the clips between."""
     overwrite: Flag = False
@@ -94,6 +97,7 @@ class Reconstruct(Command):
         options = Options(
             method=self.method, inits=self.inits, seed=self.seed, frames=self.frames, thorough=self.thorough,
             init=self.init, priors=_priors(self.priors, self.init), hands=_hands(self.given_hands),
+            every_frame=not self.sampled_only,
         )  # fmt: skip
         return reconstruct_clips(
             self.clips, self.out, options, self.workers, self.overwrite, self.debug, self.strict
@@ -177,6 +181,8 @@ class Bench(Command):
     """For clusters and priors: the file or folder, as for reconstruct."""
     inits: Inits = 50
     """Number of initial poses; more is slower and safer."""
+    every_frame: Flag = False
+    """Evaluate every frame of the clips, not only the 30 that all methods fit together."""
     thorough: Flag = False
     """Search two to three times as long, for the methods that fit all frames at once."""
     given_hands: Flag = False
@@ -199,7 +205,7 @@ class Bench(Command):
         )  # fmt: skip
         options = Options(
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
-            priors=_priors(self.priors, self.init), hands=_hands(self.given_hands),
+            priors=_priors(self.priors, self.init), hands=_hands(self.given_hands), every_frame=self.every_frame,
         )  # fmt: skip
         hands = tuple(HandSource.of(text) for text in self.hands)
         plan = Plan(

@@ -169,7 +169,7 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     return [
         f"{plan.source.title}: {len(good)} clips"
         + (f", {len(scores) - len(good)} failed and skipped" if len(good) < len(scores) else ""),
-        f"{plan.options.inits} initial poses ({_initial_poses(plan.options)}), {plan.options.frames} frames, "
+        f"{plan.options.inits} initial poses ({_initial_poses(plan.options)}), {_frames(plan.options)}, "
         f"seed {plan.options.seed}; the same frames, masks and evaluation for all",
         "per cent, means over clips, the best bold, the second best underlined; s: median seconds for a clip",
         f"in brackets: 95 % intervals from {RESAMPLES} bootstrap resamples of {units}",
@@ -177,6 +177,11 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
         "method that fails on a clip scores 0 there",
         f"made {stamp()}; {versions}",
     ]
+
+
+def _frames(options: Options) -> str:
+    """Which frames are evaluated, in words."""
+    return f"{options.frames} frames" + (" and the others that follow them" if options.every_frame else "")
 
 
 def _initial_poses(options: Options) -> str:

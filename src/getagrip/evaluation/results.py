@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, check_masks, find_masks, input_sha256, read_clip
 from getagrip.errors import InputError
@@ -48,7 +50,8 @@ def evaluate(
 ) -> dict[str, Any]:
     """All metrics of a reconstruction (docs/metrics.md), at the result's frames of the clip and its masks.
 
-    ``metrics`` has one number each, ``per_frame`` a list each; names end in their units. What needs masks or ground
+    ``metrics`` has one number each, ``per_frame`` a list each; names end in their units. Where poses of some frames are
+    interpolated, ``metrics_of_fitted`` leaves these out. What needs masks or ground
     truth is left out without them. ``contacts`` are the definitions of contact by which it is measured. Raises
     ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for masks of another clip.
     """
@@ -58,7 +61,12 @@ def evaluate(
     clip, masks = clip.take(index).with_hand_at(result.T_cam_hand), None if masks is None else masks.take(index)
     it = _ResultComparison(clip, masks, ObjectTrack(result.T_hand_obj, result.scale), contacts=tuple(contacts))
     symmetry = None if clip.truth is None else it.symmetries.describe()
-    return {**evaluation(it, result.method, symmetry), "findings": [str(finding) for finding in result.findings]}
+    made = evaluation(it, result.method, symmetry)
+    made |= {"frame_kind": list(result.frame_kind), "findings": [str(finding) for finding in result.findings]}
+    fitted = result.frames_of("sampled", "fitted")
+    if 0 < len(fitted) < len(clip):
+        made["metrics_of_fitted"] = measure(it.take(fitted))[0]
+    return made
 
 
 def evaluation(it: Comparison, method: str, symmetry: str | None) -> dict[str, Any]:
@@ -80,6 +88,14 @@ class _ResultComparison(Comparison):
     """Of poses of the clip's mesh."""
 
     track: ObjectTrack
+
+    def take(self, index: Int[ndarray, "n"]) -> _ResultComparison:
+        """The comparison in some of the frames."""
+        masks, track = (
+            self.masks and self.masks.take(index),
+            ObjectTrack(self.track.T_hand_obj[index], self.track.scale),
+        )
+        return _ResultComparison(self.clip.take(index), masks, track, contacts=self.contacts)
 
     @property
     def predicted(self) -> ObjectTrack:

@@ -26,6 +26,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         "K": scene.K,
         "image_size": np.array(scene.size),
         "iou": scene.iou,
+        "frame_kind": np.array(scene.frame_kind, dtype=np.str_),
     }
     if scene.joints is not None:
         content["joints_cam"] = se3.transform(scene.T_cam_hand, scene.joints)

@@ -28,7 +28,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     images = image_ids(scene.frames)
     R, t = scene.T_cam_obj[:, :3, :3], 1e3 * scene.T_cam_obj[:, :3, 3]
     results = f"{_word('getagrip-' + scene.method)}_{_word(scene.name)}-test.csv"
-    files.write_bytes(folder / results, _results(images, R, t, scene.iou).encode())
+    files.write_bytes(folder / results, _results(images, R, t, np.nan_to_num(scene.iou)).encode())
     poses = {
         str(image): [{"cam_R_m2c": R[n].ravel(), "cam_t_m2c": t[n], "obj_id": OBJECT}] for n, image in enumerate(images)
     }
@@ -39,7 +39,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     model = f"models/obj_{OBJECT:06d}.ply"
     write_mesh(Mesh(1e3 * scene.object.vertices, scene.object.faces), folder / model)
     return {
-        results: "BOP results: R row by row, t in mm, model to camera; score is the mask IOU; time -1: not per image",
+        results: "BOP results: R row by row, t in mm, model to camera; score is the mask IOU, 0 where there is no mask; time -1: not per image",
         "scene_gt.json": "the same poses in the layout of BOP's ground truth; they are estimates",
         "scene_camera.json": "intrinsics of each image",
         model: "the object at the size that was found, in mm",

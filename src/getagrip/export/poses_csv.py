@@ -22,12 +22,14 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     columns = {"T_cam_obj": scene.T_cam_obj, "T_hand_obj": scene.T_hand_obj, "T_cam_hand": scene.T_cam_hand}
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["frame", "time_s", *(f"{name}_{part}" for name in columns for part in POSE), "angle_deg", "iou"])
+    rows.writerow(
+        ["frame", "time_s", *(f"{name}_{part}" for name in columns for part in POSE), "angle_deg", "iou", "frame_kind"]
+    )
     angle = np.full(len(scene.frames), np.nan) if scene.angle is None else np.degrees(scene.angle)
     poses = np.concatenate([_row(T) for T in columns.values()], axis=1)
     for n, frame in enumerate(scene.frames):
         numbers = [scene.time[n], *poses[n], angle[n], scene.iou[n]]
-        rows.writerow([frame, *("" if np.isnan(x) else f"{x:.9g}" for x in numbers)])
+        rows.writerow([frame, *("" if np.isnan(x) else f"{x:.9g}" for x in numbers), scene.frame_kind[n]])
     files.write_bytes(folder / "poses.csv", text.getvalue().encode())
     return {"poses.csv": f"a row per frame; {AXES}; quaternions (w, x, y, z); the object's mesh is not scaled by poses"}
 

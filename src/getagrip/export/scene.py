@@ -12,7 +12,7 @@ from numpy import ndarray
 from getagrip.clip import Clip
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.result import Reconstruction
+from getagrip.result import FrameKind, Reconstruction
 
 AXES = "camera frame of each image: x right, y down, z forward; X_cam = T_cam_obj @ X_obj; metres"
 
@@ -38,7 +38,8 @@ class Scene:
         joints: (T, 21, 3) the hand's joints in the hand frame [m], as in ``HandTrack``; None where not known.
         K: (T, 3, 3) intrinsics [px].
         size: width and height of the images [px].
-        iou: (T,) mask IOU of each frame.
+        iou: (T,) mask IOU of each frame; NaN where no mask shows the object.
+        frame_kind: (T,) how each frame's pose was found: sampled, fitted or interpolated.
         angle: (T,) angle about the latent axis [rad]; None for methods without one.
         notes: the result's notes: guesses among them.
     """
@@ -60,6 +61,7 @@ class Scene:
     K: Float[ndarray, "T 3 3"]
     size: tuple[int, int]
     iou: Float[ndarray, "T"]
+    frame_kind: tuple[FrameKind, ...]
     angle: Float[ndarray, "T"] | None
     notes: tuple[str, ...]
 
@@ -86,6 +88,7 @@ class Scene:
             K=some.K,
             size=clip.size,
             iou=result.iou,
+            frame_kind=result.frame_kind,
             angle=None if result.axis is None else result.axis.angle,
             notes=result.notes,
         )

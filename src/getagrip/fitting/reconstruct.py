@@ -7,8 +7,6 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
 from threadpoolctl import threadpool_limits
 
 from getagrip.checks import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Evidence, examine
@@ -109,7 +107,17 @@ def _reconstruction(problem: Problem, found: MethodResult, track: Track, seconds
 class Clock:
     """Seconds per stage, and the caller's progress."""
 
-    STAGES = ("prepare", "check of the input", "coarse", "middle", "fine", "finest", "finish", "every frame", "check of the result")
+    STAGES = (
+        "prepare",
+        "check of the input",
+        "coarse",
+        "middle",
+        "fine",
+        "finest",
+        "finish",
+        "every frame",
+        "check of the result",
+    )
 
     def __init__(self, progress: Callable[[str, float], None] | None) -> None:
         self.progress, self.spent, self.since = progress, dict[str, float](), time.perf_counter()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -144,14 +145,14 @@ def _title(figure: Figure, view: _View, metrics: Mapping[str, float], x: float, 
     figure.text(x, y, clip.name, fontsize=15, fontweight="bold", va="top")
     facts = [
         method_of(result.method).label,
-        f"{len(result.frames)} frames",
+        _frames(result),
         f"{clip.side} hand",
     ]
     facts.append(f"scale {result.scale:.3f} is a guess" if clip.scale == "free" else "scale known")
     figure.text(x, y - 1.25 * step, "  ·  ".join(facts), color=FAINT, fontsize=9.5, va="top")
     figure.text(x, y - 2.0 * step, result.status, color=INK, fontsize=9.5, va="top")
 
-    numbers = [("IOU", f"{100 * np.mean(result.iou):.1f} %")]
+    numbers = [("IOU", f"{100 * result.mean_iou:.1f} %")]
     for name, metric in SHOWN.items():
         if metric.name in metrics:
             unit = "°" if metric.unit == "deg" else f" {metric.unit}"
@@ -166,6 +167,13 @@ def _title(figure: Figure, view: _View, metrics: Mapping[str, float], x: float, 
     if result.ambiguous:
         warning = "ambiguous: another pose explains the masks almost as well"
         figure.text(0.98, y - 2.0 * step, warning, color=FOUND, fontsize=9.5, va="top", ha="right")
+
+
+def _frames(result: Reconstruction) -> str:
+    """How many frames there are and, where they differ, how their poses were found."""
+    counts = Counter(result.frame_kind)
+    kinds = ", ".join(f"{count} {kind}" for kind, count in counts.most_common())
+    return f"{len(result.frames)} frames" + (f" ({kinds})" if len(counts) > 1 else "")
 
 
 def _over_image(axes: Axes, view: _View, n: int, crops: Crops, k: int, K: Float[ndarray, "3 3"]) -> None:
@@ -304,6 +312,10 @@ def _angle_plot(axes: Axes, view: _View) -> None:
 def _iou_plot(axes: Axes, view: _View) -> None:
     _plain(axes, "overlap of the object with its mask (IOU)")
     t, iou = _seconds(view), view.result.iou
-    axes.axhline(float(iou.mean()), color=LINE, linewidth=1.2)
+    axes.axhline(view.result.mean_iou, color=LINE, linewidth=1.2)
     axes.plot(t, iou, color=FOUND, linewidth=2.0)
-    axes.set_ylim(min(0.8, float(np.floor(10.0 * iou.min()) / 10.0)), 1.0)
+    sampled = view.result.frames_of("sampled")
+    if len(sampled) < len(t):
+        axes.plot(t[sampled], iou[sampled], ".", color=FOUND, markersize=5, label="fitted together")
+        axes.legend(frameon=False, loc="lower right", bbox_to_anchor=(1.0, 0.98), borderpad=0.0)
+    axes.set_ylim(min(0.8, float(np.floor(10.0 * np.nanmin(iou)) / 10.0)), 1.0)

@@ -1,0 +1,113 @@
+"""From some frames to every frame: what was fitted stays, the others follow it, and each says how it was found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from getagrip.clip import Clip, Masks, read_clip, write_clip
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.evaluation import evaluate
+from getagrip.fitting import every_frame
+from getagrip.fitting.every_frame import interpolated
+from getagrip.fitting.motion import PosesInHand
+from getagrip.fitting.options import Options
+from getagrip.fitting.reconstruct import reconstruct
+from getagrip.geometry import se3
+from getagrip.result import Reconstruction, read_result, write_result
+
+HIDDEN = (5, 6)
+QUICK = Options(inits=6, frames=5)
+
+
+@cache
+def made() -> tuple[Clip, Masks]:
+    """A clip whose object is hidden in two frames."""
+    clip, masks = synthesise("mug", 2, SceneOptions(frames=13, size=(320, 240), focal=300.0))
+    masks.object[list(HIDDEN)] = False
+    return clip, masks
+
+
+@cache
+def found(method: str, all_of_it: bool = True) -> Reconstruction:
+    return reconstruct(*made(), replace(QUICK, method=method, every_frame=all_of_it))
+
+
+@pytest.mark.parametrize("method", ["soft-hinge", "one-dof", "static", "dynamic"])
+def test_the_frames_that_were_fitted_together_stay_as_they_were(method: str) -> None:
+    some, whole = found(method, all_of_it=False), found(method)
+    index = whole.frames_of("sampled")
+    assert [whole.frames[n] for n in index] == list(some.frames)
+    np.testing.assert_array_equal(whole.T_hand_obj[index], some.T_hand_obj)
+    np.testing.assert_array_equal(whole.candidates.T_hand_obj[:, index], some.candidates.T_hand_obj)
+    np.testing.assert_array_equal(whole.iou[index], some.iou)
+    if some.axis is not None:
+        assert whole.axis is not None
+        np.testing.assert_array_equal(whole.axis.angle[index], some.axis.angle)
+
+
+@pytest.mark.parametrize("method", ["soft-hinge", "one-dof", "dynamic"])
+def test_the_other_frames_are_as_good(method: str) -> None:
+    clip, masks = made()
+    whole = found(method)
+    assert whole.frames == clip.frames
+    assert [n for n, kind in enumerate(whole.frame_kind) if kind == "interpolated"] == list(HIDDEN)
+    assert np.flatnonzero(np.isnan(whole.iou)).tolist() == list(HIDDEN)
+    sampled, fitted = whole.frames_of("sampled"), whole.frames_of("fitted")
+    assert len(sampled) == 5
+    assert whole.iou[fitted].mean() > whole.iou[sampled].mean() - 0.01
+    evaluation = evaluate(whole, clip, masks)
+    add = np.array(evaluation["per_frame"]["add_mm"])
+    assert add[fitted].max() < add[sampled].max() + 3.0
+    assert add[list(HIDDEN)].max() < add[sampled].max() + 3.0
+    both = np.concatenate([sampled, fitted])
+    assert evaluation["metrics_of_fitted"]["add_mm"] == pytest.approx(add[both].mean())
+    assert evaluation["frame_kind"] == list(whole.frame_kind)
+
+
+def test_a_hinge_is_the_same_in_every_frame() -> None:
+    """Eq. 3, where masks show the object: frame by frame the rotation about the axis by the angle."""
+    whole = found("one-dof")
+    assert whole.axis is not None
+    shown = whole.frames_of("sampled", "fitted")
+    angle = whole.axis.angle[shown]
+    turn = se3.rotation_about_line(whole.axis.point[None], whole.axis.direction[None], angle - angle[0])
+    np.testing.assert_allclose(turn @ whole.T_hand_obj[0], whole.T_hand_obj[shown], atol=1e-9)
+
+
+def test_it_does_not_matter_where_the_masks_are_nor_how_many_are_read_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clip = read_clip(write_clip(*made(), tmp_path / "clip"))
+    again = reconstruct(clip, None, replace(QUICK, method="one-dof"))
+    np.testing.assert_allclose(again.T_hand_obj, found("one-dof").T_hand_obj, atol=1e-12)
+    monkeypatch.setattr(every_frame, "CHUNK", 2)
+    few = reconstruct(clip, None, replace(QUICK, method="one-dof"))
+    np.testing.assert_allclose(few.T_hand_obj, again.T_hand_obj, atol=2e-3)
+    assert few.frame_kind == again.frame_kind
+
+
+def test_results_say_how_each_pose_was_found_and_older_ones_are_read(tmp_path: Path) -> None:
+    whole = found("one-dof")
+    folder = write_result(whole, tmp_path / "result")
+    back, _ = read_result(folder)
+    assert back.frame_kind == whole.frame_kind
+    np.testing.assert_array_equal(back.iou, whole.iou)
+    content = dict(np.load(folder / "result.npz"))
+    del content["frame_kind"]
+    content["iou"] = np.nan_to_num(content["iou"])
+    np.savez(folder / "result.npz", **content)
+    assert {*read_result(folder)[0].frame_kind} == {"sampled"}
+
+
+def test_between_two_poses_lies_the_shortest_way_and_beyond_the_ends_nothing_moves() -> None:
+    R = se3.exp_so3(np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.8]]]))
+    poses = PosesInHand(R, np.array([[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]]), np.ones(1))
+    between = interpolated(poses, np.array([2, 6]), np.array([0, 2, 3, 6, 9]))
+    np.testing.assert_allclose(se3.log_so3(between.R[0])[:, 2], [0.0, 0.0, 0.2, 0.8, 0.8], atol=1e-12)
+    np.testing.assert_allclose(between.centre[0, :, 0], [0.0, 0.0, 0.025, 0.1, 0.1], atol=1e-12)
