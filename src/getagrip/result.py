@@ -20,8 +20,8 @@ from getagrip.io.array_data import ArrayData
 
 VERSION = 1
 FrameKind = Literal["sampled", "fitted", "interpolated"]
-"""How the pose of a frame was found: together with the other sampled ones; by its own mask, what frames share held still;
-or from its neighbours alone."""
+"""How the pose of a frame was found: together with the other sampled ones; by its own mask, what frames share held
+still; or from its neighbours alone."""
 FILES = ("result.json", "result.npz")
 """Of a result's folder."""
 AXIS = ("axis_point", "axis_direction", "angle")
@@ -305,12 +305,13 @@ def _texts(path: Path, given: dict[str, ndarray], key: str) -> tuple[str, ...]:
 def _frame_kind(path: Path, given: dict[str, ndarray], frames: int) -> tuple[FrameKind, ...]:
     """How each frame's pose was found; in older results, all frames were sampled."""
     if "frame_kind" not in given:
-        return ("sampled",) * frames
-    kinds = {kind: kind for kind in get_args(FrameKind)}
-    found = tuple(kinds.get(text, "") for text in _texts(path, given, "frame_kind"))
-    if len(found) != frames or "" in found:
-        raise InputError(path, "frame_kind", "something else", f"{', '.join(kinds)} for each of {frames} frames")
-    return found
+        return tuple("sampled" for _ in range(frames))
+    kinds: dict[str, FrameKind] = {kind: kind for kind in get_args(FrameKind)}
+    texts = _texts(path, given, "frame_kind")
+    if len(texts) != frames or not {*texts} <= {*kinds}:
+        given_texts = f"{len(texts)} texts, {files.shown(' '.join(sorted({*texts}))[:80])}"
+        raise InputError(path, "frame_kind", given_texts, f"{', '.join(kinds)} for each of {frames} frames")
+    return tuple(kinds[text] for text in texts)
 
 
 def _iou(path: Path, given: dict[str, ndarray], kind: tuple[FrameKind, ...]) -> Float[ndarray, "T"]:

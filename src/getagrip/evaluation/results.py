@@ -91,10 +91,8 @@ class _ResultComparison(Comparison):
 
     def take(self, index: Int[ndarray, "n"]) -> _ResultComparison:
         """The comparison in some of the frames."""
-        masks, track = (
-            self.masks and self.masks.take(index),
-            ObjectTrack(self.track.T_hand_obj[index], self.track.scale),
-        )
+        masks = None if self.masks is None else self.masks.take(index)
+        track = ObjectTrack(self.track.T_hand_obj[index], self.track.scale)
         return _ResultComparison(self.clip.take(index), masks, track, contacts=self.contacts)
 
     @property

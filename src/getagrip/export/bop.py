@@ -39,7 +39,8 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     model = f"models/obj_{OBJECT:06d}.ply"
     write_mesh(Mesh(1e3 * scene.object.vertices, scene.object.faces), folder / model)
     return {
-        results: "BOP results: R row by row, t in mm, model to camera; score is the mask IOU, 0 where there is no mask; time -1: not per image",
+        results: "BOP results: R row by row, t in mm, model to camera; score is the mask IOU, 0 where no mask shows "
+        "the object; time -1: not per image",
         "scene_gt.json": "the same poses in the layout of BOP's ground truth; they are estimates",
         "scene_camera.json": "intrinsics of each image",
         model: "the object at the size that was found, in mm",

@@ -35,6 +35,7 @@ class Track:
     Attributes:
         frames: names of the frames.
         kind: how each frame's pose was found.
+        T_cam_hand: (T, 4, 4) poses of the hand, which ``T_hand_obj`` are relative to.
         T_hand_obj: (K, T, 4, 4) poses of the mesh's own frame in the hand frame.
         angle: (T,) angle about the axis of the best [rad], where the method has one.
         iou: (T,) overlap of the best with the masks (``image_iou``); NaN where no mask shows the object.
@@ -42,6 +43,7 @@ class Track:
 
     frames: tuple[str, ...]
     kind: tuple[FrameKind, ...]
+    T_cam_hand: Float[ndarray, "T 4 4"]
     T_hand_obj: Float[ndarray, "K T 4 4"]
     angle: Float[ndarray, "T"] | None
     iou: Float[ndarray, "T"]
@@ -52,8 +54,9 @@ def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
     clip = problem.clip
     T_hand_obj = placed(found.poses, clip.mesh.centre)
     iou = image_iou(clip, problem.masks, T_hand_obj[0], float(found.poses.scale[0]))
-    kind: tuple[FrameKind, ...] = ("sampled",) * len(clip)
-    return Track(clip.frames, kind, T_hand_obj, None if found.axis is None else found.axis.angle, iou)
+    kind: tuple[FrameKind, ...] = tuple("sampled" for _ in clip.frames)
+    angle = None if found.axis is None else found.axis.angle
+    return Track(clip.frames, kind, clip.hand.T_cam_hand, T_hand_obj, angle, iou)
 
 
 def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: MethodResult, track: Track) -> Track:
@@ -62,6 +65,7 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
     ``masks`` are those of the whole clip; without them, they are read from its folder, a few at a time.
     """
     sampled = clip.index_of(problem.clip.frames)
+    clip = clip.with_hand_at(_hand(clip, problem, sampled))
     T, K, scale = len(clip), len(track.T_hand_obj), float(found.poses.scale[0])
     kind: list[FrameKind] = ["interpolated"] * T
     iou, angle, known = np.full(T, np.nan), np.full(T, np.nan), np.zeros(T, dtype=bool)
@@ -88,10 +92,10 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
     for n in sampled:
         kind[n] = "sampled"
     if track.angle is None:
-        return Track(clip.frames, tuple(kind), T_hand_obj, None, iou)
+        return Track(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, None, iou)
     seen = ~np.isnan(angle)
     angle[~seen] = np.interp(np.flatnonzero(~seen), np.flatnonzero(seen), angle[seen])
-    return Track(clip.frames, tuple(kind), T_hand_obj, angle, iou)
+    return Track(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, angle, iou)
 
 
 def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], index: Int[ndarray, "m"]) -> Motion:
@@ -122,10 +126,22 @@ def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "K
     return se3.rigid(R, poses.centre - scale * (R @ centre))
 
 
+def _hand(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Float[ndarray, "T 4 4"] | None:
+    """The hand of every frame: where it was corrected, by corrections between those of the sampled frames."""
+    if not problem.hand_corrected:
+        return None
+    given, corrected = clip.hand.T_cam_hand, problem.clip.hand.T_cam_hand
+    C = (se3.inverse(given[sampled]) @ corrected)[None]
+    between = interpolated(PosesInHand(C[..., :3, :3], C[..., :3, 3], np.ones(1)), sampled, np.arange(len(clip)))
+    T_cam_hand = given @ se3.rigid(between.R[0], between.centre[0])
+    T_cam_hand[sampled] = corrected
+    return np.asarray(T_cam_hand)
+
+
 def _others(
     clip: Clip, masks: Masks | None, problem: Problem, sampled: Int[ndarray, "n"]
 ) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
-    """The frames beyond the sampled ones whose masks show the object, a few at a time, each few from all of the clip."""
+    """The frames beyond the sampled ones that show the object, a few at a time, each few spread over the clip."""
     hidden = {*problem.clip.left_out}
     shown = np.flatnonzero([name not in hidden for name in clip.frames])
     rest = np.setdiff1d(shown, sampled)

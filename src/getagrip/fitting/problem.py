@@ -96,7 +96,7 @@ def prepare(clip: Clip, masks: Masks | None, options: Options) -> Problem:
     masks, notes = given, []
     if clip.left_out:
         names = ", ".join(clip.left_out)
-        notes.append(f"{len(clip.left_out)} frames without a visible object were left out: {names}")
+        notes.append(f"{len(clip.left_out)} frames without a visible object were left out of the fit: {names}")
     correction = None
     if options.hands == "corrected" and not method_of(options.method).as_published:
         correction = correct_hand(clip, masks)

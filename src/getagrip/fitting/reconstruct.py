@@ -52,7 +52,8 @@ def reconstruct(
         clock = Clock(progress)
         problem = prepare(clip, masks, options)
         clock("prepare")
-        given = Evidence(problem.clip, problem.given_masks)
+        sampled = clip.take(clip.index_of(problem.clip.frames))
+        given = Evidence(sampled, problem.given_masks)
         measured, findings = examine(INPUT_CHECKS, given)
         clock("check of the input")
         found = _fitted(problem, clock, findings)
@@ -60,7 +61,7 @@ def reconstruct(
         clock("finish")
         whole = at_every_frame(clip, masks, problem, found, track) if options.every_frame else track
         clock("every frame")
-        held = replace(given, T_hand_obj=track.T_hand_obj[0], scale=scale, iou=whole.iou)
+        held = replace(given, clip=problem.clip, T_hand_obj=track.T_hand_obj[0], scale=scale, iou=whole.iou)
         of_result, more = examine(RESULT_CHECKS, held)
         clock("check of the result")
     result = _reconstruction(problem, found, whole, clock.seconds())
@@ -99,7 +100,7 @@ def _reconstruction(problem: Problem, found: MethodResult, track: Track, seconds
         seconds=seconds,
         options=asdict(options),
         seed=options.seed,
-        T_cam_hand=clip.hand.T_cam_hand if problem.hand_corrected else None,
+        T_cam_hand=track.T_cam_hand if problem.hand_corrected else None,
         notes=(*problem.notes, *([guess] if clip.scale == "free" else [])),
     )
 

@@ -118,7 +118,8 @@ def result_of(found: Solution[M], hinge: Hinge | None = None, energy_of: EnergyO
 
     ``energy_of`` is the energy by which the motion can be fitted in other frames; None: it cannot be.
     """
-    motion, axis = found.motion, None
+    motion: Motion = found.motion
+    axis = None
     if hinge is not None:
         best = hinge.zero_mean()
         axis = Axis(best.point[0], best.direction[0], best.angle[0])

@@ -1,7 +1,7 @@
 """Motion models: how an object may move in a hand, a file each.
 
-``Fixed`` (the paper's Static), ``Hinge`` (the paper's 1-DoF, Eq. 3), ``Free`` (the paper's Dynamic), ``Soft``: one of the
-first two, with a small deviation per frame, and ``Frozen``: any of them, what its frames share held still.
+``Fixed`` (the paper's Static), ``Hinge`` (the paper's 1-DoF, Eq. 3), ``Free`` (the paper's Dynamic), ``Soft``: one of
+the first two, with a small deviation per frame, and ``Frozen``: any of them, what its frames share held still.
 """
 
 from getagrip.fitting.motion.base import Motion, PosesInHand, Prior
