@@ -113,3 +113,18 @@ def test_between_two_poses_lies_the_shortest_way_and_beyond_the_ends_nothing_mov
     between = interpolated(poses, np.array([2, 6]), np.array([0, 2, 3, 6, 9]))
     np.testing.assert_allclose(se3.log_so3(between.R[0])[:, 2], [0.0, 0.0, 0.2, 0.8, 0.8], atol=1e-12)
     np.testing.assert_allclose(between.centre[0, :, 0], [0.0, 0.0, 0.025, 0.1, 0.1], atol=1e-12)
+
+
+def test_a_corrected_hand_is_corrected_in_every_frame() -> None:
+    """A constant error of the hand: what is found of it in the sampled frames holds in the others, too."""
+    clip, masks = synthesise("mug", 2, SceneOptions(frames=13, size=(320, 240), focal=300.0))
+    error = se3.rigid(se3.exp_so3(np.array([0.0, 0.06, 0.06])), np.array([0.006, 0.0, 0.0]))
+    turned = clip.with_hand_at(clip.hand.T_cam_hand @ error)
+    result = reconstruct(turned, masks, QUICK)
+    assert result.T_cam_hand is not None
+    assert len(result.T_cam_hand) == len(clip)
+    off = se3.angle_between(result.T_cam_hand[:, :3, :3], clip.hand.T_cam_hand[:, :3, :3])
+    given = np.linalg.norm([0.0, 0.06, 0.06])
+    assert off.max() < 0.8 * given
+    assert off[result.frames_of("fitted")].max() < off[result.frames_of("sampled")].max() + 0.02
+    assert result.iou.min() > 0.9
