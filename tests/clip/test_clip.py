@@ -62,6 +62,7 @@ def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, seed: int, 
     np.testing.assert_array_equal(back.K, clip.K)
     np.testing.assert_array_equal(masks_back.object, masks.object)
     np.testing.assert_array_equal(masks_back.ignore, masks.ignore)
+    assert masks_back.hand is None
     for name in ("vertices", "faces", "T_cam_hand", "joints"):
         np.testing.assert_array_equal(getattr(back.hand, name), getattr(clip.hand, name))
     assert list(back.hand.regions) == list(clip.hand.regions)
@@ -114,6 +115,19 @@ def test_ignore_masks_and_truth_may_be_absent(clip_folder: Path) -> None:
     clip, masks = read_all(clip_folder)
     assert clip.truth is None
     assert not masks.ignore.any()
+
+
+def test_masks_of_the_holding_hand_alone_are_kept(tmp_path: Path) -> None:
+    clip, masks = small_clip()
+    hand = np.roll(masks.ignore, 1, axis=1) & masks.ignore
+    folder = write_clip(clip, Masks(masks.object, masks.ignore, hand), tmp_path / "alone")
+    known, without = read_masks(read_clip(folder)), input_sha256(folder)
+    assert known.hand is not None
+    np.testing.assert_array_equal(known.hand, hand)
+    assert known.take(np.array([2, 0])).hand is not None
+    shutil.rmtree(folder / "masks" / "hand")
+    assert read_masks(read_clip(folder)).hand is None
+    assert input_sha256(folder) != without
 
 
 def test_arrays_beyond_the_format_are_ignored(clip_folder: Path) -> None:

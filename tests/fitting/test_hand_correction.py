@@ -138,3 +138,14 @@ def test_as_given_leaves_everything_as_it_is(made: tuple[Clip, Masks]) -> None:
         problem = prepare(clip, made[1], options)
         assert not problem.hand_corrected
         np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, clip.hand.T_cam_hand)
+
+
+def test_where_the_hand_is_known_alone_another_one_does_not_count(made: tuple[Clip, Masks]) -> None:
+    clip, masks = off(made[0], CONSTANT), made[1]
+    beside = masks.ignore | (np.roll(masks.ignore, 25, axis=2) & ~masks.object)
+    alone = correct_hand(clip, Masks(masks.object, masks.ignore, masks.ignore))
+    both = correct_hand(clip, Masks(masks.object, beside, masks.ignore))
+    assert alone is not None
+    assert both is not None
+    assert apart(clip, both.T_cam_hand)[1] < 0.4 * apart(clip, clip.hand.T_cam_hand)[1]
+    assert apart(clip, alone.T_cam_hand)[1] < 0.3 * apart(clip, clip.hand.T_cam_hand)[1]

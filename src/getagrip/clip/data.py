@@ -119,10 +119,13 @@ class Masks(ArrayData):
         object: (T, H, W) pixels where the object is visible.
         ignore: (T, H, W) other pixels that say nothing about the object: those of the hand and of whatever else is in
             front of it. Where none is set, the hand of the clip is drawn to find them.
+        hand: (T, H, W) visible pixels of the hand that holds the object, and of no other; None where they are not
+            known apart from the ignored ones.
     """
 
     object: Bool[ndarray, "T H W"]
     ignore: Bool[ndarray, "T H W"]
+    hand: Bool[ndarray, "T H W"] | None = None
 
     @property
     def observed(self) -> Bool[ndarray, "T"]:
@@ -131,7 +134,7 @@ class Masks(ArrayData):
 
     def take(self, index: Int[ndarray, "n"]) -> Masks:
         """The masks of some of the frames, in the given order."""
-        return Masks(self.object[index], self.ignore[index])
+        return Masks(self.object[index], self.ignore[index], None if self.hand is None else self.hand[index])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -18,13 +18,16 @@ from getagrip.io.png import read_png
 def read_masks(clip: Clip) -> Masks:
     """Read and check the masks of a clip's frames.
 
-    Raises ``InputError`` for a missing or unsuitable image, and where no frame shows the object. The folder
-    ``masks/ignore`` may be absent; where it is there, it has an image for each frame.
+    Raises ``InputError`` for a missing or unsuitable image, and where no frame shows the object. The folders
+    ``masks/ignore`` and ``masks/hand`` may be absent; where they are there, they have an image for each frame.
     """
     width, height = clip.size
-    masks = Masks(*np.zeros((2, len(clip), height, width), dtype=bool))
+    known = clip.folder is not None and (clip.folder / "masks" / "hand").exists()
+    masks = Masks(*np.zeros((2 + known, len(clip), height, width), dtype=bool))
     for n, (mask, ignore) in enumerate(_each(clip)):
         masks.object[n], masks.ignore[n] = mask, ignore
+        if clip.folder is not None and masks.hand is not None:
+            masks.hand[n] = _read(clip.folder, "hand", clip.frames[n], clip.size)
     _check_some(clip, bool(masks.object.any()))
     return masks
 

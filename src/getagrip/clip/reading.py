@@ -97,7 +97,7 @@ def input_sha256(folder: str | Path) -> str:
     fields = _fields(folder)
     hand = files.inside(folder, "hand.npz", "", "the hands of a clip")
     paths = {"clip.json": folder / "clip.json", "hand.npz": hand, fields["mesh"]: _mesh(folder, fields)}
-    for kind in ("object", "ignore"):
+    for kind in ("object", "ignore", "hand"):
         if (folder / "masks" / kind).exists():
             names = [f"masks/{kind}/{name}.png" for name in _frame_names(folder / "clip.json", fields["frames"])]
             paths |= {name: files.inside(folder, name, "", "a mask for each frame of clip.json") for name in names}

@@ -49,6 +49,8 @@ def fill_folder(
         _write_masks(folder / "masks" / "object", clip.frames, masks.object)
         if masks.ignore.any():
             _write_masks(folder / "masks" / "ignore", clip.frames, masks.ignore)
+        if masks.hand is not None:
+            _write_masks(folder / "masks" / "hand", clip.frames, masks.hand)
     if images is not None:
         _write_images(folder / "frames", clip.frames, images)
 

@@ -43,7 +43,7 @@ class HandMask:
         K: (N, 4) fx, fy, cx, cy of the crops [px].
         observed: (N, n, words) the hand's pixels, as bits.
         valid: (N, n, words) pixels that are known to be the hand's or not: not those of the object, which may hide the
-            hand, not ignored pixels far from the given hand, and not those beyond its wrist, where an arm is.
+            hand, not other ignored pixels, and not those beyond its wrist, where an arm is.
         field: (N, n, n) signed distance to the visible contour [px].
     """
 
@@ -54,17 +54,20 @@ class HandMask:
 
     @staticmethod
     def of(clip: Clip, masks: Masks) -> HandMask:
-        """The pixels of a clip's hand, from the ignored ones."""
+        """The pixels of a clip's hand; where they are not known as such, the ignored ones near it."""
         uv = project(clip.K, se3.transform(clip.hand.T_cam_hand, clip.hand.vertices))
         crops = crops_of_boxes(np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1), EXPAND, SIZE)
         K = crops.intrinsics(clip.K)
         # The border of the object's mask is the object's or the hand's: nobody knows to a pixel.
         objects = np.stack([cv2.dilate(m.view(np.uint8), np.ones((3, 3), np.uint8)) for m in masks.object]).view(bool)
-        hand = crops.resample(masks.ignore & ~objects, outside=False)
+        hand = crops.resample((masks.ignore if masks.hand is None else masks.hand) & ~objects, outside=False)
         valid = ~crops.resample(objects, outside=True)
         fxfycxcy = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], axis=1)
-        near = _near(_given_bits(clip.hand, fxfycxcy))
-        valid &= (near | ~hand) & ~_beyond_wrist(clip.hand, K)
+        if masks.hand is None:
+            valid &= ~hand | _near(_given_bits(clip.hand, fxfycxcy))
+        else:
+            valid &= hand | ~crops.resample(masks.ignore, outside=True)
+        valid &= ~_beyond_wrist(clip.hand, K)
         hand &= valid
         field = np.stack([signed_distance(h, v) for h, v in zip(hand, valid, strict=True)])
         return HandMask(fxfycxcy, pack(hand), pack(valid), field)

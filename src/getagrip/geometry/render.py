@@ -24,6 +24,14 @@ LIGHT = np.array([-0.35, -0.6, -0.72])
 """Direction to the light in the camera frame: from above the left shoulder."""
 
 
+def nearest_surface(
+    surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: tuple[int, int]
+) -> Int[ndarray, "H W"]:
+    """Which of the surfaces is nearest in each pixel; -1 where there is none."""
+    vertices, faces, first = _joined(surfaces)
+    return np.asarray(np.searchsorted(first, depth_and_face(vertices, faces, K, size)[1], side="right") - 1)
+
+
 def true_masks(
     held: Surface, hands: Sequence[Surface], others: Sequence[Surface], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
@@ -33,13 +41,10 @@ def true_masks(
     that hide nothing are background, which does say where the held object is not. An object in front is ignored as
     a whole, so that the ignored area does not betray the silhouette of what it hides.
     """
-    surfaces = [held, *hands, *others]
-    vertices, faces, first = _joined(surfaces)
-    _, face = depth_and_face(vertices, faces, K, size)
-    part = np.searchsorted(first, face, side="right") - 1  # -1: nothing, 0: held, then hands, then others
+    part = nearest_surface([held, *hands, *others], K, size)  # 0: held, then hands, then others
     silhouette = depth_and_face(*held, K, size)[1] >= 0
     ignore = (part > 0) & (part <= len(hands))
-    for k in range(1 + len(hands), len(surfaces)):
+    for k in range(1 + len(hands), 1 + len(hands) + len(others)):
         covers = part == k
         if np.count_nonzero(covers & silhouette) > HIDES * np.count_nonzero(silhouette):
             ignore |= covers

@@ -53,6 +53,10 @@ def test_left_clips_are_mirror_images() -> None:
     assert left.side == "left"
     assert np.array_equal(masks_left.object, masks_right.object[:, :, ::-1])
     assert np.array_equal(masks_left.ignore, masks_right.ignore[:, :, ::-1])
+    assert masks_right.hand is not None
+    assert masks_left.hand is not None
+    assert np.array_equal(masks_left.hand, masks_right.hand[:, :, ::-1])
+    assert not (masks_right.hand & ~masks_right.ignore).any()
     assert left.truth is not None
     assert se3.is_rigid(left.truth.T_cam_obj).all()
     assert left.mesh.volume == pytest.approx(right.mesh.volume)

@@ -137,7 +137,8 @@ def noisy_masks(masks: Masks, noise: Noise, rng: np.random.Generator) -> Masks:
         hidden = ragged(ignore, noise.mask_ragged_px, rng)
         pairs.append((ragged(mask, noise.mask_ragged_px, rng) & ~hidden, hidden))
     objects, ignored = zip(*pairs, strict=True)
-    return Masks(np.stack(objects), np.stack(ignored))
+    hand = None if masks.hand is None else np.stack([ragged(m, noise.mask_ragged_px, rng) for m in masks.hand])
+    return Masks(np.stack(objects), np.stack(ignored), hand)
 
 
 def ragged(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> Bool[ndarray, "H W"]:

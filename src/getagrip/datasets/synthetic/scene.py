@@ -28,7 +28,7 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.render import Surface, render_rgb, true_masks
+from getagrip.geometry.render import Surface, nearest_surface, render_rgb, true_masks
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track, mirrored
 from getagrip.result import Axis
@@ -214,13 +214,18 @@ def _flipped(mesh: Mesh) -> Mesh:
 
 
 def ground_truth_masks(scene: Scene) -> Masks:
-    """True masks of the scene."""
-    pairs = []
-    for n in range(len(scene.clip)):
-        held, hands = scene.surfaces(n)
-        pairs.append(true_masks(held, hands, [], scene.clip.K[n], scene.clip.size))
+    """True masks of the scene, those of the holding hand beside where there is another."""
+    clip = scene.clip
+    surfaces = [scene.surfaces(n) for n in range(len(clip))]
+    pairs = [true_masks(held, hands, [], K, clip.size) for (held, hands), K in zip(surfaces, clip.K, strict=True)]
     objects, ignored = zip(*pairs, strict=True)
-    return Masks(np.stack(objects), np.stack(ignored))
+    hand = None
+    if scene.other_hand is not None:
+        nearest = [
+            nearest_surface([held, *hands], K, clip.size) for (held, hands), K in zip(surfaces, clip.K, strict=True)
+        ]
+        hand = np.stack(nearest) == 1
+    return Masks(np.stack(objects), np.stack(ignored), hand)
 
 
 def pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
