@@ -358,6 +358,6 @@ def test_hands_need_a_place_to_go(made: Path, capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.parametrize("option", ["--size-mm", "--diameter-mm"])
 def test_sizes_are_refused_in_the_unit_in_which_they_are_given(made: Path, capsys: Any, option: str) -> None:
-    mesh = ["--mesh", str(made / "unit.obj"), option, "0.25", "--interval", "1", "3", "--side", "left"]
+    mesh = ["--mesh", str(made / "unit.obj"), option, "0.25", "--interval", "1", "3", "--side", "left", "--K", *K]
     assert main(new(made, *mesh)) == 2
     assert f"{option}: got 0.25, expected 5 to 2000 millimetres" in capsys.readouterr().err

@@ -10,8 +10,9 @@ from hypothesis.extra import numpy as hnp
 from numpy import ndarray
 
 from getagrip.datasets.synthetic import shapes
+from getagrip.fitting import observation
 from getagrip.fitting.energy.mask import SilhouetteMesh
-from getagrip.fitting.observation import _boundary, _reduce, _signed_distance
+from getagrip.fitting.observation import _boundary, _reduce
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels import contour, reference
@@ -281,13 +282,17 @@ def test_a_contour_point_moves_as_its_derivative_says() -> None:
 @given(SEEDS)
 def test_distance_fields(seed: int) -> None:
     seen, valid = _blobs(seed)
-    np.testing.assert_allclose(_signed_distance(seen, valid), reference.distance_field(seen, valid), atol=1e-4)
+    np.testing.assert_allclose(
+        observation.signed_distance(seen, valid), reference.distance_field(seen, valid), atol=1e-4
+    )
 
 
 def test_a_distance_field_of_nothing_is_far_away() -> None:
     nothing, everything = np.zeros((16, 16), bool), np.ones((16, 16), bool)
     for seen, valid in ((nothing, everything), (everything, everything), (nothing, nothing)):
-        np.testing.assert_allclose(_signed_distance(seen, valid), reference.distance_field(seen, valid), atol=1e-4)
+        np.testing.assert_allclose(
+            observation.signed_distance(seen, valid), reference.distance_field(seen, valid), atol=1e-4
+        )
 
 
 @given(SEEDS)
@@ -302,7 +307,7 @@ def test_borders_with_an_occluder_do_not_attract(seed: int) -> None:
 @given(SEEDS)
 def test_observed_boundary_points(seed: int) -> None:
     seen, valid = _blobs(seed)
-    field = _signed_distance(seen, valid)
+    field = observation.signed_distance(seen, valid)
     targets = np.empty((28, 5))
     _boundary(seen, valid, field, 2.0, targets)
     expected = reference.boundary_targets(seen, valid, field, 2.0, 28)

@@ -61,7 +61,7 @@ def test_a_term_of_ones_own_counts_in_all_stages(monkeypatch: pytest.MonkeyPatch
         return soft_hinge(problem, on_stage, more)
 
     monkeypatch.setitem(METHODS, "drawn", Method("Drawn", fit, has_axis=True))
-    result = reconstruct(clip, masks, Options(method="drawn", inits=4))
+    result = reconstruct(clip, masks, Options(method="drawn", inits=4, hands="as-given"))
     T_cam_obj = clip.hand.T_cam_hand @ result.T_hand_obj
     centre = T_cam_obj[:, :3, :3] @ clip.mesh.centre + T_cam_obj[:, :3, 3]
     np.testing.assert_allclose(centre, place, atol=2e-3)
