@@ -14,7 +14,7 @@ from getagrip import evaluation as ev
 from getagrip.clip import Clip, Masks, input_sha256, write_clip
 from getagrip.datasets.synthetic import shapes
 from getagrip.errors import InputError
-from getagrip.evaluation.metric import METRICS
+from getagrip.evaluation.metric import ADD_MM, IOU, METRICS
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files
@@ -52,6 +52,14 @@ def test_means_are_means_of_the_frames(scene: tuple[Clip, Masks]) -> None:
     assert out["metrics"]["add_success"] == 0.0
     assert out["metrics"]["add_frame_success"] == pytest.approx(2 / 5)
     assert out["metrics"]["sca_add_object_5mm"] == 0.0
+
+
+def test_only_what_is_wanted_is_computed(scene: tuple[Clip, Masks]) -> None:
+    clip, masks = scene
+    every = ev.evaluate(perfect(clip), clip, masks)
+    some = ev.evaluate(perfect(clip), clip, masks, wanted=[IOU, ADD_MM])
+    for part in ("metrics", "per_frame"):
+        assert some[part] == {key: every[part][key] for key in ("iou", "add_mm")}
 
 
 def test_nothing_but_masks_depends_on_where_the_camera_stands(scene: tuple[Clip, Masks]) -> None:

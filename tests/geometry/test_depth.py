@@ -105,6 +105,24 @@ def test_masks_separate_visible_from_hidden_pixels():
     np.testing.assert_array_equal(true_masks(held, [], [hand], K, SIZE)[1], ignore)
 
 
+def test_colours_of_vertices_are_interpolated():
+    vertices, faces = cube([0.0, 0.0, 0.6])
+    left = (vertices[:, 0] < 0.0)[:, None]
+    colours = np.where(left, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    picture = render_rgb([(vertices, faces, colours)], K, SIZE).astype(int)
+    seen = depth_and_face(vertices, faces, K, SIZE)[1] >= 0
+    columns = np.flatnonzero(seen[18])
+    inner = picture[18, columns[1:-1]]
+    assert np.all(inner[:, 1] == 0)
+    share = inner[:, 2] / inner.sum(axis=1)  # of blue, whatever the light
+    assert np.all(np.diff(share) >= 0.0)
+    assert share[0] < 0.15
+    assert share[-1] > 0.95
+    assert np.diff(share).max() < 0.1  # in small steps
+    same = render_rgb([(vertices, faces, np.tile([1.0, 0.0, 0.0], (len(vertices), 1)))], K, SIZE)
+    np.testing.assert_array_equal(same, render_rgb([(vertices, faces, (1.0, 0.0, 0.0))], K, SIZE))
+
+
 @pytest.mark.parametrize("background", [None, (0.0, 0.5, 1.0), np.full((36, 48, 3), 7, np.uint8)])
 def test_pictures_show_mesh_and_background(background):
     vertices, faces = cube([0.0, 0.0, 0.6])

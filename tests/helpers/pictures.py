@@ -1,4 +1,4 @@
-"""What a picture shows: its pixels of a known colour."""
+"""What a picture shows: its words, its parts, its pixels of a known colour."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 
 def read_picture(path: Path) -> np.ndarray:
@@ -19,3 +22,22 @@ def read_picture(path: Path) -> np.ndarray:
 def pixels_of(picture: np.ndarray, colour: str) -> int:
     """The number of pixels that have nearly this colour."""
     return int((np.abs(picture / 255.0 - to_rgb(colour)).max(axis=-1) < 0.06).sum())
+
+
+def texts(figure: Figure) -> set[str]:
+    """All that is written in a figure."""
+    return {text.get_text() for text in figure.findobj(Text)} - {""}
+
+
+def pixels(figure: Figure) -> np.ndarray:
+    """The figure as (H, W, 3) RGB."""
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba())[..., :3]  # type: ignore[attr-defined]
+
+
+def panel(picture: np.ndarray, axes: Axes) -> np.ndarray:
+    """The part of the picture that some axes take."""
+    height, width, _ = picture.shape
+    box = axes.get_position()
+    rows = slice(int((1.0 - box.y1) * height), int((1.0 - box.y0) * height))
+    return picture[rows, int(box.x0 * width) : int(box.x1 * width)]

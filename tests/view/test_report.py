@@ -8,20 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.text import Text
 
 from getagrip.clip import Clip, Masks, read_clip
 from getagrip.commands import demo
 from getagrip.datasets.synthetic.scene import make_scene, synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry import se3
-from getagrip.result import Axis, Candidates, Reconstruction, read_result
+from getagrip.result import Axis, read_result
 from getagrip.view.report import TILES, report_figure, write_report
 from getagrip.view.style import AXIS, FOUND, TRUE
-from helpers.pictures import pixels_of, read_picture
+from helpers.pictures import panel, pixels, pixels_of, read_picture, texts
+from helpers.true_result import true_result
 
 
 @lru_cache
@@ -31,48 +28,11 @@ def given() -> tuple[Clip, Masks, Axis]:
     return clip, masks, make_scene("mug", 0, options).axis
 
 
-def result_of(clip: Clip, axis: Axis | None) -> Reconstruction:
-    """The ground truth as a result."""
-    assert clip.truth is not None
-    T = se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
-    return Reconstruction(
-        clip=clip.name,
-        method="static" if axis is None else "one-dof",
-        frames=clip.frames,
-        T_hand_obj=T,
-        scale=clip.truth.scale,
-        iou=np.linspace(0.5, 1.0, len(clip)),
-        axis=axis,
-        candidates=Candidates(T[None], np.ones(1), np.ones(1)),
-        energy={"total": 1.0},
-        status="converged",
-        ambiguous=True,
-        seconds={"total": 0.5},
-    )
-
-
-def texts(figure: Figure) -> set[str]:
-    return {text.get_text() for text in figure.findobj(Text)} - {""}
-
-
-def pixels(figure: Figure) -> np.ndarray:
-    figure.canvas.draw()
-    return np.asarray(figure.canvas.buffer_rgba())[..., :3]  # type: ignore[attr-defined]
-
-
-def panel(picture: np.ndarray, axes: Axes) -> np.ndarray:
-    """The part of the picture that some axes take."""
-    height, width, _ = picture.shape
-    box = axes.get_position()
-    rows = slice(int((1.0 - box.y1) * height), int((1.0 - box.y0) * height))
-    return picture[rows, int(box.x0 * width) : int(box.x1 * width)]
-
-
 @pytest.mark.slow
 def test_every_part_of_the_picture_is_drawn(tmp_path: Path) -> None:
     clip, masks, axis = given()
     metrics = {"add_mm": 1.25, "add_sym_mm": 1.0, "rotation_sym_deg": 2.0}
-    result = result_of(clip, axis)
+    result = true_result(clip, axis)
     figure = report_figure(result, clip, masks, metrics)
     assert len(figure.axes) == 3 * TILES + 2
     assert texts(figure) >= {
@@ -101,7 +61,7 @@ def test_every_part_of_the_picture_is_drawn(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_results_without_axis_truth_masks_or_many_frames(with_masks: bool) -> None:
     clip, masks, _ = given()
-    result = result_of(clip.take(np.array([1, 4])), None)
+    result = true_result(clip.take(np.array([1, 4])), None)
     figure = report_figure(result, replace(clip, truth=None), masks if with_masks else None)
     assert [axes.get_title() for axes in figure.axes[:2]] == [clip.frames[1], clip.frames[4]]
     assert len(figure.axes) == 3 * 2 + 2
@@ -115,7 +75,7 @@ def test_results_without_axis_truth_masks_or_many_frames(with_masks: bool) -> No
 def test_an_unknown_method_is_refused(tmp_path: Path) -> None:
     clip, masks, axis = given()
     with pytest.raises(UsageError, match="method: got 'foo', expected one of"):
-        write_report(replace(result_of(clip, axis), method="foo"), clip, masks, tmp_path / "report.png")
+        write_report(replace(true_result(clip, axis), method="foo"), clip, masks, tmp_path / "report.png")
 
 
 def test_an_empty_image_is_named(tmp_path: Path) -> None:
@@ -124,13 +84,13 @@ def test_an_empty_image_is_named(tmp_path: Path) -> None:
     image.parent.mkdir(parents=True)
     image.touch()
     with pytest.raises(InputError, match=image.name):
-        write_report(result_of(clip, axis), replace(clip, folder=tmp_path / "clip"), masks, tmp_path / "report.png")
+        write_report(true_result(clip, axis), replace(clip, folder=tmp_path / "clip"), masks, tmp_path / "report.png")
     assert not (tmp_path / "report.png").exists()
 
 
 def test_a_result_of_another_clip_is_refused(tmp_path: Path) -> None:
     clip, masks, axis = given()
-    result = replace(result_of(clip, axis), frames=tuple(f"x{n}" for n in range(6)))
+    result = replace(true_result(clip, axis), frames=tuple(f"x{n}" for n in range(6)))
     with pytest.raises(InputError, match="x0"):
         write_report(result, clip, masks, tmp_path / "report.png")
     assert not (tmp_path / "report.png").exists()

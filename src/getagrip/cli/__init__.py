@@ -30,8 +30,8 @@ TWO_WORDS = ("clip new", "epic candidates", "init learn")
 """Commands that are typed as two words."""
 
 
-def commands(imports: Any) -> Any:
-    """All commands; ``imports`` is what ``import`` takes."""
+def commands(imports: Any, figures: Any) -> Any:
+    """All commands; ``imports`` is what ``import`` takes, ``figures`` what ``figure`` takes."""
     return (
         Annotated[Demo, subcommand("demo")]
         | Annotated[Reconstruct, subcommand("reconstruct")]
@@ -47,6 +47,7 @@ def commands(imports: Any) -> Any:
         | Annotated[Annotate, subcommand("annotate")]
         | Annotated[Report, subcommand("report")]
         | Annotated[Export, subcommand("export")]
+        | Annotated[figures, subcommand("figure", description="Draw figures of results, as the paper has them.")]
         | Annotated[Doctor, subcommand("doctor")]
     )
 
@@ -81,16 +82,21 @@ def _run(command: Command) -> int:
 def _parsed(args: Sequence[str]) -> Command:
     """The command that arguments call for. Ends the process after ``--help``, and for arguments that fit no command."""
     imports: Any = Command
+    figures: Any = Command
     if args and args[0] == "import":  # what it takes is declared with the readers, which take longer to load
         from getagrip.cli.imports import Imports
 
         imports = Imports
+    elif args and args[0] == "figure":  # likewise
+        from getagrip.cli.figures import Figures
+
+        figures = Figures
     if list(args) == ["--version"]:
         print(f"getagrip {__version__}")
         sys.exit(0)
     if " ".join(args[:2]) in TWO_WORDS:
         args = [" ".join(args[:2]), *args[2:]]
     command: Command = tyro.cli(
-        commands(imports), prog="getagrip", description=DESCRIPTION, args=args, config=(OmitArgPrefixes,)
+        commands(imports, figures), prog="getagrip", description=DESCRIPTION, args=args, config=(OmitArgPrefixes,)
     )
     return command

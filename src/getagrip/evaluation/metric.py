@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -93,6 +93,7 @@ def _closed(it: Comparison) -> float:
     return float(np.mean(closed))
 
 
+IOU = Metric("iou", lambda it, _: it.iou.crop, heading="IOU", label="IOU")
 ADD_MM = Metric("add_mm", lambda it, _: 1e3 * it.errors.add, "mm", "ADD", needs_truth=True)
 ADD_SYM_MM = Metric("add_sym_mm", lambda it, _: 1e3 * it.errors_sym.add, "mm", "sym", "ADD sym., mm", needs_truth=True)
 ADD_SYM = Metric(
@@ -109,7 +110,7 @@ TRUE_SCA = Metric(
 )  # fmt: skip
 
 METRICS: tuple[Metric, ...] = (
-    Metric("iou", lambda it, _: it.iou.crop, heading="IOU", label="IOU"),
+    IOU,
     Metric("iou_soft", lambda it, _: it.iou.soft),
     Metric("iou_full", lambda it, _: it.iou.full, heading="full"),
     ADD_MM,
@@ -154,11 +155,11 @@ METRICS: tuple[Metric, ...] = (
 """All of them, in the order in which tables show them."""
 
 
-def measure(it: Comparison) -> tuple[dict[str, float], dict[str, list[float]]]:
-    """The metrics that can be known, one number for the clip each; and those that are numbers for each frame."""
+def measure(it: Comparison, wanted: Sequence[Metric] = METRICS) -> tuple[dict[str, float], dict[str, list[float]]]:
+    """The wanted metrics that can be known, one number for the clip each; and those that are numbers for each frame."""
     metrics: dict[str, float] = {}
     per_frame: dict[str, list[float]] = {}
-    for metric in METRICS:
+    for metric in wanted:
         for contact in it.contacts if metric.by_contact else it.contacts[:1]:
             try:
                 value = metric.of(it, contact)

@@ -15,7 +15,7 @@ from numpy import ndarray
 from getagrip.clip import Clip, Masks, check_masks, find_masks, input_sha256, read_clip
 from getagrip.errors import InputError
 from getagrip.evaluation.comparison import Comparison
-from getagrip.evaluation.metric import measure
+from getagrip.evaluation.metric import METRICS, Metric, measure
 from getagrip.io import files
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, ContactDistances, contact_distances
 from getagrip.metrics.mask import MaskIou, iou_of_poses
@@ -47,13 +47,15 @@ def evaluate(
     clip: Clip,
     masks: Masks | None = None,
     contacts: Sequence[ContactDefinition] = CONTACT_DEFINITIONS,
+    wanted: Sequence[Metric] = METRICS,
 ) -> dict[str, Any]:
     """All metrics of a reconstruction (docs/metrics.md), at the result's frames of the clip and its masks.
 
     ``metrics`` has one number each, ``per_frame`` a list each; names end in their units. Where poses of some frames are
-    interpolated, ``metrics_of_fitted`` leaves these out. What needs masks or ground
-    truth is left out without them. ``contacts`` are the definitions of contact by which it is measured. Raises
-    ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for masks of another clip.
+    interpolated, ``metrics_of_fitted`` leaves these out. What needs masks or ground truth is left out without them.
+    ``contacts`` are the definitions of contact by which it is measured; of the table of metrics only those ``wanted``
+    are computed. Raises ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for
+    masks of another clip.
     """
     if masks is not None:
         check_masks(clip, masks)
@@ -61,17 +63,17 @@ def evaluate(
     clip, masks = clip.take(index).with_hand_at(result.T_cam_hand), None if masks is None else masks.take(index)
     it = _ResultComparison(clip, masks, ObjectTrack(result.T_hand_obj, result.scale), contacts=tuple(contacts))
     symmetry = None if clip.truth is None else it.symmetries.describe()
-    made = evaluation(it, result.method, symmetry)
+    made = evaluation(it, result.method, symmetry, wanted)
     made |= {"frame_kind": list(result.frame_kind), "findings": [str(finding) for finding in result.findings]}
     fitted = result.frames_of("sampled", "fitted")
     if 0 < len(fitted) < len(clip):
-        made["metrics_of_fitted"] = measure(it.take(fitted))[0]
+        made["metrics_of_fitted"] = measure(it.take(fitted), wanted)[0]
     return made
 
 
-def evaluation(it: Comparison, method: str, symmetry: str | None) -> dict[str, Any]:
+def evaluation(it: Comparison, method: str, symmetry: str | None, wanted: Sequence[Metric] = METRICS) -> dict[str, Any]:
     """What is written of a comparison."""
-    metrics, per_frame = measure(it)
+    metrics, per_frame = measure(it, wanted)
     return {
         "clip": it.clip.name,
         "category": it.clip.category,

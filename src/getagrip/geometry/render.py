@@ -52,13 +52,14 @@ def true_masks(
 
 
 def render_rgb(
-    meshes: Sequence[tuple[Float[ndarray, "_V 3"], Int[ndarray, "_F 3"], Colour]],
+    meshes: Sequence[tuple[Float[ndarray, "_V 3"], Int[ndarray, "_F 3"], Colour | Float[ndarray, "_V 3"]]],
     K: Float[ndarray, "3 3"],
     size: tuple[int, int],
     background: UInt8[ndarray, "H W 3"] | Colour | None = None,
 ) -> UInt8[ndarray, "H W 3"]:
     """A lit picture of meshes in the camera frame, smoothly shaded between vertices, four samples a pixel.
 
+    A mesh has one colour, or one for each vertex, between which colours are interpolated.
     ``background`` is an image of ``size``, a colour, or nothing: white.
     """
     width, height = size
@@ -71,13 +72,14 @@ def render_rgb(
     if meshes:
         vertices, faces, _ = _joined([(v, f) for v, f, _ in meshes])
         brightness = _lambert(vertices, np.concatenate([vertex_normals(v, f) for v, f, _ in meshes]))
-        colours = np.repeat([colour for _, _, colour in meshes], [len(f) for _, f, _ in meshes], axis=0)
+        colours = np.concatenate([np.broadcast_to(np.asarray(colour), v.shape) for v, _, colour in meshes])
         K2 = np.diag([2.0, 2.0, 1.0]) @ K
         _, face = depth_and_face(vertices, faces, K2, (2 * width, 2 * height))
         covered = face >= 0
         weights = barycentric(vertices, faces, K2, face)
-        light = np.sum(weights * brightness[faces[face[covered]]], axis=1)
-        picture[covered] = np.clip(light[:, None] * colours[face[covered]], 0.0, 1.0)
+        corners = faces[face[covered]]
+        light = np.sum(weights * brightness[corners], axis=1)
+        picture[covered] = np.clip(light[:, None] * np.einsum("nk,nkc->nc", weights, colours[corners]), 0.0, 1.0)
     mean = (picture[::2, ::2] + picture[::2, 1::2] + picture[1::2, ::2] + picture[1::2, 1::2]) / 4.0
     return np.asarray(np.round(255.0 * mean), dtype=np.uint8)
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+IOU_RAMP = [PAPER, "#c3d3de", "#6f93b0", "#2f5573", "#16283a"]
+"""Colours of contact IOU, from 0 to 1."""
 FINEST = 1000
 """Frames drawn; of longer sequences every other, every third ..."""
 
@@ -57,7 +59,7 @@ def _draw(
     figure = Figure(figsize=(7.6, 8.0), dpi=130)
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0.085, 0.13, 0.76, 0.722))
-    colours = LinearSegmentedColormap.from_list("contact", [PAPER, "#c3d3de", "#6f93b0", "#2f5573", "#16283a"])
+    colours = LinearSegmentedColormap.from_list("contact", IOU_RAMP)
     # Frame n covers n to n + 1: the axes count frames from the left border of the first.
     drawn = axes.imshow(iou[step, step], extent=(0, T, T, 0), vmin=0, vmax=1, cmap=colours, interpolation="nearest")
     axes.set(xlabel="frame", xlim=(0, T), ylim=(T, 0))

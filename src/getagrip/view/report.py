@@ -58,7 +58,7 @@ def report_figure(
     if masks is not None:
         check_masks(clip, masks)
     index = clip.index_of(result.frames)
-    view = View(clip.take(index).with_hand_at(result.T_cam_hand), None if masks is None else masks.take(index), result)
+    view = View.of(result, clip.take(index), None if masks is None else masks.take(index))
     return _draw(view, metrics or {})
 
 

@@ -9,6 +9,8 @@ PAPER, INK, FAINT, LINE = "#f4f4f1", "#2b2f33", "#8a9096", "#d9dad6"
 FOUND, AXIS, HIDDEN, TRUE, HAND_LINE = "#c8553d", "#2a9d8f", "#a8e0d5", "#6c757d", "#7b5ea7"
 HAND, OBJECT = (0.87, 0.72, 0.63), (0.44, 0.58, 0.69)
 """Of rendered surfaces."""
+PAPER_RGB = (0xF4 / 255.0, 0xF4 / 255.0, 0xF1 / 255.0)
+"""``PAPER`` as rendered pictures take it."""
 BLANK, OBSERVED, IGNORED = (244, 244, 241), (126, 158, 184), (216, 200, 186)
 """Of pixels, where masks are drawn for want of an image: without either, of the object, ignored."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
@@ -29,6 +30,7 @@ from getagrip.view.style import (
     IGNORED,
     OBJECT,
     OBSERVED,
+    PAPER_RGB,
 )
 
 if TYPE_CHECKING:
@@ -42,7 +44,7 @@ BEYOND = 1.10
 
 @dataclass(frozen=True)
 class View:
-    """A result with its clip and masks at the result's frames."""
+    """A result with its clip and masks at the result's frames; the clip's hand is where the result has it."""
 
     clip: Clip
     masks: Masks | None
@@ -64,6 +66,18 @@ class View:
         T_cam_obj = self.clip.hand.T_cam_hand[n] @ self.result.T_hand_obj[n]
         return se3.transform(T_cam_obj, self.result.scale * self.clip.mesh.vertices)
 
+    @staticmethod
+    def of(result: Reconstruction, clip: Clip, masks: Masks | None) -> View:
+        """A result with a clip and masks at its frames, the hand as the clip gives it."""
+        return View(clip.with_hand_at(result.T_cam_hand), masks, result)
+
+    def image_file(self, n: int) -> Path | None:
+        """The frame's image, where the clip has one."""
+        if self.clip.folder is None:
+            return None
+        files = (self.clip.folder / "frames" / f"{self.clip.frames[n]}{suffix}" for suffix in (".jpg", ".png"))
+        return next((file for file in files if file.is_file()), None)
+
     def at(self, frames: Sequence[str]) -> View:
         """The same at some of the result's frames, in the given order."""
         place = {name: n for n, name in enumerate(self.result.frames)}
@@ -73,7 +87,9 @@ class View:
             result,
             frames=tuple(frames),
             T_hand_obj=result.T_hand_obj[index],
+            T_cam_hand=None if result.T_cam_hand is None else result.T_cam_hand[index],
             iou=result.iou[index],
+            frame_kind=tuple(result.frame_kind[n] for n in index),
             axis=None if axis is None else replace(axis, angle=axis.angle[index]),
             candidates=replace(result.candidates, T_hand_obj=result.candidates.T_hand_obj[:, index]),
         )
@@ -86,7 +102,7 @@ class View:
             return None
         T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
         hand = replace(self.clip.hand, vertices=truth.hand_vertices, T_cam_hand=truth.T_cam_hand)
-        result = replace(self.result, T_hand_obj=T_hand_obj, scale=truth.scale, axis=None)
+        result = replace(self.result, T_hand_obj=T_hand_obj, T_cam_hand=None, scale=truth.scale, axis=None, findings=())
         return View(replace(self.clip, hand=hand), self.masks, result)
 
 
@@ -126,7 +142,7 @@ def over_image(axes: Axes, view: View, n: int, crops: Crops, k: int, with_hand: 
     tile = cv2.warpAffine(
         _image(view, n), warp, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=BLANK
     )
-    axes.imshow(tile, extent=(0, crops.size, crops.size, 0), interpolation="antialiased")
+    show(axes, tile)
     K = _intrinsics(view, n, crops, k)
     if with_hand:
         contour(axes, view.hand(n), view.clip.hand.faces, K, crops.size, HAND_LINE)
@@ -134,7 +150,7 @@ def over_image(axes: Axes, view: View, n: int, crops: Crops, k: int, with_hand: 
 
 
 def rendered(axes: Axes, view: View, n: int, crops: Crops, k: int, from_side: bool) -> None:
-    """Hand, object and axis in window ``k``, from the camera; or from the side, at the same scale."""
+    """Hand, object and axis in window ``k``, from the camera; or from the side, at the same scale if it fits."""
     K, size = _intrinsics(view, n, crops, k), crops.size
     hand, held = view.hand(n), view.object(n)
     T_view_cam = np.eye(4)
@@ -145,9 +161,11 @@ def rendered(axes: Axes, view: View, n: int, crops: Crops, k: int, from_side: bo
         T_view_cam = se3.rigid(R, np.array([0.0, 0.0, np.linalg.norm(middle)]) - R @ middle)
         K = np.array([[K[0, 0], 0.0, size / 2.0], [0.0, K[1, 1], size / 2.0], [0.0, 0.0, 1.0]])
     hand, held = se3.transform(T_view_cam, hand), se3.transform(T_view_cam, held)
+    if from_side:  # an object far before or behind the hand would be cut off
+        reach = np.abs(project(K, np.concatenate([hand, held])) - size / 2.0).max()
+        K[:2, :2] *= min(1.0, 0.48 * size / reach)
     meshes = [(hand, view.clip.hand.faces, HAND), (held, view.clip.mesh.faces, OBJECT)]
-    paper = (BLANK[0] / 255.0, BLANK[1] / 255.0, BLANK[2] / 255.0)
-    axes.imshow(render_rgb(meshes, K, (size, size), paper), extent=(0, size, size, 0))
+    show(axes, render_rgb(meshes, K, (size, size), PAPER_RGB))
     if view.result.axis is not None:
         line = se3.transform(T_view_cam @ view.clip.hand.T_cam_hand[n], axis_points(view))
         axis_line(axes, line, [mesh[:2] for mesh in meshes], K, size)
@@ -176,6 +194,12 @@ def axis_line(
     axes.plot(*np.where(visible[:, None], np.nan, uv).T, color=HIDDEN, linewidth=1.3, linestyle=(0, (1, 1.6)))
 
 
+def show(axes: Axes, picture: UInt8[ndarray, "H W 3"]) -> None:
+    """A picture that fills a tile."""
+    size = len(picture)
+    axes.imshow(picture, extent=(0, size, size, 0), interpolation="antialiased")
+
+
 def contour(
     axes: Axes,
     vertices: Float[ndarray, "_V 3"],
@@ -183,12 +207,14 @@ def contour(
     K: Float[ndarray, "3 3"],
     size: int,
     colour: str,
+    halo: bool = True,
 ) -> None:
-    """The boundary of a surface's silhouette."""
+    """The boundary of a surface's silhouette; with a halo it stands out from any image."""
     fine = np.diag([2.0, 2.0, 1.0]) @ K  # else the contour shows the tile's pixels
     for fine_line in _contours(covered(vertices, faces, fine, (2 * size, 2 * size))):
         line = fine_line / 2.0
-        axes.plot(*line.T, color="white", linewidth=2.6, alpha=0.8, solid_joinstyle="round")
+        if halo:
+            axes.plot(*line.T, color="white", linewidth=2.6, alpha=0.8, solid_joinstyle="round")
         axes.plot(*line.T, color=colour, linewidth=1.3, solid_joinstyle="round")
 
 
@@ -199,13 +225,12 @@ def _intrinsics(view: View, n: int, crops: Crops, k: int) -> Float[ndarray, "3 3
 
 def _image(view: View, n: int) -> UInt8[ndarray, "H W 3"]:
     """The frame's image where the clip has one, else its masks in colours."""
-    for suffix in (".jpg", ".png") if view.clip.folder else ():
-        file = view.clip.origin / "frames" / f"{view.clip.frames[n]}{suffix}"
-        if file.is_file():
-            read = cv2.imread(str(file), cv2.IMREAD_COLOR)
-            if read is None:
-                raise InputError(file, "", "a file that is no image", "an image")
-            return np.asarray(read[..., ::-1], dtype=np.uint8)
+    file = view.image_file(n)
+    if file is not None:
+        read = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        if read is None:
+            raise InputError(file, "", "a file that is no image", "an image")
+        return np.asarray(read[..., ::-1], dtype=np.uint8)
     width, height = view.clip.size
     picture = np.full((height, width, 3), BLANK, dtype=np.uint8)
     if view.masks is not None:

@@ -1,0 +1,110 @@
+"""What all kinds of figures share: results in, a matplotlib figure out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from tyro.conf import arg
+
+from getagrip.errors import GetagripError, UsageError
+from getagrip.evaluation import read_evaluated
+from getagrip.fitting.methods import method_of
+from getagrip.view.tiles import View
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Fail = Callable[[Exception], None]
+"""Called with what is wrong with a result that is left out."""
+Count = Annotated[int, arg(metavar="N")]
+Millimetres = Annotated[float, arg(metavar="MM")]
+MOST_FRAMES = 12
+DPI = 40, 600
+
+
+@dataclass(frozen=True)
+class Given:
+    """A result's folder, and where to look for its clip (None: where the result says)."""
+
+    folder: Path
+    clips: Path | None = None
+
+    def read(self) -> View:
+        """The result with its clip and masks. Raises ``InputError``."""
+        result, clip, masks = read_evaluated(self.folder, self.clips)
+        return View.of(result, clip, masks)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of figure; its fields are the options, its docstring is the help."""
+
+    dpi: Annotated[int, arg(metavar="N")] = 130
+    """Pixels an inch."""
+
+    def draw(self, results: Sequence[Given], fail: Fail) -> Figure:
+        """The figure. Raises ``GetagripError`` where there is nothing that it could show."""
+        raise NotImplementedError
+
+    def check(self) -> None:
+        """Raise ``UsageError`` for options that make no figure."""
+        if not DPI[0] <= self.dpi <= DPI[1]:
+            raise UsageError(f"--dpi: got {self.dpi}, expected {DPI[0]} to {DPI[1]}")
+        frames = getattr(self, "frames", 1)
+        if not 1 <= frames <= MOST_FRAMES:
+            raise UsageError(f"--frames: got {frames}, expected 1 to {MOST_FRAMES}")
+
+
+def the_one(results: Sequence[Given], kind: str) -> View:
+    """The result of a figure that shows one. Raises ``UsageError`` for more."""
+    if len(results) != 1:
+        first = ", ".join(str(given.folder) for given in results[:2])
+        raise UsageError(f"RESULT: got {len(results)} results ({first}, ...), expected one for the figure {kind!r}")
+    return results[0].read()
+
+
+def readable(results: Sequence[Given], fail: Fail) -> list[tuple[Given, View]]:
+    """The results that can be read; ``fail`` is told of the others. Raises the error where there is only one."""
+    out: list[tuple[Given, View]] = []
+    for given in results:
+        try:
+            out.append((given, given.read()))
+        except (GetagripError, OSError) as error:
+            if len(results) == 1:
+                raise
+            fail(error)
+    return out
+
+
+def evenly(count: int, total: int) -> list[int]:
+    """So many of the numbers 0, 1, ..., total - 1, from the first to the last; all where there are fewer."""
+    return [int(n) for n in np.unique(np.linspace(0, total - 1, count).round())]
+
+
+def summary(view: View) -> str:
+    """Method, object and hand, number of frames, and what is a guess, in a line."""
+    return "  ·  ".join([method_of(view.result.method).label, *about(view)])
+
+
+def about(view: View) -> list[str]:
+    """Object and hand, number of frames, and what is a guess."""
+    clip = view.clip
+    return [f"{clip.category} in a {clip.side} hand", view.frames_in_words, *guesses(view)]
+
+
+def guesses(view: View) -> list[str]:
+    """What is a guess, in words; nothing where nothing is."""
+    keys = [key for key, text in view.clip.provenance.items() if "guess" in str(text).lower()]
+    known = ["scale"] * (view.clip.scale == "free") + keys
+    return [f"guessed: {', '.join(known)}"] if known else []
+
+
+def doubts(view: View) -> list[str]:
+    """How many findings a result has (docs/checks.md), in words; nothing where it has none."""
+    count, serious = len(view.result.findings), sum(finding.serious for finding in view.result.findings)
+    words = f"{count} finding{'s' if count > 1 else ''}" + (f", {serious} serious" if serious else "")
+    return [words] if count else []

@@ -1,0 +1,55 @@
+"""A distant camera that looks at something from a chosen side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.geometry import se3
+
+DISTANCE = 8.0
+"""In radii of what is looked at: nearly an orthographic view."""
+FILLED = 0.92
+"""Share of the tile that it fills."""
+
+
+@dataclass(frozen=True, eq=False)
+class Eye:
+    """A camera: ``T_view_frame`` maps points [m] of the frame of what it looks at, ``K`` then to ``size`` pixels."""
+
+    T_view_frame: Float[ndarray, "4 4"]
+    K: Float[ndarray, "3 3"]
+    size: int
+
+
+def looking(points: Float[ndarray, "n 3"], side: Float[ndarray, "3"], up: Float[ndarray, "3"], size: int) -> Eye:
+    """A camera that sees all the points from the direction ``side``, with ``up`` upwards; neither need be of length 1.
+
+    Where ``up`` is along ``side``, or either is zero, another direction takes its place.
+    """
+    forward = -_unit(side, np.array([0.0, 0.0, 1.0]))
+    other = np.eye(3)[np.argmin(np.abs(forward))]
+    down = -_unit(_across(np.asarray(up, dtype=float), forward), _across(other, forward))
+    R = np.stack([np.cross(down, forward), down, forward])
+    seen = points @ R.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    radius = float(np.linalg.norm(high - low)) / 2.0
+    t = np.array([0.0, 0.0, DISTANCE * radius]) - (low + high) / 2.0
+    nearest = DISTANCE * radius - (high[2] - low[2]) / 2.0
+    f = FILLED * size * nearest / float((high - low)[:2].max())
+    K = np.array([[f, 0.0, size / 2.0], [0.0, f, size / 2.0], [0.0, 0.0, 1.0]])
+    return Eye(se3.rigid(R, t), K, size)
+
+
+def _across(v: Float[ndarray, "3"], along: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
+    """The part of a vector that is perpendicular to a unit vector."""
+    return np.asarray(v - (v @ along) * along)
+
+
+def _unit(v: Float[ndarray, "3"], instead: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
+    """A vector at length 1; that of another where it is almost zero."""
+    length = float(np.linalg.norm(v))
+    return np.asarray(v / length if length > 1e-9 else instead / np.linalg.norm(instead))
