@@ -68,6 +68,26 @@ def sizes(motion: Motion) -> tuple[int, int]:
     return shared.shape[-1], local.shape[-1]
 
 
+def larger(motion: Motion, factor: float) -> Motion:
+    """The motion in another unit of length."""
+    if isinstance(motion, Soft):
+        deviation = motion.deviation * np.repeat([factor, 1.0], 3)
+        return replace(motion, core=larger(motion.core, factor), deviation=deviation)
+    places = {name: factor * getattr(motion, name) for name in ("centre", "point") if hasattr(motion, name)}
+    return replace(motion, **places)  # type: ignore[type-var]
+
+
+@EVERY
+def test_lengths_are_the_parameters_that_have_a_unit_of_length(make: Callable[..., Motion]) -> None:
+    """In another unit places change as much by a length, and more by an angle."""
+    motion, factor = make(np.random.default_rng(9)), 10.0
+    for J, scaled, lengths in zip(motion.jacobian(), larger(motion, factor).jacobian(), motion.lengths(), strict=True):
+        expected = J.copy()
+        expected[..., :3, ~lengths] *= factor
+        np.testing.assert_allclose(scaled, expected, atol=1e-12)
+        assert not J[..., 3:, lengths].any()
+
+
 def local_vectors(here: PosesInHand, there: PosesInHand) -> ndarray:
     """The local 7-vectors (B, N, 7) that take one motion's poses to another's (``se3``)."""
     v = there.centre - here.centre
