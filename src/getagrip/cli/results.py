@@ -63,8 +63,8 @@ class Reconstruct(Command):
     """Where the results go: a folder for each clip, of the clip's name. Those that are there already are kept."""
     method: Method = "soft-hinge"
     """How the object may move in the hand. soft-hinge: about one axis, with small deviations; one-dof: about one axis
-    exactly; static: not at all; dynamic: freely in each frame. paper is the paper's method to the letter (about 15 seconds
-    a clip), paper-static and paper-dynamic likewise. The others are baselines."""
+    exactly; static: not at all; dynamic: freely in each frame. paper is the paper's method to the letter, slow;
+    paper-static and paper-dynamic likewise. The others are baselines."""
     inits: Inits = 50
     """Number of initial poses: more is slower and safer."""
     init: Init = "uniform"
