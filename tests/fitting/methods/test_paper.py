@@ -104,4 +104,4 @@ def test_all_poses_are_reported_quarter_by_quarter(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(paper, "ITERATIONS", 2)
     stages: list[str] = []
     reconstruct(*small_clip(), Options(method="paper", inits=2), lambda name, _: stages.append(name))
-    assert stages == ["prepare", "check", *paper.PARTS, "finish"]
+    assert [name for name in stages if name in paper.PARTS] == list(paper.PARTS)
