@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks import page
 from getagrip.clip import read_clip
+from getagrip.experiments.stamp import stamp
 from getagrip.fitting.methods.all_frames import SOFT_RIDGE, coarse_energy, steady
 from getagrip.fitting.motion import Fixed, Hinge, PosesInHand, Soft
 from getagrip.fitting.options import Options
@@ -83,7 +84,7 @@ def main(folder: Path) -> None:
     header = ["clip", "ADD sym., % of diameter", "energy per frame", "from the truth: ADD", "energy", "to blame"]
     kinds = Counter(row[-1] for row in rows)
     summary = f"{len(rows)} failures: {', '.join(f'{n} {kind}' for kind, n in sorted(kinds.items()))}.\n\n"
-    page.write(f"{folder.name}-truth", summary + page.table(header, rows), "results.md")
+    page.write(f"{folder.name}-truth", f"*Made {stamp()}.*\n\n{summary}{page.table(header, rows)}", "results.md")
     print(summary + page.table(header, rows))
 
 

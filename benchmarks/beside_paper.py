@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 
 from benchmarks import page
+from getagrip.experiments.stamp import stamp
 
 COLUMNS = ("IOU", "ADD", "SCA-IOU 0.8", "SCA-ADD")
 PAPER = {
@@ -34,7 +35,11 @@ def main() -> None:
         for method in PAPER
         for label, of in found.items()
     ]
-    page.write("beside-paper", page.table(["", *COLUMNS], rows), "arctic.md")
+    page.write(
+        "beside-paper",
+        f"*Put here {stamp()}, from the other tables.*\n\n{page.table(['', *COLUMNS], rows)}",
+        "arctic.md",
+    )
 
 
 def measured(file: str, name: str) -> dict[str, tuple[float, ...]]:

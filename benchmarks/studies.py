@@ -9,9 +9,11 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Sequence
+from datetime import date
 from pathlib import Path
 
 from benchmarks import page
+from getagrip.experiments.stamp import stamp
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.study import MEASURES
 from getagrip.io import files
@@ -29,9 +31,15 @@ BY_OBJECT = {
 
 def main(first: Path, *others: Path) -> None:
     """Update the page."""
-    page.write(f"{first.name}-study", section(summary(first)), PAGE)
+    page.write(f"{first.name}-study", f"{made(first)}\n\n{section(summary(first))}", PAGE)
     if others:
-        page.write(f"{first.name}-definitions", definitions(others), PAGE)
+        page.write(f"{first.name}-definitions", f"{made(*others)}\n\n{definitions(others)}", PAGE)
+
+
+def made(*folders: Path) -> str:
+    """When the studies were made, and by which code their tables were."""
+    days = {date.fromtimestamp((folder / "summary.csv").stat().st_mtime).isoformat() for folder in folders}
+    return f"*Measured {' and '.join(sorted(days))}; put here {stamp()}.*"
 
 
 def summary(folder: Path) -> list[dict[str, str]]:
