@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,13 +69,13 @@ def sizes(motion: Motion) -> tuple[int, int]:
     return shared.shape[-1], local.shape[-1]
 
 
-def larger(motion: Motion, factor: float) -> Motion:
+def larger(motion: Any, factor: float) -> Any:
     """The motion in another unit of length."""
-    if isinstance(motion, Soft):
-        deviation = motion.deviation * np.repeat([factor, 1.0], 3)
-        return replace(motion, core=larger(motion.core, factor), deviation=deviation)
-    places = {name: factor * getattr(motion, name) for name in ("centre", "point") if hasattr(motion, name)}
-    return replace(motion, **places)  # type: ignore[type-var]
+    unit = {"centre": factor, "point": factor, "deviation": np.repeat([factor, 1.0], 3)}
+    changed = {name: unit[name] * value for name, value in vars(motion).items() if name in unit}
+    if hasattr(motion, "core"):
+        changed["core"] = larger(motion.core, factor)
+    return replace(motion, **changed)
 
 
 @EVERY
