@@ -65,17 +65,20 @@ def test_what_is_wrong_with_inputs_is_found_before_the_fit(mistake: str, check: 
 
 
 @pytest.mark.parametrize(("mistake", "check"), OF_RESULTS.items())
+@pytest.mark.slow
 def test_what_only_the_result_shows_is_found_after_the_fit(mistake: str, check: str) -> None:
     result = reconstruct(*Wrong(mistake)(*mug(), seed=0), QUICK)
     assert check in {finding.check for finding in result.findings if finding.serious}
 
 
+@pytest.mark.slow
 def test_a_right_result_raises_no_finding() -> None:
     result = reconstruct(*mug(), Options(inits=10))
     assert result.findings == ()
     assert result.checks["mask-fit"] == pytest.approx(result.iou.mean())
 
 
+@pytest.mark.slow
 def test_nothing_that_misses_the_masks_is_called_converged() -> None:
     result = reconstruct(*Wrong("noise masks")(*mug(), seed=0), QUICK)
     assert result.iou.mean() < 0.5
@@ -102,7 +105,8 @@ def test_a_failed_fit_says_what_was_wrong_with_its_inputs(monkeypatch: pytest.Mo
         reconstruct(*Wrong("side flipped")(*mug(), seed=0), Options(method="fails"))
 
 
-def test_strict_exits_with_1_and_findings_are_printed_stored_and_drawn(run: Run, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_strict_exits_with_1_and_findings_are_printed_and_stored(run: Run, tmp_path: Path) -> None:
     clip, masks = Wrong("side flipped")(*mug(), seed=0)
     folder = write_clip(replace(clip, name="flipped"), masks, tmp_path / "clips" / "flipped")
     call = ("reconstruct", folder, "--out", tmp_path / "out", "--method", "static", "--inits", "4")

@@ -333,3 +333,22 @@ def test_masks_that_the_disk_has_no_room_for_leave_the_clip_as_it_was(
     assert contents(tmp_path) == before
     assert run(*command)[0] == 0
     np.testing.assert_array_equal(read_masks(read_clip(folder)).object, noise)
+
+
+def test_masks_that_are_counted_from_zero_are_taken_by_number_only_with_a_word_about_it(
+    tmp_path: Path, run: Run
+) -> None:
+    clip, masks = small_clip()
+    folder = write_clip(replace(clip, frames=("0036", "0037", "0038")), None, tmp_path / "small")
+    source = tmp_path / "sam2"
+    source.mkdir()
+    for n in range(40):
+        write_png(source / f"{n:05d}.png", masks.object[n % 3] * 1, 8, 0)
+    command = ("import", "masks", source, "--clip", folder)
+    status, _, err = run(*command)
+    assert status == 0
+    assert "masks are counted from 0 (00000.png), the clip's frames are not (first: 0036)" in err
+    assert "a guess" in read_clip(folder).provenance["numbers of masks"]
+    assert run(*command, "--first", "36", "--overwrite")[2] == ""
+    (source / "00000.png").unlink()
+    assert run(*command, "--overwrite")[2] == ""

@@ -39,6 +39,7 @@ def found(method: str, all_of_it: bool = True) -> Reconstruction:
 
 
 @pytest.mark.parametrize("method", ["soft-hinge", "one-dof", "static", "dynamic"])
+@pytest.mark.slow
 def test_the_frames_that_were_fitted_together_stay_as_they_were(method: str) -> None:
     some, whole = found(method, all_of_it=False), found(method)
     index = whole.frames_of("sampled")
@@ -52,6 +53,7 @@ def test_the_frames_that_were_fitted_together_stay_as_they_were(method: str) -> 
 
 
 @pytest.mark.parametrize("method", ["soft-hinge", "one-dof", "dynamic"])
+@pytest.mark.slow
 def test_the_other_frames_are_as_good(method: str) -> None:
     clip, masks = made()
     whole = found(method)
@@ -80,6 +82,7 @@ def test_a_hinge_is_the_same_in_every_frame() -> None:
     np.testing.assert_allclose(turn @ whole.T_hand_obj[0], whole.T_hand_obj[shown], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_it_does_not_matter_where_the_masks_are_nor_how_many_are_read_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -115,6 +118,7 @@ def test_between_two_poses_lies_the_shortest_way_and_beyond_the_ends_nothing_mov
     np.testing.assert_allclose(between.centre[0, :, 0], [0.0, 0.0, 0.025, 0.1, 0.1], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_corrected_hand_is_corrected_in_every_frame() -> None:
     """A constant error of the hand: what is found of it in the sampled frames holds in the others, too."""
     clip, masks = synthesise("mug", 2, SceneOptions(frames=13, size=(320, 240), focal=300.0))

@@ -23,7 +23,7 @@ from getagrip.clip.reading import read_hand
 from getagrip.clip.video import video_frames, video_info
 from getagrip.clip.writing import fill_folder
 from getagrip.commands import own_mesh
-from getagrip.commands.import_masks import provenance, write_masks
+from getagrip.commands.import_masks import numbers_of_masks, provenance, write_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
 from getagrip.io import arrays, files
@@ -126,6 +126,8 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
             **of_hands,
         },
     )
+    if given.masks is not None and given.mask_of_first is None:
+        clip.provenance.update(numbers_of_masks(given.masks, names, "--mask-first"))
     reader = None if given.masks is None else _masks(given, numbers[rows], info.size)
     _write(clip, given.video, numbers, set(rows.tolist()), reader, out, overwrite)
     return _summary(clip, given, len(numbers), out)
