@@ -87,7 +87,6 @@ class Reconstruction(ArrayData):
         clip: name of the clip.
         method: name of the method.
         frames: names of the T frames, in the clip's order.
-        frame_kind: how the pose of each frame was found; by default, all frames were sampled.
         T_hand_obj: (T, 4, 4) pose of the object in each frame, object frame to hand frame [m].
         scale: factor by which the mesh is scaled before it is posed; 1 where the clip's scale is known.
         iou: (T,) intersection over union of rendered and observed mask on the full image, outside ignored pixels;
@@ -105,6 +104,7 @@ class Reconstruction(ArrayData):
         checks: what each check has measured, by its name; NaN where it could not.
         T_cam_hand: (T, 4, 4) pose of the corrected hand, hand frame to camera frame [m], which ``T_hand_obj`` and the
             axis are relative to; None where the hand is as the clip gives it.
+        frame_kind: how the pose of each frame was found; by default, all frames were sampled.
     """
 
     clip: str
