@@ -35,8 +35,9 @@ clip = getagrip.Clip(
 )
 result = getagrip.reconstruct(clip, getagrip.Masks(visible, in_front), getagrip.Options(inits=20))
 
-# Long clips are sampled: the result names the frames that were used.
+# The result names its frames. Its poses are relative to the hands, which it corrected if their own pixels disagreed.
 used = clip.index_of(result.frames)
-T_cam_obj = T_cam_hand[used] @ result.T_hand_obj  # the object is scaled before it is posed: T_cam_obj @ (scale * X_obj)
+hand = clip.take(used).with_hand_at(result.T_cam_hand).hand
+T_cam_obj = hand.T_cam_hand @ result.T_hand_obj  # the object is scaled before it is posed: T_cam_obj @ (scale * X_obj)
 np.savez(out / "poses.npz", frames=used, T_cam_obj=T_cam_obj, scale=result.scale, iou=result.iou)
 print(f"{len(used)} poses, mask IOU {result.iou.mean():.3f}: {out / 'poses.npz'}")

@@ -44,6 +44,6 @@ if __name__ == "__main__":
     clip, masks = getagrip.synthesise("plate", seed=3)
     for name in ("soft-hinge", "level"):
         result = getagrip.reconstruct(clip, masks, getagrip.Options(method=name))
-        z = (clip.hand.T_cam_hand @ result.T_hand_obj)[:, :3, 2]
+        z = (clip.with_hand_at(result.T_cam_hand).hand.T_cam_hand @ result.T_hand_obj)[:, :3, 2]
         off = np.degrees(np.arccos(np.clip(z @ UP, -1.0, 1.0)))
         print(f"{METHODS[name].label}: axis {off.mean():.1f} degrees off, mask IOU {result.iou.mean():.3f}")
