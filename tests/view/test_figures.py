@@ -254,6 +254,9 @@ def test_galleries_begin_with_the_worst(made: Path) -> None:
     headings = [words.get_text() for words in figure.texts if words.get_text().startswith("ADD ")]
     assert [("Dynamic" in words, "1-DoF" in words) for words in headings] == [(True, False), (False, True)]
     assert all(pixels_of(tile, FOUND) > 20 for tile in drawn(figure)[:4:2])
+    moved = source[1].read()
+    add = evaluate(moved.result, moved.clip, wanted=[ADD_MM])["per_frame"]["add_mm"]
+    assert headings[0].endswith(f"frame {moved.result.frames[int(np.argmax(add))]}")
     best = Gallery(dpi=DPI, by="add", show="best", n=1).draw(source[:2], never)
     assert [words.get_text() for words in best.texts if words.get_text().startswith("ADD ")] == headings[1:]
     with pytest.raises(InputError, match="no ground truth"):

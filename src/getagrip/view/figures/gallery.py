@@ -16,7 +16,7 @@ from getagrip.metrics.contact import ContactDefinition
 from getagrip.view.figures.kind import Count, Fail, Given, Kind, doubts, guesses
 from getagrip.view.sheet import HEAD, Sheet
 from getagrip.view.style import AXIS, FAINT, FOUND, INK
-from getagrip.view.tiles import View, input_windows, over_image, rendered
+from getagrip.view.tiles import input_windows, over_image, rendered
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,15 +38,16 @@ MOST = 60
 
 @dataclass(frozen=True)
 class _Scored:
-    """A result that can be read, and its value of the metric."""
+    """A result that can be read, its value of the metric, and the frame to show: its worst."""
 
     given: Given
     value: float
+    worst: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gallery(Kind):
-    """Results of many clips, the worst and the best by a metric: one frame of each over the image and from the side."""
+    """The worst and the best results of many clips by a metric: the worst frame of each, over the image and turned."""
 
     by: Literal["iou", "sca", "add", "add-sym", "rotation-sym"] = "iou"
     """The metric. Results that lack its ground truth are left out."""
@@ -71,7 +72,8 @@ class Gallery(Kind):
         sheet = Sheet.of(0.25 + columns * (2 * SIDE + GAP) + 0.1, height, self.dpi)
         values = np.array([one.value for one in scored])
         middle = f"median {metric.text(float(np.median(values)))} {_unit(metric)}"
-        sheet.title(f"{len(scored)} results by {name}", f"{middle}  ·  one frame of each: its median by overlap")
+        by = " by IOU" if metric is SCA else ""
+        sheet.title(f"{len(scored)} results by {name}", f"{middle}  ·  the worst frame of each{by}")
         top = HEAD
         for heading, group in groups:
             sheet.text(0.25, top + 0.03, heading, fontsize=11, fontweight="bold", color=INK)
@@ -80,7 +82,7 @@ class Gallery(Kind):
                 x = 0.25 + k % COLUMNS * (2 * SIDE + GAP)
                 y = top + k // COLUMNS * (LINES + SIDE + 0.1)
                 try:
-                    self._clip(sheet, x, y, one.given.read(), f"{name} {metric.text(one.value)} {_unit(metric)}")
+                    self._clip(sheet, x, y, one, f"{name} {metric.text(one.value)} {_unit(metric)}")
                 except (GetagripError, OSError) as error:  # an image that cannot be read
                     fail(error)
             top += -(-len(group) // COLUMNS) * (LINES + SIDE + 0.1)
@@ -96,7 +98,7 @@ class Gallery(Kind):
         out, errors = [], []
         for given in results:
             try:
-                out.append(_Scored(given, self._value(given)))
+                out.append(self._score(given))
             except (GetagripError, OSError) as error:
                 errors.append(error)
         if not out:
@@ -105,19 +107,22 @@ class Gallery(Kind):
             fail(problem)
         return out
 
-    def _value(self, given: Given) -> float:
-        """A result's value of the metric. Raises ``InputError`` where it has none."""
+    def _score(self, given: Given) -> _Scored:
+        """A result's value of the metric, and its worst frame. Raises ``InputError`` where it has none."""
         metric, view = METRICS[self.by][1], given.read()
         method_of(view.result.method)
         if metric.needs_truth and view.clip.truth is None:
             raise InputError(view.clip.origin / "truth.npz", "", "no ground truth", f"some, for --by {self.by}")
         if metric is IOU and view.masks is None:
             raise InputError(view.clip.origin / "masks", "", "no masks", f"some, for --by {self.by}")
-        known = evaluate(view.result, view.clip, view.masks, [CONTACT], [metric])["metrics"]
-        value = float(known.get(metric.key(CONTACT), np.nan))
+        made, key = evaluate(view.result, view.clip, view.masks, [CONTACT], [metric]), metric.key(CONTACT)
+        value = float(made["metrics"].get(key, np.nan))
         if np.isnan(value):
             raise InputError(given.folder, "", f"a result without {self.by}", "one that has it: two frames or more")
-        return value
+        errors = np.array(made["per_frame"].get(key, view.result.iou), dtype=float)
+        if key not in made["per_frame"] or metric.unit == "%":  # more is better
+            errors = -errors
+        return _Scored(given, value, int(np.nanargmax(errors)) if not np.isnan(errors).all() else 0)
 
     def _groups(self, order: Sequence[_Scored]) -> list[tuple[str, Sequence[_Scored]]]:
         """Headings and results, none of them twice."""
@@ -129,10 +134,9 @@ class Gallery(Kind):
         best = min(self.n, len(order) - worst)
         return [("worst", order[:worst]), ("best", order[::-1][:best])]
 
-    def _clip(self, sheet: Sheet, x: float, y: float, view: View, words: str) -> None:
+    def _clip(self, sheet: Sheet, x: float, y: float, one: _Scored, words: str) -> None:
         """A clip's two tiles, under its name and value."""
-        known = np.flatnonzero(~np.isnan(view.result.iou))
-        n = int(known[np.argsort(view.result.iou[known])[len(known) // 2]]) if known.size else 0
+        view, n = one.given.read(), one.worst
         label = method_of(view.result.method).label
         sheet.text(x, y + 0.02, view.clip.name, 2 * SIDE, fontsize=8.5, fontweight="bold")
         facts = [words, label, *guesses(view), *doubts(view), f"frame {view.result.frames[n]}"]
