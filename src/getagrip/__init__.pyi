@@ -12,6 +12,7 @@ from .errors import GetagripError as GetagripError
 from .errors import InputError as InputError
 from .errors import UsageError as UsageError
 from .evaluation import evaluate as evaluate
+from .finding import Finding as Finding
 from .fitting.options import Options as Options
 from .fitting.reconstruct import reconstruct as reconstruct
 from .geometry.mesh import Mesh as Mesh
