@@ -124,7 +124,7 @@ def table() -> None:
         cells = [
             " / ".join(f"{what.factor * s.quantiles[name][k]:.{digits}f}" for k in shown) for s in columns.values()
         ]
-        rows.append([f"{what.label} [{what.unit}]", *cells])
+        rows.append([what.label + (f" [{what.unit}]" if what.unit else ""), *cells])
     page.write(SECTION, f"*Made {stamp()}.*\n\n{page.table(['', *columns], rows)}", PAGE)
 
 
