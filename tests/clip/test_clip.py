@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 from getagrip.clip import (
     Clip,
     Masks,
+    World,
     input_sha256,
     observed_frames,
     read_clip,
@@ -32,6 +33,7 @@ from getagrip.clip import (
 )
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError, UsageError
+from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files
 from getagrip.io.images import write_image, write_mask
@@ -70,6 +72,31 @@ def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, seed: int, 
     np.testing.assert_array_equal(back.truth.T_cam_hand, clip.hand.T_cam_hand)
     assert back.mesh.diameter == pytest.approx(clip.mesh.diameter, abs=1e-7)
     assert back.mesh.volume == pytest.approx(clip.mesh.volume, rel=1e-5)
+
+
+@pytest.mark.parametrize("moves", [False, True])
+@pytest.mark.parametrize("up", [None, np.array([0.0, 1.0, 0.0])])
+def test_camera_poses_and_times_are_kept(tmp_path: Path, moves: bool, up: np.ndarray | None) -> None:
+    clip, _ = small_clip(3)
+    T = se3.rigid(se3.exp_so3(np.array([[0.1, 0.2, n * moves] for n in range(3)])), np.array([[1.0, 2.0, 3.0]] * 3))
+    clip = replace(clip, times=np.array([1.5, 1.6, 2.0]), world=World(T, up))
+    folder = write_clip(clip, None, tmp_path / "clip")
+    assert np.ndim(json.loads((folder / "clip.json").read_text())["camera"]["T_world_cam"]) == (3 if moves else 2)
+    back = read_clip(folder)
+    assert (back.times is not None, back.world) == (True, clip.world)
+    np.testing.assert_array_equal(back.time, clip.times)
+    some = back.take(np.array([0, 2]))
+    assert some.world is not None
+    np.testing.assert_array_equal(some.time, [1.5, 2.0])
+    np.testing.assert_array_equal(some.world.T_world_cam, T[[0, 2]])
+
+
+def test_clips_of_version_1_are_read_as_before(clip_folder: Path) -> None:
+    edit_json(version=1)(clip_folder)
+    clip = read_clip(clip_folder)
+    assert (clip.times, clip.world) == (None, None)
+    np.testing.assert_allclose(clip.time, np.arange(3) / 30.0)
+    np.testing.assert_allclose(clip.take(np.array([2])).time, 2 / 30.0)
 
 
 def test_the_true_hand_is_kept_where_it_differs(tmp_path: Path) -> None:
@@ -385,6 +412,14 @@ def png_bomb(folder: Path) -> None:
 K = [[40.0, 0.0, 16.0], [0.0, 41.0, 12.0], [0.0, 0.0, 1.0]]
 EYE = np.tile(np.eye(4), (3, 1, 1))
 
+CAMERA, POSE = K, np.eye(4).tolist()
+
+
+def at_camera(T_world_cam: object) -> Break:
+    """Set the camera's pose in the world."""
+    return edit_json(camera={"K": CAMERA, "T_world_cam": T_world_cam})
+
+
 BROKEN: dict[str, tuple[Break, str, tuple[str, ...]]] = {
     # clip.json
     "no clip.json": (removed("clip.json"), "clip.json", ("no such file",)),
@@ -401,7 +436,52 @@ BROKEN: dict[str, tuple[Break, str, tuple[str, ...]]] = {
     "unknown key": (edit_json(colour="red"), "clip.json: colour", ("unknown key",)),
     "unknown key of many lines": (edit_json(**{"a\nb": 1}), "clip.json: a\\nb", ("unknown key",)),
     "missing key": (edit_json(fps=None), "clip.json: fps", ("no such key",)),
-    "other version": (edit_json(version=2), "clip.json: version", ("got 2", "expected 1")),
+    "other version": (edit_json(version=3), "clip.json: version", ("got 3", "expected 1 or 2")),
+    "times in version 1": (edit_json(version=1, times=[0.0, 0.1, 0.2]), "clip.json: times", ("unknown", "version 1")),
+    "poses in version 1": (
+        edit_json(version=1, camera={"K": CAMERA, "T_world_cam": POSE}),
+        "clip.json: camera.T_world_cam",
+        ("unknown", "version 1"),
+    ),
+    "times a number": (edit_json(times=0.1), "clip.json: times", ("a list of numbers",)),
+    "times of texts": (edit_json(times=["0", "1", "2"]), "clip.json: times", ("a list of numbers",)),
+    "times ragged": (edit_json(times=[0.0, [1.0], 2.0]), "clip.json: times", ("a list of numbers",)),
+    "too few times": (edit_json(times=[0.0, 0.1]), "clip.json: times", ("2 numbers", "3 frames")),
+    "times stand": (edit_json(times=[0.0, 0.1, 0.1]), "clip.json: times", ("0.1 s in frame '0002'", "rise")),
+    "times fall": (edit_json(times=[0.0, 0.1, 0.05]), "clip.json: times", ("0.05 s in frame '0002'", "rise")),
+    "times NaN": (replaced('"fps": 30.0', '"fps": 30.0, "times": [0, NaN, 1]'), "clip.json", ("NaN",)),
+    "times in ns": (edit_json(times=[0, 3e7, 6e7]), "clip.json: times", ("6e+07 s", "nanoseconds?")),
+    "camera pose 3x4": (at_camera(POSE[:3]), "clip.json: camera.T_world_cam", ("4x4",)),
+    "camera poses for two": (at_camera([POSE, POSE]), "clip.json: camera.T_world_cam", ("2 matrices", "3 frames")),
+    "camera pose ragged": (at_camera([[1.0], [2.0, 3.0]]), "clip.json: camera.T_world_cam", ("4x4",)),
+    "camera pose of texts": (at_camera([["a"] * 4] * 4), "clip.json: camera.T_world_cam", ("4x4",)),
+    "camera pose vast": (at_camera([[1e300] * 4] * 4), "clip.json: camera.T_world_cam", ("no rigid motion",)),
+    "camera pose scaled": (
+        at_camera([POSE, POSE, [[1.1, 0, 0, 0], *POSE[1:]]]),
+        "clip.json: camera.T_world_cam",
+        ("no rigid motion in frame '0002'",),
+    ),
+    "camera pose transposed": (
+        at_camera([POSE, POSE, [*POSE[:3], [1.0, 0.0, 0.0, 1.0]]]),
+        "clip.json: camera.T_world_cam",
+        ("no rigid motion in frame '0002'",),
+    ),
+    "camera moves in mm": (
+        at_camera([POSE, [[1, 0, 0, 1500], *POSE[1:]], POSE]),
+        "clip.json: camera.T_world_cam",
+        ("1500 m from its first place in frame '0001'", "millimetres?"),
+    ),
+    "up without a world": (edit_json(camera={"K": CAMERA, "world_up": [0, 0, 1]}), "camera.world_up", ("T_world_cam",)),
+    "up too long": (
+        edit_json(camera={"K": CAMERA, "T_world_cam": POSE, "world_up": [0, 0, 2]}),
+        "clip.json: camera.world_up",
+        ("length 1",),
+    ),
+    "up a word": (
+        edit_json(camera={"K": CAMERA, "T_world_cam": POSE, "world_up": "z"}),
+        "clip.json: camera.world_up",
+        ("length 1",),
+    ),
     "version in words": (edit_json(version="1"), "clip.json: version", ("got '1'",)),
     "version true": (edit_json(version=True), "clip.json: version", ("got True",)),
     "name is a path": (edit_json(name="../small"), "clip.json: name", ("'../small'",)),

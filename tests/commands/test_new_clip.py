@@ -157,6 +157,8 @@ def test_in_steps(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "no hand in 1 of 6 frames" in printed
     clip = read_clip(folder)
     assert clip.frames == ("000003", "000004", "000006", "000007", "000008")
+    assert clip.times is not None
+    np.testing.assert_allclose(clip.times, np.array([2, 3, 5, 6, 7]) / clip.fps)  # since the video's first frame
     assert read_masks(clip).observed.all()
     assert clip.hand.joints is not None
     seen = se3.transform(clip.hand.T_cam_hand, clip.hand.joints)

@@ -131,6 +131,9 @@ def test_poses_and_hands_are_those_that_were_written(root: Path, mano: Path) -> 
     of = scene()
     assert (left.side, right.side) == ("left", "right")
     assert right.name == "s01--ball_use_01--ball--right"
+    assert right.world is not None
+    np.testing.assert_allclose(right.world.T_world_cam, se3.inverse(of["T_cam_world"]), atol=1e-12)
+    np.testing.assert_allclose(right.times, np.arange(FRAMES) / 30.0)
     np.testing.assert_allclose(right.hand.T_cam_hand, of["T_cam_hand"], atol=1e-6)
     for track in (left, right):
         np.testing.assert_allclose(track.hand.vertices[3], posed(mano, track.side)[1].vertices, atol=1e-6)

@@ -174,6 +174,8 @@ def test_a_stable_grasp_becomes_a_clip(root):
     assert "CC BY-NC 4.0" in clip.provenance["licence"]
     assert "fitted" in clip.provenance["hands"]
     assert clip.provenance["camera"] == SERIALS[0]
+    np.testing.assert_allclose(clip.times, np.arange(TAKEN, LOST) / 30.0)
+    assert clip.world is None  # no extrinsics are there
     assert masks.object.shape == masks.ignore.shape == (LOST - TAKEN, 480, 640)
     assert notes == []
 
@@ -231,6 +233,33 @@ def test_a_packed_file_holds_the_same(root, pack):
             np.testing.assert_allclose(clip.truth.T_cam_obj, own.truth.T_cam_obj, atol=1e-6)
             np.testing.assert_allclose(clip.hand.vertices, own.hand.vertices, atol=1e-4)
             np.testing.assert_allclose(clip.hand.T_cam_hand, own.hand.T_cam_hand, atol=1e-4)
+
+
+def write_extrinsics(root, T_master_cam, T_master_tag):
+    folder = root / "calibration" / "extrinsics_20200702_151821"
+    folder.mkdir(exist_ok=True)
+    rows = {SERIALS[0]: T_master_cam, SERIALS[1]: np.eye(4), "apriltag": T_master_tag}
+    text = f"master: '{SERIALS[1]}'\nextrinsics:\n"
+    for key, T in rows.items():
+        text += f"  '{key}': {T[:3].ravel().tolist()}\n"
+    (folder / "extrinsics.yml").write_text(text)
+    return folder / "extrinsics.yml"
+
+
+def test_the_table_is_the_world_where_extrinsics_are_there(root):
+    """Of the camera that is taken, from its pose and the tag's, both in the frame of another camera."""
+    T_master_cam = se3.rigid(se3.exp_so3(np.array([0.3, -0.2, 0.1])), np.array([0.5, 0.1, -0.2]))
+    T_master_tag = se3.rigid(se3.exp_so3(np.array([2.0, 0.4, -0.3])), np.array([0.1, 0.3, 1.2]))
+    path = write_extrinsics(root, T_master_cam, T_master_tag)
+    (sequence,) = find(root)
+    T_table_cam = sequence.read().T_table_cam
+    np.testing.assert_allclose(T_master_tag @ T_table_cam, T_master_cam, atol=1e-12)
+    write_extrinsics(root, 1.1 * T_master_cam, T_master_tag)
+    with pytest.raises(InputError, match=f"{path}: extrinsics.{SERIALS[0]}: got a matrix that is no rigid motion"):
+        sequence.read()
+    path.write_text("extrinsics: {}")
+    with pytest.raises(InputError, match="expected 12 numbers"):
+        sequence.read()
 
 
 def test_bent_fingers_determine_the_hand():

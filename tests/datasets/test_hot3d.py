@@ -93,6 +93,11 @@ def test_a_hold_becomes_a_clip(root):
     hand = se3.transform(clip.truth.T_cam_hand[0], clip.truth.hand_vertices[0])
     np.testing.assert_allclose(hand[:, 1].min(), -0.12, atol=1e-3)
     np.testing.assert_array_equal(clip.hand.T_cam_hand, clip.truth.T_cam_hand)
+    # In the world, the box is where the recording has it; times are the recording's, from its first frame.
+    T_world_obj = clip.world.T_world_cam @ clip.truth.T_cam_obj
+    np.testing.assert_allclose(T_world_obj[:, :3, 3], [[-0.162, 0.0, 0.6]] * 12, atol=1e-12)
+    np.testing.assert_array_equal(clip.world.up, [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(clip.times, 1e-9 * STEP * np.arange(2, 14))
     # Object and hand do not overlap here, so the mask is the whole object.
     box = se3.transform(clip.truth.T_cam_obj[3], clip.mesh.vertices)
     seen = depth_and_face(box, clip.mesh.faces, clip.K[3], clip.size)[1] >= 0

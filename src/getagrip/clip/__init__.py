@@ -1,6 +1,6 @@
 """Clips: what they hold, and their folders (docs/formats.md)."""
 
-from getagrip.clip.data import FINGERS, Clip, HandTrack, Joint, Masks, Truth, check_masks, observed_frames
+from getagrip.clip.data import FINGERS, Clip, HandTrack, Joint, Masks, Truth, World, check_masks, observed_frames
 from getagrip.clip.masks import find_masks, read_masks, read_observed
 from getagrip.clip.plausible import check_clip
 from getagrip.clip.reading import input_sha256, read_clip, read_name
@@ -13,6 +13,7 @@ __all__ = [
     "Joint",
     "Masks",
     "Truth",
+    "World",
     "check_clip",
     "check_masks",
     "find_masks",

@@ -137,6 +137,23 @@ class Masks(ArrayData):
         return Masks(self.object[index], self.ignore[index], None if self.hand is None else self.hand[index])
 
 
+@dataclass(frozen=True, eq=False)
+class World(ArrayData):
+    """Where the camera of a clip was, in a frame that stands still.
+
+    Attributes:
+        T_world_cam: (T, 4, 4) pose of the camera, camera frame to world frame [m].
+        up: (3,) direction away from the ground in the world frame, of length 1; None where it is not known.
+    """
+
+    T_world_cam: Float[ndarray, "T 4 4"]
+    up: Float[ndarray, "3"] | None = None
+
+    def take(self, index: Int[ndarray, "n"]) -> World:
+        """At some of the frames, in the given order."""
+        return World(self.T_world_cam[index], self.up)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Clip(ArrayData):
     """One stable grasp: a hand in every frame, the object's mesh and the camera, but not the masks (``read_masks``).
@@ -152,7 +169,10 @@ class Clip(ArrayData):
         frames: names of the T frames, as of the mask and image files; by default their numbers, from 000000.
         name: name of the clip, fit to name a folder.
         category: what the object is, such as "mug".
-        fps: frames per second, for the time axis of pictures and for durations.
+        fps: frames per second of the footage, for durations.
+        times: (T,) when each frame was taken [s], rising; None where frames follow each other at ``fps`` from 0 on
+            (``time`` has them in any case).
+        world: where the camera was; None where it is not known.
         truth: the ground truth; None where it is not known.
         folder: folder of the clip, with its masks and images; None for a clip that is only in memory.
         provenance: where the data comes from, as JSON values; what is a guess is kept in the result's notes.
@@ -169,6 +189,8 @@ class Clip(ArrayData):
     name: str = "clip"
     category: str = "object"
     fps: float = 30.0
+    times: Float[ndarray, "T"] | None = None
+    world: World | None = None
     truth: Truth | None = None
     folder: Path | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -182,6 +204,8 @@ class Clip(ArrayData):
         counts = {"frames": len(self.frames), "K": len(self.K)}
         if self.truth is not None:
             counts["truth"] = len(self.truth.T_cam_obj)
+        if self.world is not None:
+            counts["world"] = len(self.world.T_world_cam)
         for name, given in counts.items():
             if given != count:
                 raise UsageError(f"Clip.{name}: got {given} frames, expected {count}, as many as the hand has")
@@ -189,6 +213,11 @@ class Clip(ArrayData):
             raise UsageError(f"Clip.side: got {self.side!r}, expected 'left' or 'right'")
         if self.scale not in ("known", "free"):
             raise UsageError(f"Clip.scale: got {self.scale!r}, expected 'known' or 'free'")
+
+    @property
+    def time(self) -> Float[ndarray, "T"]:
+        """When each frame was taken [s]: ``times``, or evenly from 0."""
+        return np.arange(len(self)) / self.fps if self.times is None else self.times
 
     @property
     def origin(self) -> Path:
@@ -227,7 +256,10 @@ class Clip(ArrayData):
             articulation=None if self.truth.articulation is None else self.truth.articulation[index],
         )
         frames = tuple(self.frames[i] for i in index)
-        return replace(self, frames=frames, K=self.K[index], hand=hand, truth=truth)
+        world = self.world and self.world.take(index)
+        return replace(
+            self, frames=frames, K=self.K[index], hand=hand, truth=truth, times=self.time[index], world=world
+        )
 
 
 def check_masks(clip: Clip, masks: Masks) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,20 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip.data import FINGERS, Clip, HandTrack, Joint, Truth
-from getagrip.clip.plausible import check_hand, check_in_hand, check_in_view, check_intrinsics, check_poses
+from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
+from getagrip.clip.plausible import check_hand, check_in_hand, check_in_view, check_poses
 from getagrip.errors import InputError
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import check_size, read_mesh
 from getagrip.io import arrays, files
 
-VERSION = 1
+VERSION = 2
+"""Of clips that are written; older ones are read, too."""
 REQUIRED = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")
+OPTIONAL = {1: ("provenance",), 2: ("provenance", "times")}
+"""Further keys of ``clip.json`` by its version."""
+CAMERA_KEYS = {1: CAMERA[:1], 2: CAMERA}
+"""Keys of ``camera`` by the version; only the first must be there."""
 JOINT = ("joint_moves", "joint_point", "joint_direction", "joint_angle")
 """Arrays of the truth about an articulated object's joint."""
 FARTHEST_JOINT = 2.0
@@ -38,10 +43,10 @@ def read_clip(folder: str | Path) -> Clip:
     folder = _folder(folder)
     path = folder / "clip.json"
     fields = _fields(folder)
-    frames = _frame_names(path, fields["frames"])
+    frames = frame_names(path, fields["frames"])
     size = _size(path, fields["size"])
     mesh = read_mesh(_mesh(folder, fields))
-    K = _intrinsics(path, fields["camera"], len(frames), size)
+    K = intrinsics(path, fields["camera"], len(frames), size)
     hand = read_hand(files.inside(folder, "hand.npz", "", "the hands of a clip"), len(frames))
     check_in_view(folder / "hand.npz", hand, K, size)
     has_truth = (folder / "truth.npz").exists() or (folder / "truth.npz").is_symlink()
@@ -58,6 +63,8 @@ def read_clip(folder: str | Path) -> Clip:
         scale=fields["scale"],
         hand=hand,
         truth=_read_truth(folder, hand, fields["scale"], mesh) if has_truth else None,
+        times=times(path, fields["times"], frames) if "times" in fields else None,
+        world=world(path, fields["camera"], frames),
         provenance=fields["provenance"],
     )
 
@@ -78,8 +85,11 @@ def read_header(folder: str | Path) -> ClipHeader:
     """The header of a clip, which may lack its hands yet. Raises ``InputError``."""
     folder = _folder(folder)
     fields, path = _fields(folder), folder / "clip.json"
-    frames, size = _frame_names(path, fields["frames"]), _size(path, fields["size"])
-    return ClipHeader(folder, fields, frames, size, _intrinsics(path, fields["camera"], len(frames), size))
+    frames, size = frame_names(path, fields["frames"]), _size(path, fields["size"])
+    if "times" in fields:
+        times(path, fields["times"], frames)
+    world(path, fields["camera"], frames)
+    return ClipHeader(folder, fields, frames, size, intrinsics(path, fields["camera"], len(frames), size))
 
 
 def read_name(folder: str | Path) -> str:
@@ -99,7 +109,7 @@ def input_sha256(folder: str | Path) -> str:
     paths = {"clip.json": folder / "clip.json", "hand.npz": hand, fields["mesh"]: _mesh(folder, fields)}
     for kind in ("object", "ignore", "hand"):
         if (folder / "masks" / kind).exists():
-            names = [f"masks/{kind}/{name}.png" for name in _frame_names(folder / "clip.json", fields["frames"])]
+            names = [f"masks/{kind}/{name}.png" for name in frame_names(folder / "clip.json", fields["frames"])]
             paths |= {name: files.inside(folder, name, "", "a mask for each frame of clip.json") for name in names}
     return files.sha256(paths)
 
@@ -121,9 +131,10 @@ def _fields(folder: Path) -> dict[str, Any]:
         raise InputError(folder, "", "no such folder", "the folder of a clip")
     path = files.inside(folder, "clip.json", "", "the description of a clip")
     fields = files.read_json(path)
-    unknown = next((key for key in fields if key not in (*REQUIRED, "provenance")), None)
-    if unknown is not None:
-        raise InputError(path, files.plain(unknown), "an unknown key", f"{', '.join(REQUIRED)} or provenance")
+    version = fields.get("version", VERSION)
+    if type(version) is not int or version not in OPTIONAL:
+        raise InputError(path, "version", files.shown(version), " or ".join(map(str, OPTIONAL)))
+    _known(path, "", fields, (*REQUIRED, *OPTIONAL[version]), version)
     missing = next((key for key in REQUIRED if key not in fields), None)
     if missing is not None:
         raise InputError(path, missing, "no such key", "the key")
@@ -132,8 +143,7 @@ def _fields(folder: Path) -> dict[str, Any]:
         if not fits:
             raise InputError(path, key, files.shown(fields[key]), expected)
 
-    version, name, mesh, category = fields["version"], fields["name"], fields["mesh"], fields["category"]
-    require("version", type(version) is int and version == VERSION, str(VERSION))
+    name, mesh, category, camera = fields["name"], fields["mesh"], fields["category"], fields["camera"]
     require(
         "name",
         isinstance(name, str) and files.is_plain_name(name),
@@ -145,7 +155,17 @@ def _fields(folder: Path) -> dict[str, Any]:
     require("mesh", isinstance(mesh, str) and mesh != "", "the name of a mesh file")
     require("scale", fields["scale"] in ("known", "free"), '"known" or "free"')
     require("provenance", isinstance(fields.setdefault("provenance", {}), dict), "an object")
+    require("camera", isinstance(camera, dict) and "K" in camera, '{"K": 3x3} or {"K": [3x3, ...]}')
+    _known(path, "camera.", camera, CAMERA_KEYS[version], version)
     return fields
+
+
+def _known(path: Path, where: str, given: dict[str, Any], known: tuple[str, ...], version: int) -> None:
+    """Raise ``InputError`` for a key that a version does not have."""
+    unknown = next((key for key in given if key not in known), None)
+    if unknown is not None:
+        expected = f"one of {', '.join(known)} (version {version})"
+        raise InputError(path, f"{where}{files.plain(unknown)}", "an unknown key", expected)
 
 
 def _is_number(value: object) -> bool:
@@ -153,19 +173,6 @@ def _is_number(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) < 1e300 and math.isfinite(value)
-
-
-def _frame_names(path: Path, names: object) -> tuple[str, ...]:
-    """The frames' names: at least one, each a plain file name, none twice."""
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise InputError(path, "frames", files.shown(names), "a list of names, one for each frame")
-    bad = next((name for name in names if not files.is_plain_name(name)), None)
-    if bad is not None:
-        raise InputError(path, "frames", f"the name {files.shown(bad)}", "names of files, without folder and suffix")
-    if len(set(names)) < len(names):
-        twice = Counter(names).most_common(1)[0][0]
-        raise InputError(path, "frames", f"the name {files.shown(twice)} twice", "each frame once")
-    return tuple(names)
 
 
 def _size(path: Path, size: object) -> tuple[int, int]:
@@ -177,23 +184,6 @@ def _size(path: Path, size: object) -> tuple[int, int]:
     if sides[0] * sides[1] > LARGEST_IMAGE:
         raise InputError(path, "size", files.shown(size), f"at most {LARGEST_IMAGE / 1e6:g} million pixels")
     return sides[0], sides[1]
-
-
-def _intrinsics(path: Path, camera: object, frames: int, size: tuple[int, int]) -> Float[ndarray, "T 3 3"]:
-    """Pinhole intrinsics of each frame [px]."""
-    if not isinstance(camera, dict) or set(camera) != {"K"}:
-        raise InputError(path, "camera", files.shown(camera), '{"K": 3x3} or {"K": [3x3, ...]}')
-    try:
-        K = np.array(camera["K"])
-    except ValueError:  # rows of different lengths
-        K = np.array(None)
-    if K.dtype.kind not in "fi" or K.shape[-2:] != (3, 3) or K.ndim not in (2, 3):
-        raise InputError(path, "camera.K", files.shown(camera["K"]), "a 3x3 matrix of numbers, or one for each frame")
-    if K.ndim == 3 and len(K) != frames:
-        raise InputError(path, "camera.K", f"{len(K)} matrices", f"one, or one for each of the {frames} frames")
-    K = np.broadcast_to(K.astype(float), (frames, 3, 3)).copy()
-    check_intrinsics(path, K, size)
-    return K
 
 
 def read_hand(path: Path, frames: int) -> HandTrack:

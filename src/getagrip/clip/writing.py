@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Shaped, UInt8
+from jaxtyping import Bool, Float, Shaped, UInt8
 from numpy import ndarray
 
 from getagrip.clip.data import Clip, HandTrack, Masks, Truth
@@ -67,7 +67,10 @@ def write_hand(hand: HandTrack, path: Path, extra: Mapping[str, Shaped[ndarray, 
 
 def _fields(clip: Clip) -> dict[str, object]:
     """What ``clip.json`` says of a clip."""
-    steady = bool(np.ptp(clip.K, axis=0).max() == 0.0)
+    camera: dict[str, object] = {"K": _once(clip.K)}
+    if clip.world is not None:
+        camera["T_world_cam"] = _once(clip.world.T_world_cam)
+        camera |= {} if clip.world.up is None else {"world_up": clip.world.up}
     return {
         "version": VERSION,
         "name": clip.name,
@@ -75,12 +78,18 @@ def _fields(clip: Clip) -> dict[str, object]:
         "side": clip.side,
         "fps": clip.fps,
         "frames": clip.frames,
+        **({} if clip.times is None else {"times": clip.times}),
         "size": clip.size,
-        "camera": {"K": clip.K[0] if steady else clip.K},
+        "camera": camera,
         "mesh": "object.obj",
         "scale": clip.scale,
         "provenance": clip.provenance,
     }
+
+
+def _once(of_frames: Float[ndarray, "T n n"]) -> Float[ndarray, "..."]:
+    """One matrix for all frames, where all are the same."""
+    return of_frames[0] if np.array_equal(of_frames, np.broadcast_to(of_frames[:1], of_frames.shape)) else of_frames
 
 
 def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Shaped[ndarray, "..."]]:

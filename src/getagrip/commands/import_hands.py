@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.clip.per_frame import at_frames
 from getagrip.clip.plausible import check_in_view
 from getagrip.clip.reading import ClipHeader, read_header
 from getagrip.clip.writing import write_hand
@@ -123,10 +124,8 @@ def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
     dropped = [name for n, name in enumerate(header.frames) if n not in hands.found]
     fields["provenance"] = dict(fields["provenance"]) | hands.provenance
     if dropped:
-        fields["frames"] = [header.frames[n] for n in hands.found]
+        fields = at_frames(fields, np.array(hands.found))
         fields["provenance"]["frames_without_hand"] = f"left out: {', '.join(dropped)}"
-        if np.ndim(fields["camera"]["K"]) == 3:
-            fields["camera"] = {"K": header.K[list(hands.found)]}
     return fields
 
 

@@ -113,6 +113,7 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
         side=given.side,
         fps=info.fps,
         frames=tuple(names[row] for row in rows),
+        times=(numbers[rows] - 1) / info.fps,
         size=info.size,
         K=np.tile(K, (len(rows), 1, 1)),
         mesh=found.mesh,

@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.clip import HandTrack, Joint
+from getagrip.clip import HandTrack, Joint, World
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
@@ -143,6 +143,7 @@ def _read(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator
             articulation=poses[:, 0],
             origin=offset,
             other_hand=hands["left" if side == "right" else "right"],
+            world=World(se3.inverse(camera.T_cam_world)),
             provenance={
                 "source": f"ARCTIC, {subject}/{sequence}, view {view}",
                 "licence": "made from ARCTIC, for non-commercial research only",

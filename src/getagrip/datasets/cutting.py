@@ -181,6 +181,8 @@ def known_clip(track: Track, name: str = "", provenance: dict[str, Any] | None =
         side=track.side,
         fps=track.fps,
         frames=track.frames,
+        times=track.times,
+        world=track.world,
         size=track.size,
         K=np.tile(track.K, (len(track), 1, 1)),
         mesh=checked_mesh(track.file, mesh.vertices, mesh.faces),

@@ -10,10 +10,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import HandTrack, Joint
+from getagrip.clip import HandTrack, Joint, World
 from getagrip.datasets.assumed_camera import Camera, assumed_camera
 from getagrip.datasets.fitted_hands import describe_fit, fit_hand
 from getagrip.datasets.tracks import Track
@@ -52,8 +53,9 @@ class Motion:
 def tracks(motion: Motion) -> Iterator[Track]:
     """The object in each hand. Raises ``InputError`` where joints are no hand's."""
     fitted = {side: fit_hand(motion.file, f"{side} joints", side, j) for side, j in motion.joints.items()}
-    camera = motion.camera
+    camera, up = motion.camera, None
     if camera is None:
+        up = np.array([0.0, 0.0, 1.0])
         places = se3.transform(motion.T_world_obj, motion.mesh.centre[None])[:, 0]
         camera = assumed_camera(places, motion.joints.values())
     hands = {side: seen(hand.track, camera.T_cam_world) for side, hand in fitted.items()}
@@ -75,6 +77,7 @@ def tracks(motion: Motion) -> Iterator[Track]:
             joint=motion.joint,
             articulation=motion.articulation,
             other_hand=next((other for of, other in hands.items() if of != side), None),
+            world=World(se3.inverse(camera.T_cam_world), up),
             provenance={
                 **motion.provenance,
                 "hands": "the generic hand, fitted to the true 21 joints over all frames: not the true surface",

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.clip import HandTrack, Joint
+from getagrip.clip import HandTrack, Joint, World
 from getagrip.datasets.dataset import Note
 from getagrip.errors import InputError
 from getagrip.geometry import se3
@@ -73,6 +73,10 @@ class Track:
     """The other hand, which hides and is ignored as well, in the same frames."""
     read_masks: Callable[[int], MaskPair] | None = None
     """The dataset's own masks of the frame of some number; rendered from the true poses where it has none."""
+    world: World | None = None
+    """Where the camera was, if the dataset says so."""
+    stamps: Float[ndarray, "T"] | None = None
+    """Times of the frames [s], where the dataset has them."""
 
     @property
     def name(self) -> str:
@@ -83,6 +87,11 @@ class Track:
     def frames(self) -> tuple[str, ...]:
         """Names of the frames."""
         return tuple(f"{n:0{self.digits}d}" for n in self.numbers)
+
+    @property
+    def times(self) -> Float[ndarray, "T"]:
+        """When each frame was taken [s]: as stamped, or by the numbers since the sequence's first frame."""
+        return (self.numbers - self.origin) / self.fps if self.stamps is None else self.stamps
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -101,6 +110,8 @@ class Track:
             T_cam_obj=self.T_cam_obj[index],
             articulation=None if self.articulation is None else self.articulation[index],
             other_hand=None if self.other_hand is None else of(self.other_hand),
+            world=self.world and self.world.take(index),
+            stamps=None if self.stamps is None else self.stamps[index],
         )
 
     def object(self, angle: float) -> Mesh:

@@ -44,6 +44,7 @@ def test_a_clip_without_hands_has_all_else_and_gets_them_later(run: Run, epic_fo
     assert len(content["frames"]) == 30
     numbers = [int(name) for name in content["frames"]]
     assert (numbers[0], numbers[-1]) == (1000, 1080)  # EPIC's numbers
+    np.testing.assert_allclose(content["times"], np.array(numbers) / 50.0)
     assert not {*range(1020, 1040), 1050} & {*numbers}  # valid ones only
     assert np.diff([n - 20 * (n > 1020) for n in numbers]).max() <= 4  # evenly
 

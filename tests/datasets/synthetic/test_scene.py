@@ -64,6 +64,16 @@ def test_left_clips_are_mirror_images() -> None:
     assert left.hand.joints is not None
     assert right.hand.joints is not None
     np.testing.assert_allclose(left.hand.joints, right.hand.joints * [-1, 1, 1])
+    # In a mirrored world whose up is the same.
+    assert left.world is not None
+    assert right.world is not None
+    assert se3.is_rigid(left.world.T_world_cam).all()
+    up_left, up_right = (
+        np.einsum("nji,j->ni", world.T_world_cam[:, :3, :3], world.up) for world in (left.world, right.world)
+    )
+    np.testing.assert_allclose(up_left, up_right * [-1, 1, 1], atol=1e-12)
+    assert right.times is not None
+    np.testing.assert_allclose(np.diff(right.times), 1.0 / right.fps)
 
 
 @pytest.mark.parametrize("side", ["right", "left"])

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.clip import FINGERS, HandTrack
+from getagrip.clip import FINGERS, HandTrack, World
 from getagrip.datasets import fitted_hands, ycb
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
@@ -149,6 +149,9 @@ def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: 
             "scale": "YCB mesh, true size",
         },
         read_masks=partial(_masks, recording, hand, models),
+        world=None
+        if recording.T_table_cam is None
+        else World(np.tile(recording.T_table_cam, (len(hand.frames), 1, 1)), np.array([0.0, 0.0, 1.0])),
     )
     if not whole:
         track = FittedTrack(**vars(track), residuals=hand.residuals, others=len(recording.objects) > 1)

@@ -3,6 +3,7 @@
 Read are DexYCB's own layout, as its toolkit (https://github.com/NVlabs/dex-ycb-toolkit) describes it,
 
     calibration/intrinsics/<serial>_640x480.yml     fx, fy, ppx, ppy of the colour camera
+    calibration/extrinsics_<id>/extrinsics.yml      optional: poses (3 x 4) of the cameras and of a tag on the table
     <subject>/<sequence>/meta.yml                   cameras, objects, which of them is held, which hand
     <subject>/<sequence>/<serial>/labels_<frame>.npz    pose_y (O, 3, 4), joint_3d (1, 21, 3), seg (480, 640)
 
@@ -24,12 +25,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray
 
+from getagrip.datasets.dexycb import calibration
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.model import Side
 from getagrip.io import arrays
-from getagrip.io.files import is_plain_name, plain, read_bytes, shown
+from getagrip.io.files import is_plain_name, plain, shown
 
 SIZE = (640, 480)
 """Width and height of DexYCB's images [px]."""
@@ -60,8 +62,6 @@ YCB = {
 PACKED_K = np.array([[616.641, 0.0, 308.548], [0.0, 616.258, 248.523], [0.0, 0.0, 1.0]])
 """One of DexYCB's cameras [px]; packed files do not say which camera's frame they are in."""
 PACKED_ARRAYS = ("sequence", "object", "offset", "obj_quat_xyzw", "obj_trans", "joints", "hand_valid")
-LARGEST_YAML = 2**20
-"""Limit in bytes of a description; DexYCB's have a few hundred."""
 MOST_FRAMES = 20_000
 """Of a sequence; DexYCB's have 72."""
 
@@ -92,6 +92,8 @@ class Recording:
     """Joints in the camera frame [m], in this package's order."""
     hand_known: Bool[ndarray, "N"]
     K: Float[ndarray, "3 3"]
+    T_table_cam: Float[ndarray, "4 4"] | None = None
+    """The camera, which stands still, in the frame of a tag that lies on the table, z up; None where it is unknown."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,7 @@ def _read_folder(root: Path, folder: Path) -> Recording:
     path = folder / "meta.yml"
     if not (_is_name(folder.parent.name) and _is_name(folder.name)):
         raise InputError(path, "", "a folder name that cannot be part of a clip's", "<subject>/<sequence>")
-    meta = _yaml(path)
+    meta = calibration.read_yaml(path)
     frames = _whole(path, meta, "num_frames", 1, MOST_FRAMES)
     ids = _list(path, meta, "ycb_ids")
     if not all(isinstance(i, int) and i in YCB for i in ids) or len(set(ids)) < len(ids):
@@ -211,7 +213,8 @@ def _read_folder(root: Path, folder: Path) -> Recording:
         objects={YCB[id_]: Poses(T_cam_obj[:, k], known[:, k]) for k, id_ in enumerate(ids)},
         joints=joints,
         hand_known=~np.all(joints == -1.0, axis=(1, 2)),  # a hand that is not known is -1
-        K=_intrinsics(root / "calibration" / "intrinsics" / f"{serial}_{SIZE[0]}x{SIZE[1]}.yml"),
+        K=calibration.intrinsics(root / "calibration" / "intrinsics" / f"{serial}_{SIZE[0]}x{SIZE[1]}.yml"),
+        T_table_cam=_table_camera(root, path, meta, serial),
     )
 
 
@@ -240,36 +243,13 @@ def _label(path: Path, objects: int) -> tuple[Float[ndarray, "O 3 4"], Float[nda
     return arrays.floats(path, given, "pose_y", (objects, 3, 4)), arrays.floats(path, given, "joint_3d", (1, 21, 3))[0]
 
 
-def _intrinsics(path: Path) -> Float[ndarray, "3 3"]:
-    colour = _yaml(path).get("color")
-    wanted = [colour.get(key) if isinstance(colour, dict) else None for key in ("fx", "fy", "ppx", "ppy")]
-    fx, fy, ppx, ppy = (float(v) if isinstance(v, float | int) else np.nan for v in wanted)
-    if not (np.isfinite([fx, fy, ppx, ppy]).all() and fx > 0.0 and fy > 0.0):
-        raise InputError(path, "color", shown(colour), "fx, fy, ppx, ppy in pixels, fx and fy above 0")
-    # DexYCB counts from the centre of the first pixel, this package from its corner.
-    return np.array([[fx, 0.0, ppx + 0.5], [0.0, fy, ppy + 0.5], [0.0, 0.0, 1.0]])
-
-
-def _yaml(path: Path) -> dict[str, Any]:
-    """A YAML mapping; of Python's own types only tuples are let in, which DexYCB's calibration holds."""
-    import yaml
-
-    class Loader(yaml.SafeLoader):  # type: ignore[misc]
-        """YAML's own types and tuples, without aliases, by which a small file can unfold to a huge one."""
-
-        def compose_node(self, parent: Any, index: Any) -> Any:
-            if self.check_event(yaml.AliasEvent):
-                raise yaml.YAMLError("an alias")
-            return super().compose_node(parent, index)
-
-    Loader.add_constructor("tag:yaml.org,2002:python/tuple", Loader.construct_sequence)
-    try:
-        content = yaml.load(read_bytes(path, LARGEST_YAML), Loader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(path, "", f"text that is no plain YAML ({error})", "a YAML mapping") from error
-    if not isinstance(content, dict):
-        raise InputError(path, "", f"a YAML {type(content).__name__}", "a YAML mapping")
-    return content
+def _table_camera(root: Path, path: Path, meta: dict[str, Any], serial: str) -> Float[ndarray, "4 4"] | None:
+    """The camera in the frame of the tag on the table; None where the calibration is not there."""
+    name = meta.get("extrinsics", "")
+    if not (isinstance(name, str) and (name == "" or _is_name(name))):
+        raise InputError(path, "extrinsics", shown(name), "the name of a calibration")
+    file = root / "calibration" / f"extrinsics_{name}" / "extrinsics.yml"
+    return calibration.table_camera(file, serial) if file.is_file() else None
 
 
 def _list(path: Path, given: dict[str, Any], key: str) -> list[Any]:

@@ -147,6 +147,7 @@ def clip(
         side=grasp.side,
         fps=numbering_rate(grasp.video),
         frames=tuple(f"{number:010d}" for number in chosen),
+        times=np.array(chosen) / numbering_rate(grasp.video),
         size=SIZE,
         K=np.tile(camera.K, (len(chosen), 1, 1)),
         mesh=mesh,

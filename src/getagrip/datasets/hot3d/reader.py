@@ -20,7 +20,7 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.clip import HandTrack
+from getagrip.clip import HandTrack, World
 from getagrip.datasets.cutting import CutSource, TrackedDataset, pieces
 from getagrip.datasets.dataset import Note, Part
 from getagrip.datasets.hot3d.recording import Recording, find, read_recording
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 HOLDS = GraspOptions(contact_mm=5.0, points="area", rule="touch", shortest=10)
 """Uninterrupted contact."""
 DIGITS = 6
+UP = np.array([0.0, 0.0, 1.0])
+"""In HOT3D's world."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,6 +191,8 @@ def _track(
         T_cam_obj=T_cam_world @ recording.objects[uid].T_world_obj[frames],
         mesh=mesh,
         read_masks=masks,
+        world=World(camera.T_world_cam[frames], UP),
+        stamps=1e-9 * (recording.times[frames] - recording.times[0]),
         provenance={
             "source": f"HOT3D, recording {recording.name}",
             "object_uid": uid,

@@ -17,8 +17,8 @@ def seen_from_head(
     diameter: float,
     frames: int,
     rng: np.random.Generator,
-) -> Float[ndarray, "T 4 4"]:
-    """``T_cam_hand`` of a hand that lifts, carries and tilts, before a head that follows it.
+) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 4 4"]]:
+    """``T_world_cam`` and ``T_world_hand`` of a hand that lifts, carries and tilts, before a head that follows it.
 
     World: x right, y ahead, z up, the middle of hand and object near the origin. The object starts upright, turned
     such that the forearm comes from the right shoulder.
@@ -39,7 +39,7 @@ def seen_from_head(
     x = np.cross(z, np.array([0.0, 0.0, 1.0]) + 0.06 * smooth(rng, frames, 3))
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     T_world_cam = se3.rigid(np.stack([x, np.cross(z, x), z], axis=-1), eye)
-    return se3.inverse(T_world_cam) @ T_world_hand
+    return T_world_cam, T_world_hand
 
 
 def other_hand(

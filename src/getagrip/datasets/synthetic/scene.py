@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.clip import Clip, HandTrack, Masks, Truth
+from getagrip.clip import Clip, HandTrack, Masks, Truth, World
 from getagrip.datasets.synthetic import in_hand
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.deform import aligned, drawn
@@ -119,20 +119,24 @@ def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
         moved = in_hand.hinge(grasper, T_base, options, rng)
     T_hand_held, posed = moved.T_hand_obj, moved.posed
     middle = (posed.joints[:, 9].mean(axis=0) + se3.transform(T_hand_held, held.centre[None]).mean(axis=0)[0]) / 2.0
-    T_cam_hand = seen_from_head(T_hand_held[0], middle, held.diameter, options.frames, moves)
+    T_world_cam, T_world_hand = seen_from_head(T_hand_held[0], middle, held.diameter, options.frames, moves)
+    T_cam_hand = se3.inverse(T_world_cam) @ T_world_hand
     unknown = 1.0 if options.scale == "known" else float(rng.uniform(0.8, 1.25))
     T_held_cad, size = np.eye(4), 1.0
     if options.cad == "mean":
         T_held_cad, size = aligned(mean, held, resize=options.scale == "free")
     track = hand_track(posed, T_cam_hand)
+    fps = options.frames / moved.duration if moved.duration else options.fps
     width, height = options.size
     K = np.array([[options.focal, 0.0, width / 2.0], [0.0, options.focal, height / 2.0], [0.0, 0.0, 1.0]])
     clip = Clip(
         name=clip_name(category, seed, options),
         category=category,
         side="right",
-        fps=options.frames / moved.duration if moved.duration else options.fps,
+        fps=fps,
         frames=tuple(f"{n:06d}" for n in range(options.frames)),
+        times=np.arange(options.frames) / fps,
+        world=World(T_world_cam, np.array([0.0, 0.0, 1.0])),
         size=options.size,
         K=np.broadcast_to(K, (options.frames, 3, 3)).copy(),
         mesh=Mesh((mean if options.cad == "mean" else held).vertices / unknown, held.faces),
@@ -199,6 +203,7 @@ def _mirror_image(scene: Scene) -> Scene:
     mirrored_clip = replace(
         clip,
         side="left",
+        world=clip.world and World(flip @ clip.world.T_world_cam @ flip, clip.world.up),
         mesh=_flipped(clip.mesh),
         hand=hand,
         truth=Truth(flip @ truth.T_cam_obj @ own, truth.scale, hand.T_cam_hand, hand.vertices),

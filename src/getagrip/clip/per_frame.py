@@ -1,0 +1,120 @@
+"""What ``clip.json`` says of each frame: its name, its camera, when it was taken and where the camera was."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.clip.data import World
+from getagrip.clip.plausible import check_intrinsics
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.io import files
+
+CAMERA = ("K", "T_world_cam", "world_up")
+"""Keys of ``camera``; the last two since version 2."""
+LONGEST = 86_400.0
+"""Time that a clip can take [s]."""
+ROOM = 1000.0
+"""How far a camera may be from where it was in the first frame [m]."""
+
+
+def frame_names(path: Path, names: object) -> tuple[str, ...]:
+    """The frames' names: at least one, each a plain file name, none twice."""
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise InputError(path, "frames", files.shown(names), "a list of names, one for each frame")
+    bad = next((name for name in names if not files.is_plain_name(name)), None)
+    if bad is not None:
+        raise InputError(path, "frames", f"the name {files.shown(bad)}", "names of files, without folder and suffix")
+    if len(set(names)) < len(names):
+        twice = Counter(names).most_common(1)[0][0]
+        raise InputError(path, "frames", f"the name {files.shown(twice)} twice", "each frame once")
+    return tuple(names)
+
+
+def intrinsics(path: Path, camera: dict[str, Any], frames: int, size: tuple[int, int]) -> Float[ndarray, "T 3 3"]:
+    """Pinhole intrinsics of each frame [px]."""
+    K = _matrices(path, "camera.K", camera["K"], 3, frames)
+    check_intrinsics(path, K, size)
+    return K
+
+
+def world(path: Path, camera: dict[str, Any], frames: tuple[str, ...]) -> World | None:
+    """Where the camera was, in a frame that stands still; None where it is not known."""
+    up = None if "world_up" not in camera else _numbers(camera["world_up"])
+    if up is not None and not (up.shape == (3,) and abs(np.linalg.norm(up) - 1.0) < 1e-3):
+        raise InputError(path, "camera.world_up", files.shown(camera["world_up"]), "[x, y, z], a direction of length 1")
+    if "T_world_cam" not in camera:
+        if up is not None:
+            raise InputError(path, "camera.world_up", "it", "none without camera.T_world_cam, whose world it is in")
+        return None
+    T = _matrices(path, "camera.T_world_cam", camera["T_world_cam"], 4, len(frames))
+    with np.errstate(over="ignore", invalid="ignore"):
+        rigid = se3.is_rigid(T)
+        apart = np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1)
+    if not rigid.all():
+        bad = f"a matrix that is no rigid motion in frame {files.shown(frames[int(np.argmin(rigid))])}"
+        raise InputError(path, "camera.T_world_cam", bad, "rotations and translations [m], the last row 0 0 0 1")
+    if not apart.max() <= ROOM:
+        n = int(np.argmax(apart))
+        given = f"a camera {apart[n]:.4g} m from its first place in frame {files.shown(frames[n])}"
+        raise InputError(path, "camera.T_world_cam", given, f"at most {ROOM:g} m; are these millimetres?")
+    return World(T, up)
+
+
+def times(path: Path, given: object, frames: tuple[str, ...]) -> Float[ndarray, "T"]:
+    """When each frame was taken [s]."""
+    values = _numbers(given)
+    if values.ndim != 1:
+        raise InputError(path, "times", files.shown(given), "a list of numbers [s], one for each frame")
+    if len(values) != len(frames):
+        raise InputError(path, "times", f"{len(values)} numbers", f"one for each of the {len(frames)} frames")
+    step = np.diff(values)
+    if np.any(step <= 0.0):
+        n = int(np.argmax(step <= 0.0)) + 1
+        bad = f"{values[n]:.10g} s in frame {files.shown(frames[n])}, after {values[n - 1]:.10g} s"
+        raise InputError(path, "times", bad, "numbers that rise from frame to frame")
+    if not values[-1] - values[0] <= LONGEST:
+        bad = f"{values[-1] - values[0]:.4g} s from the first frame to the last"
+        raise InputError(path, "times", bad, f"at most {LONGEST:g} s; are these nanoseconds?")
+    return values
+
+
+def at_frames(fields: dict[str, Any], index: Int[ndarray, "n"]) -> dict[str, Any]:
+    """The checked fields of a clip at some of its frames."""
+
+    def some(values: list[Any]) -> list[Any]:
+        return [values[n] for n in index]
+
+    camera = {
+        key: some(value) if key != "world_up" and np.ndim(value) == 3 else value
+        for key, value in fields["camera"].items()
+    }
+    out = fields | {"frames": some(fields["frames"]), "camera": camera}
+    if "times" in fields:
+        out["times"] = some(fields["times"])
+    return out
+
+
+def _matrices(path: Path, key: str, given: object, rows: int, frames: int) -> Float[ndarray, "T rows rows"]:
+    """A square matrix of finite numbers for each frame, given once for all or for each."""
+    values = _numbers(given)
+    if values.shape[-2:] != (rows, rows) or values.ndim not in (2, 3):
+        raise InputError(path, key, files.shown(given), f"a {rows}x{rows} matrix of numbers, or one for each frame")
+    if values.ndim == 3 and len(values) != frames:
+        raise InputError(path, key, f"{len(values)} matrices", f"one, or one for each of the {frames} frames")
+    return np.broadcast_to(values, (frames, rows, rows)).copy()
+
+
+def _numbers(given: object) -> Float[ndarray, "..."]:
+    """Lists of numbers as an array, which JSON's reader has found to be finite; of no axes where they are none."""
+    try:
+        values = np.array(given)
+    except (ValueError, OverflowError):  # rows of different lengths
+        return np.array(np.nan)
+    return values.astype(float) if values.dtype.kind in "fi" else np.array(np.nan)
