@@ -162,6 +162,31 @@ def test_arrays_beyond_the_format_are_ignored(clip_folder: Path) -> None:
     assert set(read_clip(clip_folder).hand.regions) == {"thumb", "index", "middle", "ring", "pinky", "palm_edge"}
 
 
+def test_frames_without_a_hand_are_left_out_until_they_have_one(tmp_path: Path, refused: Refused) -> None:
+    """A ``hand.npz`` names the frames that it is of; with all of them it is the whole clip's again."""
+    whole, masks = small_clip(4)
+    K = whole.K * np.linspace(1.0, 1.1, 4)[:, None, None] ** [[1], [1], [0]]
+    whole = replace(whole, truth=None, K=K, times=np.array([0.0, 0.1, 0.3, 0.4]), world=World(whole.hand.T_cam_hand))
+    folder = write_clip(whole, masks, tmp_path / "clip")
+    rows = np.array([0, 2])
+    some, path = whole.take(rows), folder / "hand.npz"
+    checksum = input_sha256(folder)
+    write_hand(some.hand, path, {"frames": np.array(some.frames)})
+    assert input_sha256(folder) != checksum
+    clip, masks_back = read_all(folder)
+    assert clip.frames == some.frames
+    np.testing.assert_array_equal(clip.K, some.K)
+    np.testing.assert_array_equal(clip.time, some.time)
+    assert clip.world == some.world
+    np.testing.assert_array_equal(clip.hand.vertices, some.hand.vertices)
+    np.testing.assert_array_equal(masks_back.object, masks.object[rows])
+    for names in (["0002", "0000"], ["0000", "0009"], ["0000", "0000"], []):
+        write_hand(some.hand, path, {"frames": np.array(names, dtype=np.str_)})
+        refused(lambda: read_clip(folder), str(path), "frames")
+    write_hand(whole.hand, path, {"frames": np.array([7, 8, 9, 10])})  # numbers of the footage, as in a hand file
+    assert read_clip(folder).frames == whole.frames
+
+
 def test_images_are_written_as_given(tmp_path: Path) -> None:
     clip, masks = small_clip(2)
     red = np.zeros((24, 32, 3), np.uint8)

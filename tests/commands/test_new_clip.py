@@ -168,6 +168,12 @@ def test_in_steps(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "000005" in clip.provenance["frames_without_hand"]
     assert main([*hands, "--clip", str(folder)]) == 2
     assert main([*hands, "--clip", str(folder), "--overwrite"]) == 0
+    arrays.write(made / "joints.npz", {"joints": np.tile(joints, (6, 1, 1))})
+    assert main([*hands, "--clip", str(folder), "--overwrite"]) == 0
+    clip = read_clip(folder)
+    assert clip.frames == tuple(f"{n:06d}" for n in range(3, 9))
+    assert "frames_without_hand" not in clip.provenance
+    assert read_masks(clip).observed.all()
 
 
 def test_only_a_clip_is_overwritten(made: Path, run: Run) -> None:

@@ -51,7 +51,8 @@ class ImportHands(Command):
     """Hands from an estimator's files: into a clip that lacks them, or into a file for a clip to come."""
 
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...", help_behavior_hint="")]
-    """.npz, .json, .pkl, .pt, .npy: a file for each image, named like it, or one for all (docs/estimators.md)."""
+    """.npz, .json, .pkl, .pt, .npy, .obj, or folders of them: a file for each image, named like it, or one for all
+    (docs/estimators.md)."""
     source: Source
     trackers: Trackers
     clip: Annotated[Path | None, arg(metavar="CLIP", help_behavior_hint="")] = None

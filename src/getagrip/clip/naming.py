@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 _NUMBER = re.compile(r"(\d{1,12})$")
-_PERSON = re.compile(r"_\d{1,2}$|_prediction_result$")
+_PERSON = re.compile(r"_\d{1,2}$|_\d{1,2}_3dkeypoints$|_prediction_result$")
 """What estimators add to an image's name: HaMeR a person's number, FrankMocap two words."""
 
 

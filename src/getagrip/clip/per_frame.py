@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.data import World
@@ -83,22 +83,6 @@ def times(path: Path, given: object, frames: tuple[str, ...]) -> Float[ndarray, 
         bad = f"{values[-1] - values[0]:.4g} s from the first frame to the last"
         raise InputError(path, "times", bad, f"at most {LONGEST:g} s; are these nanoseconds?")
     return values
-
-
-def at_frames(fields: dict[str, Any], index: Int[ndarray, "n"]) -> dict[str, Any]:
-    """The checked fields of a clip at some of its frames."""
-
-    def some(values: list[Any]) -> list[Any]:
-        return [values[n] for n in index]
-
-    camera = {
-        key: some(value) if key != "world_up" and np.ndim(value) == 3 else value
-        for key, value in fields["camera"].items()
-    }
-    out = fields | {"frames": some(fields["frames"]), "camera": camera}
-    if "times" in fields:
-        out["times"] = some(fields["times"])
-    return out
 
 
 def _matrices(path: Path, key: str, given: object, rows: int, frames: int) -> Float[ndarray, "T rows rows"]:

@@ -35,7 +35,7 @@ LARGEST_SIDE, LARGEST_IMAGE = 16384, 40_000_000
 
 
 def read_clip(folder: str | Path) -> Clip:
-    """Read and check everything of a clip but its masks and images.
+    """Read and check everything of a clip but its masks and images, in the frames that have a hand.
 
     ``folder`` is the clip's folder or its ``clip.json``. Raises ``InputError``, which names the file, the key, what
     was given and what is expected.
@@ -46,8 +46,14 @@ def read_clip(folder: str | Path) -> Clip:
     frames = frame_names(path, fields["frames"])
     size = _size(path, fields["size"])
     mesh = read_mesh(_mesh(folder, fields))
-    K = intrinsics(path, fields["camera"], len(frames), size)
-    hand = read_hand(files.inside(folder, "hand.npz", "", "the hands of a clip"), len(frames))
+    hand_path = files.inside(folder, "hand.npz", "", "the hands of a clip")
+    rows = frames_with_hand(hand_path, frames)
+    hand = read_hand(hand_path, len(rows))
+    K = intrinsics(path, fields["camera"], len(frames), size)[rows]
+    when = times(path, fields["times"], frames)[rows] if "times" in fields else None
+    if when is None and len(rows) < len(frames):
+        when = rows / float(fields["fps"])
+    where = world(path, fields["camera"], frames)
     check_in_view(folder / "hand.npz", hand, K, size)
     has_truth = (folder / "truth.npz").exists() or (folder / "truth.npz").is_symlink()
     return Clip(
@@ -56,22 +62,22 @@ def read_clip(folder: str | Path) -> Clip:
         category=fields["category"],
         side=fields["side"],
         fps=float(fields["fps"]),
-        frames=frames,
+        frames=tuple(frames[row] for row in rows),
         size=size,
         K=K,
         mesh=mesh,
         scale=fields["scale"],
         hand=hand,
         truth=_read_truth(folder, hand, fields["scale"], mesh) if has_truth else None,
-        times=times(path, fields["times"], frames) if "times" in fields else None,
-        world=world(path, fields["camera"], frames),
+        times=when,
+        world=None if where is None else where.take(rows),
         provenance=fields["provenance"],
     )
 
 
 @dataclass(frozen=True)
 class ClipHeader:
-    """The content of ``clip.json``; hands, mesh and masks are not read."""
+    """The content of ``clip.json``, frames without a hand included; hands, mesh and masks are not read."""
 
     folder: Path
     fields: dict[str, Any]
@@ -106,10 +112,11 @@ def input_sha256(folder: str | Path) -> str:
     folder = _folder(folder)
     fields = _fields(folder)
     hand = files.inside(folder, "hand.npz", "", "the hands of a clip")
+    frames = frame_names(folder / "clip.json", fields["frames"])
     paths = {"clip.json": folder / "clip.json", "hand.npz": hand, fields["mesh"]: _mesh(folder, fields)}
     for kind in ("object", "ignore", "hand"):
         if (folder / "masks" / kind).exists():
-            names = [f"masks/{kind}/{name}.png" for name in frame_names(folder / "clip.json", fields["frames"])]
+            names = [f"masks/{kind}/{frames[row]}.png" for row in frames_with_hand(hand, frames)]
             paths |= {name: files.inside(folder, name, "", "a mask for each frame of clip.json") for name in names}
     return files.sha256(paths)
 
@@ -184,6 +191,29 @@ def _size(path: Path, size: object) -> tuple[int, int]:
     if sides[0] * sides[1] > LARGEST_IMAGE:
         raise InputError(path, "size", files.shown(size), f"at most {LARGEST_IMAGE / 1e6:g} million pixels")
     return sides[0], sides[1]
+
+
+def frames_with_hand(path: Path, frames: tuple[str, ...]) -> Int[ndarray, "n"]:
+    """Indices of the clip's frames that its ``hand.npz`` is of: those that it names, else all. Raises ``InputError``.
+
+    Numbers instead of names are passed over: in a hand file they are those of the footage.
+    """
+    given = arrays.read(path, {"frames"}.__contains__).get("frames", np.arange(0))
+    if given.dtype.kind != "U":
+        return np.arange(len(frames))
+    expected = "names of frames of the clip, in its order, each once"
+    try:
+        names = [str(name) for name in given.ravel()]
+    except ValueError as error:  # code points that do not exist
+        raise InputError(path, "frames", "a damaged text", expected) from error
+    row_of = {name: row for row, name in enumerate(frames)}
+    unknown = next((name for name in names if name not in row_of), None)
+    if unknown is not None:
+        raise InputError(path, "frames", files.shown(unknown), expected)
+    rows = np.array([row_of[name] for name in names], dtype=int)
+    if given.ndim != 1 or not rows.size or (np.diff(rows) <= 0).any():
+        raise InputError(path, "frames", f"{files.shown(' '.join(names)[:80])}", expected)
+    return rows
 
 
 def read_hand(path: Path, frames: int) -> HandTrack:

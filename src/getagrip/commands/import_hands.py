@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from getagrip.clip.intrinsics import Lens, intrinsics
-from getagrip.clip.per_frame import at_frames
 from getagrip.clip.plausible import check_in_view
 from getagrip.clip.reading import ClipHeader, read_header
 from getagrip.clip.writing import write_hand
@@ -21,6 +20,8 @@ from getagrip.io import files
 
 MOST_FRAMES = 20_000
 """Of a hand file."""
+WITHOUT = "frames_without_hand"
+"""Key of a clip's provenance."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,9 @@ def import_hands(
 
 
 def into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder: Path, overwrite: bool) -> int:
-    """Add ``hand.npz`` to a clip's folder; frames without a hand are dropped from ``clip.json``.
+    """Add ``hand.npz`` to a clip's folder. Where frames lack a hand it names those that have one.
 
-    Raises ``UsageError`` where there are hands already.
+    The clip keeps its other frames, whose hands may come later. Raises ``UsageError`` where there are hands already.
     """
     header = read_header(folder)
     target = header.folder / "hand.npz"
@@ -77,7 +78,8 @@ def into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder
         missing = len(header.frames) - len(hands.found)
         raise UsageError(f"{folder}: got no hand in {missing} frames, expected one in each, since it has a truth.npz")
     with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
-        write_hand(hands.track, hand)
+        some = [header.frames[n] for n in hands.found]
+        write_hand(hands.track, hand, {"frames": np.array(some)} if len(some) < len(header.frames) else None)
         files.write_json(fields, _fields(header, hands))
     _report(hands, header.frames)
     print(target)
@@ -119,14 +121,11 @@ def into_file(
 
 
 def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
-    """What ``clip.json`` says with the hands: where they come from, and which frames have one."""
-    fields = dict(header.fields)
-    dropped = [name for n, name in enumerate(header.frames) if n not in hands.found]
-    fields["provenance"] = dict(fields["provenance"]) | hands.provenance
-    if dropped:
-        fields = at_frames(fields, np.array(hands.found))
-        fields["provenance"]["frames_without_hand"] = f"left out: {', '.join(dropped)}"
-    return fields
+    """What ``clip.json`` says with the hands: where they come from, and which frames have none."""
+    known = {key: text for key, text in header.fields["provenance"].items() if key != WITHOUT}
+    missing = [name for n, name in enumerate(header.frames) if n not in hands.found]
+    without = {WITHOUT: f"left out until they have one: {', '.join(missing)}"} if missing else {}
+    return header.fields | {"provenance": known | hands.provenance | without}
 
 
 def _report(hands: Hands, frames: Sequence[str]) -> None:

@@ -421,6 +421,118 @@ def test_several_hands_in_one_record(tmp_path: Path) -> None:
         read([path], HaMeR(), request("right"))
 
 
+def demo_files(folder: Path, known: Known, n: int, joints: bool = True, mesh: bool = True) -> None:
+    """What HaMeR's demo saves of a hand with ``--save_mesh --save_keypoints``, by its own formulas (demo.py)."""
+    centre, side = np.array([300.0, 220.0]), 210.0
+    t = cam_crop_to_full(crop_camera(known.t[n], centre, side), centre, side, SIZE, 5000.0 / 256.0 * max(SIZE))
+    flip = MIRROR if known.side == "left" else 1.0
+    if mesh:
+        vertices = (known.vertices[n] - known.t[n] + t) * [1.0, -1.0, -1.0]
+        corners = [[3, 4, 5], [92, 38, 234]]
+        lines = [f"v {x:.8f} {y:.8f} {z:.8f} 0.6 0.7 0.8" for x, y, z in vertices]
+        faces = [c if known.side == "right" else [c[0], c[2], c[1]] for c in corners]
+        lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+        (folder / f"{FRAMES[n]}_0.obj").write_text("\n".join(lines))
+    if joints:
+        rows = np.stack([(known.joints[n] - known.t[n]) * flip + t, known.joints[n]])  # another person's follow
+        np.save(folder / f"{FRAMES[n]}_0_3dkeypoints.npy", rows.astype(np.float32))
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_what_hamers_demo_saves(tmp_path: Path, mano_folder: Path, side: Side) -> None:
+    """Meshes come back as they were, their wrist and joints nearly: what these rest on changes with shape."""
+    known, folder = Known(side, mano_folder), tmp_path / "out_demo"
+    folder.mkdir()
+    for n in range(3):
+        demo_files(folder, known, n)
+    (folder / "000007_0.png").touch()
+    hands = read([folder], HaMeR(), request(side, mano_folder))
+    assert hands.found == (0, 1, 2)
+    seen = se3.transform(hands.track.T_cam_hand, hands.track.vertices)
+    off = seen - known.vertices
+    assert np.ptp(off, axis=1).max() < 1e-5
+    assert np.abs(off[..., :2]).max() < 1e-4
+    assert np.abs(off[..., 2]).max() < 0.003  # as far as the wrist is off
+    assert np.abs(joints_of(hands) - known.joints).max() < 0.006
+    wilor = read([folder / "*.obj"], WiLoR(), request(side, mano_folder))
+    np.testing.assert_array_equal(wilor.track.vertices, hands.track.vertices)
+    with pytest.raises(InputError, match=f"no {'left' if side == 'right' else 'right'} hand"):
+        read([folder], HaMeR(), request("left" if side == "right" else "right", mano_folder))
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_joints_of_hamers_demo(tmp_path: Path, side: Side) -> None:
+    """Without MANO the generic hand is fitted; left hands' joints are turned back, of which the mesh beside tells."""
+    known = Known(side, None)
+    for n in range(3):
+        demo_files(tmp_path, known, n, mesh=False)
+    with pytest.raises(UsageError, match="--save_mesh"):
+        read([tmp_path], HaMeR(), request(side))
+    stated = read([tmp_path], HaMeR(joints_of=side), request(side))
+    assert np.abs(joints_of(stated) - known.joints).max() < 0.006  # the generic hand's wrist is not MANO's
+    known.vertices = known.vertices[:, :778]
+    for n in range(3):
+        demo_files(tmp_path, known, n, joints=False)
+    found = read([tmp_path], HaMeR(), request(side))
+    np.testing.assert_array_equal(joints_of(found), joints_of(stated))
+
+
+def test_one_file_of_many_images(tmp_path: Path) -> None:
+    """Pickles keyed by the path of the image: a record each, a list of records, or lists of parameters."""
+    known = Known("left", None)
+    records = [hamer_record(known, n, "full") for n in range(3)]
+    keys = [f"/data/video/{name}.jpg" for name in FRAMES]
+    other = hamer_record(Known("right", None, seed=1), 0, "full")
+    mano = [{k: r[k] for k in ("global_orient", "hand_pose", "betas")} | {"is_right": 0} for r in records]
+    for content in (
+        dict(zip(keys, records, strict=True)),
+        {key: [other, record] for key, record in zip(keys, records, strict=True)},
+        {k: {"mano": [m], "cam_trans": [r["pred_cam_t_full"]], "shot": 0}
+         for k, m, r in zip(keys, mano, records, strict=True)},
+    ):  # fmt: skip
+        path = tmp_path / "results.pkl"
+        path.write_bytes(pickle.dumps(content))
+        hands = read([path], HaMeR(), request("left"))
+        np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
+    path.write_bytes(pickle.dumps({"/data/video/000010.jpg": records[0]}))
+    with pytest.raises(InputError, match=r"no name of a frame \(/data/video/000010.jpg"):
+        read([path], HaMeR(), request("left"))
+
+
+def test_paths_that_are_wrong_are_named(tmp_path: Path, refused: Callable[..., str]) -> None:
+    (tmp_path / "empty").mkdir()
+    right = write_npz(tmp_path / "000007.npz", hamer_record(Known("right", None), 0, "crop"))
+    other = write_npz(tmp_path / "000001.npz", hamer_record(Known("right", None), 0, "crop"))
+    for path, words in (
+        (tmp_path / "none.npz", "no such file or folder"),
+        (tmp_path / "none*.npz", "a pattern that matches no file"),
+        (tmp_path / "empty", "a folder without such a file"),
+        (other, "no name of a frame"),
+    ):
+        refused(lambda path=path: read([path], HaMeR(), request("right")), str(path), words)
+    refused(lambda: read([right], HaMeR(), request("left")), str(right), "no left hand", "is it the right hand")
+
+
+def test_damaged_files_of_the_demo(tmp_path: Path, mano_folder: Path, refused: Callable[..., str]) -> None:
+    known = Known("right", mano_folder)
+    demo_files(tmp_path, known, 0)
+    path = tmp_path / "000007_0.obj"
+    text = path.read_text()
+    for bad, words in (
+        (text.replace("f 93 39 235", "f 93 39 236"), "which say which hand"),
+        (text.replace("v ", "v nan ", 1), "NaN"),
+        (text.replace("v ", "v 1 2 3\nv ", 1), "779 vertices"),
+    ):
+        path.write_text(bad)
+        refused(lambda: read([path], HaMeR(), request("right", mano_folder)), str(path), words)
+    path.write_text(text)
+    with pytest.raises(UsageError, match="--mano"):
+        read([path], HaMeR(), request("right"))
+    joints = tmp_path / "000007_9_3dkeypoints.npy"  # the second of its batch
+    np.save(joints, known.joints[:1])
+    refused(lambda: read([joints], HaMeR("right"), request("right")), "1 hands", "hand 9")
+
+
 def test_weak_perspective_keeps_the_projection() -> None:
     """Whatever the focal lengths, the hand's origin stays in its pixel, and its size in pixels the same."""
     rng = np.random.default_rng(0)

@@ -57,7 +57,7 @@ class FrankMocap(Tracker):
 
 def of_side(path: Path, record: Record, side: Side) -> Record | None:
     """The record of one side's hand, or nothing where it holds none. Raises ``InputError`` for two of them."""
-    people = record.get("pred_output_list")
+    people = record.get("pred_output_list") if isinstance(record, Mapping) else None
     if not isinstance(people, list) or not all(person is None or isinstance(person, Mapping) for person in people):
         given = "no such key" if people is None else shown(people)
         raise InputError(path, "pred_output_list", given, "a list with a dictionary for each person")

@@ -13,21 +13,28 @@ Boxes and translations are in the pixels of ``img_size`` (W, H), or of the clip'
 (or ``is_right``) is 1 for right hands. Both networks know right hands only: rotations of a left hand are those of a
 right one in the mirrored crop, and are mirrored here; ``pred_cam[1]`` is as both demos leave it, its sign turned
 already. ``wilor_preds`` (WiLoR-mini) holds left hands' rotations, vectors, turned back already.
+
+One file may hold many images, by their paths: a record each, a list of records, or lists ``mano`` of such parameters
+(with ``is_right``) and ``cam_trans`` (3), which is ``pred_cam_t_full``. What the demos themselves save is read by
+``hamer_demo``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from tyro.conf import arg
 
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import MIRROR, Side
+from getagrip.hands.trackers import hamer_demo
 from getagrip.hands.trackers.estimates import (
     Camera,
     Estimate,
@@ -40,26 +47,57 @@ from getagrip.hands.trackers.estimates import (
 from getagrip.hands.trackers.records import Record, child, numbers
 from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.hands.trackers.weak_perspective import WeakPerspective, hamer_focal, vitdet_side
+from getagrip.io import files
+from getagrip.io.arguments import one_of
 
 LATER_SIZE = (456, 256)
 """Images in which the later code's boxes are [px]."""
 
 
 @dataclass(frozen=True)
-class HaMeR(Tracker):
-    """HaMeR's records."""
+class Demo(Tracker):
+    """Records, or what a demo of such a network saves."""
 
-    name = "HaMeR"
-    takes = "a record for each image, as its demo holds it"
+    joints_of: ClassVar[Side | None] = None
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
-        """The hand of the side that is asked for, in the records of the clip's frames."""
+        """The hand of the side that is asked for, in the records of the clip's frames or, without any, as saved."""
+        held = [path for path in paths if not hamer_demo.is_saved(path)]
+        if not held:
+            return Estimates(request.side, tuple(hamer_demo.estimates(paths, request, self.joints_of)))
         found = []
-        for path, frame, record in per_image(paths, request):
-            hand = of_side(path, record, request.side)
-            if hand is not None:
-                found.append(estimate(path, frame, hand, request))
+        for path, frame, content in per_image(held, request):
+            of_all = [of_side(path, record, request.side) for record in people(path, content)]
+            hands = [hand for hand in of_all if hand is not None]
+            if len(hands) > 1:
+                raise InputError(path, "right", f"{len(hands)} {request.side} hands", "one; leave out other people's")
+            found += [estimate(path, frame, hand, request) for hand in hands]
         return Estimates(request.side, tuple(found))
+
+
+@dataclass(frozen=True)
+class HaMeR(Demo):
+    """HaMeR's records, and what its demo saves."""
+
+    name = "HaMeR"
+    takes = "the demo's out_folder with --save_mesh, or a record for each image, as the demo holds it"
+
+    joints_of: Annotated[Side | None, one_of("left", "right"), arg(help_behavior_hint="")] = None  # type: ignore[misc]
+    """Of which hand all joints are that the demo saved with --save_keypoints and without --save_mesh."""
+
+
+def people(path: Path, content: object) -> list[Record]:
+    """The records of an image's hands. Raises ``InputError``."""
+    each: list[Any] = content if isinstance(content, list) else [content]
+    if isinstance(content, Mapping) and isinstance(content.get("mano"), list) and "cam_trans" in content:
+        each = [
+            {**hand, "pred_cam_t_full": t} if isinstance(hand, Mapping) else hand
+            for hand, t in zip(content["mano"], content["cam_trans"], strict=False)
+        ]
+    wrong = next((hand for hand in each if not isinstance(hand, Mapping)), None)
+    if wrong is not None:
+        raise InputError(path, "", files.shown(wrong), "a dictionary for each hand")
+    return each
 
 
 def of_side(path: Path, record: Record, side: Side) -> Record | None:

@@ -15,11 +15,13 @@ from getagrip.geometry import se3
 from getagrip.hands import generic, mano
 from getagrip.hands.fit import fit_joints
 from getagrip.hands.model import (
+    ORDER_21,
     HandModel,
     PosedHand,
     Side,
     hand_track,
     mirrored,
+    mirrored_model,
     mirrored_pose,
     root_transform,
 )
@@ -44,6 +46,9 @@ def track(estimates: Estimates, folder: Path | None) -> tuple[HandTrack, str]:
     side, hands = estimates.side, estimates.hands
     joints = [hand.joints for hand in hands if hand.joints is not None]
     parameters = [hand.mano for hand in hands if hand.mano is not None]
+    vertices = [hand.vertices for hand in hands if hand.vertices is not None]
+    if folder is not None and not parameters and len(vertices) == len(hands):
+        return surface(network_model(side, folder), np.array(vertices), np.array(joints)), "MANO's vertices as saved"
     if len(joints) == len(hands) and (folder is None or not parameters):
         return fitted(hands[0].path, side, np.array(joints))
     R, pose, betas, t = (np.array(values) for values in zip(*parameters, strict=True))
@@ -62,6 +67,41 @@ def track(estimates: Estimates, folder: Path | None) -> tuple[HandTrack, str]:
     if all(hand.vertices is not None for hand in hands):
         T_cam_hand = _onto_vertices(estimates, posed, T_cam_hand)
     return hand_track(posed, T_cam_hand), what
+
+
+def surface(model: HandModel, vertices: Float[ndarray, "T V 3"], joints: Float[ndarray, "T 21 3"]) -> HandTrack:
+    """The hand of MANO's vertices and its joints before the camera [m]."""
+    T_cam_hand = mano_motions(model, vertices)[:, 0]
+    inside = se3.inverse(T_cam_hand)
+    posed = PosedHand(
+        model.side, se3.transform(inside, vertices), model.faces, se3.transform(inside, joints), model.regions
+    )
+    return hand_track(posed, T_cam_hand)
+
+
+def network_model(side: Side, folder: Path) -> HandModel:
+    """The hand of networks that know right hands only: MANO's right one, or its mirror image."""
+    right = mano.load(folder / FILES["right"], "right").model
+    return right if side == "right" else mirrored_model(right)
+
+
+def mano_motions(model: HandModel, vertices: Float[ndarray, "*n V 3"]) -> Float[ndarray, "*n 16 4 4"]:
+    """The rigid motion of each part of a hand from rest to where its vertices are (least squares).
+
+    A part's vertices are those that follow its joint by more than half of their weight.
+    """
+    weights = np.where(model.weights > 0.5, model.weights, 0.0).T
+    weights = weights / weights.sum(axis=1, keepdims=True)
+    rest, moved = weights @ model.template, np.einsum("jv,...vc->...jc", weights, vertices)
+    H = np.einsum("jv,...vc,vd->...jcd", weights, vertices, model.template)
+    R = se3.nearest_rotation(H - moved[..., None] * rest[:, None, :])
+    return se3.rigid(R, moved - (R @ rest[..., None])[..., 0])
+
+
+def mano_joints(model: HandModel, vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "21 3"]:
+    """The 21 joints of a hand of which only the surface is known: each where its part has carried it."""
+    at = se3.transform(mano_motions(model, vertices), model.joints[:, None])[:, 0]
+    return np.concatenate([at, vertices[model.tips]])[ORDER_21]
 
 
 def fitted(path: Path, side: Side, joints: Float[ndarray, "T 21 3"]) -> tuple[HandTrack, str]:

@@ -12,8 +12,8 @@ from getagrip.clip.plausible import check_in_hand, check_poses
 from getagrip.errors import InputError
 from getagrip.hands.trackers.estimates import ONE_CAMERA, Estimate, Request
 from getagrip.hands.trackers.hand import track
+from getagrip.hands.trackers.records import listed
 from getagrip.hands.trackers.tracker import Tracker
-from getagrip.io import files
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,15 @@ class Hands:
 def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
     """The hand of one side in some frames of a clip.
 
-    Raises as ``Tracker.read`` does, and ``InputError`` where there is no such hand, two of them in a frame, or none
-    that can be one.
+    ``paths`` are files, folders of them, or patterns (``out/*.npz``). Raises as ``Tracker.read`` does, and
+    ``InputError`` where there is no such file or hand, two hands in a frame, or none that can be one.
     """
+    paths = listed(paths)
     estimates = tracker.read(paths, request)
     if not estimates.hands:
-        named = " to ".join(files.plain(frame) for frame in (request.frames[0], request.frames[-1]))
-        expected = f"one; files are named like its frames, {named}"
-        raise InputError(paths[0], "", f"no {request.side} hand in the clip's frames", expected)
+        other = "left" if request.side == "right" else "right"
+        given = f"no {request.side} hand in the clip's frames, in {len(paths)} files"
+        raise InputError(paths[0], "", given, f"one; or is it the {other} hand that holds the object?")
     _check_each_once(estimates.hands, request)
     depths = "; ".join(dict.fromkeys(hand.depth for hand in estimates.hands))
     estimates = replace(estimates, hands=tuple(sorted(estimates.hands, key=lambda hand: hand.frame)))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import glob
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,37 @@ from getagrip.io import arrays, files, pickles
 Record = Mapping[str, Any]
 """Arrays, numbers, texts, lists and further records by name."""
 SUFFIXES = (".npz", ".npy", ".json", ".pkl", ".pickle", ".pt", ".pth")
+MESHES = (".obj",)
+IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 LARGEST = 256 * 2**20
 """Bytes of the largest ``.npy`` or ``.pt`` file, unpacked."""
 ABSURD = 1e7
 """No pixel, metre or radian is as large."""
+
+
+def listed(paths: Sequence[Path]) -> list[Path]:
+    """The files that paths stand for: a folder for those in it of a known suffix, a pattern for what it matches.
+
+    Raises ``InputError`` for a path that stands for none.
+    """
+    known = (*SUFFIXES, *MESHES)
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            files_of = sorted(each for each in path.iterdir() if each.suffix.lower() in known and each.is_file())
+            if not files_of:
+                raise InputError(
+                    path, "", "a folder without such a file", f"files of an estimator ({', '.join(known)})"
+                )
+        elif path.exists():
+            files_of = [path]
+        else:  # a shell leaves a pattern as it is where nothing matches
+            files_of = sorted(Path(name) for name in glob.glob(str(path)))
+            given = "a pattern that matches no file" if glob.has_magic(str(path)) else "no such file or folder"
+            if not files_of:
+                raise InputError(path, "", given, "an estimator's files")
+        found += files_of
+    return found
 
 
 def read(path: Path) -> Record:
@@ -41,6 +69,12 @@ def read(path: Path) -> Record:
     if suffix == ".npy":
         return {"joints": arrays.parse_npy(path, "", files.read_bytes(path, LARGEST))}
     raise InputError(path, "", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")
+
+
+def by_image(record: Record) -> Record:
+    """The content of each image by its path, where that is what a dictionary's keys are; else nothing."""
+    named = all(isinstance(key, str) and Path(key).suffix.lower() in IMAGES for key in record)
+    return record if named else {}
 
 
 def _read_torch(path: Path) -> Record:

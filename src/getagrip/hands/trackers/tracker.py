@@ -8,15 +8,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from getagrip.clip.naming import frame_of
+from getagrip.clip.naming import frame_of, number_of
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.trackers import records
 from getagrip.hands.trackers.estimates import Estimates, Request
 from getagrip.io import files
+
+KEYED = (".pkl", ".pickle", ".json", ".pt", ".pth")
+"""Files that may hold many images."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +40,36 @@ class Tracker:
         raise NotImplementedError
 
 
-def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, int, records.Record]]:
-    """Files of one image each that are named like a frame of the request: the file, the frame's index, the content."""
+def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, int, Any]]:
+    """What there is of single images whose names are like those of frames: the file, the frame's index, the content.
+
+    A file is of one image, and named like it, or holds a dictionary with the names of images as keys. Raises
+    ``InputError`` where no name is that of a frame of the request.
+    """
+    found, other = False, ""
     for path in paths:
         frame = frame_of(path.stem, request.frames)
-        if frame is not None:
-            yield path, frame, records.read(path)
+        may_hold_many = path.suffix.lower() in KEYED and (len(paths) == 1 or number_of(path.stem) is None)
+        record = records.read(path) if frame is not None or may_hold_many else {}
+        named = records.by_image(record)
+        if not named and frame is not None:
+            found = True
+            yield path, frame, record
+        for name, content in named.items():
+            frame = frame_of(Path(name).stem, request.frames)
+            if frame is not None:
+                found = True
+                yield path, frame, content
+        other = other or next(iter(named), path.name)
+    if not found:
+        raise no_name(paths, other, request)
+
+
+def no_name(paths: Sequence[Path], example: str, request: Request) -> InputError:
+    """The error for files of which none is named like a frame."""
+    named = " to ".join(files.plain(frame) for frame in (request.frames[0], request.frames[-1]))
+    given = f"no name of a frame ({files.plain(example)}, ...) in {len(paths)} file{'s' if len(paths) > 1 else ''}"
+    return InputError(paths[0], "", given, f"names like those of the clip's frames, {named}")
 
 
 def frames_of_rows(path: Path, record: records.Record, count: int, request: Request) -> list[int | None]:
