@@ -9,6 +9,7 @@ import pytest
 
 from getagrip.datasets import arctic, artigrasp, cutting
 from getagrip.datasets.artigrasp import ArtiGrasp
+from getagrip.datasets.artigrasp_estimated import EstimatedArtiGrasp, median_rotation
 from getagrip.datasets.tracks import Track
 from getagrip.errors import InputError
 from getagrip.geometry import se3
@@ -50,7 +51,7 @@ def read(root: Path) -> list[Track]:
 
 def template(root: Path) -> arctic.Template:
     """The box."""
-    return artigrasp._template(root / "rsc" / "arctic" / "box")
+    return artigrasp.read_template(root / "rsc" / "arctic" / "box")
 
 
 def test_wrong_frames_are_left_out_and_hands_are_where_they_are(root: Path) -> None:
@@ -88,7 +89,7 @@ def test_meshes_have_enough_vertices_to_count_contact(root: Path) -> None:
 def test_a_grasp_ends_where_the_joint_turns(root: Path) -> None:
     found = list(cutting.pieces(read(root), print, ArtiGrasp(root=root).cut(print)))
     spans = [(p.track.side, int(p.track.numbers[0]), int(p.track.numbers[-1])) for p in found]
-    assert spans == [("right", TAKEN, OPENED - 1)]  # the left hand holds nothing
+    assert spans == [("right", TAKEN, OPENED - 1), ("right", OPENED, 63)]  # the left hand holds nothing
     provenance = found[0].track.describe(found[0])
     assert found[0].name == f"s1--{SEQUENCE}--box--right"
     assert "non-commercial" in provenance["licence"]
@@ -109,12 +110,69 @@ def test_broken_files_are_refused_by_name(root: Path) -> None:
         ArtiGrasp(root=root / "rsc" / "mano_double").sources()
 
 
-def test_estimates_are_no_sequences(root: Path) -> None:
-    true = root / "rsc" / "arctic" / "box" / "s1" / f"{SEQUENCE}.object.npy"
-    estimated = root / "rsc" / "arctic" / "box" / "s5_recon" / true.name
-    estimated.parent.mkdir()
-    estimated.write_bytes(true.read_bytes())
-    assert [source.name for source in ArtiGrasp(root=root).sources()] == [f"s1/{SEQUENCE}"]
+ESTIMATE_WORLD = se3.rigid(se3.exp_so3(np.array([1.2, 1.7, -1.4])), np.array([0.1, 1.0, 2.0]))
+"""The camera that the estimates were made by."""
+
+
+@pytest.fixture
+def estimated(root: Path) -> Path:
+    """The same with estimates: in a camera's axes, the object held still and turned by jitter, hands 10 mm nearer."""
+    rsc = root / "rsc"
+    poses = np.load(rsc / "arctic" / "box" / "s1" / f"{SEQUENCE}.object.npy").astype(float)
+    T = ESTIMATE_WORLD @ artigrasp.rigid(poses)
+    turned = se3.exp_so3(np.random.default_rng(0).normal(size=(FRAMES, 3)) * 0.02) @ T[:, :3, :3]
+    held = np.concatenate([poses[:, :1], se3.log_so3(turned), np.tile([0.0, 0.0, 2000.0], (FRAMES, 1))], axis=1)
+    (rsc / "arctic" / "box" / "s1_recon").mkdir()
+    (rsc / "mano_double" / "ee_recon" / "s1").mkdir(parents=True)
+    np.save(rsc / "arctic" / "box" / "s1_recon" / f"{SEQUENCE}.object.npy", held.astype(np.float32))
+    for letter in "lr":
+        joints = se3.transform(ESTIMATE_WORLD, np.load(rsc / "mano_double" / "ee" / "s1" / f"{SEQUENCE}_{letter}.npy"))
+        placed = joints - T[:, None, :3, 3] + [0.0, 0.0, 2.0] - [0.0, 0.0, 0.01]
+        np.save(rsc / "mano_double" / "ee_recon" / "s1" / f"{SEQUENCE}_{letter}.npy", placed)
+    return root
+
+
+def test_estimates_are_no_sequences(estimated: Path) -> None:
+    assert [source.name for source in ArtiGrasp(root=estimated).sources()] == [f"s1/{SEQUENCE}"]
+
+
+def test_estimated_hands_stand_by_the_true_object_as_by_the_estimated_one(estimated: Path) -> None:
+    (source,) = EstimatedArtiGrasp(root=estimated).sources()
+    for track in source.read(print):
+        np.testing.assert_array_equal(track.numbers, np.arange(10, 60))
+        assert track.given_hand is not None
+        true, given = (
+            se3.transform(hand.T_cam_hand, hand.joints) for hand in (track.hand, track.given_hand)
+        )  # the same hand, fitted twice, nearer to the camera
+        np.testing.assert_allclose(given - true, np.broadcast_to([0.0, 0.0, -0.01], true.shape), atol=4e-3)
+        clip = cutting.known_clip(track)
+        assert clip.truth is not None
+        np.testing.assert_array_equal(clip.hand.T_cam_hand, track.given_hand.T_cam_hand)
+        np.testing.assert_array_equal(clip.truth.T_cam_hand, track.hand.T_cam_hand)
+        np.testing.assert_array_equal(track.take(np.arange(5)).given_hand.T_cam_hand, clip.hand.T_cam_hand[:5])
+        T_cam_template = track.T_cam_obj @ template(estimated).T_neutral_template
+        expected = ESTIMATE_WORLD @ recording().T_world_obj[track.numbers]
+        assert np.degrees(se3.angle_between(T_cam_template[:, :3, :3], expected[:, :3, :3]).max()) < 1.0
+        assert "estimated" in track.provenance["hands"]
+
+
+def test_estimates_of_too_few_frames_are_refused(estimated: Path) -> None:
+    file = estimated / "rsc" / "arctic" / "box" / "s1_recon" / f"{SEQUENCE}.object.npy"
+    np.save(file, np.load(file)[:40])
+    (source,) = EstimatedArtiGrasp(root=estimated).sources()
+    with pytest.raises(InputError, match="40 frames"):
+        list(source.read(print))
+    file.unlink()
+    with pytest.raises(InputError, match="recon"):
+        EstimatedArtiGrasp(root=estimated).sources()
+
+
+def test_the_median_rotation_does_not_heed_outliers() -> None:
+    rng = np.random.default_rng(0)
+    true = se3.exp_so3(rng.normal(size=3))
+    near = se3.exp_so3(0.05 * rng.normal(size=(200, 3))) @ true
+    far = se3.exp_so3(np.array([2.5, 0.0, 0.0]) + 0.05 * rng.normal(size=(80, 3))) @ true
+    assert np.degrees(se3.angle_between(median_rotation(np.concatenate([far, near])), true)) < 3.0
 
 
 def test_a_short_sequence_has_no_right_frame(root: Path) -> None:

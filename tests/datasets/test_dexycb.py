@@ -12,8 +12,9 @@ from getagrip.datasets.cutting import clip as clip_of
 from getagrip.datasets.cutting import pieces
 from getagrip.datasets.dataset import clips
 from getagrip.datasets.dexycb import recording as files
-from getagrip.datasets.dexycb.reader import WITHIN_10_MM, DexYcb, fit_hand, subject_of
+from getagrip.datasets.dexycb.reader import WITHIN_10_MM, DexYcb, fit_hand
 from getagrip.datasets.dexycb.recording import PACKED_K, Poses, Recording, bent_side, find
+from getagrip.datasets.tracks import subject_of
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face

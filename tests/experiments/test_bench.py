@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import re
+import shutil
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,17 @@ from getagrip.evaluation import evaluate_result
 from getagrip.experiments import trials
 from getagrip.experiments.comparison import compare, groups
 from getagrip.experiments.hand_sources import HandSource
-from getagrip.experiments.settings import ABLATIONS, AS_GIVEN, ScaleFree, ScaleKnown, ablation_variants, method_variants
+from getagrip.experiments.settings import (
+    ABLATIONS,
+    AS_GIVEN,
+    ScaleFree,
+    ScaleKnown,
+    TrueHands,
+    ablation_variants,
+    method_variants,
+)
 from getagrip.experiments.sources import SOURCES, samples, source_of
+from getagrip.experiments.sources.source import Split
 from getagrip.experiments.statistics import estimate, resamples
 from getagrip.experiments.tables import LATEX, latex, markdown
 from getagrip.experiments.trials import Score, Scores
@@ -494,6 +504,35 @@ def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
         for which in ("train", "test", "all")
     }
     assert part == {"train": list("036"), "test": list("1245"), "all": list("0123456")}
+
+
+def test_true_hands_replace_given_ones() -> None:
+    noisy, masks = synthesise("can", 0, SceneOptions(frames=3, size=(64, 48), focal=60.0, hand_bias_mm=10.0))
+    clip, _ = TrueHands()(noisy, masks, 0)
+    assert noisy.truth is not None
+    np.testing.assert_array_equal(clip.hand.T_cam_hand, noisy.truth.T_cam_hand)
+    assert np.linalg.norm(clip.hand.T_cam_hand[:, :3, 3] - noisy.hand.T_cam_hand[:, :3, 3], axis=1).min() > 0.009
+    with pytest.raises(InputError, match="no ground truth"):
+        TrueHands()(replace(noisy, truth=None), masks, 0)
+
+
+def test_subjects_of_arctic_are_split_whichever_are_there(tmp_path: Path) -> None:
+    folder = tmp_path / "clips"
+    clip, masks = synthesise("can", 0, SceneOptions(frames=2, size=(64, 48), focal=60.0))
+    for subject in ("s1", "s5", "s7"):
+        name = f"{subject}--box_use_01--box--left"
+        write_clip(replace(clip, name=name), masks, folder / name)
+    (folder / "imported").touch()
+    source = source_of("artigrasp", root=tmp_path)
+
+    def subjects(which: Split) -> list[str]:
+        return [s.name.split("-")[0] for s in samples(replace(source, split=which), folder, None, debug=False)[0]]
+
+    assert [subjects(which) for which in ("train", "test", "all")] == [["s1", "s7"], ["s5"], ["s1", "s5", "s7"]]
+    for path in (folder / "s1--box_use_01--box--left", folder / "s7--box_use_01--box--left"):
+        shutil.rmtree(path)
+    with pytest.raises(UsageError, match="no clip of artigrasp"):
+        subjects("train")
 
 
 def test_the_commands_ablations_are_those_that_exist(run: Run) -> None:

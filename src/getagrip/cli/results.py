@@ -172,9 +172,11 @@ class Bench(Command):
     preset: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_presets)] = None
     """synthetic: exact input, the noise assumed for a hand tracker, or that and a mean shape of unknown scale."""
     root: OptionalFolder = None
-    """dexycb: the dataset's folder, as for import."""
+    """dexycb, artigrasp...: the dataset's folder, as for import."""
     meshes: OptionalFolder = None
     """dexycb: the folder of the YCB models."""
+    shortest: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2)")] = None
+    """artigrasp...: frames of the shortest grasp, as for import."""
     init: Init = "uniform"
     """Initial poses, as for reconstruct."""
     priors: OptionalFile = None
@@ -201,7 +203,8 @@ class Bench(Command):
         from getagrip.experiments.hand_sources import HandSource
 
         source = source_of(
-            self.dataset, split=self.split, preset=self.preset, root=self.root, meshes=self.meshes
+            self.dataset, split=self.split, preset=self.preset, root=self.root, meshes=self.meshes,
+            shortest=self.shortest,
         )  # fmt: skip
         options = Options(
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,

@@ -8,6 +8,7 @@ from __future__ import annotations
 from getagrip.commands.import_epic import ImportEpic
 from getagrip.datasets.arctic import Arctic
 from getagrip.datasets.artigrasp import ArtiGrasp
+from getagrip.datasets.artigrasp_estimated import EstimatedArtiGrasp
 from getagrip.datasets.dataset import Dataset
 from getagrip.datasets.dexycb.reader import DexYcb
 from getagrip.datasets.ho3d import Ho3d
@@ -21,6 +22,7 @@ DATASETS: dict[str, type[Dataset]] = {
     "dexycb": DexYcb,
     "arctic": Arctic,
     "artigrasp": ArtiGrasp,
+    "artigrasp-estimated": EstimatedArtiGrasp,
     "hoi4d": Hoi4d,
     "ho3d": Ho3d,
     "taco": Taco,

@@ -40,7 +40,6 @@ def assumed_camera(places: Float[ndarray, "T 3"], hands: Iterable[Float[ndarray,
     ``hands`` are joints in this package's order. All is in the world frame [m], where z is up.
     """
     up = np.array([0.0, 0.0, 1.0])
-    target = np.median(places, axis=0)
     behind = np.concatenate([joints[:, 0] - joints[:, MIDDLE_KNUCKLE] for joints in hands]).mean(axis=0)
     behind -= (behind @ up) * up
     if np.linalg.norm(behind) < 1e-6:  # hands that point straight up or down: from anywhere
@@ -48,13 +47,15 @@ def assumed_camera(places: Float[ndarray, "T 3"], hands: Iterable[Float[ndarray,
     behind /= np.linalg.norm(behind)
     z = -(np.cos(ELEVATION) * behind + np.sin(ELEVATION) * up)
     x = np.cross(z, up) / np.cos(ELEVATION)
-    R = np.stack([x, np.cross(z, x), z])
-    T_cam_world = se3.rigid(R, -R @ (target - DISTANCE * z))
+    side = f"on the forearms' side, {np.degrees(ELEVATION):.0f} degrees above it"
+    return facing(np.stack([x, np.cross(z, x), z]), places, f"a guess: none is given; fixed, {side}")
+
+
+def facing(R_cam_world: Float[ndarray, "3 3"], places: Float[ndarray, "T 3"], described: str) -> Camera:
+    """A fixed camera of some orientation that looks at the median of an object's places [m] from ``DISTANCE``."""
+    T_cam_world = se3.rigid(R_cam_world, [0.0, 0.0, DISTANCE] - R_cam_world @ np.median(places, axis=0))
     K, size = pinhole()
-    described = (
-        f"a guess: none is given; fixed, {DISTANCE:g} m from the object's median place, on the forearms' side, "
-        f"{np.degrees(ELEVATION):.0f} degrees above it, focal length {FOCAL:g} px"
-    )
+    described += f", {DISTANCE:g} m from the object's median place, focal length {FOCAL:g} px"
     return Camera(K, size, np.tile(T_cam_world, (len(places), 1, 1)), described)
 
 

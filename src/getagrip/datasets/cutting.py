@@ -159,8 +159,9 @@ def without_gaps(track: Track) -> list[Track]:
 def _ahead(track: Track) -> Bool[ndarray, "T"]:
     """The frames in which hand and object are before the camera."""
     ahead = np.ones(len(track), dtype=bool)
+    hands = [hand for hand in (track.hand, track.given_hand) if hand is not None]
     for centre in (
-        se3.transform(track.hand.T_cam_hand, track.hand.vertices.mean(axis=1)[:, None])[:, 0],
+        *(se3.transform(hand.T_cam_hand, hand.vertices.mean(axis=1)[:, None])[:, 0] for hand in hands),
         se3.transform(track.T_cam_obj, track.mesh.centre[None])[:, 0],
     ):
         ahead &= (centre[:, 2] > NEAREST) & (np.linalg.norm(centre, axis=1) < FARTHEST)
@@ -187,7 +188,7 @@ def known_clip(track: Track, name: str = "", provenance: dict[str, Any] | None =
         K=np.tile(track.K, (len(track), 1, 1)),
         mesh=checked_mesh(track.file, mesh.vertices, mesh.faces),
         scale="known",
-        hand=track.hand,
+        hand=track.given_hand or track.hand,
         truth=Truth(track.T_cam_obj, 1.0, track.hand.T_cam_hand, track.hand.vertices, track.articulation, joint),
         provenance=provenance or {},
     )
@@ -212,7 +213,7 @@ def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] |
         provenance["grasp"] = piece.grasp.row()
     made = known_clip(track, piece.name, provenance)
     try:
-        check_in_view(track.file, track.hand, made.K, track.size)
+        check_in_view(track.file, made.hand, made.K, track.size)
     except InputError:
         note(f"{piece.name}: the hand is outside the image in every frame: skipped")
         return None

@@ -43,6 +43,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import read_mesh
 from getagrip.geometry.subdivide import fine
+from getagrip.grasps.definition import FEWEST
 from getagrip.grasps.options import GraspOptions
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.model import Side
@@ -60,7 +61,8 @@ KEYS = {*(f"joints_{side}" for side in SIDES), "order", "T_world_obj", "mesh", "
     *JOINT,
     *TEXTS,
 }
-WITHIN_10_MM = GraspOptions(contact_mm=10.0)
+WITHIN_10_MM = GraspOptions(contact_mm=10.0, shortest=FEWEST)
+"""As of ``artigrasp``: most recordings of joints are like that one."""
 FASTEST = 1000.0
 """Frames per second."""
 

@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from getagrip.clip import HandTrack, Joint, World
 from getagrip.datasets.dataset import Note
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.lists import BETWEEN, ListedGrasp
@@ -71,6 +71,8 @@ class Track:
     """Number of the sequence's first frame, by which lists of grasps count."""
     other_hand: HandTrack | None = None
     """The other hand, which hides and is ignored as well, in the same frames."""
+    given_hand: HandTrack | None = None
+    """The hand as an estimator has it: its clips are given that one, and ``hand`` is their ground truth."""
     read_masks: Callable[[int], MaskPair] | None = None
     """The dataset's own masks of the frame of some number; rendered from the true poses where it has none."""
     world: World | None = None
@@ -112,6 +114,7 @@ class Track:
             other_hand=None if self.other_hand is None else of(self.other_hand),
             world=self.world and self.world.take(index),
             stamps=None if self.stamps is None else self.stamps[index],
+            given_hand=None if self.given_hand is None else of(self.given_hand),
         )
 
     def object(self, angle: float) -> Mesh:
@@ -165,6 +168,16 @@ class Source:
     name: str
     read: Callable[[Note], Iterable[Track]]
     """Raises ``InputError``."""
+
+
+def subject_of(clip_name: str) -> str:
+    """The person whose hand is in a clip. Raises ``UsageError`` for a name that no track has."""
+    subject, between, rest = clip_name.partition(BETWEEN)
+    if not (subject and between and rest):
+        raise UsageError(
+            f"clip {clip_name!r}: got no subject, expected <subject>{BETWEEN}<sequence>{BETWEEN}<object>..."
+        )
+    return subject
 
 
 def in_pixels(K: Float[ndarray, "3 3"], scale: float = 1.0) -> Float[ndarray, "3 3"]:

@@ -77,6 +77,17 @@ class ScaleFree(Change):
         return replace(_resized(clip, 1.0 / factor), scale="free"), masks
 
 
+@dataclass(frozen=True)
+class TrueHands(Change):
+    """The hands of the ground truth instead of the given ones: what knowing them would be worth."""
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        if clip.truth is None:
+            raise InputError(clip.origin / "truth.npz", "T_cam_hand", "no ground truth", "the true hands")
+        hand = replace(clip.hand, vertices=clip.truth.hand_vertices, T_cam_hand=clip.truth.T_cam_hand, joints=None)
+        return replace(clip, hand=hand), masks
+
+
 def _resized(clip: Clip, factor: float) -> Clip:
     """The clip with a mesh so many times as large; the true object is as it was."""
     truth = clip.truth
@@ -218,6 +229,16 @@ ABLATIONS: dict[str, Ablation] = {
             for hands, word in (("as-given", "as given"), ("corrected", "corrected"))
         ),
         ("soft-hinge",),
+    ),
+    "true-hands": Ablation(
+        "Hands: as they are given, corrected by their own pixels, or the true ones",
+        "as given",
+        (
+            Setting("as given", {"hands": "as-given"}),
+            Setting("corrected", {"hands": "corrected"}),
+            Setting("true", {"hands": "as-given"}, change=TrueHands()),
+        ),
+        ("one-dof", "soft-hinge"),
     ),
     "mask-noise": Ablation(
         "Noise of the masks: distance of their contours from the true ones, root mean square",

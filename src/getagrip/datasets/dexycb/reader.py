@@ -23,7 +23,6 @@ from getagrip.datasets.dataset import Note
 from getagrip.datasets.dexycb.recording import SIZE, Recording, Sequence, find
 from getagrip.datasets.fitted_hands import describe_fit
 from getagrip.datasets.tracks import MaskPair, Piece, Source, Track
-from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.grasps.definition import FEWEST
 from getagrip.grasps.lists import BETWEEN
@@ -111,14 +110,6 @@ class FittedTrack(Track):
         mesh = self.mesh
         points = se3.transform(se3.inverse(self.T_cam_obj) @ self.hand.T_cam_hand, self.hand.vertices)
         return signed_distance(points.reshape(-1, 3), mesh.vertices, mesh.faces).reshape(points.shape[:2])
-
-
-def subject_of(clip_name: str) -> str:
-    """The person whose hand is in a clip. Raises ``UsageError`` for a name that no clip of DexYCB has."""
-    subject, between, rest = clip_name.partition(BETWEEN)
-    if not (subject and between and rest):
-        raise UsageError(f"clip {clip_name!r}: got no subject, expected <subject>{BETWEEN}<sequence>{BETWEEN}<object>")
-    return subject
 
 
 def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: Note) -> list[Track]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from getagrip.errors import UsageError
+from getagrip.experiments.sources.artigrasp import ArtiGrasp, EstimatedArtiGrasp
 from getagrip.experiments.sources.dexycb import DexYcb
 from getagrip.experiments.sources.folder import ClipFolder
 from getagrip.experiments.sources.source import ClipSource, Sample
@@ -15,7 +16,12 @@ from getagrip.experiments.sources.synthetic import Synthetic
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
 
-SOURCES: dict[str, type[ClipSource]] = {"synthetic": Synthetic, "dexycb": DexYcb}
+SOURCES: dict[str, type[ClipSource]] = {
+    "synthetic": Synthetic,
+    "dexycb": DexYcb,
+    "artigrasp": ArtiGrasp,
+    "artigrasp-estimated": EstimatedArtiGrasp,
+}
 """The datasets, by the names that ``getagrip bench`` knows them by."""
 
 __all__ = ["SOURCES", "ClipSource", "Sample", "samples", "source_of"]

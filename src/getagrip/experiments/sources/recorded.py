@@ -1,0 +1,51 @@
+"""Datasets of recordings, imported where that is not done yet and split by subjects."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from getagrip.errors import UsageError
+from getagrip.experiments.sources.source import ClipSource, Sample
+
+if TYPE_CHECKING:
+    from getagrip.batch.job import Outcome
+    from getagrip.datasets.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Recorded(ClipSource):
+    """A dataset's grasps; clips of a subject are all for training, or all for testing."""
+
+    root: Path | None = None
+    """Where the dataset is."""
+
+    def reader(self, root: Path) -> Dataset:
+        """What imports it."""
+        raise NotImplementedError
+
+    def training(self, subjects: Collection[str]) -> Collection[str]:
+        """Those of the subjects that are for training: unless a dataset says otherwise, of every three the first."""
+        return sorted(subjects)[::3]
+
+    def samples(self, clips: Path, debug: bool) -> tuple[list[Sample], list[Outcome]]:
+        from getagrip.batch.imports import import_clips
+        from getagrip.batch.job import by_name
+        from getagrip.datasets.tracks import subject_of
+
+        if self.root is None:
+            raise UsageError(f"--root: got nothing, expected the folder of {self.dataset}")
+        self.claim(clips)
+        done = clips / "imported"
+        if not done.exists() and import_clips(self.reader(self.root), clips, debug) == 0:
+            done.touch()  # else what failed is tried again next time
+        found, failed = by_name([clips])
+        subject = {name: subject_of(name) for name in found}
+        train = self.training({*subject.values()})
+        splits = {name: ("all", "train" if subject[name] in train else "test") for name in found}
+        chosen = [name for name in sorted(found) if self.split in splits[name]]
+        if found and not chosen:
+            raise UsageError(f"--split: got {self.split}, expected another: no clip of {self.dataset} is in it")
+        return [Sample(name, found[name]) for name in chosen], failed
