@@ -16,10 +16,11 @@ from pygltflib import GLTF2
 from scipy.spatial.transform import Rotation
 
 from getagrip.cli import main
-from getagrip.clip import input_sha256, read_clip
+from getagrip.clip import World, input_sha256, read_clip
 from getagrip.errors import UsageError
 from getagrip.export import FORMATS, Scene, export
 from getagrip.export.bop import image_ids
+from getagrip.export.stage import Stage
 from getagrip.geometry import se3
 from getagrip.result import Axis, Candidates, Reconstruction, write_result
 from helpers.clips import small_clip
@@ -37,6 +38,8 @@ def scene() -> Scene:
 def result_and_clip() -> tuple[Reconstruction, Any]:
     """The result is of the last three of five frames."""
     clip, _ = small_clip(5)
+    turned = se3.rigid(se3.exp_so3(np.array([[0.1 * n, 2.0, 0.3] for n in range(5)])), np.array([[1.0, 2.0, 3.0]] * 5))
+    clip = replace(clip, times=np.array([7.0, 7.1, 7.2, 7.3, 7.5]), world=World(turned, np.array([0.0, 1.0, 0.0])))
     T = se3.rigid(se3.exp_so3(TURN), np.array([[0.01, 0.02, 0.03]] * 3))
     result = Reconstruction(
         clip=clip.name,
@@ -44,7 +47,8 @@ def result_and_clip() -> tuple[Reconstruction, Any]:
         frames=clip.frames[2:],
         T_hand_obj=T,
         scale=1.25,
-        iou=np.array([0.9, 0.8, 0.7]),
+        iou=np.array([0.9, 0.8, np.nan]),
+        frame_kind=("sampled", "fitted", "interpolated"),
         axis=Axis(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.1, 0.2])),
         candidates=Candidates(T[None], np.array([1.25]), np.array([2.0])),
         energy={"total": 2.0},
@@ -68,7 +72,8 @@ def test_the_scene_is_that_of_the_result(scene: Scene) -> None:
     result, clip = result_and_clip()
     np.testing.assert_allclose(scene.T_cam_obj, clip.hand.T_cam_hand[2:] @ result.T_hand_obj)
     np.testing.assert_allclose(scene.object.vertices, 1.25 * clip.mesh.vertices)
-    np.testing.assert_allclose(scene.time, np.arange(2, 5) / clip.fps)
+    np.testing.assert_allclose(scene.time, clip.times[2:])
+    np.testing.assert_allclose(scene.T_world_obj, clip.world.T_world_cam[2:] @ scene.T_cam_obj)
     np.testing.assert_array_equal(scene.hand_vertices, clip.hand.vertices[2:])
 
 
@@ -119,11 +124,11 @@ def test_obj_meshes_are_posed(scene: Scene, tmp_path: Path) -> None:
 
 
 def test_bop_poses_bring_the_model_into_the_camera(scene: Scene, tmp_path: Path) -> None:
-    folder = export(replace(scene, name="a_b"), tmp_path / "out", "bop")
+    folder = export(replace(scene, name="a_b-c"), tmp_path / "out", "bop")
     model = trimesh.load(folder / "models" / "obj_000001.ply", process=False)
     (file,) = folder.glob("*.csv")
-    method, rest = file.stem.split("_")  # METHOD_DATASET-test: the toolkit parts names at underscores
-    assert (method, rest) == ("getagrip-soft-hinge", "a-b-test")
+    method, rest = file.stem.split("_")  # METHOD_DATASET-SPLIT: the toolkit parts names at underscores, then hyphens
+    assert (method, rest.split("-")) == ("getagrip-soft-hinge", ["abc", "test"])
     given = json.loads((folder / "scene_gt.json").read_text())
     for n, row in enumerate(rows_of(file)):
         R, t = (np.array(row[key].split(), dtype=float) for key in ("R", "t"))
@@ -132,8 +137,82 @@ def test_bop_poses_bring_the_model_into_the_camera(scene: Scene, tmp_path: Path)
         (entry,) = given[row["im_id"]]
         np.testing.assert_allclose(entry["cam_R_m2c"], R, atol=1e-8)
         np.testing.assert_allclose(entry["cam_t_m2c"], t, atol=1e-6)
+        camera = json.loads((folder / "scene_camera.json").read_text())[row["im_id"]]
+        T_cam_world = se3.rigid(np.reshape(camera["cam_R_w2c"], (3, 3)), np.array(camera["cam_t_w2c"]) / 1e3)
+        np.testing.assert_allclose(T_cam_world @ scene.T_world_obj[n], scene.T_cam_obj[n], atol=1e-12)
+    info = json.loads((folder / "models" / "models_info.json").read_text())["1"]
+    assert info["size_x"] == pytest.approx(1.25 * 50.0)
+    assert info["diameter"] == pytest.approx(1e3 * scene.object.diameter)
     assert image_ids(("000007", "000012")) == [7, 12]
     assert image_ids(("7", "007")) == image_ids(("a", "b")) == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("camera", "results", "ground_truth"),
+    [
+        ("Aria, camera-rgb: a pinhole", "hot3d-test-aria", "scene_gt_rgb.json"),
+        ("Aria, camera-slam-left: a pinhole", "hot3d-test-aria", "scene_gt_gray1.json"),
+        ("Quest 3, camera-slam-left: a pinhole", "hot3d-test-quest3", "scene_gt_gray1.json"),
+    ],
+)
+def test_clips_of_hot3d_have_the_names_of_bop(
+    scene: Scene, tmp_path: Path, camera: str, results: str, ground_truth: str
+) -> None:
+    scene = replace(scene, source="HOT3D, recording P0001_1", camera=camera)
+    folder = export(scene, tmp_path / "out", "bop")
+    assert (folder / f"getagrip-soft-hinge_{results}.csv").is_file()
+    assert (folder / ground_truth).is_file()
+
+
+def test_no_name_leads_out_of_the_folder(scene: Scene, tmp_path: Path) -> None:
+    """Names come from files of strangers, or from anybody's Python."""
+    hostile = replace(scene, name='../../a"<b>&/c\n', method="../m", frames=("../1", "/2", "a\0"), category='<&>"')
+    for to in FORMATS:
+        folder = export(hostile, tmp_path / "in" / to, to)
+        assert (folder / "about.json").is_file()
+    assert {path.name for path in tmp_path.iterdir()} == {"in"}
+    assert {path.name for path in (tmp_path / "in").iterdir()} == {*FORMATS}
+
+
+def test_what_is_known_stands_beside_every_format(scene: Scene, tmp_path: Path) -> None:
+    about = json.loads((export(scene, tmp_path / "out", "obj") / "about.json").read_text())
+    assert about["frame_kind"] == ["sampled", "fitted", "interpolated"]
+    np.testing.assert_allclose(about["time_s"], [7.2, 7.3, 7.5])
+    assert {*about["poses"]} == {"T_cam_obj", "T_hand_obj", "T_cam_hand", "T_world_cam", "T_world_obj", "T_world_hand"}
+    for name, T in scene.poses.items():
+        np.testing.assert_allclose(about["poses"][name], T)
+    np.testing.assert_allclose(about["joints_cam"], scene.joints_in_camera)
+    alone = replace(scene, world=None, joints=None)
+    about = json.loads((export(alone, tmp_path / "alone", "csv") / "about.json").read_text())
+    assert {*about["poses"]} == {"T_cam_obj", "T_hand_obj", "T_cam_hand"}
+    assert (about["joints_cam"], about["world_up"]) == (None, None)
+    assert {path.name for path in (tmp_path / "alone").iterdir()} == {"about.json", "poses.csv"}
+
+
+def test_a_stage_is_the_world_turned_up(scene: Scene) -> None:
+    assert scene.world is not None
+    stage = Stage.of(scene)
+    turn = stage.T_stage_cam @ se3.inverse(scene.world.T_world_cam)
+    np.testing.assert_allclose(turn, turn[:1].repeat(3, axis=0), atol=1e-12)  # one rotation for all frames
+    np.testing.assert_allclose(turn[0, :3, :3] @ scene.world.up, [0.0, 0.0, 1.0], atol=1e-12)
+    assert "guess" not in stage.words
+    T_stage_obj, T_stage_hand = stage.poses(scene)
+    np.testing.assert_allclose(se3.inverse(T_stage_hand) @ T_stage_obj, scene.T_hand_obj, atol=1e-12)
+    for up in ([0.0, 0.0, 1.0], [0.0, 0.0, -1.0]):
+        other = Stage.of(replace(scene, world=World(scene.world.T_world_cam, np.array(up))))
+        back = other.T_stage_cam[0] @ se3.inverse(scene.world.T_world_cam[0])
+        assert se3.is_rigid(back)
+        np.testing.assert_allclose(back[:3, :3] @ up, [0.0, 0.0, 1.0], atol=1e-12)
+
+
+def test_what_is_not_known_of_a_stage_is_a_guess(scene: Scene) -> None:
+    still = Stage.of(replace(scene, world=None))
+    assert "guess" in still.words
+    np.testing.assert_allclose(still.T_stage_cam[:, :3, :3] @ [0.0, -1.0, 0.0], [[0.0, 0.0, 1.0]] * 3, atol=1e-12)
+    assert scene.world is not None
+    level = Stage.of(replace(scene, world=World(scene.world.T_world_cam)))
+    assert "guess" in level.words
+    np.testing.assert_allclose(level.T_stage_cam[0, :3, :3] @ [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], atol=1e-12)
 
 
 def accessor(gltf: GLTF2, which: int) -> ndarray:

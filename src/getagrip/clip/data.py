@@ -227,6 +227,13 @@ class Clip(ArrayData):
     def __len__(self) -> int:
         return len(self.frames)
 
+    def image_file(self, n: int) -> Path | None:
+        """The image of a frame, where the clip's folder has one."""
+        if self.folder is None:
+            return None
+        files = (self.folder / "frames" / f"{self.frames[n]}{suffix}" for suffix in (".jpg", ".png"))
+        return next((file for file in files if file.is_file()), None)
+
     def index_of(self, frames: Sequence[str]) -> Int[ndarray, "n"]:
         """Where the named frames are in the clip. Raises ``InputError`` for a name that is none of its frames."""
         place = {name: n for n, name in enumerate(self.frames)}

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from getagrip.export.scene import AXES, Scene
-from getagrip.geometry import se3
 from getagrip.io import arrays
 
 
@@ -16,9 +15,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     content = {
         "frames": np.array(scene.frames, dtype=np.str_),
         "time_s": scene.time,
-        "T_cam_obj": scene.T_cam_obj,
-        "T_hand_obj": scene.T_hand_obj,
-        "T_cam_hand": scene.T_cam_hand,
+        **scene.poses,
         "object_vertices": scene.object.vertices,
         "object_faces": scene.object.faces,
         "hand_vertices_cam": scene.hand_in_camera,
@@ -28,8 +25,10 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         "iou": scene.iou,
         "frame_kind": np.array(scene.frame_kind, dtype=np.str_),
     }
-    if scene.joints is not None:
-        content["joints_cam"] = se3.transform(scene.T_cam_hand, scene.joints)
+    if (joints := scene.joints_in_camera) is not None:
+        content["joints_cam"] = joints
+    if scene.world is not None and scene.world.up is not None:
+        content["world_up"] = scene.world.up
     if scene.angle is not None:
         content["angle_rad"] = scene.angle
     arrays.write(folder / "scene.npz", content)

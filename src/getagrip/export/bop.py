@@ -1,20 +1,26 @@
-"""BOP: a results CSV, and the same poses as ``scene_gt.json`` and ``scene_camera.json`` with the model in millimetres.
+"""BOP: a results CSV, and the same poses as ``scene_gt`` and ``scene_camera`` with the model in millimetres.
 
 As in the BOP toolkit: ``R`` row by row and ``t`` [mm] bring the model into the camera frame (x right, y down, z
-forward); ``time`` is the same for all poses of an image, -1 where it was not measured per image.
+forward); ``time`` is the same for all poses of an image, -1 where it was not measured per image. File names are
+``METHOD_DATASET-SPLIT.csv``: the toolkit parts them at underscores and hyphens.
+
+Clips of HOT3D have its names: the dataset ``hot3d``, the split's type the headset (``aria``, ``quest3``), and files of
+the headset's camera in BOP's evaluation, such as ``scene_gt_rgb.json``.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.export.scene import Scene
+from getagrip.export.scene import Scene, word
+from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files
@@ -23,28 +29,65 @@ SCENE, OBJECT = 1, 1
 """Ids of the one scene and the one object."""
 
 
+@dataclass(frozen=True)
+class Naming:
+    """What the files are called."""
+
+    dataset: str
+    split: str = "test"
+    camera: str = ""
+    """Of the scene's files, with an underscore before it."""
+
+
+CAMERAS = {
+    "Aria, camera-rgb": Naming("hot3d", "test-aria", "_rgb"),
+    "Aria, camera-slam-left": Naming("hot3d", "test-aria", "_gray1"),
+    "Quest 3,": Naming("hot3d", "test-quest3", "_gray1"),
+}
+"""By the beginning of what HOT3D's importer says of the camera."""
+
+
 def write(scene: Scene, folder: Path) -> dict[str, str]:
     """Write the results, the scene's two files and the model."""
-    images = image_ids(scene.frames)
+    images, naming = image_ids(scene.frames), naming_of(scene)
     R, t = scene.T_cam_obj[:, :3, :3], 1e3 * scene.T_cam_obj[:, :3, 3]
-    results = f"{_word('getagrip-' + scene.method)}_{_word(scene.name)}-test.csv"
+    method = word(f"getagrip-{scene.method}").replace(".", "-")
+    results = f"{method}_{naming.dataset}-{naming.split}.csv"
     files.write_bytes(folder / results, _results(images, R, t, np.nan_to_num(scene.iou)).encode())
     poses = {
         str(image): [{"cam_R_m2c": R[n].ravel(), "cam_t_m2c": t[n], "obj_id": OBJECT}] for n, image in enumerate(images)
     }
-    cameras = {str(image): {"cam_K": K.ravel(), "depth_scale": 1.0} for image, K in zip(images, scene.K, strict=True)}
-    files.write_json(folder / "scene_gt.json", poses)
-    files.write_json(folder / "scene_camera.json", cameras)
+    cameras = {str(image): _camera(scene, n) for n, image in enumerate(images)}
+    ground_truth, camera = f"scene_gt{naming.camera}.json", f"scene_camera{naming.camera}.json"
+    files.write_json(folder / ground_truth, poses)
+    files.write_json(folder / camera, cameras)
     (folder / "models").mkdir()
     model = f"models/obj_{OBJECT:06d}.ply"
     write_mesh(Mesh(1e3 * scene.object.vertices, scene.object.faces), folder / model)
+    extent = scene.object.vertices
+    info = {
+        "diameter": 1e3 * scene.object.diameter,
+        **{f"min_{axis}": 1e3 * extent[:, k].min() for k, axis in enumerate("xyz")},
+        **{f"size_{axis}": 1e3 * np.ptp(extent[:, k]) for k, axis in enumerate("xyz")},
+    }
+    files.write_json(folder / "models" / "models_info.json", {str(OBJECT): info})
     return {
         results: "BOP results: R row by row, t in mm, model to camera; score is the mask IOU, 0 where no mask shows "
         "the object; time -1: not per image",
-        "scene_gt.json": "the same poses in the layout of BOP's ground truth; they are estimates",
-        "scene_camera.json": "intrinsics of each image",
+        ground_truth: "the same poses in the layout of BOP's ground truth; they are estimates",
+        camera: "intrinsics of each image, and where they are known the poses world to camera, in mm",
         model: "the object at the size that was found, in mm",
+        "models/models_info.json": "diameter and bounding box, in mm",
     }
+
+
+def naming_of(scene: Scene) -> Naming:
+    """What the files of a scene are called: as in BOP's own dataset where the clip is of one."""
+    if scene.source.startswith("HOT3D"):
+        found = next((naming for camera, naming in CAMERAS.items() if scene.camera.startswith(camera)), None)
+        if found is not None:
+            return found
+    return Naming("".join(filter(str.isalnum, word(scene.name))) or "clip")
 
 
 def image_ids(frames: tuple[str, ...]) -> list[int]:
@@ -52,6 +95,15 @@ def image_ids(frames: tuple[str, ...]) -> list[int]:
     if all(name.isascii() and name.isdigit() for name in frames) and len({int(name) for name in frames}) == len(frames):
         return [int(name) for name in frames]
     return list(range(len(frames)))
+
+
+def _camera(scene: Scene, n: int) -> dict[str, object]:
+    """The camera of one image."""
+    out: dict[str, object] = {"cam_K": scene.K[n].ravel(), "depth_scale": 1.0}
+    if scene.world is not None:
+        T_cam_world = se3.inverse(scene.world.T_world_cam[n])
+        out |= {"cam_R_w2c": T_cam_world[:3, :3].ravel(), "cam_t_w2c": 1e3 * T_cam_world[:3, 3]}
+    return out
 
 
 def _results(
@@ -68,8 +120,3 @@ def _results(
 
 def _spaced(values: Float[ndarray, "*n"]) -> str:
     return " ".join(f"{x:.9g}" for x in np.ravel(values))
-
-
-def _word(text: str) -> str:
-    """Without the underscore that parts BOP's file names."""
-    return text.replace("_", "-")

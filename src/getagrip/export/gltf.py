@@ -30,7 +30,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     from pygltflib import Scene as Root
 
     gltf, buffers = GLTF2(), _Buffers()
-    gltf.asset = Asset(generator="getagrip", extras={"units": "metres", "notes": list(scene.notes)})
+    gltf.asset = Asset(generator="getagrip", extras=_extras(scene))
     for colour in (OBJECT, HAND):
         pbr = PbrMetallicRoughness(baseColorFactor=list(colour), metallicFactor=0.0, roughnessFactor=0.8)
         gltf.materials.append(Material(pbrMetallicRoughness=pbr, doubleSided=True))
@@ -58,6 +58,17 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     buffers.into(gltf)
     files.write_bytes(folder / FILE, b"".join(gltf.save_to_bytes()))
     return {FILE: "glTF 2.0: y up, z towards the viewer; metres; nodes object and hand, an animation of both"}
+
+
+def _extras(scene: Scene) -> dict[str, Any]:
+    """What glTF has no place for: the frames, their times and kinds, the notes."""
+    return {
+        "units": "metres",
+        "frames": list(scene.frames),
+        "time_s": scene.time.tolist(),
+        "frame_kind": list(scene.frame_kind),
+        "notes": list(scene.notes),
+    }
 
 
 def _rotations(T: Float[ndarray, "T 4 4"]) -> Shaped[ndarray, "T 4"]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from getagrip.export.scene import Scene
+from getagrip.export.scene import Scene, file_names
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import write_mesh
@@ -16,7 +16,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     moving = {"object": (in_camera, scene.object.faces), "hand": (scene.hand_in_camera, scene.hand_faces)}
     for name, (vertices, faces) in moving.items():
         (folder / name).mkdir()
-        for frame, posed in zip(scene.frames, vertices, strict=True):
+        for frame, posed in zip(file_names(scene.frames), vertices, strict=True):
             write_mesh(Mesh(posed, faces), folder / name / f"{frame}.obj")
     axes = "camera frame of its image: x right, y down, z forward; metres"
     return {f"{name}/<frame>.obj": axes for name in moving}

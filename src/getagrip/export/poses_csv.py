@@ -18,8 +18,8 @@ POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
-    """Write ``poses.csv``."""
-    columns = {"T_cam_obj": scene.T_cam_obj, "T_hand_obj": scene.T_hand_obj, "T_cam_hand": scene.T_cam_hand}
+    """Write ``poses.csv`` and, where joints are known, ``joints.csv``."""
+    columns = scene.poses
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(
@@ -31,7 +31,23 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         numbers = [scene.time[n], *poses[n], angle[n], scene.iou[n]]
         rows.writerow([frame, *("" if np.isnan(x) else f"{x:.9g}" for x in numbers), scene.frame_kind[n]])
     files.write_bytes(folder / "poses.csv", text.getvalue().encode())
-    return {"poses.csv": f"a row per frame; {AXES}; quaternions (w, x, y, z); the object's mesh is not scaled by poses"}
+    about = {
+        "poses.csv": f"a row per frame; {AXES}; quaternions (w, x, y, z); the object's mesh is not scaled by poses"
+    }
+    if (joints := scene.joints_in_camera) is not None:
+        files.write_bytes(folder / "joints.csv", _joints(scene, joints).encode())
+        about["joints.csv"] = "a row per frame; 21 joints in the camera frame, metres; wrist, then thumb to pinky"
+    return about
+
+
+def _joints(scene: Scene, joints: Float[ndarray, "T 21 3"]) -> str:
+    """The joints' table."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["frame", "time_s", *(f"joint{k:02d}_{axis}_m" for k in range(joints.shape[1]) for axis in "xyz")])
+    for n, frame in enumerate(scene.frames):
+        rows.writerow([frame, *(f"{x:.9g}" for x in (scene.time[n], *joints[n].ravel()))])
+    return text.getvalue()
 
 
 def _row(T: Float[ndarray, "T 4 4"]) -> Float[ndarray, "T 7"]:

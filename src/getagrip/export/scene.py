@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Clip
+from getagrip.clip import Clip, World
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.io import files
 from getagrip.result import FrameKind, Reconstruction
 
 AXES = "camera frame of each image: x right, y down, z forward; X_cam = T_cam_obj @ X_obj; metres"
@@ -27,7 +31,7 @@ class Scene:
         side: which hand.
         category: what the object is.
         frames: (T,) names of the frames.
-        time: (T,) time since the clip's first frame [s].
+        time: (T,) when each frame was taken [s], as the clip has it.
         fps: frames per second of the clip.
         T_cam_hand: (T, 4, 4) pose of the hand, hand frame to camera frame.
         T_hand_obj: (T, 4, 4) pose of the object, object frame to hand frame.
@@ -42,6 +46,10 @@ class Scene:
         frame_kind: (T,) how each frame's pose was found: sampled, fitted or interpolated.
         angle: (T,) angle about the latent axis [rad]; None for methods without one.
         notes: the result's notes: guesses among them.
+        world: where the camera was; None where the clip does not say so.
+        source: what the clip was made from, as its provenance says.
+        camera: likewise, what its camera is.
+        image_files: (T,) files of the images; None where a frame has none.
     """
 
     name: str
@@ -64,6 +72,10 @@ class Scene:
     frame_kind: tuple[FrameKind, ...]
     angle: Float[ndarray, "T"] | None
     notes: tuple[str, ...]
+    world: World | None = None
+    source: str = ""
+    camera: str = ""
+    image_files: tuple[Path | None, ...] = ()
 
     @staticmethod
     def of(result: Reconstruction, clip: Clip) -> Scene:
@@ -76,7 +88,7 @@ class Scene:
             side=clip.side,
             category=clip.category,
             frames=result.frames,
-            time=index / clip.fps,
+            time=some.time,
             fps=clip.fps,
             T_cam_hand=some.hand.T_cam_hand,
             T_hand_obj=result.T_hand_obj,
@@ -91,6 +103,10 @@ class Scene:
             frame_kind=result.frame_kind,
             angle=None if result.axis is None else result.axis.angle,
             notes=result.notes,
+            world=some.world,
+            source=str(clip.provenance.get("source", "")),
+            camera=str(clip.provenance.get("camera", "")),
+            image_files=tuple(some.image_file(n) for n in range(len(some))),
         )
 
     @property
@@ -99,11 +115,31 @@ class Scene:
         return np.asarray(self.T_cam_hand @ self.T_hand_obj)
 
     @property
+    def T_world_obj(self) -> Float[ndarray, "T 4 4"] | None:
+        """(T, 4, 4) pose of the object, object frame to world frame; None where the world is not known."""
+        return None if self.world is None else np.asarray(self.world.T_world_cam @ self.T_cam_obj)
+
+    @property
+    def joints_in_camera(self) -> Float[ndarray, "T 21 3"] | None:
+        """The hand's joints in the camera frame [m]; None where not known."""
+        return None if self.joints is None else se3.transform(self.T_cam_hand, self.joints)
+
+    @property
+    def poses(self) -> dict[str, Float[ndarray, "T 4 4"]]:
+        """All poses that are known, by name."""
+        found = {"T_cam_obj": self.T_cam_obj, "T_hand_obj": self.T_hand_obj, "T_cam_hand": self.T_cam_hand}
+        if self.world is not None:
+            found["T_world_cam"] = self.world.T_world_cam
+            found["T_world_obj"] = np.asarray(self.T_world_obj)
+            found["T_world_hand"] = np.asarray(self.world.T_world_cam @ self.T_cam_hand)
+        return found
+
+    @property
     def hand_in_camera(self) -> Float[ndarray, "T V 3"]:
         """The hand's vertices in the camera frame [m]."""
         return se3.transform(self.T_cam_hand, self.hand_vertices)
 
-    def about(self, files: dict[str, str]) -> dict[str, Any]:
+    def about(self, written: dict[str, str]) -> dict[str, Any]:
         """What goes beside the files of any format, as ``about.json``."""
         return {
             "clip": self.name,
@@ -114,6 +150,23 @@ class Scene:
             "fps": self.fps,
             "frames": list(self.frames),
             "time_s": self.time,
-            "files": files,
+            "frame_kind": list(self.frame_kind),
+            "files": written,
             "notes": list(self.notes),
+            "axes": "camera frame: x right, y down, z forward; metres; T_a_b brings points of frame b to frame a",
+            "world_up": None if self.world is None else self.world.up,
+            "poses": self.poses,
+            "joints_cam": self.joints_in_camera,
         }
+
+
+def word(text: str) -> str:
+    """A text as a part of a file name or an identifier of any program: letters, digits, points and hyphens."""
+    return re.sub(r"[^A-Za-z0-9.-]+", "-", text).strip("-.")[:80] or "clip"
+
+
+def file_names(frames: Sequence[str]) -> list[str]:
+    """The frames' names as those of files: as they are where all can be, else their places."""
+    if all(map(files.is_plain_name, frames)):
+        return list(frames)
+    return [f"{n:06d}" for n in range(len(frames))]

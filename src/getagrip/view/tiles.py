@@ -73,10 +73,7 @@ class View:
 
     def image_file(self, n: int) -> Path | None:
         """The frame's image, where the clip has one."""
-        if self.clip.folder is None:
-            return None
-        files = (self.clip.folder / "frames" / f"{self.clip.frames[n]}{suffix}" for suffix in (".jpg", ".png"))
-        return next((file for file in files if file.is_file()), None)
+        return self.clip.image_file(n)
 
     def at(self, frames: Sequence[str]) -> View:
         """The same at some of the result's frames, in the given order."""
