@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from getagrip.errors import UsageError
-from getagrip.export import arrays_npz, bop, gltf, obj_sequence, poses_csv
+from getagrip.export import arrays_npz, bop, gltf, obj_sequence, poses_csv, usd
 from getagrip.export.scene import Scene
 from getagrip.io import files
 
@@ -19,6 +19,7 @@ FORMATS: dict[str, Write] = {
     "obj": obj_sequence.write,
     "glb": gltf.write,
     "bop": bop.write,
+    "usd": usd.write,
 }
 ABOUT = "about.json"
 

@@ -14,14 +14,12 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
-from getagrip.export.scene import Scene
+from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, Scene
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import vertex_normals
 from getagrip.io import files
 
 FILE = "scene.glb"
-OBJECT, HAND = (0.47, 0.60, 0.68, 1.0), (0.86, 0.68, 0.58, 1.0)
-"""Colours."""
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
@@ -31,8 +29,8 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
     gltf, buffers = GLTF2(), _Buffers()
     gltf.asset = Asset(generator="getagrip", extras=_extras(scene))
-    for colour in (OBJECT, HAND):
-        pbr = PbrMetallicRoughness(baseColorFactor=list(colour), metallicFactor=0.0, roughnessFactor=0.8)
+    for colour in (OBJECT_COLOUR, HAND_COLOUR):
+        pbr = PbrMetallicRoughness(baseColorFactor=[*colour, 1.0], metallicFactor=0.0, roughnessFactor=0.8)
         gltf.materials.append(Material(pbrMetallicRoughness=pbr, doubleSided=True))
     bent = scene.hand_vertices - scene.hand_vertices[0]
     moves = bool(np.abs(bent).max() > 1e-7)

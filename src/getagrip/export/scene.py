@@ -18,6 +18,7 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.io import files
 from getagrip.result import FrameKind, Reconstruction
 
+OBJECT_COLOUR, HAND_COLOUR = (0.47, 0.60, 0.68), (0.86, 0.68, 0.58)
 AXES = "camera frame of each image: x right, y down, z forward; X_cam = T_cam_obj @ X_obj; metres"
 
 

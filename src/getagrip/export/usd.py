@@ -1,0 +1,139 @@
+"""USD: one binary file with the object's and the hand's transforms and the hand's points sampled in time.
+
+The stage is in metres (``metersPerUnit`` 1) with ``upAxis`` Z. Its time codes are seconds times ``timeCodesPerSecond``,
+the first frame at 0. USD multiplies rows with matrices, so its matrices are the transposes of ``T_a_b``; its cameras
+look along -z with y up.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.export import extras
+from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, Scene
+from getagrip.export.stage import Stage
+
+FILE = "scene.usdc"
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+"""From USD's camera axes to this package's."""
+APERTURE = 20.955
+"""Width of a camera's image in USD's tenths of a unit; any would do, USD's default is taken."""
+
+
+def write(scene: Scene, folder: Path) -> dict[str, str]:
+    """Write ``scene.usdc``. Raises ``UsageError`` without usd-core."""
+    Usd, UsdGeom = extras.load("pxr.Usd", "usd"), extras.load("pxr.UsdGeom", "usd")
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.SetTimeCodesPerSecond(scene.fps)
+    stage.SetFramesPerSecond(scene.fps)
+    codes = [float(code) for code in (scene.time - scene.time[0]) * scene.fps]
+    stage.SetStartTimeCode(codes[0])
+    stage.SetEndTimeCode(codes[-1])
+    on_stage = Stage.of(scene)
+    root = UsdGeom.Xform.Define(stage, "/clip").GetPrim()
+    stage.SetDefaultPrim(root)
+    _describe(root, scene, on_stage, codes)
+    T_stage_obj, T_stage_hand = on_stage.poses(scene)
+    _moving(stage, "/clip/object", T_stage_obj, codes)
+    _mesh(
+        stage,
+        "/clip/object/mesh",
+        scene.object.faces,
+        OBJECT_COLOUR,
+        scene.object.vertices[None],
+        [Usd.TimeCode.Default()],
+    )
+    _moving(stage, "/clip/hand", T_stage_hand, codes)
+    _mesh(stage, "/clip/hand/mesh", scene.hand_faces, HAND_COLOUR, scene.hand_vertices, codes)
+    if scene.joints is not None:
+        joints = UsdGeom.Points.Define(stage, "/clip/hand/joints")
+        joints.CreateWidthsAttr([0.006] * scene.joints.shape[1])
+        joints.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
+        for code, points in zip(codes, scene.joints, strict=True):
+            joints.CreatePointsAttr().Set(_points(points), code)
+    _camera(stage, scene, on_stage, codes)
+    if not stage.GetRootLayer().Export(str(folder / FILE)):
+        raise OSError(f"{folder / FILE}: USD could not write it")
+    return {
+        FILE: f"USD: {on_stage.words}; /clip/object and /clip/hand with time-sampled transforms, the hand's points and "
+        "joints in the hand frame, /clip/camera; /clip has T_cam_obj and the like (as USD has it, transposed)"
+    }
+
+
+def _describe(root: Any, scene: Scene, on_stage: Stage, codes: list[float]) -> None:
+    """What USD has no place for: notes; in time, the frames' names, how their poses were found, and all poses."""
+    Sdf = extras.load("pxr.Sdf", "usd")
+    notes = {"clip": scene.name, "method": scene.method, "frame": on_stage.words, "notes": "\n".join(scene.notes)}
+    root.SetCustomData({"getagrip": {key: text.replace("\0", " ") for key, text in notes.items()}})
+    for name, values in {"frame": scene.frames, "frame_kind": scene.frame_kind}.items():
+        attribute = root.CreateAttribute(name, Sdf.ValueTypeNames.String)
+        for code, value in zip(codes, values, strict=True):
+            attribute.Set(value.replace("\0", " "), code)
+    seconds = root.CreateAttribute("time_s", Sdf.ValueTypeNames.Double)
+    for code, time in zip(codes, scene.time, strict=True):
+        seconds.Set(float(time), code)
+    for name, T in scene.poses.items():
+        attribute = root.CreateAttribute(name, Sdf.ValueTypeNames.Matrix4d)
+        for code, matrix in zip(codes, T, strict=True):
+            attribute.Set(_matrix(matrix), code)
+
+
+def _moving(stage: Any, path: str, T: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
+    """A node whose transform is sampled in time."""
+    UsdGeom = extras.load("pxr.UsdGeom", "usd")
+    op = UsdGeom.Xform.Define(stage, path).AddTransformOp()
+    for code, matrix in zip(codes, T, strict=True):
+        op.Set(_matrix(matrix), code)
+
+
+def _mesh(
+    stage: Any,
+    path: str,
+    faces: Int[ndarray, "F 3"],
+    colour: tuple[float, float, float],
+    vertices: Float[ndarray, "T V 3"],
+    codes: list[Any],
+) -> None:
+    """A mesh of triangles, its points at some times."""
+    UsdGeom, Vt = extras.load("pxr.UsdGeom", "usd"), extras.load("pxr.Vt", "usd")
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray([3] * len(faces)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(faces.astype(np.int32).ravel()))
+    mesh.CreateDisplayColorAttr([colour])
+    for code, points in zip(codes, vertices, strict=True):
+        mesh.CreatePointsAttr().Set(_points(points), code)
+        mesh.CreateExtentAttr().Set(_points(np.stack([points.min(axis=0), points.max(axis=0)])), code)
+
+
+def _camera(stage: Any, scene: Scene, on_stage: Stage, codes: list[float]) -> None:
+    """The clip's camera: apertures in tenths of a unit for the image's width and height."""
+    UsdGeom, Gf = extras.load("pxr.UsdGeom", "usd"), extras.load("pxr.Gf", "usd")
+    camera = UsdGeom.Camera.Define(stage, "/clip/camera")
+    move = camera.AddTransformOp()
+    width, height = scene.size
+    camera.CreateHorizontalApertureAttr(APERTURE)
+    camera.CreateClippingRangeAttr(Gf.Vec2f(0.01, 100.0))
+    for code, T, K in zip(codes, on_stage.T_stage_cam @ FLIP, scene.K, strict=True):
+        move.Set(_matrix(T), code)
+        pixel = APERTURE / width  # USD's pixels are square: K's two focal lengths differ in the height of the image
+        camera.CreateFocalLengthAttr().Set(float(K[0, 0] * pixel), code)
+        tall = pixel * K[0, 0] / K[1, 1]
+        camera.CreateVerticalApertureAttr().Set(float(height * tall), code)
+        camera.CreateHorizontalApertureOffsetAttr().Set(float((width / 2.0 - K[0, 2]) * pixel), code)
+        camera.CreateVerticalApertureOffsetAttr().Set(float((K[1, 2] - height / 2.0) * tall), code)
+
+
+def _points(points: Float[ndarray, "V 3"]) -> Any:
+    return extras.load("pxr.Vt", "usd").Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
+
+
+def _matrix(T: Float[ndarray, "4 4"]) -> Any:
+    return extras.load("pxr.Gf", "usd").Matrix4d(np.ascontiguousarray(T.T))
