@@ -420,7 +420,7 @@ def test_files_make_a_clip_and_labels_are_taken_back(clicking: Clicking, video: 
     assert again.read_text() == file.read_text()
     assert len(json.loads((other / "grasps-bob.json").read_text())) <= 1  # the grasp was marked once
     assert run("annotate", video, "--out", other, "--import-labels", video)[0] == 1
-    wrong = json.loads(file.read_text()) | {"video": "other.mp4"}
+    wrong = json.loads(file.read_text()) | {"video": "other.mp4", "sha256": 64 * "0"}
     (tmp_path / "wrong.json").write_text(json.dumps(wrong))
     status, _, err = run("annotate", video, "--out", other, "--import-labels", tmp_path / "wrong.json")
     assert status == 1

@@ -125,6 +125,17 @@ def test_step_mark_reload_nothing_is_lost(context: Any, served: Served) -> None:
     assert all(url.startswith(served.server.url) for url in asked)  # nothing is asked of other hosts
 
 
+def test_nothing_is_said_of_the_zoom_before_there_is_a_picture(context: Any, served: Served) -> None:
+    page = context.new_page()
+    page.goto(served.server.url)
+    playwright.expect(page.locator("#name")).to_be_visible()
+    playwright.expect(page.locator("#zoom")).to_have_text("–")
+    page.fill("#name-field", "ann")
+    page.keyboard.press("Enter")
+    shows(page, 1)
+    assert 0 < int(page.inner_text("#zoom").removesuffix(" %")) < 2000
+
+
 def test_two_tabs_at_once(context: Any, served: Served) -> None:
     one = opened(context, served)
     two = opened(context, served, None)

@@ -7,7 +7,7 @@ import re
 import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, cast
@@ -22,6 +22,7 @@ from getagrip.annotate.background import Background, Job, Work
 from getagrip.annotate.clicked_hands import FEWEST
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.keyframes import KeyFrame
+from getagrip.annotate.labelled_footage import checksum
 from getagrip.annotate.labels import Labels
 from getagrip.annotate.marks import Mark
 from getagrip.annotate.propagated_masks import stretches
@@ -117,6 +118,10 @@ class Labelling:
         video = (grasp.task.path or Path(grasp.task.video)).name
         return Labels(video, footage.size, grasp.side, footage.fps, first, last, frames)
 
+    def whole_labels(self, grasp: Grasp) -> Labels:
+        """The labels of a grasp with the checksum of its footage, by which a file of them finds it again."""
+        return replace(self.labels(grasp), sha256=checksum(_path(grasp)))
+
     def take(self, grasp: Grasp, given: Labels) -> None:
         """Replace the labels of a grasp by those of a file. Raises ``RefusedError``."""
         (width, height), tab = grasp.footage.size, str(uuid4())
@@ -153,7 +158,8 @@ class Labelling:
         from getagrip.annotate.labelled import make
 
         self.out.mkdir(parents=True, exist_ok=True)
-        labels.write(given, self.out / f"labels-{grasp.name}.json")
+        whole = replace(given, sha256=checksum(_path(grasp)))
+        labels.write(whole, self.out / f"labels-{grasp.name}.json")
         with closing(open_footage(_path(grasp))) as footage:
 
             def image(n: int) -> UInt8[ndarray, "H W 3"]:

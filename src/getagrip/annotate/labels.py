@@ -2,14 +2,16 @@
 
 As JSON, one file for one grasp:
 
-    {"video": "kitchen.mp4", "size": [1920, 1080], "side": "left", "fps": 30.0, "first": 57, "last": 112,
+    {"video": "kitchen.mp4", "sha256": "9f86d0...", "size": [1920, 1080], "side": "left", "fps": 30.0,
+     "first": 57, "last": 112,
      "frames": {"57": {"joints": [[x, y], null, ...], "object": [[[x, y], ...], ...], "front": [[[x, y], ...], ...]}}}
 
 Frames are counted from 0, first and last included; points are in pixels of the footage, the middle of its first pixel
 at (0.5, 0.5). ``joints`` are 21, wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, null
 where not clicked. ``object`` are polygons around the visible parts of the object, ``front`` around whatever hides it
 besides the hand that holds it; where both overlap, ``front`` counts. A frame may have joints, or polygons, or both. A
-missing key means that there is no label, an empty list of polygons that nothing of it is visible.
+missing key means that there is no label, an empty list of polygons that nothing of it is visible. ``sha256``, the
+footage's checksum (``labelled_footage``), is optional.
 """
 
 from __future__ import annotations
@@ -64,6 +66,8 @@ class Labels:
     first: int
     last: int
     frames: dict[int, FrameLabels]
+    sha256: str = ""
+    """Checksum of the footage; empty where it is not known."""
 
     @property
     def clicks(self) -> dict[int, Float[ndarray, "21 2"]]:
@@ -100,7 +104,8 @@ def to_json(labels: Labels) -> dict[str, Any]:
     """Labels as the file has them."""
     fields = {key: getattr(labels, key) for key in ("video", "side", "fps", "first", "last")}
     frames = {str(n): _frame_json(frame) for n, frame in sorted(labels.frames.items())}
-    return fields | {"size": list(labels.size), "frames": frames}
+    whole = {"sha256": labels.sha256} if labels.sha256 else {}
+    return fields | whole | {"size": list(labels.size), "frames": frames}
 
 
 def _frame_json(frame: FrameLabels) -> dict[str, Any]:
@@ -133,6 +138,7 @@ def parse(content: Mapping[str, Any], source: str | Path) -> Labels:
         first=first,
         last=last,
         frames=checked.frames(first, last, size),
+        sha256=checked.checksum("sha256"),
     )
 
 
@@ -144,8 +150,8 @@ class _Checked:
     content: Mapping[str, Any]
 
     def __post_init__(self) -> None:
-        known = {"video", "size", "side", "fps", "first", "last", "frames"}
-        _only(self.path, "", self.content, known, known)
+        needed = {"video", "size", "side", "fps", "first", "last", "frames"}
+        _only(self.path, "", self.content, {*needed, "sha256"}, needed)
 
     def wrong(self, key: str, expected: str) -> InputError:
         return InputError(self.path, key, files.shown(self.content[key]), expected)
@@ -154,6 +160,12 @@ class _Checked:
         value = self.content[key]
         if not isinstance(value, str) or not files.is_plain_name(value):
             raise self.wrong(key, "the name of a file, without folders")
+        return value
+
+    def checksum(self, key: str) -> str:
+        value = self.content.get(key, "")
+        if not isinstance(value, str) or not re.fullmatch(r"([0-9a-f]{64})?", value):
+            raise self.wrong(key, "64 hexadecimal digits, as sha256sum prints them")
         return value
 
     def side(self) -> Side:

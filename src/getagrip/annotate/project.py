@@ -12,6 +12,7 @@ from uuid import uuid4
 
 from getagrip.annotate import agreement, export, labels, marks, versions
 from getagrip.annotate.footage import Footage
+from getagrip.annotate.labelled_footage import tasks_of
 from getagrip.annotate.labelling import Grasp, Labelling
 from getagrip.annotate.labels import Labels
 from getagrip.annotate.marks import Mark
@@ -129,7 +130,7 @@ class Project:
     def labels_file(self, content: Mapping[str, Any]) -> tuple[str, str]:
         """The labels of a grasp as JSON, and what to call the file. Raises ``RefusedError``."""
         grasp = self._grasp(content)
-        text = files.to_json(labels.to_json(self.labelling.labels(grasp))) + "\n"
+        text = files.to_json(labels.to_json(self.labelling.whole_labels(grasp))) + "\n"
         return text, f"labels-{grasp.name}.json"
 
     def labelled(self) -> Iterator[Grasp]:
@@ -145,11 +146,7 @@ class Project:
 
         Raises ``RefusedError`` where it is of other footage.
         """
-        tasks = [task for task in self.tasks.values() if task.path is not None and task.path.name == given.video]
-        if not tasks:
-            raise RefusedError(
-                f"video: got {files.plain(given.video)}, expected the name of a video given to this command"
-            )
+        tasks = tasks_of(given, list(self.tasks.values()))
         footage = self.footage(tasks[0])
         inside = [task for task in tasks if _holds(task.extent(footage), (given.first, given.last))]
         task, name = (inside or tasks)[0], versions.annotator(annotator)

@@ -10,12 +10,13 @@ from pathlib import Path
 from getagrip.annotate import export, labels
 from getagrip.annotate.agreement import Agreement, agreements
 from getagrip.annotate.background import Job
+from getagrip.annotate.labelled_footage import tasks_of
 from getagrip.annotate.labelling import Grasp
 from getagrip.annotate.labels import Labels
 from getagrip.annotate.project import Project
 from getagrip.annotate.server import Server
 from getagrip.annotate.store import Store
-from getagrip.annotate.tasks import read_tasks
+from getagrip.annotate.tasks import Task, read_tasks
 from getagrip.annotate.versions import RefusedError
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.errors import GetagripError, InputError, UsageError
@@ -50,7 +51,7 @@ def annotate(source: Path, videos: Path | None, out: Path, port: int, lens: Lens
         print(f"{len(tasks)} candidates, {missing}", file=sys.stderr)
     if wanted.export and wanted.labels is None and not (out / DATABASE).is_file():
         raise UsageError(f"--export: nothing has been marked in {out}")
-    given = None if wanted.labels is None else labels.read(wanted.labels)
+    given = None if wanted.labels is None else read_labels(wanted.labels, tasks)
     out.mkdir(parents=True, exist_ok=True)
     project = Project(tasks, Store(out / DATABASE), lens)
     try:
@@ -67,6 +68,16 @@ def annotate(source: Path, videos: Path | None, out: Path, port: int, lens: Lens
         return 0
     finally:
         project.close()
+
+
+def read_labels(path: Path, tasks: list[Task]) -> Labels:
+    """A file of labels. Raises ``InputError`` where it is malformed, or of none of the footage."""
+    given = labels.read(path)
+    try:
+        tasks_of(given, tasks)
+    except RefusedError as error:
+        raise InputError(path, "", f"labels of other footage ({error})", "labels of the footage given") from error
+    return given
 
 
 def take_labels(project: Project, given: Labels, wanted: Wanted) -> Grasp:

@@ -5,7 +5,7 @@ import { $, on, state } from "./app.js";
 const CLOSEST = 40; // screen pixels per pixel of the footage
 const WHEEL = 0.0015; // of the logarithm of the scale, per pixel that a wheel turns
 
-export const view = { scale: 1, x: 0, y: 0, size: [16, 9], fitted: true, changed: () => {} };
+export const view = { scale: 1, x: 0, y: 0, size: [16, 9], fitted: true, there: false, changed: () => {} };
 
 /** The whole picture, as large as it fits. */
 function fit() {
@@ -27,7 +27,7 @@ function draw() {
   canvas.style.transform = `translate(${view.x}px, ${view.y}px) scale(${zoom})`;
   canvas.classList.toggle("close", zoom > 3);
   $("layer").setAttribute("transform", `translate(${view.x} ${view.y}) scale(${view.scale})`);
-  $("zoom").textContent = `${Math.round(100 * view.scale)} %`;
+  $("zoom").textContent = view.there ? `${Math.round(100 * view.scale)} %` : "–"; // without a picture it is of nothing
   view.changed();
 }
 
@@ -51,7 +51,7 @@ export const pan = (dx, dy) => place(view.scale, view.x + dx, view.y + dy);
 on("shown", () => {
   const size = state.labels?.size ?? [$("picture").width, $("picture").height];
   const same = size[0] === view.size[0] && size[1] === view.size[1];
-  view.size = size;
+  Object.assign(view, { size, there: true });
   if (view.fitted || !same) fit();
   else draw();
 });

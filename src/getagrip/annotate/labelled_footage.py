@@ -1,0 +1,60 @@
+"""Which footage a file of labels is of: told by its checksum, or by its name where the file has no checksum."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+from getagrip.annotate.labels import Labels
+from getagrip.annotate.tasks import Task
+from getagrip.annotate.versions import RefusedError
+from getagrip.io import files
+
+
+def checksum(path: Path) -> str:
+    """SHA-256 of a video file; of a folder of images, that of their names and contents. Raises ``OSError``."""
+    found = sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
+    return _checksum(tuple((each, each.stat().st_size, each.stat().st_mtime_ns) for each in found), path.is_dir())
+
+
+@lru_cache(maxsize=8)
+def _checksum(known: tuple[tuple[Path, int, int], ...], folder: bool) -> str:
+    """Of files that are as large and as old as they were."""
+    total = hashlib.sha256()
+    for path, size, _ in known:
+        if folder:
+            total.update(f"{path.name}\0{size}\0".encode())
+        with path.open("rb") as stream:
+            while part := stream.read(2**20):
+                total.update(part)
+    return total.hexdigest()
+
+
+def tasks_of(given: Labels, tasks: Sequence[Task]) -> list[Task]:
+    """The tasks whose footage the labels are of, whatever it is called now; that of their name is looked at first.
+
+    Raises ``RefusedError`` where there is none.
+    """
+    there = [(task, task.path) for task in tasks if task.path is not None]
+    named = [(task, path) for task, path in there if path.name == given.video]
+    name = files.plain(given.video)
+    if not given.sha256:
+        if not named:
+            raise RefusedError(
+                f"video: got {name} and no checksum of it, expected the name of a video that is given here"
+            )
+        return [task for task, _ in named]
+    for some in (named, there):
+        same = [task for task, path in some if checksum(path) == given.sha256]
+        if same:
+            return same
+    if named:
+        raise RefusedError(
+            f"sha256: {name} here is another file than the one that was labelled; if its frames are the same ones, "
+            "take the key sha256 out of the labels"
+        )
+    raise RefusedError(
+        f"video, sha256: got {name}, expected footage that is given here: none has this name or checksum"
+    )
