@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import shutil
 import struct
 import zlib
@@ -21,8 +22,9 @@ from numpy import ndarray
 from getagrip.cli import main
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.clip.label_images import read_labels
-from getagrip.clip.mask_sources import Wanted, open_masks
+from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.segments import polygons, region, run_lengths
+from getagrip.clip.wanted_masks import Wanted
 from getagrip.commands.import_masks import write_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays
@@ -335,20 +337,86 @@ def test_masks_that_the_disk_has_no_room_for_leave_the_clip_as_it_was(
     np.testing.assert_array_equal(read_masks(read_clip(folder)).object, noise)
 
 
-def test_masks_that_are_counted_from_zero_are_taken_by_number_only_with_a_word_about_it(
-    tmp_path: Path, run: Run
-) -> None:
-    clip, masks = small_clip()
-    folder = write_clip(replace(clip, frames=("0036", "0037", "0038")), None, tmp_path / "small")
-    source = tmp_path / "sam2"
-    source.mkdir()
-    for n in range(40):
-        write_png(source / f"{n:05d}.png", masks.object[n % 3] * 1, 8, 0)
+def segments_of(frames: int, kind: Any = bool) -> dict[int, dict[int, ndarray]]:
+    """SAM 2's dictionary, as its example collects it."""
+    return {n: {k: (labels()[n % 2] == k)[None].astype(kind) for k in (1, 2, 3)} for n in range(frames)}
+
+
+@pytest.mark.parametrize("protocol", [2, 4, 5, "npy"])
+def test_video_segments(tmp_path: Path, refused: Callable[..., str], protocol: Any) -> None:
+    path = tmp_path / ("segments.npy" if protocol == "npy" else "segments.pkl")
+    content = segments_of(2)
+    del content[1][3]  # no object yet, or no more
+    if protocol == "npy":
+        np.save(path, content, allow_pickle=True)  # type: ignore[arg-type]
+    else:
+        path.write_bytes(pickle.dumps(content, protocol=protocol))
+    wanted = Wanted(("000000", "000001"), SIZE, ("1",), ("2", "3"))
+    read = open_masks(path, wanted)
+    for n in range(2):
+        seen, ignored = read(n)
+        np.testing.assert_array_equal(seen, labels()[n] == 1)
+        np.testing.assert_array_equal(ignored, np.isin(labels()[n], [2, 3] if n == 0 else [2]))
+    for chosen, option in (((), "--object"), (("7",), "--object")):
+        with pytest.raises(UsageError, match=f"{option}.*1, 2, 3"):
+            open_masks(path, replace(wanted, object=chosen))
+    with pytest.raises(UsageError, match="--ignore"):
+        open_masks(path, replace(wanted, ignore=("7",)))
+    refused(lambda: open_masks(path, replace(wanted, size=(21, 14))), str(path), "0.1")
+    refused(lambda: open_masks(path, replace(wanted, frames=("000001", "000002"))), "nothing of 1 of 2 frames")
+
+
+@pytest.mark.parametrize(
+    "content", [segments_of(1, float), {0: [1]}, {0: {1: "x"}}, {0: {1: np.zeros((20, 14), bool)}}]
+)
+def test_what_are_no_video_segments(tmp_path: Path, refused: Callable[..., str], content: Any) -> None:
+    path = tmp_path / "segments.pkl"
+    path.write_bytes(pickle.dumps(content))
+    refused(lambda: open_masks(path, Wanted(("0",), SIZE)), str(path))
+
+
+def counted_from_zero(folder: Path, kind: str, count: int) -> Path:
+    """Masks of one thing with the numbers from 0 on."""
+    seen = {n: (labels()[n % 2] == 1) for n in range(count)}
+    names = [f"{n:05d}" for n in seen]
+    if kind == "png":
+        (folder / "png").mkdir()
+        for name, mask in zip(names, seen.values(), strict=True):
+            write_png(folder / "png" / f"{name}.png", mask * 1, 8, 0)
+        return folder / "png"
+    path = folder / {"npz": "m.npz", "pkl": "m.pkl", "coco": "m.json"}[kind]
+    if kind == "npz":
+        arrays.write(path, {"object": np.array([*seen.values()]), "frames": np.array(names)})
+    elif kind == "pkl":
+        path.write_bytes(pickle.dumps({n: {1: mask} for n, mask in seen.items()}))
+    else:
+        images = [{"id": n, "file_name": f"{name}.jpg", "width": 20, "height": 14} for n, name in enumerate(names)]
+        of = [{"image_id": n, "category_id": 1, "segmentation": encoded(mask, False)} for n, mask in seen.items()]
+        path.write_text(json.dumps({"images": images, "annotations": of}))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["png", "npz", "pkl", "coco"])
+@pytest.mark.parametrize("count", [3, 40])
+def test_numbers_that_match_by_luck_are_refused(tmp_path: Path, run: Run, kind: str, count: int) -> None:
+    """Counted from 0 they may be the clip's images, or the whole video's: there is a mask of every number, or none."""
+    clip, _ = small_clip()
+    folder = write_clip(replace(clip, frames=("0036", "0037", "0038"), size=SIZE), None, tmp_path / "small")
+    source = counted_from_zero(tmp_path, kind, count)
     command = ("import", "masks", source, "--clip", folder)
     status, _, err = run(*command)
-    assert status == 0
-    assert "masks are counted from 0 (00000.png), the clip's frames are not (first: 0036)" in err
-    assert "a guess" in read_clip(folder).provenance["numbers of masks"]
-    assert run(*command, "--first", "36", "--overwrite")[2] == ""
+    assert status == 2
+    assert "--first: got nothing, expected the number of the mask of frame 0036" in err
+    assert "--first 0 if the clip's images were segmented, --first 35 if the whole video was" in err
+    assert not (folder / "masks").exists()
+    status, _, err = run(*command, "--first", "0")
+    assert (status, err) == (0, "")
+    np.testing.assert_array_equal(read_masks(read_clip(folder)).object[1], labels()[1] == 1)
+
+
+def test_numbers_of_frames_need_no_option(tmp_path: Path, run: Run) -> None:
+    clip, _ = small_clip()
+    folder = write_clip(replace(clip, frames=("0036", "0037", "0038"), size=SIZE), None, tmp_path / "small")
+    source = counted_from_zero(tmp_path, "png", 40)
     (source / "00000.png").unlink()
-    assert run(*command, "--overwrite")[2] == ""
+    assert run("import", "masks", source, "--clip", folder)[0] == 0

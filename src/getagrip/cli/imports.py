@@ -88,7 +88,8 @@ class ImportHands(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class ImportMasks(Command):
-    """Masks from files: a folder of PNG (labels, palettes as of SAM 2, colours), COCO's .json, or .npz, into a clip."""
+    """Masks from files into a clip: a folder of PNG (labels, palettes as of SAM 2, colours), COCO's .json, .npz, or SAM
+    2's video_segments (.pkl, .npy)."""
 
     path: Annotated[Positional[Path], arg(metavar="PATH")]
     """The folder or file; images are named like the clip's frames, or by the same numbers."""
@@ -99,7 +100,7 @@ class ImportMasks(Command):
     ignore: Labels = ()
     """What hides it, likewise: hands, other things in front."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
-    """The number of the first frame's mask, where masks are counted differently from frames."""
+    """The number of the first frame's mask. Needed where masks are counted from 0 and frames are not."""
     overwrite: Flag = False
     """Replace masks that are there already."""
 

@@ -4,6 +4,7 @@
   one PNG for each frame, non-zero where the mask is set;
 - a folder of PNG: the labels of an image each (``label_images``), or a mask each where there is one label only;
 - ``.json``: COCO's ``images``, ``annotations`` (polygons or run lengths) and ``categories``;
+- ``.pkl`` or ``.npy``: SAM 2's ``video_segments`` (``video_segments``);
 - ``.npz``: ``object`` (T, H, W) and perhaps ``ignore``, or ``labels`` (T, H, W) of whole numbers; ``frames`` (T,) names
   or numbers of them, or all of the wanted ones in order.
 
@@ -13,58 +14,31 @@ as #rrggbb, a folder's or a category's name.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 from numpy import ndarray
 
 from getagrip.clip.label_images import label_value, read_labels
 from getagrip.clip.naming import frame_of
 from getagrip.clip.segments import region, union
+from getagrip.clip.video_segments import video_segments
+from getagrip.clip.wanted_masks import MOST_NAMED, MaskPair, MaskReader, Wanted
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays, files
 
 LOSSY = {".jpg", ".jpeg", ".webp"}
-MaskPair = tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]
-"""The object's mask, and what to ignore."""
-MOST_NAMED = 12
-"""Labels that an error lists."""
-
-
-@dataclass(frozen=True)
-class MaskReader:
-    """The masks of a frame, by its index. Calling it raises ``InputError``."""
-
-    source: Path
-    read: Callable[[int], MaskPair]
-    others: set[str] = field(default_factory=set)
-    """Labels that were met so far in frames without the object, for an error about a label that is nowhere."""
-
-    def __call__(self, n: int) -> MaskPair:
-        return self.read(n)
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What to look for."""
-
-    frames: tuple[str, ...]
-    """Names, or numbers, of the frames."""
-    size: tuple[int, int]
-    """Width and height of the images [px]."""
-    object: tuple[str, ...] = ()
-    """Labels of the object; where none is named, there may be one only."""
-    ignore: tuple[str, ...] = ()
-    """Labels of what hides it."""
 
 
 def open_masks(path: Path, wanted: Wanted) -> MaskReader:
     """A reader of the masks of some frames. Raises ``InputError`` for missing frames, ``UsageError`` for labels."""
+    if path.suffix in {".pkl", ".pickle", ".npy"} and path.is_file():
+        return video_segments(path, wanted)
     if path.is_dir():
+        wanted.check_numbers(path, (png.stem for png in sorted(path.rglob("*.png"))))
         things = sorted(sub.name for sub in path.iterdir() if sub.is_dir() and any(sub.glob("*.png")))
         labels = "object" not in things and any(path.glob("*.png"))
         return _thing_folders(path, wanted, things) if things and not labels else _label_folder(path, wanted)
@@ -72,8 +46,8 @@ def open_masks(path: Path, wanted: Wanted) -> MaskReader:
         return _arrays(path, wanted)
     if path.suffix == ".json":
         return _coco(path, wanted)
-    given = "no folder, .json or .npz" if path.exists() else "no such file or folder"
-    raise InputError(path, "", given, "masks: a folder of PNG, COCO's JSON, or arrays")
+    given = "no folder, .json, .npz, .pkl or .npy" if path.exists() else "no such file or folder"
+    raise InputError(path, "", given, "masks: a folder of PNG, COCO's JSON, arrays, or SAM 2's video_segments")
 
 
 def _thing_folders(folder: Path, wanted: Wanted, things: Sequence[str]) -> MaskReader:
@@ -171,7 +145,7 @@ def _arrays(path: Path, wanted: Wanted) -> MaskReader:
         expected = f"whole numbers or booleans of shape ({len(given[key])}, {height}, {width})"
         if array.dtype.kind not in "biu" or array.shape != (len(given[key]), height, width):
             raise InputError(path, name, f"{array.dtype} of shape {array.shape}", expected)
-    rows = _rows(path, given, len(given[key]), wanted.frames)
+    rows = _rows(path, given, len(given[key]), wanted)
     choose = _Chooser(wanted)
     if key == "labels":
         return MaskReader(path, lambda n: choose(path, given["labels"][rows[n]].astype(np.int64)), choose.others)
@@ -183,8 +157,9 @@ def _arrays(path: Path, wanted: Wanted) -> MaskReader:
     return MaskReader(path, read)
 
 
-def _rows(path: Path, given: dict[str, ndarray], count: int, frames: Sequence[str]) -> list[int]:
+def _rows(path: Path, given: dict[str, ndarray], count: int, wanted: Wanted) -> list[int]:
     """The row of each frame."""
+    frames = wanted.frames
     if "frames" not in given:
         if count != len(frames):
             raise InputError(path, "frames", f"no such array, {count} masks", f"{len(frames)} masks, or their frames")
@@ -192,6 +167,7 @@ def _rows(path: Path, given: dict[str, ndarray], count: int, frames: Sequence[st
     names = given["frames"]
     if names.dtype.kind not in "Uiu" or names.shape != (count,):
         raise InputError(path, "frames", f"{names.dtype} of shape {names.shape}", f"{count} names or numbers")
+    wanted.check_numbers(path, map(str, names))
     found = {frame_of(str(name), frames): row for row, name in enumerate(names)}
     missing = next((frame for n, frame in enumerate(frames) if n not in found), None)
     if missing is not None:
@@ -206,11 +182,14 @@ def _coco(path: Path, wanted: Wanted) -> MaskReader:
     categories = _objects(path, content, "categories", needed=False)
     names = {str(item.get("id")): str(item.get("name")) for item in categories}
     index: dict[Any, int] = {}
+    wanted.check_numbers(
+        path, (_stem(image["file_name"]) for image in images if isinstance(image.get("file_name"), str))
+    )
     for k, image in enumerate(images):
         name = image.get("file_name")
         if not isinstance(name, str) or not isinstance(image.get("id"), int | str):
             raise InputError(path, f"images[{k}]", files.shown(image), "an id and a file_name")
-        n = frame_of(name.rsplit("/")[-1].rpartition(".")[0] or name, wanted.frames)
+        n = frame_of(_stem(name), wanted.frames)
         if n is not None:
             size = image.get("width"), image.get("height")
             if size != wanted.size:
@@ -243,6 +222,11 @@ def _coco(path: Path, wanted: Wanted) -> MaskReader:
 
     there = {str(item["category_id"]) for item in annotations}
     return MaskReader(path, read, {names.get(label, label) for label in sorted(there)[:MOST_NAMED]})
+
+
+def _stem(name: str) -> str:
+    """A file's name without folders and suffix."""
+    return name.rsplit("/", maxsplit=1)[-1].rpartition(".")[0] or name
 
 
 def _objects(path: Path, content: dict[str, Any], key: str, needed: bool = True) -> list[dict[str, Any]]:

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from getagrip.clip.mask_sources import MaskReader, Wanted, open_masks
-from getagrip.clip.naming import number_of
+from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.reading import read_header
+from getagrip.clip.wanted_masks import MaskReader, Wanted
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.images import write_mask
-from getagrip.io.terminal import report
-
-NUMBERS = "numbers of masks"
-"""Key of a clip's provenance, where masks may be other frames'."""
 
 
 def into_clip(
@@ -34,11 +30,9 @@ def into_clip(
         if min(numbers) < 0:
             raise UsageError(f"--first: got {first}, expected none: the clip's frames have no numbers")
         names = tuple(f"{number - numbers[0] + first:06d}" for number in numbers)
-    reader = open_masks(source, Wanted(names, header.size, objects, ignore))
-    known = {key: text for key, text in header.fields["provenance"].items() if key != NUMBERS}
-    whence = known | {"masks": provenance(source, objects, ignore)}
-    if first is None:
-        whence |= numbers_of_masks(source, header.frames, "--first")
+    ask_first = "--first" if first is None else ""
+    reader = open_masks(source, Wanted(names, header.size, objects, ignore, ask_first))
+    whence = header.fields["provenance"] | {"masks": provenance(source, objects, ignore)}
     with files.new_folder(target, ("object",) if overwrite else ()) as new:
         visible = write_masks(reader, header.frames, new)
         with files.new_file(header.folder / "clip.json") as part:
@@ -63,25 +57,6 @@ def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> in
         there = f"; there are {', '.join(sorted(reader.others))}" if reader.others else ""
         raise InputError(reader.source, "", f"masks without a pixel of the object{there}", "masks that show it")
     return visible
-
-
-def numbers_of_masks(source: Path, frames: tuple[str, ...], option: str) -> dict[str, str]:
-    """An entry of the provenance where masks may have been taken for those of other frames, which is also printed.
-
-    Segmenters often count from 0 what they were given, whichever frame of a video that began with. All frames may then
-    have a mask of their number, and each may be another frame's.
-    """
-    if not source.is_dir() or 0 in map(number_of, frames) or number_of(frames[0]) is None:
-        return {}
-    zero = next((path.name for path in sorted(source.rglob("*.png")) if number_of(path.stem) == 0), None)
-    if zero is None:
-        return {}
-    doubt = (
-        f"a guess: masks are counted from 0 ({files.plain(zero)}), the clip's frames are not (first: {frames[0]}); "
-        f"each frame has the mask of its own number. If mask 0 is of another frame than frame 0, {option} says so"
-    )
-    report(f"note: {doubt}")
-    return {NUMBERS: doubt}
 
 
 def provenance(source: Path, objects: tuple[str, ...], ignore: tuple[str, ...]) -> str:

@@ -17,13 +17,14 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, HandTrack, read_clip, read_observed
 from getagrip.clip.intrinsics import Lens, intrinsics
-from getagrip.clip.mask_sources import MaskReader, Wanted, open_masks
+from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.plausible import check_in_view, check_intrinsics
 from getagrip.clip.reading import read_hand
 from getagrip.clip.video import video_frames, video_info
+from getagrip.clip.wanted_masks import MaskReader, Wanted
 from getagrip.clip.writing import fill_folder
 from getagrip.commands import own_mesh
-from getagrip.commands.import_masks import numbers_of_masks, provenance, write_masks
+from getagrip.commands.import_masks import provenance, write_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
 from getagrip.io import arrays, files
@@ -127,8 +128,6 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
             **of_hands,
         },
     )
-    if given.masks is not None and given.mask_of_first is None:
-        clip.provenance.update(numbers_of_masks(given.masks, names, "--mask-first"))
     reader = None if given.masks is None else _masks(given, numbers[rows], info.size)
     _write(clip, given.video, numbers, set(rows.tolist()), reader, out, overwrite)
     return _summary(clip, given, len(numbers), out)
@@ -208,7 +207,8 @@ def _masks(given: Ingredients, numbers: Int[ndarray, "T"], size: tuple[int, int]
     assert given.interval is not None
     shift = 0 if given.mask_of_first is None else given.mask_of_first - given.interval[0]
     names = tuple(f"{n + shift:06d}" for n in numbers)
-    return open_masks(given.masks, Wanted(names, size, given.object, given.ignore))
+    ask_first = "--mask-first" if given.mask_of_first is None else ""
+    return open_masks(given.masks, Wanted(names, size, given.object, given.ignore, ask_first))
 
 
 def _write(

@@ -30,7 +30,7 @@ from getagrip.clip import HandTrack, Joint, World
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
-from getagrip.datasets.pickled import numbers, read_dict
+from getagrip.datasets.pickled import numbers
 from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
@@ -40,7 +40,7 @@ from getagrip.geometry.obj import parse_obj
 from getagrip.grasps.definition import FEWEST
 from getagrip.grasps.options import GraspOptions
 from getagrip.hands.model import Side
-from getagrip.io import arrays
+from getagrip.io import arrays, pickles
 from getagrip.io.arguments import OptionalFolder
 from getagrip.io.files import LARGEST_JSON, is_plain_name, read_bytes, read_json, shown
 
@@ -161,7 +161,7 @@ def _read(base: Path, file: Path, mano: Path, view: int, note: Note) -> Iterator
 
 def _hands(file: Path, mano: Path, T_cam_world: Float[ndarray, "T 4 4"], T: int) -> dict[Side, HandTrack]:
     """Both hands. ARCTIC was fitted with the published left hand, faults included."""
-    given = read_dict(file, "ARCTIC's MANO parameters")
+    given = pickles.read_file(file, "ARCTIC's MANO parameters")
     hands: dict[Side, HandTrack] = {}
     for side in SIDES:
         values = given.get(side)
@@ -185,7 +185,7 @@ def _view(file: Path, misc: dict[str, Any], subject: str, number: int, egocam: P
         raise InputError(file, f"{subject}.image_size", shown(sizes[number].tolist()), "width and height in pixels")
     if number == 0:
         file, subject = egocam, ""
-        given = read_dict(egocam, "ARCTIC's camera on the head")
+        given = pickles.read_file(egocam, "ARCTIC's camera on the head")
         K = numbers(egocam, given, "intrinsics", (3, 3))
         T_cam_world = se3.rigid(
             numbers(egocam, given, "R_k_cam_np", (T, 3, 3)), numbers(egocam, given, "T_k_cam_np", (T, 3, 1))[..., 0]

@@ -27,13 +27,14 @@ from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks, ycb
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
-from getagrip.datasets.pickled import numbers, read_dict
+from getagrip.datasets.pickled import numbers
 from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.grasps.options import GraspOptions
 from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
+from getagrip.io import pickles
 from getagrip.io.arguments import OptionalFolder
 from getagrip.io.files import is_plain_name, shown
 
@@ -134,7 +135,7 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
 
 def _frame(file: Path, with_mano: bool) -> Frame | None:
     """The labels of a frame; nothing where the object or the hand is not known."""
-    given = read_dict(file, "the labels of a frame of HO-3D")
+    given = pickles.read_file(file, "the labels of a frame of HO-3D")
     if not file.stem.isdigit():
         raise InputError(file, "", f"the name {file.name!r}", "<number>.pkl")
     rotation, joints = given.get("objRot", 0), given.get("handJoints3D", 0)

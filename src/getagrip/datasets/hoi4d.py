@@ -30,7 +30,7 @@ from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
-from getagrip.datasets.pickled import numbers, read_dict
+from getagrip.datasets.pickled import numbers
 from getagrip.datasets.tracks import MaskPair, Source, Track, check_length, in_pixels
 from getagrip.errors import InputError
 from getagrip.geometry import se3
@@ -39,7 +39,7 @@ from getagrip.geometry.obj import parse_obj
 from getagrip.grasps.definition import FEWEST
 from getagrip.grasps.options import GraspOptions
 from getagrip.hands.model import Side
-from getagrip.io import arrays
+from getagrip.io import arrays, pickles
 from getagrip.io.arguments import OptionalFolder
 from getagrip.io.files import read_bytes, read_json, shown
 from getagrip.io.png import read_colour_png
@@ -170,7 +170,7 @@ def _object_pose(file: Path) -> Float[ndarray, "4 4"]:
 
 def _hand(files: list[Path], mano: Path, side: Side) -> HandTrack:
     """The hand in each frame, of the person's shape, by the published MANO, faults included: as HOI4D's code does."""
-    given = [read_dict(file, "a hand's pose of HOI4D") for file in files]
+    given = [pickles.read_file(file, "a hand's pose of HOI4D") for file in files]
     pose = np.stack([numbers(file, g, "poseCoeff", (48,)) for file, g in zip(files, given, strict=True)])
     trans = np.stack([numbers(file, g, "trans", (3,)) for file, g in zip(files, given, strict=True)])
     shape = numbers(files[0], given[0], "beta", (10,))

@@ -1,8 +1,7 @@
-"""Other people's pickled dictionaries of arrays, read without running anything in them, and checked."""
+"""Arrays of other people's pickled dictionaries, checked."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,29 +11,8 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.io import arrays, pickles
-from getagrip.io.files import read_bytes, shown
-
-NPY = b"\x93NUMPY"
-
-
-def read_dict(path: Path, what: str) -> dict[str, object]:
-    """The dictionary in a pickle, or in an ``.npy`` file that holds a pickled one (``np.save`` of a dictionary).
-
-    ``what`` says in errors what is expected. Raises ``InputError``.
-    """
-    content = read_bytes(path, pickles.LARGEST)
-    if content[: len(NPY)] == NPY:
-        stream = io.BytesIO(content)
-        headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-        try:
-            shape, _, dtype = headers[np.lib.format.read_magic(stream)](stream)
-        except Exception as error:  # the header is a Python literal: its parser raises many things
-            raise InputError(path, "", f"an array whose header does not parse ({error})", what) from error
-        if shape != () or not dtype.hasobject:
-            raise InputError(path, "", f"an array of {dtype} of shape {shape}", what)
-        content = content[stream.tell() :]
-    return pickles.read(path, content, what)
+from getagrip.io import arrays
+from getagrip.io.files import shown
 
 
 def numbers(

@@ -29,7 +29,7 @@ from getagrip.clip import FINGERS, HandTrack
 from getagrip.datasets import assumed_camera
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
-from getagrip.datasets.pickled import numbers, read_dict
+from getagrip.datasets.pickled import numbers
 from getagrip.datasets.tracks import Source, Track, check_length
 from getagrip.errors import InputError
 from getagrip.geometry import se3
@@ -38,6 +38,7 @@ from getagrip.geometry.subdivide import fine
 from getagrip.grasps.options import GraspOptions
 from getagrip.hands import generic
 from getagrip.hands.mano import TIPS
+from getagrip.io import pickles
 
 WITHIN_5_MM = GraspOptions(contact_mm=5.0)
 FPS = 30.0
@@ -63,7 +64,7 @@ class Taco(TrackedDataset):
 
 def _read(file: Path, note: Note) -> Iterator[Track]:
     """The tool in the hand over a sequence."""
-    given = read_dict(file, "a sequence of TACO")
+    given = pickles.read_file(file, "a sequence of TACO")
     poses = numbers(file, given, "obj_pose", (-1, 4, 4))
     T = len(poses)
     check_length(file, "obj_pose", T)

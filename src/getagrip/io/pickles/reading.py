@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
 from numpy import ndarray
 
 from getagrip.errors import InputError
+from getagrip.io.files import read_bytes
 from getagrip.io.pickles.machine import run
-from getagrip.io.pickles.stand_ins import Array, DType, ForbiddenNameError, Instance, Name, StandIns
+from getagrip.io.pickles.stand_ins import MOST_BYTES, Array, DType, ForbiddenNameError, Instance, Name, StandIns
 
 LARGEST = 64 * 2**20
 """Bytes of the largest file read; MANO's have 4 MB."""
@@ -18,23 +21,48 @@ MOST_VALUES, DEEPEST = 2**24, 32
 """Values in a file's lists and dictionaries, each as often as it is in one (8 bytes of a text or an array are a value);
 lists within lists.
 """
+NPY = b"\x93NUMPY"
 NO_CLASSES: Mapping[tuple[str, str], str] = MappingProxyType({})
 
 
+def read_file(path: Path, what: str, largest: int = LARGEST) -> dict[str, object]:
+    """The dictionary in a pickle, or in an ``.npy`` file that holds a pickled one (``np.save`` of a dictionary).
+
+    As ``read`` has it. Raises ``InputError``.
+    """
+    content = read_bytes(path, largest)
+    if content[: len(NPY)] == NPY:
+        stream = io.BytesIO(content)
+        headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+        try:
+            shape, _, dtype = headers[np.lib.format.read_magic(stream)](stream)
+        except Exception as error:  # the header is a Python literal: its parser raises many things
+            raise InputError(path, "", f"an array whose header does not parse ({error})", what) from error
+        if shape != () or not dtype.hasobject:
+            raise InputError(path, "", f"an array of {dtype} of shape {shape}", what)
+        content = content[stream.tell() :]
+    return read(path, content, what, largest=largest)
+
+
 def read(
-    path: Path, content: bytes, what: str, classes: Mapping[tuple[str, str], str] = NO_CLASSES
+    path: Path,
+    content: bytes,
+    what: str,
+    classes: Mapping[tuple[str, str], str] = NO_CLASSES,
+    largest: int = LARGEST,
 ) -> dict[str, object]:
     """The dictionary in a pickle, or in a pickled array of one object, as ``np.save`` writes it.
 
     It holds arrays of numbers or text, and Python's own values. Objects of ``classes`` (module and name: kind) come as
-    an ``Instance`` of that kind; any other name is refused. ``what`` says in errors what is expected. Raises
-    ``InputError``, also for what is malformed, no dictionary, or small in the file and vast in memory.
+    an ``Instance`` of that kind; any other name is refused. ``what`` says in errors what is expected; a file of more
+    than ``largest`` bytes is refused, and what takes more memory than one so large would. Raises ``InputError``,
+    also for what is malformed, no dictionary, or small in the file and vast in memory.
     """
-    if len(content) > LARGEST:
-        raise InputError(path, "", f"{len(content) / 2**20:.0f} MB", f"{what} of at most {LARGEST >> 20} MB")
+    if len(content) > largest:
+        raise InputError(path, "", f"{len(content) / 2**20:.0f} MB", f"{what} of at most {largest >> 20} MB")
     try:
-        value = run(content, StandIns(classes))
-        check_bounded(path, value, what)
+        value = run(content, StandIns(classes, MOST_BYTES * (largest // LARGEST)))
+        check_bounded(path, value, what, MOST_VALUES * (largest // LARGEST))
         value = _finished(value, {})
         if not isinstance(value, dict):
             raise InputError(path, "", f"a pickled {type(value).__name__}", f"{what} (a dictionary)")
@@ -47,7 +75,7 @@ def read(
         raise InputError(path, "", f"a pickle that does not load ({error})", what) from error
 
 
-def check_bounded(path: Path, value: object, what: str) -> None:
+def check_bounded(path: Path, value: object, what: str, most: int = MOST_VALUES) -> None:
     """Refuse what is small in a file and without bounds in memory: a list that holds another twice, which holds ...
 
     Raises ``InputError``, also for what contains itself.
@@ -70,8 +98,8 @@ def check_bounded(path: Path, value: object, what: str) -> None:
             raise InputError(path, "", f"values nested more than {DEEPEST} deep", what)
         return sizes[id(value)]
 
-    if (total := size(value, 0)[0]) > MOST_VALUES:
-        raise InputError(path, "", f"lists of {total:.3g} values in all", f"{what}, of at most {MOST_VALUES} values")
+    if (total := size(value, 0)[0]) > most:
+        raise InputError(path, "", f"lists of {total:.3g} values in all", f"{what}, of at most {most} values")
 
 
 def _parts(value: object) -> Collection[object] | None:

@@ -80,10 +80,10 @@ NAMES = {
 class StandIns:
     """The stand-ins of one pickle; ``classes`` gives the kinds of ``Instance``, by module and name."""
 
-    def __init__(self, classes: Mapping[tuple[str, str], str]) -> None:
+    def __init__(self, classes: Mapping[tuple[str, str], str], most_bytes: int = MOST_BYTES) -> None:
         self._names = NAMES | {key: Name(kind) for key, kind in classes.items()}
         self._kinds = frozenset(classes.values())
-        self._bytes_made = 0
+        self._bytes_made, self._most_bytes = 0, most_bytes
 
     def named(self, module: object, name: object) -> Name:
         if not (isinstance(module, str) and isinstance(name, str)):
@@ -166,5 +166,5 @@ class StandIns:
 
     def _count(self, made: int) -> None:
         self._bytes_made += made
-        if self._bytes_made > MOST_BYTES:
-            raise ValueError(f"objects of more than {MOST_BYTES >> 20} MB in all")
+        if self._bytes_made > self._most_bytes:
+            raise ValueError(f"objects of more than {self._most_bytes >> 20} MB in all")

@@ -1,0 +1,74 @@
+"""SAM 2's ``video_segments``, pickled: ``{frame: {object: mask}}``, frames from 0, masks (1, H, W) or (H, W)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+from numpy import ndarray
+
+from getagrip.clip.naming import frame_of
+from getagrip.clip.segments import union
+from getagrip.clip.wanted_masks import MOST_NAMED, MaskPair, MaskReader, Wanted
+from getagrip.errors import InputError, UsageError
+from getagrip.io import files, pickles
+
+LARGEST = 512 * 2**20
+"""Bytes of a file: 250 masks of 1920 x 1080."""
+WHAT = "SAM 2's video_segments, {frame: {object: mask}}"
+
+
+def video_segments(path: Path, wanted: Wanted) -> MaskReader:
+    """A reader of the masks of objects by their numbers; in a frame without one, nothing of it is visible.
+
+    Raises ``InputError`` for malformed and for missing frames, ``UsageError`` for labels.
+    """
+    given = pickles.read_file(path, WHAT, LARGEST)
+    wanted.check_numbers(path, given)
+    masks: dict[int, dict[str, ndarray]] = {}
+    for name, of_frame in given.items():
+        n = frame_of(name, wanted.frames)
+        if n is not None:
+            if not isinstance(of_frame, Mapping):
+                raise InputError(path, files.plain(name), files.shown(of_frame), WHAT)
+            masks[n] = {str(key): _mask(path, f"{name}.{key}", mask, wanted) for key, mask in of_frame.items()}
+    missing = [frame for n, frame in enumerate(wanted.frames) if n not in masks]
+    if missing:
+        lacks = f"nothing of {len(missing)} of {len(wanted.frames)} frames (first: {files.plain(missing[0])})"
+        raise InputError(path, "", f"{lacks} in keys {_some(given)}", "all frames, by their numbers")
+    there = sorted({key for of_frame in masks.values() for key in of_frame})
+    chosen = wanted.object or tuple(there[:1])
+    unknown = next((name for name in (*chosen, *wanted.ignore) if name not in there), None)
+    if unknown is not None or (len(there) > 1 and not wanted.object) or not chosen:
+        option = "--ignore" if unknown in wanted.ignore else "--object"
+        said = "nothing" if unknown is None else repr(unknown)
+        raise UsageError(f"{option}: got {said}, expected objects of {path}: {_some(there)}")
+
+    def read(n: int) -> MaskPair:
+        visible, hidden = (
+            union([masks[n][name] for name in names if name in masks[n]], wanted.size)
+            for names in (chosen, wanted.ignore)
+        )
+        return visible, hidden & ~visible
+
+    return MaskReader(path, read)
+
+
+def _mask(path: Path, key: str, value: object, wanted: Wanted) -> Bool[ndarray, "H W"]:
+    """One mask. Raises ``InputError``."""
+    width, height = wanted.size
+    expected = f"a mask of booleans or whole numbers, ({height}, {width}) or (1, {height}, {width})"
+    if not isinstance(value, ndarray) or value.dtype.kind not in "biu" or value.size != width * height:
+        given = f"{value.dtype} of shape {value.shape}" if isinstance(value, ndarray) else files.shown(value)
+        raise InputError(path, files.plain(key), given, expected)
+    if value.shape not in {(height, width), (1, height, width)}:
+        raise InputError(path, files.plain(key), f"the shape {value.shape}", expected)
+    return np.asarray(value.reshape(height, width) != 0)
+
+
+def _some(names: object) -> str:
+    """The first names of a list, in words."""
+    all_names = [files.plain(str(name)) for name in names] if isinstance(names, list | dict) else []
+    return ", ".join(all_names[:MOST_NAMED]) + (", ..." if len(all_names) > MOST_NAMED else "")

@@ -1,0 +1,66 @@
+"""Masks that are looked for in other programs' files: in which frames, of which labels; and their reader."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from jaxtyping import Bool
+from numpy import ndarray
+
+from getagrip.clip.naming import number_of
+from getagrip.errors import UsageError
+from getagrip.io import files
+
+MaskPair = tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]
+"""The object's mask, and what to ignore."""
+MOST_NAMED = 12
+"""Labels that an error lists."""
+
+
+@dataclass(frozen=True)
+class MaskReader:
+    """The masks of a frame, by its index. Calling it raises ``InputError``."""
+
+    source: Path
+    read: Callable[[int], MaskPair]
+    others: set[str] = field(default_factory=set)
+    """Labels that were met so far in frames without the object, for an error about a label that is nowhere."""
+
+    def __call__(self, n: int) -> MaskPair:
+        return self.read(n)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What to look for."""
+
+    frames: tuple[str, ...]
+    """Names, or numbers, of the frames."""
+    size: tuple[int, int]
+    """Width and height of the images [px]."""
+    object: tuple[str, ...] = ()
+    """Labels of the object; where none is named, there may be one only."""
+    ignore: tuple[str, ...] = ()
+    """Labels of what hides it."""
+    ask_first: str = ""
+    """The option that states the number of the first frame's mask, where it was not used."""
+
+    def check_numbers(self, source: Path, names: Iterable[str]) -> None:
+        """Raise ``UsageError`` where masks are counted from 0, frames are not, and nobody has said how they match.
+
+        Segmenters often count from 0 what they were given, whichever frame of a video that began with. Frames may
+        then have a mask of their number each, by luck, and each would be another frame's.
+        """
+        first = number_of(self.frames[0])
+        if not self.ask_first or first is None or 0 in map(number_of, self.frames):
+            return
+        zero = next((name for name in names if number_of(name) == 0), None)
+        if zero is not None:
+            raise UsageError(
+                f"{self.ask_first}: got nothing, expected the number of the mask of frame {self.frames[0]}: in "
+                f"{source} masks are counted from 0 ({files.plain(zero)}), the clip's frames are not. "
+                f"{self.ask_first} 0 if the clip's images were segmented, {self.ask_first} {first - 1} if the whole "
+                f"video was, {self.ask_first} {first} if its numbers are the frames' numbers"
+            )
