@@ -80,6 +80,24 @@ def test_rendering_with_the_cameras_of_the_crops_gives_the_observed_mask() -> No
     assert sides == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.parametrize("zoom", [0.8, 1.0, 1.02, 1.5, 2.0])
+def test_no_level_takes_an_object_for_larger_or_smaller_than_it_is(zoom: float) -> None:
+    frames = np.arange(12)
+    size = zoom * 0.5 * FIELD / 1.8  # so that the crops at 128 pixels have the images' resolution, or nearly
+    at = np.array([80.0, 60.0]) + np.stack([np.sin(frames), np.cos(2.0 * frames)], axis=1)
+    i, j = np.indices((HEIGHT, WIDTH)) + 0.5
+    boxes = np.stack([np.maximum(abs(j - u), abs(i - v)) < 0.5 * size for u, v in at])
+    o = observed(boxes)
+    true = (size * o.crops.zoom) ** 2
+    for level in LEVELS:
+        share = (
+            at_level(o.observed, level).sum(axis=(1, 2)).mean() * (CROP / level) ** 2 / boxes.sum(axis=(1, 2)).mean()
+        )
+        assert share / o.crops.zoom**2 == pytest.approx(1.0, abs=0.015), level
+    inside = (o.field < 0.0).sum(axis=(1, 2)).mean() * (CROP / FIELD) ** 2
+    assert inside == pytest.approx(true, rel=0.06)
+
+
 def test_nothing_is_known_beyond_the_image() -> None:
     o = observed(discs([(10.0, 60.0)]))
     u = (np.arange(CROP) + 0.5) / o.crops.zoom + o.crops.corner[0, 0]

@@ -12,7 +12,7 @@ from numpy import ndarray
 from getagrip.datasets.synthetic import shapes
 from getagrip.fitting import observation
 from getagrip.fitting.energy.mask import SilhouetteMesh
-from getagrip.fitting.observation import _boundary, _reduce
+from getagrip.fitting.observation import _boundary
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels import contour, reference
@@ -313,18 +313,6 @@ def test_observed_boundary_points(seed: int) -> None:
     expected = reference.boundary_targets(seen, valid, field, 2.0, 28)
     np.testing.assert_allclose(targets, expected, atol=1e-4)
     assert (targets[:, 4] > 0).any()
-
-
-@given(SEEDS, st.sampled_from([64, 128]))
-def test_masks_shrink_by_majority(seed: int, size: int) -> None:
-    seen, valid = _blobs(seed, 256)
-    k = 256 // size
-    small_seen, small_care = _reduce(seen[None], valid[None], size)
-    n_seen, n_care = (m.reshape(size, k, size, k).sum(axis=(1, 3)) for m in (seen, valid))
-    clear = 2 * n_seen != n_care
-    np.testing.assert_array_equal(small_seen[0][clear], (2 * n_seen > n_care)[clear])
-    assert small_care[0][2 * n_care > k * k].all()
-    assert not small_care[0][2 * n_care < k * k].any()
 
 
 # Distances

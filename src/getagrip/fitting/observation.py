@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -19,6 +19,8 @@ CROP = 256
 LEVELS = (64, 128, 256)
 FIELD = 128
 """Side of the distance fields [px]."""
+GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
+"""Multiples of these fill the unit square evenly, modulo 1."""
 TARGETS = 28
 """Observed boundary points per frame in the coverage term."""
 
@@ -65,41 +67,43 @@ def observe(masks: Masks, K: Float[ndarray, "T 3 3"], use_ignore: bool = True) -
 
     ``use_ignore=False`` counts hidden pixels as background (the paper's ablation of C_o).
     """
-    crops = crops_around(masks.object, size=CROP)
-    observed = crops.resample(masks.object, outside=False)
-    inside = crops.resample(np.ones_like(masks.object[:1]).repeat(len(observed), axis=0), outside=False)
-    valid = inside & ~crops.resample(masks.ignore, outside=True) if use_ignore else inside
-    valid |= observed
-    Kc = crops.intrinsics(K)
-    observed_at, valid_at = {CROP: observed}, {CROP: valid}
-    for level in LEVELS[:-1]:
-        observed_at[level], valid_at[level] = _reduce(observed, valid, level)
+    crops = _dithered(crops_around(masks.object, size=CROP))
+    levels = {level: _sampled(masks, replace(crops, size=level), use_ignore) for level in {*LEVELS, FIELD}}
+    Kc, observed = crops.intrinsics(K), levels[CROP][0]
     field = np.empty((len(observed), FIELD, FIELD), np.float32)
     targets = np.empty((len(observed), TARGETS, 5))
-    for n, (s, c) in enumerate(zip(*_reduce(observed, valid, FIELD), strict=True)):
+    for n, (s, c) in enumerate(zip(*levels[FIELD], strict=True)):
         field[n] = signed_distance(s, c) * (CROP / FIELD)
         _boundary(s, c, field[n], CROP / FIELD, targets[n])
     return Observation(
         crops=crops,
         K=np.stack([Kc[:, 0, 0], Kc[:, 1, 1], Kc[:, 0, 2], Kc[:, 1, 2]], axis=1),
-        observed={level: pack(mask) for level, mask in observed_at.items()},
-        valid={level: pack(mask) for level, mask in valid_at.items()},
+        observed={level: pack(levels[level][0]) for level in LEVELS},
+        valid={level: pack(levels[level][1]) for level in LEVELS},
         field=field,
         targets=targets,
         area=observed.sum(axis=(1, 2)).astype(float),
     )
 
 
-def _reduce(
-    observed: Bool[ndarray, "N 256 256"], valid: Bool[ndarray, "N 256 256"], size: int
-) -> tuple[Bool[ndarray, "N s s"], Bool[ndarray, "N s s"]]:
-    """Masks at a lower resolution: a pixel counts if most of it does, and is the object if most of what counts is."""
-    counts = []
-    for mask in (observed, valid):
-        small = [cv2.resize(m.view(np.uint8) * 255, (size, size), interpolation=cv2.INTER_AREA) for m in mask]
-        counts.append(np.stack(small).astype(np.int16))
-    n_observed, n_valid = counts
-    return 2 * n_observed > n_valid, (n_valid > 127) | (2 * n_observed > 255)
+def _dithered(crops: Crops) -> Crops:
+    """The same crops, each moved by another part of a pixel of the image, which depends on its place.
+
+    A mask's contour runs along its pixels' borders, up to half a pixel from the object's. Crops centred on whole pixels
+    would sample the left and right of it alike in every frame, and err in the object's size alike in every frame.
+    """
+    return replace(crops, corner=crops.corner + crops.corner.sum(axis=1, keepdims=True) * GOLDEN % 1.0 - 0.5)
+
+
+def _sampled(masks: Masks, crops: Crops, use_ignore: bool) -> tuple[Bool[ndarray, "N s s"], Bool[ndarray, "N s s"]]:
+    """The object's pixels, and those that count.
+
+    Each level is sampled from the masks themselves, where silhouettes are: at the centres of its pixels. Majorities of
+    a finer level's pixels would have ties, and objects half a pixel too large or too small are as much too near or far.
+    """
+    observed = crops.resample(masks.object, outside=False)
+    valid = crops.resample(~masks.ignore if use_ignore else np.ones_like(masks.object), outside=False)
+    return observed, valid | observed
 
 
 def signed_distance(observed: Bool[ndarray, "s s"], valid: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
