@@ -8,14 +8,12 @@ from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, check_masks
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, ROTATION_SYM
 from getagrip.fitting.methods import method_of
-from getagrip.geometry import se3
 from getagrip.result import Reconstruction
+from getagrip.view.curves import angle_curve, seconds
 from getagrip.view.style import AXIS, FAINT, FOUND, INK, LINE, PAPER, TRUE, letters
 from getagrip.view.tiles import View, over_image, rendered, windows
 
@@ -141,41 +139,19 @@ def _plain(axes: Axes, title: str) -> None:
     axes.margins(x=0.01)
 
 
-def _seconds(view: View) -> Float[ndarray, "T"]:
-    """Times of the frames: the clip's, or from the numbers in their names where these are numbers, else evenly."""
-    names = view.result.frames
-    if view.clip.times is not None:
-        times = view.clip.times[view.clip.index_of(names)]
-        return np.asarray(times - times[0])
-    if all(name.isdecimal() for name in names):
-        return np.asarray((np.array([int(name) for name in names]) - int(names[0])) / view.clip.fps)
-    return np.arange(len(names)) / view.clip.fps
-
-
 def _angle_plot(axes: Axes, view: View) -> None:
-    """The angle about the axis or, without an axis, the rotation since the first frame; of the ground truth, too."""
-    t, result, truth = _seconds(view), view.result, view.clip.truth
-    true = None if truth is None else (se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj)[:, :3, :3]
-    if result.axis is None:
-        _plain(axes, "rotation of the object in the hand since the first frame [°]")
-        R = result.T_hand_obj[:, :3, :3]
-        curves = [se3.angle_between(r[:1], r) for r in (R, true) if r is not None]
-    else:
-        _plain(axes, "angle of the object about the axis [°]")
-        curves = [result.axis.angle - result.axis.angle.mean()]
-        if true is not None:
-            about = se3.log_so3(true @ true[0].T) @ result.axis.direction
-            curves.append(about - about.mean())
-    if len(curves) > 1:
-        axes.plot(t, np.degrees(curves[1]), color=TRUE, linewidth=1.4, linestyle=(0, (4, 2)), label="ground truth")
-    axes.plot(t, np.degrees(curves[0]), color=AXIS, linewidth=2.0, label="reconstructed")
-    if len(curves) > 1:
+    t, curve = seconds(view), angle_curve(view)
+    _plain(axes, f"{curve.title} [°]")
+    if curve.true is not None:
+        axes.plot(t, np.degrees(curve.true), color=TRUE, linewidth=1.4, linestyle=(0, (4, 2)), label="ground truth")
+    axes.plot(t, np.degrees(curve.found), color=AXIS, linewidth=2.0, label="reconstructed")
+    if curve.true is not None:
         axes.legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 0.98), borderpad=0.0)
 
 
 def _iou_plot(axes: Axes, view: View) -> None:
     _plain(axes, "overlap of the object with its mask (IOU)")
-    t, iou = _seconds(view), view.result.iou
+    t, iou = seconds(view), view.result.iou
     axes.axhline(view.result.mean_iou, color=LINE, linewidth=1.2)
     axes.plot(t, iou, color=FOUND, linewidth=2.0)
     sampled = view.result.frames_of("sampled")

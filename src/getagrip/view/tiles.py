@@ -40,6 +40,8 @@ SIDE_VIEW = np.radians(80.0)
 """The turned view looks from this far to the left."""
 BEYOND = 1.10
 """Windows are so many times as large as what they are to show."""
+AxisLine = tuple[Float[ndarray, "n 2"], Bool[ndarray, "n"]]
+"""The latent axis in a picture: its points [px], and which of them nothing hides."""
 
 
 @dataclass(frozen=True)
@@ -132,23 +134,38 @@ def _crops(boxes: Float[ndarray, "n 4"], size: int) -> Crops:
 
 def over_image(axes: Axes, view: View, n: int, crops: Crops, k: int, with_hand: bool = False) -> None:
     """The image or the masks in window ``k``, and the contour of the reconstructed object; of the hand, if wanted."""
-    shift = -crops.corner[k] * crops.zoom
-    centre = shift + crops.zoom / 2.0 - 0.5  # cv2 counts from the centre of the first pixel
-    warp = np.array([[crops.zoom, 0.0, centre[0]], [0.0, crops.zoom, centre[1]]])
-    size = (crops.size, crops.size)
-    tile = cv2.warpAffine(
-        _image(view, n), warp, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=BLANK
-    )
-    show(axes, tile)
-    K = _intrinsics(view, n, crops, k)
+    show(axes, image_in(view, n, crops, k))
+    K = intrinsics_of(view, n, crops, k)
     if with_hand:
         contour(axes, view.hand(n), view.clip.hand.faces, K, crops.size, HAND_LINE)
     contour(axes, view.object(n), view.clip.mesh.faces, K, crops.size, FOUND)
 
 
+def image_in(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
+    """The image or the masks of frame ``n`` in window ``k``."""
+    shift = -crops.corner[k] * crops.zoom
+    centre = shift + crops.zoom / 2.0 - 0.5  # cv2 counts from the centre of the first pixel
+    warp = np.array([[crops.zoom, 0.0, centre[0]], [0.0, crops.zoom, centre[1]]])
+    size = (crops.size, crops.size)
+    picture = cv2.warpAffine(
+        _image(view, n), warp, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=BLANK
+    )
+    return np.asarray(picture, dtype=np.uint8)
+
+
 def rendered(axes: Axes, view: View, n: int, crops: Crops, k: int, from_side: bool) -> None:
     """Hand, object and axis in window ``k``, from the camera; or from the side, at the same scale if it fits."""
-    K, size = _intrinsics(view, n, crops, k), crops.size
+    picture, line = posed(view, n, crops, k, from_side)
+    show(axes, picture)
+    if line is not None:
+        _draw_line(axes, *line)
+
+
+def posed(
+    view: View, n: int, crops: Crops, k: int, from_side: bool
+) -> tuple[UInt8[ndarray, "size size 3"], AxisLine | None]:
+    """A picture of hand and object in window ``k``, as ``rendered`` shows it, and the axis in it, if there is one."""
+    K, size = intrinsics_of(view, n, crops, k), crops.size
     hand, held = view.hand(n), view.object(n)
     T_view_cam = np.eye(4)
     if from_side:
@@ -162,10 +179,11 @@ def rendered(axes: Axes, view: View, n: int, crops: Crops, k: int, from_side: bo
         reach = np.abs(project(K, np.concatenate([hand, held])) - size / 2.0).max()
         K[:2, :2] *= min(1.0, 0.48 * size / reach)
     meshes = [(hand, view.clip.hand.faces, HAND), (held, view.clip.mesh.faces, OBJECT)]
-    show(axes, render_rgb(meshes, K, (size, size), PAPER_RGB))
-    if view.result.axis is not None:
-        line = se3.transform(T_view_cam @ view.clip.hand.T_cam_hand[n], axis_points(view))
-        axis_line(axes, line, [mesh[:2] for mesh in meshes], K, size)
+    picture = render_rgb(meshes, K, (size, size), PAPER_RGB)
+    if view.result.axis is None:
+        return picture, None
+    line = se3.transform(T_view_cam @ view.clip.hand.T_cam_hand[n], axis_points(view))
+    return picture, _visible(line, [mesh[:2] for mesh in meshes], K, size)
 
 
 def axis_points(view: View) -> Float[ndarray, "n 3"]:
@@ -181,11 +199,19 @@ def axis_line(
     axes: Axes, line: Float[ndarray, "n 3"], surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: int
 ) -> None:
     """A line in the frame of the view: whole where it is visible, dots where one of the surfaces is in front of it."""
+    _draw_line(axes, *_visible(line, surfaces, K, size))
+
+
+def _visible(line: Float[ndarray, "n 3"], surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: int) -> AxisLine:
+    """Where a line is in a picture, and where none of the surfaces is in front of it."""
     line = line[line[:, 2] > 0.05]
     uv = project(K, line)
     depth = np.min([depth_and_face(*surface, K, (size, size))[0] for surface in surfaces], axis=0)
     column, row = np.clip(np.floor(uv).astype(int), 0, size - 1).T
-    visible = line[:, 2] < depth[row, column] + 1e-3
+    return uv, line[:, 2] < depth[row, column] + 1e-3
+
+
+def _draw_line(axes: Axes, uv: Float[ndarray, "n 2"], visible: Bool[ndarray, "n"]) -> None:
     axes.plot(*np.where(visible[:, None], uv, np.nan).T, color="white", linewidth=3.0, alpha=0.7)
     axes.plot(*np.where(visible[:, None], uv, np.nan).T, color=AXIS, linewidth=1.6)
     axes.plot(*np.where(visible[:, None], np.nan, uv).T, color=HIDDEN, linewidth=1.3, linestyle=(0, (1, 1.6)))
@@ -207,15 +233,21 @@ def contour(
     halo: bool = True,
 ) -> None:
     """The boundary of a surface's silhouette; with a halo it stands out from any image."""
-    fine = np.diag([2.0, 2.0, 1.0]) @ K  # else the contour shows the tile's pixels
-    for fine_line in _contours(covered(vertices, faces, fine, (2 * size, 2 * size))):
-        line = fine_line / 2.0
+    for line in silhouette_lines(vertices, faces, K, size):
         if halo:
             axes.plot(*line.T, color="white", linewidth=2.6, alpha=0.8, solid_joinstyle="round")
         axes.plot(*line.T, color=colour, linewidth=1.3, solid_joinstyle="round")
 
 
-def _intrinsics(view: View, n: int, crops: Crops, k: int) -> Float[ndarray, "3 3"]:
+def silhouette_lines(
+    vertices: Float[ndarray, "_V 3"], faces: Int[ndarray, "_F 3"], K: Float[ndarray, "3 3"], size: int
+) -> list[Float[ndarray, "_n 2"]]:
+    """The closed lines that bound a surface's silhouette in a picture [px]."""
+    fine = np.diag([2.0, 2.0, 1.0]) @ K  # else the contour shows the picture's pixels
+    return [line / 2.0 for line in mask_lines(covered(vertices, faces, fine, (2 * size, 2 * size)))]
+
+
+def intrinsics_of(view: View, n: int, crops: Crops, k: int) -> Float[ndarray, "3 3"]:
     """Of window ``k``, which shows frame ``n``."""
     return np.asarray(replace(crops, corner=crops.corner[k : k + 1]).intrinsics(view.clip.K[n : n + 1])[0])
 
@@ -236,7 +268,7 @@ def _image(view: View, n: int) -> UInt8[ndarray, "H W 3"]:
     return picture
 
 
-def _contours(mask: Bool[ndarray, "H W"]) -> list[Float[ndarray, "_n 2"]]:
+def mask_lines(mask: Bool[ndarray, "H W"]) -> list[Float[ndarray, "_n 2"]]:
     """Closed boundary lines of a mask, in pixel coordinates."""
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     lines = [contour[:, 0].astype(float) + 0.5 for contour in contours if len(contour) > 8]
