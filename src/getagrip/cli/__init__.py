@@ -18,7 +18,8 @@ from getagrip import __version__
 from getagrip.cli.command import Command
 from getagrip.cli.footage import Annotate, ClipCommand, Epic
 from getagrip.cli.labelled import Segment, Stats, Study
-from getagrip.cli.results import Bench, Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct, Report
+from getagrip.cli.report import Report
+from getagrip.cli.results import Bench, Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct
 from getagrip.errors import GetagripError, UsageError
 
 DESCRIPTION = (

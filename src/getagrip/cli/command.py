@@ -13,6 +13,9 @@ from getagrip.io.arguments import Flag, numbers, one_of
 
 Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
 Results = Annotated[Positional[tuple[Path, ...]], arg(metavar="RESULT...", help_behavior_hint="")]
+ClipsFolder = Annotated[
+    Path | None, arg(metavar="DIR", help_behavior_hint="(default: where the results were made from)")
+]
 Workers = Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core for more than 3 clips)")]
 Seed = Annotated[int, arg(metavar="S")]
 if TYPE_CHECKING:

@@ -8,16 +8,13 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from getagrip.cli.command import Clips, Command, Method, Results, Seed, Workers
+from getagrip.cli.command import Clips, ClipsFolder, Command, Method, Results, Seed, Workers
 from getagrip.errors import UsageError
 from getagrip.experiments.sources import SOURCES, source_of
 from getagrip.fitting.options import Hands, Init, Options, PriorsFile
 from getagrip.io.arguments import File, Flag, Folder, OptionalFile, OptionalFolder, one_of
 
 Inits = Annotated[int, arg(metavar="N")]
-ClipsFolder = Annotated[
-    Path | None, arg(metavar="DIR", help_behavior_hint="(default: where the results were made from)")
-]
 
 
 def _ablations(_: str) -> str:
@@ -244,21 +241,6 @@ class InitCommand(Command):
         from getagrip.commands.learn_poses import learn
 
         return learn(self.clips, self.out, self.k, self.way, self.leave_out, self.seed, self.debug)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Report(Command):
-    """Draw a picture of a result into its folder: report.png."""
-
-    result: Annotated[Positional[Path], arg(metavar="RESULT")]
-    """A result folder."""
-    clips: ClipsFolder = None
-    """A clip, or the folder that holds the clips by name."""
-
-    def run(self) -> int:
-        from getagrip.commands.evaluate import report_result
-
-        return report_result(self.result, self.clips)
 
 
 @dataclass(frozen=True, kw_only=True)

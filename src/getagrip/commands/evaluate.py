@@ -1,4 +1,4 @@
-"""``getagrip evaluate`` and ``getagrip report``: results against their clips."""
+"""``getagrip evaluate``: results against their clips."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from getagrip.batch.job import Outcome, failure
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.commands.evaluate_meshes import Meshes, MeshJob, evaluate_clip_meshes, mesh_jobs
 from getagrip.errors import InputError, UsageError
-from getagrip.evaluation import contact_tables, evaluate, evaluate_result, read_evaluated, results_table, summary
+from getagrip.evaluation import contact_tables, evaluate_result, results_table, summary
 from getagrip.io import files
 from getagrip.io.terminal import console, progress_bar
 
@@ -118,13 +118,3 @@ def results_in(path: Path) -> list[Path]:
     if not results:
         raise InputError(path, "", "no result.json in it or in its folders", "a result, or a folder of results")
     return results
-
-
-def report_result(folder: Path, clips: Path | None = None) -> int:
-    """Draw ``report.png`` into a result folder. ``clips`` says where its clip is, as for ``evaluate_result``."""
-    from getagrip.view.report import write_report
-
-    result, clip, masks = read_evaluated(folder, clips)
-    metrics = evaluate(result, clip, masks)["metrics"]
-    print(write_report(result, clip, masks, folder / "report.png", metrics))
-    return 0

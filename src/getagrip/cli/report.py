@@ -1,0 +1,44 @@
+"""`getagrip report`: results as pages, pictures and films."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from getagrip.cli.command import ClipsFolder, Command, Workers
+from getagrip.errors import UsageError
+from getagrip.io.arguments import Flag
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Command):
+    """Write report.html into a result's folder, a page that plays it in 3D and opens without a network; and report.png.
+
+    Of a folder of results, such as that of a benchmark: a page for each, and index.html, a table of all.
+    """
+
+    paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="PATH...", help_behavior_hint="")] = ()
+    """Result folders, or folders that hold results."""
+    clips: ClipsFolder = None
+    """A clip, or the folder that holds the clips by name."""
+    mp4: Flag = False
+    """Write report.mp4, too, a film of the result over its images and from the side."""
+    index_only: Flag = False
+    """Of a folder of results only the index, with links to pages that are there already."""
+    workers: Workers = None
+    """Processes to share the results between."""
+
+    def check(self) -> None:
+        super().check()
+        if not self.paths:
+            raise UsageError("PATH: name at least one result, or a folder of results")
+        if self.workers is not None and self.workers < 1:
+            raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
+
+    def run(self) -> int:
+        from getagrip.commands.report import Wanted, report
+
+        return report(self.paths, Wanted(self.clips, self.mp4, self.index_only), self.workers, self.debug)

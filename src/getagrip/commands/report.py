@@ -1,0 +1,134 @@
+"""``getagrip report``: pages of results, and an index of a folder of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from getagrip.batch.clips import FEW, print_outcome
+from getagrip.batch.job import Outcome, failure
+from getagrip.batch.pool import DIED, cores, in_processes
+from getagrip.errors import InputError
+from getagrip.evaluation import evaluate, read_evaluated
+from getagrip.io.terminal import progress_bar
+from getagrip.pages import IndexRow, row, write_index, write_page
+from getagrip.result import read_record
+from getagrip.view.film import write_film
+from getagrip.view.report import write_report
+from getagrip.view.tiles import View
+
+PAGE, PICTURE, FILM, INDEX = "report.html", "report.png", "report.mp4", "index.html"
+DEEPEST = 4
+"""Results are looked for so many folders below the one that is named; a benchmark's are three."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is written of results."""
+
+    clips: Path | None = None
+    """Where their clips are; None: where they were made from."""
+    film: bool = False
+    index_only: bool = False
+    """Of folders only the index."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A result to report on; ``root`` is the folder of the index, None for a result that was named itself."""
+
+    folder: Path
+    root: Path | None
+    wanted: Wanted
+
+
+Reported = tuple[IndexRow, Outcome | None]
+
+
+def report(paths: Sequence[Path], wanted: Wanted, workers: int | None, debug: bool) -> int:
+    """Write what is wanted of each path, a result or a folder of results; 1 if anything failed, else 0."""
+    failed = False
+    for path in paths:
+        try:
+            if (path / "result.json").exists():
+                _, problem = report_one(Job(path, None, wanted))
+                problems = [problem] if problem is not None else []
+                written = [name for name in _files(wanted) if not problems]
+            else:
+                problems = _folder(path, wanted, workers)
+                written = [INDEX]
+        except (InputError, OSError) as error:
+            problems, written = [failure("", error)], []
+        for name in written:
+            print(path / name)
+        for problem in problems:
+            print_outcome(problem, debug)
+        failed |= bool(problems)
+    return int(failed)
+
+
+def results_below(path: Path) -> list[Path]:
+    """The result folders anywhere in a folder, sorted. Raises ``InputError`` where there is none."""
+    if not path.is_dir():
+        raise InputError(path, "", "no such folder", "a result, or a folder of results")
+    found = []
+    for place, folders, names in os.walk(path):
+        here = Path(place)
+        if "result.json" in names:
+            found.append(here)
+        if "result.json" in names or len(here.relative_to(path).parts) >= DEEPEST:
+            folders.clear()
+        folders[:] = [name for name in folders if not name.startswith(".")]
+    if not found:
+        raise InputError(path, "", "no result.json in it or in its folders", "a result, or a folder of results")
+    return sorted(found)
+
+
+def report_one(job: Job) -> Reported:
+    """Write the pages of a result; its row of the index, and what went wrong. Raises nothing."""
+    folder, wanted = job.folder, job.wanted
+    name = "" if job.root is None else folder.relative_to(job.root).as_posix()
+    try:
+        result, clip, masks = read_evaluated(folder, wanted.clips)
+        evaluation, view = evaluate(result, clip, masks), View.of(result, clip, masks)
+        if job.root is None or not wanted.index_only:
+            write_page(view, evaluation, read_record(folder), folder / PAGE)
+        if job.root is None:
+            write_report(result, clip, masks, folder / PICTURE, evaluation["metrics"])
+        if wanted.film:
+            write_film(view, folder / FILM)
+        return row(name, view, evaluation, (folder / PAGE).is_file()), None
+    except Exception as error:  # one result's trouble must not end the others
+        outcome = failure("" if isinstance(error, InputError) else str(folder), error)
+        return IndexRow(name, problem=outcome.message), outcome
+
+
+def _folder(path: Path, wanted: Wanted, workers: int | None) -> list[Outcome]:
+    """Report on all results in a folder and write their index; what went wrong."""
+    jobs = [Job(folder, path, wanted) for folder in results_below(path)]
+    done: dict[Path, Reported] = {}
+    with progress_bar(counted=True) as bar:
+        task = bar.add_task("results", total=len(jobs))
+        for job, reported in _reported(jobs, workers):
+            died = IndexRow(job.folder.relative_to(path).as_posix(), problem=DIED)
+            done[job.folder] = reported or (died, Outcome(str(job.folder), "failed", DIED))
+            bar.advance(task)
+    rows, problems = zip(*(done[job.folder] for job in jobs), strict=True)
+    tables = sorted(file.name for file in path.glob("*.md"))
+    write_index(rows, path.resolve().name, tables, path / INDEX)
+    return [problem for problem in problems if problem is not None]
+
+
+def _reported(jobs: Sequence[Job], workers: int | None) -> Iterator[tuple[Job, Reported | None]]:
+    """Each job with what it gives, as they finish; many are shared out over processes."""
+    count = min(len(jobs), workers or (1 if len(jobs) <= FEW else cores()))
+    if count == 1:
+        return ((job, report_one(job)) for job in jobs)
+    return in_processes(report_one, jobs, count)
+
+
+def _files(wanted: Wanted) -> list[str]:
+    """What is written of a result that was named itself."""
+    return [PAGE, PICTURE, *[FILM] * wanted.film]

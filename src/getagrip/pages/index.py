@@ -1,0 +1,112 @@
+"""The page of many results: as a table or a gallery, worst first by any metric, filtered by what is doubted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from getagrip import __version__
+from getagrip.evaluation.metric import METRICS, Metric
+from getagrip.fitting.methods import method_of
+from getagrip.io import files
+from getagrip.pages.document import document
+from getagrip.pages.pictures import jpeg
+from getagrip.pages.report import CONTACT, MAIN
+from getagrip.view.stills import overlay, turned
+from getagrip.view.tiles import View, input_windows
+
+THUMBNAIL, QUALITY = 180, 72
+"""Side of each of the two pictures of a result [px], and their JPEG quality."""
+PENETRATION = next(metric for metric in METRICS if metric.name == "penetration_object_mm")
+COLUMNS: Mapping[str, Metric] = {**MAIN, "penetration": PENETRATION}
+"""Metrics of the index, each under a short name."""
+
+
+@dataclass(frozen=True)
+class IndexRow:
+    """A result in the index; where it could not be read, only where it is and why."""
+
+    folder: str
+    """Where it is, below the index."""
+    problem: str = ""
+    page: bool = False
+    """Whether it has a page."""
+    clip: str = ""
+    method: str = ""
+    status: str = ""
+    flags: tuple[str, ...] = ()
+    """What speaks against it: failed, serious, note, ambiguous, guess."""
+    doubts: tuple[str, ...] = ()
+    """Its findings, in words."""
+    values: dict[str, float] = field(default_factory=dict)
+    """By the names of the columns."""
+    thumbnail: str = ""
+    """JPEG, in base64."""
+
+
+def row(folder: str, view: View, evaluation: Mapping[str, Any], page: bool) -> IndexRow:
+    """A result's row; its thumbnail shows the frame of the lowest IOU."""
+    result = view.result
+    serious = any(finding.serious for finding in result.findings)
+    flags = {
+        "failed": result.status.startswith("failed"),
+        "serious": serious,
+        "note": any(not finding.serious for finding in result.findings),
+        "ambiguous": result.ambiguous,
+        "guess": view.clip.scale == "free" or any("guess" in str(note).lower() for note in result.notes),
+    }
+    values = {name: evaluation["metrics"].get(metric.key(CONTACT), np.nan) for name, metric in COLUMNS.items()}
+    known = not np.isnan(result.iou).all()
+    worst = int(np.nanargmin(result.iou)) if known else 0
+    crops = input_windows([view], np.array([worst]), THUMBNAIL)
+    pair = np.concatenate([overlay(view, worst, crops, 0), turned(view, worst, crops, 0)], axis=1)
+    return IndexRow(
+        folder=folder,
+        page=page,
+        clip=result.clip,
+        method=method_of(result.method).label,
+        status=result.status,
+        flags=tuple(name for name, holds in flags.items() if holds),
+        doubts=tuple(str(finding) for finding in result.findings),
+        values={
+            **values,
+            "worst frame": float(result.iou[worst]) if known else np.nan,
+            "time": float(result.seconds.get("total", np.nan)),
+        },
+        thumbnail=jpeg(pair, QUALITY),
+    )
+
+
+def write_index(rows: Sequence[IndexRow], title: str, tables: Sequence[str], path: Path) -> Path:
+    """Write the page and return its path. ``tables`` are files beside it that it links to."""
+    units: dict[str, tuple[str, int]] = {name: (metric.unit, metric.decimals) for name, metric in COLUMNS.items()}
+    units |= {"worst frame": ("%", 1), "time": ("s", 2)}
+    known = [name for name in units if any(np.isfinite(one.values.get(name, np.nan)) for one in rows)] or ["IOU"]
+    data = {
+        "title": title,
+        "rows": [
+            {**asdict(one), "link": f"./{quote(one.folder)}/report.html" if one.page else "", "set": _set(one.folder)}
+            for one in rows
+        ],
+        "columns": [
+            {"name": name, "unit": units[name][0], "decimals": units[name][1], "more": units[name][0] == "%"}
+            for name in known
+        ],
+        "first": "ADD sym." if "ADD sym." in known else "IOU",
+        "tables": [{"name": name, "link": f"./{quote(name)}"} for name in tables],
+        "version": __version__,
+    }
+    page = document(title, "index.html", ("page.js", "index.js"), data)
+    with files.new_file(path) as part:
+        files.write_bytes(part, page.encode())
+    return path
+
+
+def _set(folder: str) -> str:
+    """The folder that a result shares with others, such as its method's in a benchmark."""
+    return folder.rpartition("/")[0]

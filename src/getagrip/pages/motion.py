@@ -1,0 +1,83 @@
+"""What the 3D view of a page holds: surfaces, where they touch, and poses in each frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.ndimage import gaussian_filter1d
+
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import decimate
+from getagrip.metrics.contact import close_holes, moving_distance
+from getagrip.view.tiles import View, axis_points
+from getagrip.view.touched import touched
+
+FACES = 20_000
+"""An object of more faces than this is decimated, for pages."""
+CONTACT = 0.010
+"""Surfaces nearer to each other than this are shown as in contact [m]."""
+FOLLOWED = 0.35
+"""The camera looks at the mean place of hand and object over this time [s]."""
+
+
+def coarse(view: View) -> View:
+    """The same with a mesh of at most about ``FACES`` faces."""
+    return replace(view, clip=replace(view.clip, mesh=decimate(view.clip.mesh, FACES)))
+
+
+def arrays(view: View) -> dict[str, ndarray]:
+    """Arrays by their names, as ``parts/viewer.js`` reads them; metres, poses as 4x4 matrices.
+
+    ``object_vertices`` are those of the mesh as it is, to be scaled by ``scale``, one for each candidate; the hand's
+    are in the hand frame, in each frame. ``object_contact`` and ``hand_contact`` go from 0 to 255, in contact.
+    ``T_hand_obj`` has those of the candidates one after another. ``focus`` is where to look, in the camera frame of
+    each image.
+    """
+    result, hand = view.result, view.clip.hand
+    on_object, on_hand = touched(view, CONTACT)
+    middles = [(view.hand(n).mean(axis=0) + _middle(view.object(n))) / 2.0 for n in range(len(view.clip))]
+    focus = gaussian_filter1d(np.array(middles), FOLLOWED * view.clip.fps, axis=0, mode="nearest")
+    out: dict[str, ndarray] = {
+        "object_vertices": on_object.vertices[0] / result.scale,
+        "object_faces": on_object.faces,
+        "object_contact": on_object.contact,
+        "hand_vertices": hand.vertices,
+        "hand_faces": hand.faces,
+        "hand_contact": on_hand.contact,
+        "T_cam_hand": hand.T_cam_hand,
+        "T_hand_obj": result.candidates.T_hand_obj,
+        "scale": result.candidates.scale,
+        "focus": focus,
+    }
+    if result.axis is not None:
+        out["axis"] = axis_points(view)[[0, -1]]
+    if view.clip.truth is not None:
+        out["true_T_cam_obj"] = view.clip.truth.T_cam_obj
+        out["true_scale"] = np.array([view.clip.truth.scale])
+    return {name: _small(name, values) for name, values in out.items()}
+
+
+def gap_mm(view: View) -> Float[ndarray, "T"]:
+    """The smallest signed distance of hand and object in each frame [mm]; below 0 the hand is inside the object."""
+    mesh, T = view.clip.mesh, len(view.clip)
+    scaled, faces = close_holes(view.result.scale * mesh.vertices, mesh.faces)
+    in_object = se3.transform(se3.inverse(view.result.T_hand_obj), view.clip.hand.vertices)
+    distances = moving_distance(in_object, np.broadcast_to(scaled, (T, *scaled.shape)), faces)
+    return np.asarray(1e3 * distances.min(axis=1))
+
+
+def _middle(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "3"]:
+    """Of the bounding box."""
+    return np.asarray((vertices.min(axis=0) + vertices.max(axis=0)) / 2.0)
+
+
+def _small(name: str, values: ndarray) -> ndarray:
+    """Values in the smallest of a page's types that will do."""
+    if name.endswith("_contact"):
+        return np.round(255.0 * values).astype(np.uint8)
+    if name.endswith("_faces"):
+        return values.astype(np.uint16 if values.max(initial=0) < 2**16 else np.uint32)
+    return values.astype(np.float32)

@@ -1,0 +1,126 @@
+"use strict";
+// The page of many results.
+
+const FLAGS = {
+  any: "all", failed: "failed", serious: "serious finding", note: "note", ambiguous: "ambiguous", guess: "guesses",
+  unread: "could not be read", none: "none of these",
+};
+const MORE_FLAGS = new Set(["serious", "failed"]);
+const column = (name) => data.columns.find((one) => one.name === name);
+
+function number(value, { unit, decimals }) {
+  return value === null || value === undefined ? "–" : (unit === "%" ? 100 * value : value).toFixed(decimals);
+}
+
+function unitOf({ unit }) {
+  return unit === "deg" ? "°" : unit;
+}
+
+const flagsOf = (row) => (row.problem ? [...row.flags, "unread"] : row.flags);
+
+/** The rows that the filters leave, in the order that is chosen; those without a value last. */
+function chosen() {
+  const words = byId("words").value.toLowerCase().split(/\s+/), set = byId("sets").value, flag = byId("flags").value;
+  const by = column(byId("by").value), sign = (by.more ? 1 : -1) * (byId("order").value === "worst" ? 1 : -1);
+  const rows = data.rows.filter((row) => {
+    const text = [row.clip, row.method, row.folder, row.status, row.problem, ...row.doubts].join(" ").toLowerCase();
+    const flags = flagsOf(row);
+    const flagged = flag === "any" || (flag === "none" ? flags.length === 0 : flags.includes(flag));
+    return flagged && (set === "*" || row.set === set) && words.every((word) => text.includes(word));
+  });
+  const value = (row) => row.values[by.name] ?? null;
+  return rows.sort((a, b) => {
+    if (value(a) === null || value(b) === null) return (value(a) === null) - (value(b) === null);
+    return sign * (value(a) - value(b)) || a.folder.localeCompare(b.folder);
+  });
+}
+
+function badges(row) {
+  return flagsOf(row).map((flag) => element("span", { class: `badge${MORE_FLAGS.has(flag) ? " bad" : ""}` }, FLAGS[flag]));
+}
+
+/** A link to the result's page, where it has one. */
+function linked(row, ...children) {
+  return row.link ? element("a", { href: row.link }, ...children) : element("span", {}, ...children);
+}
+
+const picture = (row) => row.thumbnail ? element("img", { src: `data:image/jpeg;base64,${row.thumbnail}`, alt: "", loading: "lazy" }) : "";
+const title = (row) => row.clip || row.folder;
+const about = (row) => row.problem || [row.method, row.set].filter(Boolean).join("  ·  ");
+
+function table(rows) {
+  const by = byId("by").value;
+  const heads = data.columns.map((one) => element("th", {
+    class: one.name === by ? "by" : "", "aria-sort": one.name === by ? "other" : null,
+  }, element("button", {
+    type: "button",
+    onclick: () => {
+      const same = byId("by").value === one.name;
+      byId("order").value = same && byId("order").value === "worst" ? "best" : "worst";
+      byId("by").value = one.name;
+      show();
+    },
+  }, one.name, element("small", {}, ` ${unitOf(one)}`))));
+  const lines = rows.map((row) => element("tr", {},
+    element("td", { class: "thumbnail" }, linked(row, picture(row))),
+    element("td", { class: "name" }, linked(row, title(row)), element("small", {}, about(row)), element("div", {}, ...badges(row)),
+      ...row.doubts.map((words) => element("small", { class: "doubt" }, words))),
+    ...data.columns.map((one) => element("td", { class: one.name === by ? "value by" : "value" }, number(row.values[one.name], one)))));
+  return element("table", { class: "rows" }, element("thead", {}, element("tr", {}, element("th"), element("th"), ...heads)), element("tbody", {}, ...lines));
+}
+
+function gallery(rows) {
+  const by = column(byId("by").value);
+  return element("div", { class: "gallery" }, ...rows.map((row) => element("figure", {}, linked(row, picture(row)),
+    element("figcaption", {}, linked(row, title(row)), element("b", {}, `${number(row.values[by.name], by)} ${unitOf(by)}`),
+      element("small", {}, about(row)), element("div", {}, ...badges(row))))));
+}
+
+/** Means of shares and medians of the rest, of each set of the rows that are shown. */
+function summary(rows) {
+  const sets = new Map();
+  for (const row of rows.filter((one) => !one.problem)) sets.set(row.set, [...(sets.get(row.set) || []), row]);
+  if (sets.size === 0) return "";
+  const middle = (values) => {
+    const sorted = [...values].sort((a, b) => a - b), half = Math.floor(sorted.length / 2);
+    return sorted.length % 2 ? sorted[half] : (sorted[half - 1] + sorted[half]) / 2;
+  };
+  const lines = [...sets].map(([set, members]) => element("tr", {}, element("th", {}, set || members[0].method), element("td", {}, members.length),
+    ...data.columns.map((one) => {
+      const values = members.map((row) => row.values[one.name]).filter((value) => value !== null && value !== undefined);
+      const mean = values.reduce((sum, value) => sum + value, 0) / values.length;
+      return element("td", {}, values.length ? number(one.more ? mean : middle(values), one) : "–");
+    }),
+    ...["serious", "ambiguous"].map((flag) => element("td", {}, members.filter((row) => row.flags.includes(flag)).length))));
+  const heads = ["", "results", ...data.columns.map((one) => `${one.more ? "mean" : "median"} ${one.name}, ${unitOf(one)}`), "serious", "ambiguous"];
+  return element("table", { class: "summary" }, element("thead", {}, element("tr", {}, ...heads.map((words) => element("th", {}, words)))), element("tbody", {}, ...lines));
+}
+
+function show() {
+  const rows = chosen();
+  byId("facts").textContent = `${rows.length} of ${data.rows.length} results. Pictures show the frame of the lowest IOU.`;
+  byId("summary").replaceChildren(summary(rows));
+  byId("rows").replaceChildren(byId("form").value === "table" ? table(rows) : gallery(rows));
+}
+
+function options(id, entries) {
+  byId(id).append(...entries.map(([value, name]) => element("option", { value }, name)));
+}
+
+function start() {
+  byId("title").textContent = data.title;
+  const sets = [...new Set(data.rows.map((row) => row.set))].sort();
+  options("sets", [["*", "all"], ...sets.map((set) => [set, set || "here"])]);
+  byId("sets").parentElement.hidden = sets.length < 2;
+  const used = new Set(data.rows.flatMap(flagsOf));
+  options("flags", Object.entries(FLAGS).filter(([flag]) => ["any", "none"].includes(flag) || used.has(flag)));
+  options("by", data.columns.map(({ name }) => [name, name]));
+  if (column(data.first)) byId("by").value = data.first;
+  for (const id of ["words", "sets", "flags", "by", "order", "form"]) byId(id).addEventListener("input", show);
+  const tables = data.tables.flatMap(({ name, link }) => [element("a", { href: link }, name), " "]);
+  byId("footer").append(`getagrip ${data.version}. `, ...(tables.length ? ["Tables with intervals: ", ...tables] : []));
+  show();
+  document.body.dataset.ready = "index";
+}
+
+start();

@@ -1,0 +1,71 @@
+"use strict";
+// Small plots over time; a click on one jumps to its frame.
+
+class Plot {
+  /** `times` are of all frames of the result; `jump` is called with the one that is clicked. */
+  constructor({ title, unit, lines, upTo }, times, jump) {
+    const [W, H, left, top, right, bottom] = [400, 150, 40, 6, 8, 18];
+    const values = lines.flatMap((line) => line.values).filter((value) => value !== null);
+    const [least, most] = upTo || [Infinity, -Infinity];
+    let low = Math.min(...values, least), high = Math.max(...values, most);
+    if (!(low <= high)) [low, high] = [0, 1];
+    const margin = Math.max(0.06 * (high - low), 1e-3 * Math.max(1, Math.abs(high)));
+    if (low !== least) low -= margin;
+    if (high !== most) high += margin;
+    const last = Math.max(...times, 1e-9);
+    this.x = (n) => left + ((W - left - right) * times[n]) / last;
+    const y = (value) => H - bottom - ((H - top - bottom) * (value - low)) / (high - low);
+    const plot = element("svg", { viewBox: `0 0 ${W} ${H}`, role: "img", "aria-label": title });
+    for (const tick of Plot.ticks(low, high)) {
+      plot.append(
+        element("line", { x1: left, x2: W - right, y1: y(tick), y2: y(tick), class: tick === 0 ? "zero" : "grid" }),
+        element("text", { x: left - 5, y: y(tick) + 3.5, class: "left" }, String(tick)),
+      );
+    }
+    for (const [n, words] of [[0, "0 s"], [times.length - 1, `${times[times.length - 1].toFixed(2)} s`]]) {
+      plot.append(element("text", { x: this.x(n), y: H - 5, class: n ? "last" : "first" }, words));
+    }
+    lines.forEach((line, k) => {
+      let path = "", drawing = false;
+      line.values.forEach((value, n) => {
+        if (value !== null) path += `${drawing ? "L" : "M"}${this.x(n).toFixed(1)} ${y(value).toFixed(1)}`;
+        drawing = value !== null;
+      });
+      plot.append(element("path", { d: path, stroke: line.colour, class: k ? "curve dashed" : "curve" }));
+    });
+    this.cursor = element("line", { y1: top, y2: H - bottom, class: "cursor" });
+    plot.append(this.cursor);
+    this.value = element("b");
+    this.lines = lines;
+    this.unit = unit;
+    const legend = lines.length < 2 ? [] : lines.map((line) => element("span", {}, element("i", { class: "key", "data-colour": line.colour }), line.name));
+    for (const span of legend) span.firstChild.style.background = span.firstChild.dataset.colour;
+    this.figure = element("figure", { class: "plot" }, element("figcaption", {}, title, this.value), plot, element("p", {}, ...legend));
+    const pick = (event) => {
+      const box = plot.getBoundingClientRect();
+      const time = (((event.clientX - box.left) / box.width) * W - left) / (W - left - right) * last;
+      jump(times.reduce((best, t, n) => (Math.abs(t - time) < Math.abs(times[best] - time) ? n : best), 0));
+    };
+    plot.addEventListener("pointerdown", (event) => {
+      plot.setPointerCapture(event.pointerId);
+      pick(event);
+    });
+    plot.addEventListener("pointermove", (event) => event.buttons && pick(event));
+  }
+
+  /** Three to six round numbers. */
+  static ticks(low, high) {
+    const rough = (high - low) / 3, power = 10 ** Math.floor(Math.log10(rough));
+    const step = power * [5, 2, 1].find((factor) => factor * power <= rough);
+    const out = [];
+    for (let n = Math.ceil(low / step); n * step <= high; n += 1) out.push(Number((n * step).toPrecision(6)));
+    return out;
+  }
+
+  show(n) {
+    this.cursor.setAttribute("x1", this.x(n));
+    this.cursor.setAttribute("x2", this.x(n));
+    const value = this.lines[0].values[n];
+    this.value.textContent = value === null ? "not known" : `${value.toFixed(1)} ${this.unit}`;
+  }
+}

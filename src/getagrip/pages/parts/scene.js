@@ -1,0 +1,153 @@
+"use strict";
+// Meshes in WebGL: hand, object, axis and the true object, with one light and a camera that turns about them.
+// Matrices are 4x4, row by row, as in the arrays; `T_a_b` maps points of frame b into frame a. The eye's axes are those
+// of the images' camera: x right, y down, z forward.
+
+const SHOWN = {
+  object: [0.44, 0.58, 0.69], hand: [0.87, 0.72, 0.63], contact: [0.784, 0.333, 0.239], truth: [0.3, 0.33, 0.36],
+  axis: [0.165, 0.616, 0.561], hidden: [0.66, 0.88, 0.835], paper: [0.957, 0.957, 0.945],
+};
+
+const VERTEX = `#version 300 es
+uniform mat4 T_eye_mesh, projection;
+in vec3 position, normal;
+in float touch;
+out vec3 at, across;
+out float touching;
+void main() {
+  vec4 point = T_eye_mesh * vec4(position, 1.0);
+  at = point.xyz;
+  across = mat3(T_eye_mesh) * normal;
+  touching = touch;
+  gl_Position = projection * point;
+}`;
+const FRAGMENT = `#version 300 es
+precision highp float;
+uniform vec3 colour, contact;
+uniform float opacity, lit, coloured;
+in vec3 at, across;
+in float touching;
+out vec4 pixel;
+void main() {
+  vec3 n = normalize(across), to_eye = -normalize(at);
+  if (dot(n, to_eye) < 0.0) n = -n;  // the inside of an open mesh is lit as well
+  float light = 0.3 + 0.5 * max(dot(n, normalize(vec3(-0.35, -0.6, -0.72))), 0.0) + 0.3 * abs(dot(n, to_eye));
+  pixel = vec4(min(mix(colour, contact, touching * coloured) * mix(1.0, light, lit), 1.0), 1.0) * opacity;
+}`;
+
+const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
+
+function product(a, b) {
+  const out = new Array(16).fill(0);
+  for (let i = 0; i < 4; i += 1) {
+    for (let j = 0; j < 4; j += 1) for (let k = 0; k < 4; k += 1) out[4 * i + j] += a[4 * i + k] * b[4 * k + j];
+  }
+  return out;
+}
+
+/** Inverse of a rigid motion. */
+function inverse(T) {
+  const out = [...IDENTITY];
+  for (let i = 0; i < 3; i += 1) {
+    for (let j = 0; j < 3; j += 1) out[4 * i + j] = T[4 * j + i];
+    out[4 * i + 3] = -(T[i] * T[3] + T[4 + i] * T[7] + T[8 + i] * T[11]);
+  }
+  return out;
+}
+
+const scaled = (T, s) => T.map((value, n) => (n < 12 && n % 4 < 3 ? s * value : value));
+const applied = (T, x) => [0, 4, 8].map((row) => T[row] * x[0] + T[row + 1] * x[1] + T[row + 2] * x[2] + T[row + 3]);
+
+/** A turn about the eye's axis x (down is positive), after one about its axis y. */
+function turn(pitch, yaw) {
+  const [a, b, c, d] = [Math.cos(pitch), Math.sin(pitch), Math.cos(yaw), Math.sin(yaw)];
+  return product([1, 0, 0, 0, 0, a, -b, 0, 0, b, a, 0, 0, 0, 0, 1], [c, 0, d, 0, 0, 1, 0, 0, -d, 0, c, 0, 0, 0, 0, 1]);
+}
+
+/** Unit normals of vertices: the sum of their faces', by area. */
+function normalsOf(vertices, faces) {
+  const out = new Float32Array(vertices.length);
+  const sides = new Float32Array(6);
+  for (let f = 0; f < faces.length; f += 3) {
+    const [i, j, k] = [3 * faces[f], 3 * faces[f + 1], 3 * faces[f + 2]];
+    for (let x = 0; x < 3; x += 1) {
+      sides[x] = vertices[j + x] - vertices[i + x];
+      sides[3 + x] = vertices[k + x] - vertices[i + x];
+    }
+    const [a, b, c, d, e, g] = sides;
+    const across = [b * g - c * e, c * d - a * g, a * e - b * d];
+    for (const corner of [i, j, k]) for (let x = 0; x < 3; x += 1) out[corner + x] += across[x];
+  }
+  for (let v = 0; v < out.length; v += 3) {
+    const length = Math.hypot(out[v], out[v + 1], out[v + 2]) || 1;
+    for (let x = 0; x < 3; x += 1) out[v + x] /= length;
+  }
+  return out;
+}
+
+/** A thin rod from one point to another. */
+function rod(from, to, radius, sides = 12) {
+  const along = to.map((value, n) => value - from[n]);
+  const length = Math.hypot(...along);
+  const other = Math.abs(along[0]) < 0.6 * length ? [1, 0, 0] : [0, 1, 0];
+  const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+  const unit = (a) => a.map((value) => value / Math.hypot(...a));
+  const u = unit(cross(along, other)), v = unit(cross(along, u));
+  const vertices = [], faces = [];
+  for (let n = 0; n < sides; n += 1) {
+    const [c, s] = [Math.cos((2 * Math.PI * n) / sides), Math.sin((2 * Math.PI * n) / sides)];
+    for (const end of [from, to]) vertices.push(...end.map((x, k) => x + radius * (c * u[k] + s * v[k])));
+    const next = (n + 1) % sides;
+    faces.push(2 * n, 2 * n + 1, 2 * next, 2 * n + 1, 2 * next + 1, 2 * next);
+  }
+  return [new Float32Array(vertices), new Uint16Array(faces)];
+}
+
+/** A surface on the graphics card. */
+class Surface {
+  constructor(gl, program, faces) {
+    Object.assign(this, { gl, faces, count: faces.length, wide: faces instanceof Uint32Array, buffers: {} });
+    this.array = gl.createVertexArray();
+    gl.bindVertexArray(this.array);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, faces, gl.STATIC_DRAW);
+    for (const [name, length, type] of [["position", 3, gl.FLOAT], ["normal", 3, gl.FLOAT], ["touch", 1, gl.UNSIGNED_BYTE]]) {
+      const place = gl.getAttribLocation(program, name);
+      this.buffers[name] = gl.createBuffer();
+      gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers[name]);
+      gl.enableVertexAttribArray(place);
+      gl.vertexAttribPointer(place, length, type, type === gl.UNSIGNED_BYTE, 0, 0);
+    }
+  }
+
+  put(name, values) {
+    this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.buffers[name]);
+    this.gl.bufferData(this.gl.ARRAY_BUFFER, values, this.gl.DYNAMIC_DRAW);
+  }
+
+  move(vertices, contact = new Uint8Array(vertices.length / 3)) {
+    this.put("position", vertices);
+    this.put("normal", normalsOf(vertices, this.faces));
+    this.put("touch", contact);
+  }
+
+  draw() {
+    const { gl } = this;
+    gl.bindVertexArray(this.array);
+    gl.drawElements(gl.TRIANGLES, this.count, this.wide ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT, 0);
+  }
+}
+
+/** A program of two shaders. Throws with the compiler's words. */
+function compiled(gl) {
+  const program = gl.createProgram();
+  for (const [kind, code] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, code);
+    gl.compileShader(shader);
+    gl.attachShader(program, shader);
+  }
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program) || "no shaders");
+  return program;
+}

@@ -1,0 +1,202 @@
+"""The page of one result: it plays in 3D and over its images, with its metrics, its guesses and what is doubted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, METRICS, ROTATION_SYM, SCA, Metric
+from getagrip.fitting.methods import method_of
+from getagrip.geometry.camera import Crops
+from getagrip.io import files
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
+from getagrip.pages import motion
+from getagrip.pages.document import document, pack
+from getagrip.pages.pictures import jpeg, mask_path, paths
+from getagrip.view.curves import angle_curve, seconds
+from getagrip.view.stills import steady_windows
+from getagrip.view.style import AXIS, FOUND, HAND_LINE, INK, TRUE
+from getagrip.view.tiles import View, image_in, intrinsics_of, silhouette_lines
+
+FRAMES = 120
+"""Frames that a page plays, at most; of longer clips as many, evenly sampled, and the worst."""
+PICTURE, QUALITY = 480, 78
+"""Side [px] and JPEG quality of the images."""
+CONTACT = ContactDefinition("object", 0.010)
+"""Of stable contact among the main metrics."""
+MAIN: Mapping[str, Metric] = {
+    "IOU": IOU, "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "rotation sym.": ROTATION_SYM, f"SCA {CONTACT.distance}": SCA,
+}  # fmt: skip
+"""Metrics at the top of the page, each under a short name."""
+PLOTTED: Mapping[str, Metric] = {"ADD, symmetries allowed": ADD_SYM_MM}
+"""Metrics of each frame that are plotted where they are known."""
+
+
+def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, Any], path: Path) -> Path:
+    """Write the page of a result and return its path.
+
+    ``evaluation`` is what ``evaluate`` gives for it, ``record`` the content of its ``result.json``. Raises
+    ``InputError`` for an image that cannot be read, ``UsageError`` for an unknown method.
+    """
+    view = motion.coarse(view)
+    shown = _shown(view)
+    some = view.at([view.result.frames[n] for n in shown])
+    where, packed = pack(motion.arrays(some))
+    crops = steady_windows(some, PICTURE)
+    data = {
+        **_summary(view, record),
+        "main": _main(evaluation["metrics"]),
+        "plots": _plots(view, evaluation["per_frame"]),
+        "times": seconds(view),
+        "shown": shown,
+        "frames": [{"name": some.result.frames[k], "kind": some.result.frame_kind[k]} for k in range(len(shown))],
+        "candidates": [{"energy": e, "scale": s} for e, s in _pairs(view)],
+        "pictures": [jpeg(image_in(some, k, crops, k), QUALITY) for k in range(len(shown))],
+        "size": PICTURE,
+        "outlines": _outlines(some, crops),
+        "tables": _tables(view, evaluation["metrics"], record),
+        "arrays": where,
+        "colours": {"object": FOUND, "hand": HAND_LINE, "true": TRUE, "observed": INK, "axis": AXIS},
+        "contact": f"within {1e3 * motion.CONTACT:g} mm",
+    }
+    page = document(
+        f"{view.clip.name}, {method_of(view.result.method).label}",
+        "report.html",
+        ("page.js", "scene.js", "viewer.js", "plots.js", "report.js"),
+        data,
+        packed,
+    )
+    with files.new_file(path) as part:
+        files.write_bytes(part, page.encode())
+    return path
+
+
+def _shown(view: View) -> Int[ndarray, "n"]:
+    """The frames that are played."""
+    T, iou = len(view.result.frames), view.result.iou
+    chosen = {int(n) for n in np.linspace(0, T - 1, min(T, FRAMES)).round()}
+    if not np.isnan(iou).all():
+        chosen.add(int(np.nanargmin(iou)))
+    return np.array(sorted(chosen))
+
+
+def _summary(view: View, record: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page says in words."""
+    result, clip = view.result, view.clip
+    facts = [method_of(result.method).label, f"{clip.category} in a {clip.side} hand", view.frames_in_words]
+    facts.append(f"scale {result.scale:.3f} is a guess" if clip.scale == "free" else "scale known")
+    return {
+        "name": clip.name,
+        "facts": facts,
+        "status": result.status,
+        "ambiguous": result.ambiguous,
+        "findings": [{"serious": f.serious, "check": f.check, "message": f.message} for f in result.findings],
+        "notes": [str(note) for note in result.notes],
+        "truth": clip.truth is not None,
+        "version": str(record.get("software", {}).get("getagrip", "")),
+    }
+
+
+def _main(metrics: Mapping[str, float]) -> list[dict[str, str]]:
+    """The main metrics that are known."""
+    out = []
+    for name, metric in MAIN.items():
+        if (value := metrics.get(metric.key(CONTACT))) is not None and not np.isnan(value):
+            out.append({"name": name, "value": f"{metric.text(value)}{unit_of(metric)}"})
+    return out
+
+
+def unit_of(metric: Metric) -> str:
+    """A metric's unit as it follows a number."""
+    return "°" if metric.unit == "deg" else f" {metric.unit}"
+
+
+def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[str, Any]]:
+    """Curves over all frames of the result."""
+    curve = angle_curve(view)
+    angles = [_line("reconstructed", np.degrees(curve.found), AXIS)]
+    if curve.true is not None:
+        angles.append(_line("ground truth", np.degrees(curve.true), TRUE))
+    plots: list[dict[str, Any]] = [
+        {"title": curve.title, "unit": "°", "lines": angles},
+        {
+            "title": "overlap with the mask (IOU)",
+            "unit": "%",
+            "lines": [_line("IOU", 100 * view.result.iou, FOUND)],
+            "upTo": (80, 100),
+        },
+        {
+            "title": "gap of hand and object (below 0: inside)",
+            "unit": "mm",
+            "lines": [_line("gap", motion.gap_mm(view), HAND_LINE)],
+            "upTo": (0, 0),
+        },
+    ]
+    for title, metric in PLOTTED.items():
+        if metric.name in per_frame:
+            line = _line(metric.name, np.array(per_frame[metric.name], dtype=float), TRUE)
+            plots.append({"title": title, "unit": metric.unit, "lines": [line], "upTo": (0, 0)})
+    return plots
+
+
+def _line(name: str, values: Float[ndarray, "T"], colour: str) -> dict[str, Any]:
+    return {"name": name, "values": np.round(values, 3), "colour": colour}
+
+
+def _pairs(view: View) -> list[tuple[float, float]]:
+    """Energy and scale of each candidate."""
+    candidates = view.result.candidates
+    return [(float(e), float(s)) for e, s in zip(candidates.energy, candidates.scale, strict=True)]
+
+
+def _outlines(view: View, crops: Crops) -> dict[str, Any]:
+    """Contours over each image: of each candidate, the hand, the ground truth and the observed mask."""
+    frames = range(len(view.clip))
+    result, true = view.result, view.true()
+    candidates = [
+        replace(view, result=replace(result, T_hand_obj=T, scale=float(scale)))
+        for T, scale in zip(result.candidates.T_hand_obj, result.candidates.scale, strict=True)
+    ]
+    out = {
+        "object": [[_contour(one, n, crops, "object") for n in frames] for one in candidates],
+        "hand": [_contour(view, n, crops, "hand") for n in frames],
+    }
+    if true is not None:
+        out["true"] = [_contour(true, n, crops, "object") for n in frames]
+    if view.masks is not None:
+        out["observed"] = [mask_path(view.masks.object[n], crops, n) for n in frames]
+    return out
+
+
+def _contour(view: View, n: int, crops: Crops, what: str) -> str:
+    K = intrinsics_of(view, n, crops, n)
+    surface = (view.hand(n), view.clip.hand.faces) if what == "hand" else (view.object(n), view.clip.mesh.faces)
+    return paths(silhouette_lines(*surface, K, crops.size))
+
+
+def _tables(view: View, metrics: Mapping[str, float], record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Everything else that is known, as tables of a name and a value."""
+    result = view.result
+    known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
+    values = [[key, f"{known[key].text(v)}{unit_of(known[key])}"] for key, v in metrics.items() if key in known]
+    tables = {
+        "Metrics (docs/metrics.md)": values,
+        "Checks": _rows(result.checks),
+        "Energy [px²]": _rows(result.energy),
+        "Time [s]": _rows(result.seconds),
+        "Options": [*_rows(result.options), ["seed", str(result.seed)]],
+        "Sources of the clip": _rows(view.clip.provenance),
+        "Software": _rows(record.get("software", {})),
+    }
+    return [{"title": title, "rows": rows} for title, rows in tables.items() if rows]
+
+
+def _rows(content: Mapping[str, Any]) -> list[list[str]]:
+    """Names and values as texts."""
+    return [[str(key), f"{value:.4g}" if isinstance(value, float) else str(value)] for key, value in content.items()]

@@ -1,0 +1,77 @@
+"""A result as a film: over its images and turned, side by side, as fast as the clip."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray
+
+from getagrip.errors import GetagripError
+from getagrip.fitting.methods import method_of
+from getagrip.io import files
+from getagrip.view.curves import seconds
+from getagrip.view.stills import overlay, steady_windows, turned
+from getagrip.view.style import INK
+from getagrip.view.tiles import View
+
+SIDE, STRIP, MARGIN = 540, 36, 12
+"""Side of the two pictures, height of the line of words under them, and what is left free around it [px]."""
+SLOWEST, FASTEST = 1.0, 120.0
+"""Frames per second."""
+QUALITY = "20"
+"""H.264's constant rate factor: lower is better."""
+
+
+def write_film(view: View, path: Path) -> Path:
+    """Write all frames of a result as MP4 (H.264) and return its path.
+
+    Raises ``InputError`` for an image that cannot be read, ``GetagripError`` where PyAV has no encoder for H.264.
+    """
+    import av
+
+    try:
+        av.codec.Codec("libx264", "w")
+    except av.codec.codec.UnknownCodecError as error:
+        raise GetagripError("PyAV was built without libx264: no film can be written") from error
+    with files.new_file(path) as part, av.open(str(part), "w", format="mp4", options={"movflags": "faststart"}) as film:
+        stream = film.add_stream("libx264", rate=_rate(view), options={"crf": QUALITY})
+        stream.width, stream.height, stream.pix_fmt = 2 * SIDE, SIDE + STRIP, "yuv420p"
+        for picture in _pictures(view):
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        film.mux(stream.encode())
+    return path
+
+
+def _rate(view: View) -> Fraction:
+    """Frames per second; fewer than the clip's where the result has only some of its frames."""
+    times = seconds(view)
+    lasts = float(times[-1] - times[0])
+    rate = (len(times) - 1) / lasts if lasts > 0.0 else view.clip.fps
+    return Fraction(float(np.clip(rate, SLOWEST, FASTEST))).limit_denominator(1001)
+
+
+def _pictures(view: View) -> Iterator[UInt8[ndarray, "H W 3"]]:
+    crops = steady_windows(view, SIDE)
+    result, clip = view.result, view.clip
+    shared = [method_of(result.method).label, *["scale is a guess"] * (clip.scale == "free")]
+    shared += ["ambiguous"] * result.ambiguous
+    for n, (name, kind) in enumerate(zip(result.frames, result.frame_kind, strict=True)):
+        under = "  ·  ".join([f"frame {name}", *[kind] * (kind == "interpolated"), *shared, clip.name])
+        pair = np.concatenate([overlay(view, n, crops, n), turned(view, n, crops, n)], axis=1)
+        yield np.concatenate([pair, _words(under)])
+
+
+def _words(words: str) -> UInt8[ndarray, "STRIP W 3"]:
+    """A line of words, cut where it is too long."""
+    from matplotlib import get_data_path
+    from PIL import Image, ImageDraw, ImageFont
+
+    font = ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), STRIP // 2)
+    strip = Image.new("RGB", (2 * SIDE, STRIP), "white")
+    draw = ImageDraw.Draw(strip)
+    draw.text((MARGIN, STRIP / 2), words, fill=INK, font=font, anchor="lm")
+    return np.asarray(strip)
