@@ -10,7 +10,8 @@ import pytest
 
 from getagrip.annotate.tasks import Task
 from getagrip.commands.annotate import DATABASE
-from helpers.annotation_page import CHROMIUM, Served, chromium, saved
+from helpers.annotation_page import Served, saved
+from helpers.browser import CHROMIUM, chromium
 from helpers.numbered_footage import BITS, FRAMES, write_video
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

@@ -1,13 +1,10 @@
-"""The annotation page: a server that can be stopped and started again, requests to it, and a browser."""
+"""The annotation page: a server that can be stopped and started again, and requests to it."""
 
 from __future__ import annotations
 
 import http.client
 import json
-import shutil
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +12,6 @@ from getagrip.annotate.project import Project
 from getagrip.annotate.server import Server
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task
-
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 class Served:
@@ -55,17 +50,6 @@ def ask(
     found = answer.status, dict(answer.getheaders()), answer.read()
     connection.close()
     return found
-
-
-@contextmanager
-def chromium() -> Iterator[Any]:
-    """A browser without a window."""
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 def saved(page: Any) -> None:

@@ -107,3 +107,4 @@ def test_the_demo_finds_the_mug_and_can_be_run_again(tmp_path: Path, monkeypatch
     assert result.clip == clip.name
     assert record["metrics"]["add_success"] == 1.0
     assert pixels_of(read_picture(tmp_path / "report.png"), AXIS) > 500
+    assert f'"name":"{name}"' in (tmp_path / "report.html").read_text("utf-8")

@@ -41,7 +41,7 @@ class Demo(Command):
     """Make a clip, reconstruct it, evaluate it, and draw a report."""
 
     out: Folder = Path("out/demo")
-    """Where the clip, the result and report.png go."""
+    """Where the clip, the result, report.png and report.html go."""
 
     def run(self) -> int:
         from getagrip.commands import demo

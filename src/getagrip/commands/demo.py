@@ -1,4 +1,4 @@
-"""``getagrip demo``: the whole way on a synthetic clip, from hands, masks and a mesh to a report."""
+"""``getagrip demo``: the whole way on a synthetic clip, from hands, masks and a mesh to a page that plays it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.evaluation import evaluate, results_table
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.io.terminal import console, progress_bar
-from getagrip.result import write_result
+from getagrip.pages import write_page
+from getagrip.result import read_record, write_result
 from getagrip.view.report import write_report
+from getagrip.view.tiles import View
 
 CATEGORY, SEED = "mug", 2
 CLIP = SceneOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)
@@ -20,7 +22,8 @@ CLIP = SceneOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)
 
 
 def run(out: Path) -> None:
-    """Make a clip, reconstruct it, print its metrics against the ground truth, and draw ``out/report.png``.
+    """Make a clip, reconstruct it, print its metrics against the ground truth, and draw
+    ``out/report.png`` and ``out/report.html``.
 
     The clip goes to ``out/clips/``, the result to ``out/<clip name>/``. What an earlier demo left there is used again
     (the clip) or replaced (result and report). Raises ``UsageError`` where something else is in the way.
@@ -46,7 +49,8 @@ def run(out: Path) -> None:
 
         bar.update(steps, completed=3.0, description="draw the report")
         report = write_report(result, clip, masks, out / "report.png", evaluation["metrics"])
-        screen.print(f"report   {report}\n")
+        page = write_page(View.of(result, clip, masks), evaluation, read_record(folder), out / "report.html")
+        screen.print(f"report   {report} and, to be opened in a browser, {page}\n")
     screen.print(results_table([evaluation]))
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from posixpath import commonpath
 from typing import Any
 from urllib.parse import quote
 
@@ -20,7 +21,7 @@ from getagrip.pages.report import CONTACT, MAIN
 from getagrip.view.stills import overlay, turned
 from getagrip.view.tiles import View, input_windows
 
-THUMBNAIL, QUALITY = 180, 72
+THUMBNAIL, QUALITY = 220, 72
 """Side of each of the two pictures of a result [px], and their JPEG quality."""
 PENETRATION = next(metric for metric in METRICS if metric.name == "penetration_object_mm")
 COLUMNS: Mapping[str, Metric] = {**MAIN, "penetration": PENETRATION}
@@ -90,8 +91,8 @@ def write_index(rows: Sequence[IndexRow], title: str, tables: Sequence[str], pat
     data = {
         "title": title,
         "rows": [
-            {**asdict(one), "link": f"./{quote(one.folder)}/report.html" if one.page else "", "set": _set(one.folder)}
-            for one in rows
+            {**asdict(one), "link": f"./{quote(one.folder)}/report.html" if one.page else "", "set": name}
+            for one, name in zip(rows, _sets([one.folder for one in rows]), strict=True)
         ],
         "columns": [
             {"name": name, "unit": units[name][0], "decimals": units[name][1], "more": units[name][0] == "%"}
@@ -107,6 +108,9 @@ def write_index(rows: Sequence[IndexRow], title: str, tables: Sequence[str], pat
     return path
 
 
-def _set(folder: str) -> str:
-    """The folder that a result shares with others, such as its method's in a benchmark."""
-    return folder.rpartition("/")[0]
+def _sets(folders: Sequence[str]) -> list[str]:
+    """The folder that each result shares with others, such as its method's in a benchmark; "" where all share one."""
+    parents = [PurePosixPath(folder).parent for folder in folders]
+    shared = PurePosixPath(commonpath(parents)) if parents else PurePosixPath()
+    names = [parent.relative_to(shared).as_posix() for parent in parents]
+    return ["" if name == "." else name for name in names]

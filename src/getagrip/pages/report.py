@@ -126,13 +126,13 @@ def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[st
     plots: list[dict[str, Any]] = [
         {"title": curve.title, "unit": "°", "lines": angles},
         {
-            "title": "overlap with the mask (IOU)",
+            "title": "overlap with the mask, IOU",
             "unit": "%",
             "lines": [_line("IOU", 100 * view.result.iou, FOUND)],
             "upTo": (80, 100),
         },
         {
-            "title": "gap of hand and object (below 0: inside)",
+            "title": "gap of hand and object",
             "unit": "mm",
             "lines": [_line("gap", motion.gap_mm(view), HAND_LINE)],
             "upTo": (0, 0),

@@ -12,7 +12,7 @@ from numpy import ndarray
 from scipy.ndimage import gaussian_filter1d
 
 from getagrip.geometry.camera import Crops
-from getagrip.view.style import AXIS, FOUND, HAND_LINE
+from getagrip.view.style import AXIS, FOUND, HAND_LINE, HIDDEN
 from getagrip.view.tiles import View, image_in, input_windows, intrinsics_of, posed, silhouette_lines
 
 STEADY = 0.35
@@ -36,9 +36,9 @@ def overlay(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size si
     """Frame ``n`` in window ``k``, with the contours of hand and object."""
     picture, K = image_in(view, n, crops, k), intrinsics_of(view, n, crops, k)
     hand = silhouette_lines(view.hand(n), view.clip.hand.faces, K, crops.size)
-    _draw(picture, hand, HAND_LINE, crops.size / 480.0)
+    _draw(picture, hand, HAND_LINE, crops.size / 400.0)
     found = silhouette_lines(view.object(n), view.clip.mesh.faces, K, crops.size)
-    _draw(picture, found, FOUND, crops.size / 320.0)
+    _draw(picture, found, FOUND, max(1.5, crops.size / 320.0))
     return picture
 
 
@@ -47,6 +47,7 @@ def turned(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size siz
     picture, line = posed(view, n, crops, k, from_side=True)
     if line is not None:
         uv, visible = line
+        _draw(picture, _stretches(uv, ~visible), HIDDEN, crops.size / 480.0, closed=False, halo=False)
         _draw(picture, _stretches(uv, visible), AXIS, crops.size / 320.0, closed=False)
     return picture
 
@@ -65,10 +66,11 @@ def _draw(
     colour: str,
     width: float,
     closed: bool = True,
+    halo: bool = True,
 ) -> None:
-    """Lines of a colour ``#rrggbb``, on a lighter halo."""
+    """Lines of a colour ``#rrggbb``, on a white halo if wanted."""
     rgb = tuple(bytes.fromhex(colour[1:]))
     # OpenCV counts from the centre of the first pixel
     points = [np.round((line - 0.5) * 2**SUBPIXEL).astype(np.int32)[:, None] for line in lines]
-    for drawn, thick in (((255, 255, 255), 2.6 * width), (rgb, 1.4 * width)):
+    for drawn, thick in (((255, 255, 255), 2.8 * width), (rgb, 1.3 * width))[not halo :]:
         cv2.polylines(picture, points, closed, drawn, max(1, round(thick)), cv2.LINE_AA, SUBPIXEL)

@@ -46,7 +46,7 @@ function linked(row, ...children) {
 
 const picture = (row) => row.thumbnail ? element("img", { src: `data:image/jpeg;base64,${row.thumbnail}`, alt: "", loading: "lazy" }) : "";
 const title = (row) => row.clip || row.folder;
-const about = (row) => row.problem || [row.method, row.set].filter(Boolean).join("  ·  ");
+const about = (row) => row.problem || row.set || row.method;
 
 function table(rows) {
   const by = byId("by").value;

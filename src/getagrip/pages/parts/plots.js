@@ -4,7 +4,7 @@
 class Plot {
   /** `times` are of all frames of the result; `jump` is called with the one that is clicked. */
   constructor({ title, unit, lines, upTo }, times, jump) {
-    const [W, H, left, top, right, bottom] = [400, 150, 40, 6, 8, 18];
+    const [W, H, left, top, right, bottom] = [300, 130, 34, 6, 6, 18];
     const values = lines.flatMap((line) => line.values).filter((value) => value !== null);
     const [least, most] = upTo || [Infinity, -Infinity];
     let low = Math.min(...values, least), high = Math.max(...values, most);
@@ -38,9 +38,10 @@ class Plot {
     this.value = element("b");
     this.lines = lines;
     this.unit = unit;
-    const legend = lines.length < 2 ? [] : lines.map((line) => element("span", {}, element("i", { class: "key", "data-colour": line.colour }), line.name));
-    for (const span of legend) span.firstChild.style.background = span.firstChild.dataset.colour;
-    this.figure = element("figure", { class: "plot" }, element("figcaption", {}, title, this.value), plot, element("p", {}, ...legend));
+    if (lines.length > 1) {
+      lines.forEach((line, k) => plot.append(element("text", { x: W / (k ? 1.9 : 2.1), y: H - 5, class: k ? "first" : "left", fill: line.colour }, line.name)));
+    }
+    this.figure = element("figure", { class: "plot" }, element("figcaption", {}, title, this.value), plot);
     const pick = (event) => {
       const box = plot.getBoundingClientRect();
       const time = (((event.clientX - box.left) / box.width) * W - left) / (W - left - right) * last;

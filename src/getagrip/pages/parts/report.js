@@ -139,7 +139,7 @@ function scene(arrays, overlay) {
   };
   options.append(choice("seen from", [["camera", "the camera"], ["hand", "the hand"], ["object", "the object"]], (value) => viewer.standIn(value)));
   if (data.candidates.length > 1) {
-    const names = data.candidates.map(({ energy }, k) => [k, `${k ? `candidate ${k + 1}` : "the result"}, energy ${energy.toPrecision(4)}`]);
+    const names = data.candidates.map(({ energy }, k) => [k, `${k ? `candidate ${k + 1}` : "the result"}, energy ${Number(energy.toPrecision(4))}`]);
     options.append(choice("pose", names, (value) => {
       viewer.candidate = overlay.candidate = Number(value);
       viewer.ask();

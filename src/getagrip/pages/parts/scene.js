@@ -64,19 +64,21 @@ function turn(pitch, yaw) {
   return product([1, 0, 0, 0, 0, a, -b, 0, 0, b, a, 0, 0, 0, 0, 1], [c, 0, d, 0, 0, 1, 0, 0, -d, 0, c, 0, 0, 0, 0, 1]);
 }
 
-/** Unit normals of vertices: the sum of their faces', by area. */
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+
+/** Unit normals of vertices: the sum of their faces', by the angles at the vertex. */
 function normalsOf(vertices, faces) {
   const out = new Float32Array(vertices.length);
-  const sides = new Float32Array(6);
   for (let f = 0; f < faces.length; f += 3) {
-    const [i, j, k] = [3 * faces[f], 3 * faces[f + 1], 3 * faces[f + 2]];
-    for (let x = 0; x < 3; x += 1) {
-      sides[x] = vertices[j + x] - vertices[i + x];
-      sides[3 + x] = vertices[k + x] - vertices[i + x];
-    }
-    const [a, b, c, d, e, g] = sides;
-    const across = [b * g - c * e, c * d - a * g, a * e - b * d];
-    for (const corner of [i, j, k]) for (let x = 0; x < 3; x += 1) out[corner + x] += across[x];
+    const ids = [3 * faces[f], 3 * faces[f + 1], 3 * faces[f + 2]];
+    const sides = ids.map((id, n) => [0, 1, 2].map((x) => vertices[ids[(n + 1) % 3] + x] - vertices[id + x]));
+    const across = cross(sides[0], sides[1]), area = Math.hypot(...across);
+    if (area === 0) continue;
+    ids.forEach((id, n) => {
+      const angle = Math.atan2(area, -dot(sides[n], sides[(n + 2) % 3]));
+      for (let x = 0; x < 3; x += 1) out[id + x] += (angle / area) * across[x];
+    });
   }
   for (let v = 0; v < out.length; v += 3) {
     const length = Math.hypot(out[v], out[v + 1], out[v + 2]) || 1;
@@ -90,7 +92,6 @@ function rod(from, to, radius, sides = 12) {
   const along = to.map((value, n) => value - from[n]);
   const length = Math.hypot(...along);
   const other = Math.abs(along[0]) < 0.6 * length ? [1, 0, 0] : [0, 1, 0];
-  const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const unit = (a) => a.map((value) => value / Math.hypot(...a));
   const u = unit(cross(along, other)), v = unit(cross(along, u));
   const vertices = [], faces = [];

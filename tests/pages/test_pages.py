@@ -1,0 +1,179 @@
+"""The pages in a real browser, from disk: nothing is asked for, the object is there and moves, names stay text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from getagrip.clip import input_sha256, write_clip
+from getagrip.commands.report import Wanted, report
+from getagrip.finding import Finding
+from getagrip.geometry import se3
+from getagrip.result import Axis, Candidates, write_result
+from helpers.browser import CHROMIUM, WEBGL, chromium
+from helpers.egg_and_mug import egg_and_mug, perfect
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine"),
+]
+EVIL = "<img src=x onerror=hacked=1><script>hacked=1<"
+"""As a clip's name; with a slash it could not name a folder."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: Any) -> Path:
+    """Two results of one clip, one of them moved, and one that cannot be read; with pages and an index."""
+    root: Path = tmp_path_factory.mktemp("pages")
+    clip, masks = egg_and_mug()
+    clip = replace(clip, name=EVIL, category="</script><script>hacked=1</script>")
+    written = write_clip(clip, masks, root / "clips" / "evil")
+    good = perfect(clip, EVIL)
+    T = good.T_hand_obj @ se3.rigid(t=np.array([0.0, 0.03, 0.0]))
+    finding = Finding("mask-fit", True, 0.1, 0.7, f"</script>{EVIL}")
+    axis = Axis(np.array([0.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.linspace(0.0, 0.4, len(clip)))
+    pair = Candidates(np.stack([T, good.T_hand_obj]), np.ones(2), np.array([1.0, 2.0]))
+    moved = replace(
+        good, method="one-dof", T_hand_obj=T, iou=np.linspace(0.9, 0.4, len(clip)), findings=(finding,), axis=axis,
+        notes=(f"a guess: {EVIL}",), candidates=pair, ambiguous=True,
+    )  # fmt: skip
+    checksum = input_sha256(written)
+    for name, result in (("good", good), ("moved", moved)):
+        write_result(result, root / name / "one", checksum, clip_folder=written)
+    (root / "bad").mkdir()
+    (root / "bad" / "result.json").write_text('{"version": 1}')
+    assert report([root], Wanted(), 1, debug=False) == 1
+    assert (root / "moved" / "one" / "report.html").stat().st_size < 1_000_000
+    return root
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium(*WEBGL) as browser:
+        yield browser
+
+
+@pytest.fixture
+def page(browser: Any) -> Iterator[Any]:
+    """A tab in which anything that is asked for but the files themselves, and any word in the console, is a failure."""
+    tab = browser.new_page(viewport={"width": 900, "height": 760})
+    asked, said = [], []
+    tab.on("request", lambda request: asked.append(request.url))
+    tab.on("console", lambda message: said.append(message.text))
+    tab.on("pageerror", lambda error: said.append(str(error)))
+    yield tab
+    assert said == []
+    assert all(url.startswith(("file:", "data:image/jpeg;base64,")) for url in asked)
+    assert sum(url.startswith("file:") for url in asked) == 1 + tab.evaluate("window.links || 0")
+    assert tab.evaluate("typeof hacked") == "undefined"
+    tab.close()
+
+
+def opened(page: Any, path: Path) -> Any:
+    page.goto(path.as_uri())
+    page.locator("body[data-ready]").wait_for()
+    return page
+
+
+def canvas(page: Any) -> np.ndarray:
+    """What the 3D view shows, once it has drawn: (H, W, 3) RGB between 0 and 1."""
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    encoded = np.frombuffer(page.locator("#scene").screenshot(), dtype=np.uint8)
+    picture = cv2.imdecode(encoded, cv2.IMREAD_COLOR)
+    assert picture is not None
+    return picture[..., ::-1] / 255.0
+
+
+def bluish(picture: np.ndarray) -> np.ndarray:
+    """The object's pixels, in whatever light."""
+    return np.asarray((picture[..., 2] > 1.25 * picture[..., 0]) & (picture[..., 2] > picture[..., 1]))
+
+
+def slide(page: Any, place: int) -> None:
+    page.locator("#slider").fill(str(place))
+
+
+def test_the_object_is_there_and_moves_with_the_slider(page: Any, folder: Path) -> None:
+    opened(page, folder / "moved" / "one" / "report.html")
+    assert page.evaluate("document.body.dataset.ready") == "3d"
+    first = bluish(canvas(page))
+    assert first.mean() > 0.01
+    slide(page, 4)
+    assert "frame 000004" in page.inner_text("#frame")
+    last = bluish(canvas(page))
+    assert (first != last).mean() > 0.01
+    outline = page.locator("#outlines .object .line")
+    moved = outline.get_attribute("d")
+    page.get_by_label("pose").select_option("1")
+    assert (bluish(canvas(page)) != last).mean() > 0.005
+    assert outline.get_attribute("d") != moved
+    page.get_by_label("object", exact=True).first.uncheck()
+    assert bluish(canvas(page)).mean() < 0.001
+    page.get_by_label("seen from").select_option("hand")
+    page.get_by_label("pose").select_option("0")
+    page.get_by_label("object", exact=True).first.check()
+    still = bluish(canvas(page))
+    page.mouse.move(300, 400)
+    page.mouse.down()
+    page.mouse.move(380, 420)
+    page.mouse.up()
+    assert (bluish(canvas(page)) != still).mean() > 0.005
+
+
+def test_playing_goes_on_and_a_click_on_a_plot_jumps(page: Any, folder: Path) -> None:
+    opened(page, folder / "moved" / "one" / "report.html")
+    page.click("#play")
+    playwright.expect(page.locator("#frame")).to_contain_text("4 of 5")
+    page.click("#play")
+    plot = page.locator(".plot svg").nth(1)
+    plot.click(position={"x": 0.5 * plot.bounding_box()["width"], "y": 40})
+    assert "3 of 5" in page.inner_text("#frame")
+    assert page.inner_text(".plot:nth-child(2) b") == "65.0 %"
+    for key, place in (("ArrowRight", 4), ("ArrowLeft", 3)):
+        page.keyboard.press(key)
+        assert f"{place} of 5" in page.inner_text("#frame")
+
+
+def test_words_of_strangers_stay_words(page: Any, folder: Path) -> None:
+    opened(page, folder / "moved" / "one" / "report.html")
+    assert page.inner_text("#name") == EVIL
+    assert page.title() == f"{EVIL}, 1-DoF, ours"
+    assert page.locator("img").count() == 1
+    assert page.locator("#doubts li").all_inner_texts() == [
+        "note ambiguous: another pose explains the masks almost as well; the candidates below show it",
+        f"serious mask-fit: </script>{EVIL}",
+    ]
+    assert page.inner_text("#notes li") == f"a guess: {EVIL}"
+
+
+def test_the_index_sorts_filters_and_links(page: Any, folder: Path) -> None:
+    opened(page, folder / "index.html")
+
+    def sets() -> list[str]:
+        return [text.split("\n")[1] for text in page.locator("tbody .name").all_inner_texts()]
+
+    assert sets()[:2] == ["moved", "good"]  # the worst first, what has no value last
+    assert "bad/result.json" in sets()[2]
+    page.locator("#order").select_option("best")
+    assert sets()[:2] == ["good", "moved"]
+    page.get_by_role("button", name="worst frame").click()
+    assert sets()[:2] == ["moved", "good"]
+    assert page.locator("tbody .value.by").first.inner_text() == "40.0"
+    page.locator("#flags").select_option("serious")
+    assert sets() == ["moved"]
+    page.locator("#flags").select_option("any")
+    page.fill("#words", "mask-fit onerror")
+    assert sets() == ["moved"]
+    page.locator("#form").select_option("gallery")
+    assert page.locator(".gallery figure").count() == 1
+    page.evaluate("window.links = 1")
+    page.click(".gallery a >> nth=0")
+    page.locator("body[data-ready='3d']").wait_for()
+    page.evaluate("window.links = 1")
