@@ -54,6 +54,8 @@ def arrays(view: View) -> dict[str, ndarray]:
     }
     if result.axis is not None:
         out["axis"] = axis_points(view)[[0, -1]]
+    if view.clip.world is not None:
+        out["T_world_cam"] = view.clip.world.T_world_cam
     if view.clip.truth is not None:
         out["true_T_cam_obj"] = view.clip.truth.T_cam_obj
         out["true_scale"] = np.array([view.clip.truth.scale])

@@ -137,7 +137,8 @@ function scene(arrays, overlay) {
     viewer.shown[name] = on;
     viewer.ask();
   };
-  options.append(choice("seen from", [["camera", "the camera"], ["hand", "the hand"], ["object", "the object"]], (value) => viewer.standIn(value)));
+  const stands = ["camera", "hand", "object", "world"].filter((name) => name !== "world" || arrays.T_world_cam);
+  options.append(choice("seen from", stands.map((name) => [name, `the ${name}`]), (value) => viewer.standIn(value)));
   if (data.candidates.length > 1) {
     const names = data.candidates.map(({ energy }, k) => [k, `${k ? `candidate ${k + 1}` : "the result"}, energy ${Number(energy.toPrecision(4))}`]);
     options.append(choice("pose", names, (value) => {

@@ -63,6 +63,7 @@ class Viewer {
   /** The pose of the camera frame in the frame to stand in. */
   T_stand_cam() {
     const T_hand_cam = inverse([...this.at("T_cam_hand")]);
+    if (this.stand === "world") return [...this.at("T_world_cam")];
     if (this.stand === "hand") return T_hand_cam;
     return this.stand === "object" ? product(inverse(this.inHand()), T_hand_cam) : IDENTITY;
   }
