@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from getagrip.errors import UsageError
-from getagrip.export import arrays_npz, bop, gltf, obj_sequence, poses_csv, usd
+from getagrip.export import arrays_npz, bop, gltf, mujoco, obj_sequence, poses_csv, usd
 from getagrip.export.scene import Scene
 from getagrip.io import files
 
@@ -20,6 +20,7 @@ FORMATS: dict[str, Write] = {
     "glb": gltf.write,
     "bop": bop.write,
     "usd": usd.write,
+    "mujoco": mujoco.write,
 }
 ABOUT = "about.json"
 

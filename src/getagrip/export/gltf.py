@@ -70,11 +70,8 @@ def _extras(scene: Scene) -> dict[str, Any]:
 
 
 def _rotations(T: Float[ndarray, "T 4 4"]) -> Shaped[ndarray, "T 4"]:
-    """Quaternions (x, y, z, w), each on the side of the one before it, so that those between are the short way."""
-    q = np.roll(se3.quaternion(T[:, :3, :3]), -1, axis=1)
-    turn = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))
-    q[1:] *= turn[:, None]
-    return q.astype(np.float32)
+    """Quaternions (x, y, z, w)."""
+    return np.roll(se3.quaternions_in_time(T[:, :3, :3]), -1, axis=1).astype(np.float32)
 
 
 def _mesh(

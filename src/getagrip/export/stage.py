@@ -41,18 +41,9 @@ class Stage:
             T, words = scene.world.T_world_cam, "the clip's world"
         if up is None:
             up = -T[0, :3, 1]
-        turn = se3.rigid(_turned_up(up / np.linalg.norm(up)))
+        turn = se3.rigid(se3.between(up / np.linalg.norm(up), Z))
         return Stage(np.asarray(turn @ T), f"{words}, turned z up; metres")
 
     def poses(self, scene: Scene) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 4 4"]]:
         """(T, 4, 4) poses of the object and of the hand on the stage."""
         return np.asarray(self.T_stage_cam @ scene.T_cam_obj), np.asarray(self.T_stage_cam @ scene.T_cam_hand)
-
-
-def _turned_up(up: Float[ndarray, "3"]) -> Float[ndarray, "3 3"]:
-    """The smallest rotation that takes ``up`` to z."""
-    axis, cosine = np.cross(up, Z), float(up @ Z)
-    if cosine < -1.0 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    hat = se3.hat(axis)
-    return np.asarray(np.eye(3) + hat + hat @ hat / (1.0 + cosine))

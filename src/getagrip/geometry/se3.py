@@ -81,6 +81,27 @@ def quaternion(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 4"]:
     return np.where(q[..., :1] < 0, -q, q)
 
 
+def quaternions_in_time(R: Float[ndarray, "T 3 3"]) -> Float[ndarray, "T 4"]:
+    """Quaternions (w, x, y, z), each on the side of the one before it, so that those between are the short way."""
+    q = quaternion(R)
+    q[1:] *= np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
+    return q
+
+
+def between(a: Float[ndarray, "*#batch 3"], b: Float[ndarray, "*#batch 3"]) -> Float[ndarray, "*batch 3 3"]:
+    """The smallest rotation that takes the unit vector a to the unit vector b."""
+    a, b = np.broadcast_arrays(a, b)
+    cosine = np.sum(a * b, axis=-1)
+    W = hat(np.cross(a, b))
+    opposite = cosine < -1.0 + 1e-9
+    R = np.eye(3) + W + W @ W / np.where(opposite, 1.0, 1.0 + cosine)[..., None, None]
+    side = np.eye(3)[np.argmin(np.abs(a), axis=-1)]  # half a turn about any line across
+    across = side - np.sum(side * a, axis=-1, keepdims=True) * a
+    across = across / np.linalg.norm(across, axis=-1, keepdims=True)
+    half = 2.0 * across[..., :, None] * across[..., None, :] - np.eye(3)
+    return np.where(opposite[..., None, None], half, R)
+
+
 def from_quaternion(q: Float[ndarray, "*batch 4"]) -> Float[ndarray, "*batch 3 3"]:
     """Rotation matrix of a quaternion (w, x, y, z); the quaternion need not have unit length."""
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
