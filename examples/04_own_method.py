@@ -2,7 +2,8 @@
 
     python examples/04_own_method.py OUT
 
-compares it with two others on two synthetic clips; tables and results go into OUT (default: out/own-method).
+compares it with the default on two synthetic clips; tables and results go into OUT (default: out/own-method). What
+follows OUT goes to `getagrip bench` as it is.
 """
 
 import sys
@@ -34,5 +35,5 @@ if __name__ == "__main__":
     from getagrip.cli import main  # after METHODS is complete: the choices of --methods are made from it
 
     out = Path(sys.argv[1] if len(sys.argv) > 1 else "out/own-method")
-    methods = ["static", "soft-hinge", "coarse-static"]
-    sys.exit(main(["bench", "synthetic", "--clips", "2", "--out", str(out), "--methods", *methods]))
+    methods = ["soft-hinge", "coarse-static"]
+    sys.exit(main(["bench", "synthetic", "--clips", "2", "--out", str(out), "--methods", *methods, *sys.argv[2:]]))

@@ -20,6 +20,8 @@ EXAMPLES = {path.name[:2]: path for path in sorted((ROOT / "examples").glob("*.p
 
 Call = Callable[..., str]
 
+QUICK = ("--clips", "1", "--workers", "2", "--inits", "6")
+
 
 @pytest.fixture
 def printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
@@ -84,7 +86,9 @@ def test_a_real_dataset(printed: Call) -> None:
 
 @pytest.mark.slow
 def test_a_method_of_ones_own_in_the_benchmark(tmp_path: Path) -> None:
-    assert "coarse-static" in in_a_process(EXAMPLES["04"], tmp_path, "out")  # the benchmark's processes import it
+    assert "coarse-static" in in_a_process(
+        EXAMPLES["04"], tmp_path, "out", *QUICK
+    )  # the benchmark's processes import it
     assert "coarse-static" in (tmp_path / "out" / "methods.md").read_text()
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,6 @@ import pytest
 from getagrip.checks import INPUT_CHECKS, Evidence, examine
 from getagrip.checks.hand_side import bend
 from getagrip.clip import Clip, Masks, write_clip
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError
 from getagrip.experiments.settings import Wrong
 from getagrip.experiments.wrong_inputs import MISTAKES
@@ -22,14 +19,13 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.reconstruct import reconstruct
 from helpers.command_line import Run
+from helpers.scenes import SMALL, scene
 
-SMALL = SceneOptions(frames=8, size=(320, 240), focal=300.0)
 QUICK = Options(inits=6)
 
 
-@cache
 def mug(side: str = "right") -> tuple[Clip, Masks]:
-    return synthesise("mug", 2, replace(SMALL, side=side))
+    return scene("mug", 2, replace(SMALL, side=side))
 
 
 def faults(clip: Clip, masks: Masks) -> set[str]:

@@ -15,11 +15,10 @@ import pytest
 
 import getagrip
 from getagrip.clip import read_clip, read_masks, write_clip
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.result import read_result
 from helpers.command_line import Run
 from helpers.paths import ROOT
+from helpers.scenes import SHORT, scene
 
 QUICK = ("--inits", "8", "--frames", "4")
 
@@ -29,8 +28,7 @@ def made(tmp_path_factory: Any) -> Path:
     """A folder of two clips, a can and a box; nothing in it is changed by tests."""
     folder: Path = tmp_path_factory.mktemp("made") / "clips"
     for name in ("can", "box"):
-        clip, masks = synthesise(name, 0, SceneOptions(frames=4, size=(320, 240), focal=300.0))
-        write_clip(clip, masks, folder / name)
+        write_clip(*scene(name, 0, SHORT), folder / name)
     return folder
 
 

@@ -57,7 +57,10 @@ def test_the_pot_is_held_from_first_to_last_frame(clips: Path, points: str) -> N
 
 
 def test_they_are_reconstructed(clips: Path, tmp_path: Path) -> None:
-    assert main(["reconstruct", str(clips), "--out", str(tmp_path), "--workers", "1"]) == 0
+    assert (
+        main(["reconstruct", str(clips), "--out", str(tmp_path), "--workers", "1", "--inits", "20", "--frames", "12"])
+        == 0
+    )
     for name in HOLDS:
         metrics = evaluate_result(tmp_path / name, clips)["metrics"]
         assert metrics["add_success"] == 1.0, (name, metrics["add_mm"])

@@ -46,6 +46,7 @@ from getagrip.fitting.options import Departures, Options
 from getagrip.grasps import lists
 from getagrip.result import read_result
 from helpers.command_line import Run
+from helpers.scenes import SHORT, scene
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +54,14 @@ def made(tmp_path_factory: Any) -> Path:
     """A folder of two clips; nothing in it is changed by tests."""
     folder: Path = tmp_path_factory.mktemp("made") / "clips"
     for category in ("can", "box"):
-        write_clip(*synthesise(category, 0, SceneOptions(frames=4, size=(320, 240), focal=300.0)), folder / category)
+        write_clip(*scene(category, 0, SHORT), folder / category)
     return folder
+
+
+@pytest.fixture
+def unplotted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pictures: they take longer than small runs."""
+    monkeypatch.setattr("getagrip.experiments.plots.plot", lambda *_: None)
 
 
 def score(variant: str, value: float, failed: bool = False) -> Score:
@@ -247,7 +254,7 @@ def test_departures_lead_step_by_step_from_the_paper_to_ours() -> None:
 
 @pytest.mark.slow
 def test_scale_made_free_and_known_again() -> None:
-    clip, masks = synthesise("can", 0, SceneOptions(frames=2, size=(320, 240), focal=300.0))
+    clip, masks = scene("can", 0, SHORT)
     free, _ = ScaleFree()(clip, masks, 0)
     assert free.scale == "free"
     assert free.truth is not None
@@ -316,6 +323,7 @@ def hand_file(folder: Path, clip: Clip, frames: list[int], mm: float = 0.0, **ex
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unplotted")
 def test_hands_are_compared_on_the_frames_that_all_have(made: Path, tmp_path: Path, run: Run) -> None:
     for name in ("can", "box"):
         clip = read_clip(made / name)
@@ -493,7 +501,7 @@ def test_a_folder_of_synthetic_clips_belongs_to_one_preset(tmp_path: Path) -> No
 @pytest.mark.slow
 def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
     folder = tmp_path / "clips"
-    clip, masks = synthesise("can", 0, SceneOptions(frames=2, size=(320, 240), focal=300.0))
+    clip, masks = scene("can", 0, SHORT)
     for n in range(7):
         name = f"subject-{n}--sequence--can"
         write_clip(replace(clip, name=name), masks, folder / name)

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks, read_clip, read_masks, write_clip
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.evaluation import evaluate
 from getagrip.fitting import every_frame
 from getagrip.fitting.every_frame import interpolated
@@ -20,17 +18,20 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
 from getagrip.result import Reconstruction, read_result, write_result
+from helpers.scenes import SMALL, scene
 
 HIDDEN = (5, 6)
 QUICK = Options(inits=6, frames=5)
+LONGER = replace(SMALL, frames=13)
 
 
 @cache
 def made() -> tuple[Clip, Masks]:
     """A clip whose object is hidden in two frames."""
-    clip, masks = synthesise("mug", 2, SceneOptions(frames=13, size=(320, 240), focal=300.0))
-    masks.object[list(HIDDEN)] = False
-    return clip, masks
+    clip, masks = scene("mug", 2, LONGER)
+    seen = masks.object.copy()
+    seen[list(HIDDEN)] = False
+    return clip, replace(masks, object=seen)
 
 
 @cache
@@ -121,7 +122,7 @@ def test_between_two_poses_lies_the_shortest_way_and_beyond_the_ends_nothing_mov
 @pytest.mark.slow
 def test_a_corrected_hand_is_corrected_in_every_frame() -> None:
     """A constant error of the hand: what is found of it in the sampled frames holds in the others, too."""
-    clip, masks = synthesise("mug", 2, SceneOptions(frames=13, size=(320, 240), focal=300.0))
+    clip, masks = scene("mug", 2, LONGER)
     error = se3.rigid(se3.exp_so3(np.array([0.0, 0.06, 0.06])), np.array([0.006, 0.0, 0.0]))
     turned = clip.with_hand_at(clip.hand.T_cam_hand @ error)
     result = reconstruct(turned, masks, QUICK)

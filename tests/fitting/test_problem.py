@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import Clip, Masks, read_clip, read_masks, write_clip
@@ -42,6 +42,7 @@ def prepared(clip: Clip, options: Options, sampled: bool) -> Problem | str:
 frame_numbers = st.lists(st.integers(0, FRAMES - 1), max_size=FRAMES)
 
 
+@settings(max_examples=10)
 @given(unseen=frame_numbers, hidden=frame_numbers, frames=st.integers(2, FRAMES + 3))
 @pytest.mark.slow
 def test_what_is_read_in_part_is_what_is_read_whole(

@@ -13,7 +13,6 @@ from numpy import ndarray
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.evaluation import evaluate
@@ -24,22 +23,17 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.result import Reconstruction
 from helpers.clips import small_clip
+from helpers.scenes import SMALL, scene
 
-SMALL = SceneOptions(frames=8, size=(320, 240), focal=300.0)
 STILL = replace(SMALL, turn_deg=(0.0, 0.0), residual_deg=0.0, residual_mm=0.0)
 
 
-@cache
-def made(category: str, seed: int, options: SceneOptions = SMALL) -> tuple[Clip, Masks]:
-    return synthesise(category, seed, options)
-
-
-DEFAULT = Options()
+DEFAULT = Options(inits=25)
 
 
 @cache
 def found(category: str, seed: int, clip_options: SceneOptions = SMALL, options: Options = DEFAULT) -> Reconstruction:
-    return reconstruct(*made(category, seed, clip_options), options)
+    return reconstruct(*scene(category, seed, clip_options), options)
 
 
 def scores(result: Reconstruction, clip: Clip, masks: Masks) -> dict[str, Any]:
@@ -64,7 +58,7 @@ def apart(a: ndarray, b: ndarray) -> float:
 @pytest.mark.parametrize(("category", "seed"), [("mug", 2), ("box", 1), ("spoon", 1), ("kettle", 1)])
 @pytest.mark.slow
 def test_a_hinged_object_is_recovered(category: str, seed: int) -> None:
-    clip, masks = made(category, seed)
+    clip, masks = scene(category, seed)
     result = found(category, seed)
     metrics = scores(result, clip, masks)
     assert metrics["add_sym_success"] == 1.0
@@ -77,7 +71,7 @@ def test_a_hinged_object_is_recovered(category: str, seed: int) -> None:
 @pytest.mark.slow
 def test_an_unknown_scale_is_recovered(category: str, seed: int) -> None:
     options = replace(SMALL, scale="free")
-    metrics = scores(found(category, seed, options), *made(category, seed, options))
+    metrics = scores(found(category, seed, options), *scene(category, seed, options))
     assert metrics["add_sym_success"] == 1.0
     assert abs(metrics["scale_error"]) < 0.05
 
@@ -85,15 +79,15 @@ def test_an_unknown_scale_is_recovered(category: str, seed: int) -> None:
 @pytest.mark.parametrize(("category", "seed"), [("mug", 2), ("box", 1)])
 @pytest.mark.slow
 def test_the_dynamic_method_recovers_a_free_motion(category: str, seed: int) -> None:
-    result = found(category, seed, SMALL, Options(method="dynamic"))
-    assert scores(result, *made(category, seed))["add_sym_success"] == 1.0
+    result = found(category, seed, SMALL, replace(DEFAULT, method="dynamic"))
+    assert scores(result, *scene(category, seed))["add_sym_success"] == 1.0
     assert result.axis is None
 
 
 @pytest.mark.slow
 def test_the_static_method_recovers_a_still_object() -> None:
-    result = found("mug", 2, STILL, Options(method="static"))
-    metrics = scores(result, *made("mug", 2, STILL))
+    result = found("mug", 2, STILL, replace(DEFAULT, method="static"))
+    metrics = scores(result, *scene("mug", 2, STILL))
     assert metrics["add_success"] == 1.0
     assert metrics["add_mm"] < 5.0
     assert result.axis is None
@@ -103,14 +97,14 @@ def test_the_static_method_recovers_a_still_object() -> None:
 @pytest.mark.slow
 def test_a_still_object_is_found_still() -> None:
     result = found("mug", 2, STILL)
-    assert scores(result, *made("mug", 2, STILL))["add_success"] == 1.0
+    assert scores(result, *scene("mug", 2, STILL))["add_success"] == 1.0
     assert np.ptp(np.degrees(se3.angle_between(result.T_hand_obj[:1, :3, :3], result.T_hand_obj[:, :3, :3]))) < 5.0
 
 
 @pytest.mark.slow
 def test_noise_on_hands_and_masks_is_borne() -> None:
     noisy = replace(SMALL, hand_jitter_deg=1.0, hand_jitter_mm=2.0, mask_ragged_px=0.7)
-    assert scores(found("kettle", 1, noisy), *made("kettle", 1, noisy))["add_sym_success"] == 1.0
+    assert scores(found("kettle", 1, noisy), *scene("kettle", 1, noisy))["add_sym_success"] == 1.0
 
 
 # What a result holds
@@ -119,8 +113,8 @@ def test_noise_on_hands_and_masks_is_borne() -> None:
 @pytest.mark.parametrize("method", ["soft-hinge", "one-dof", "static", "dynamic"])
 @pytest.mark.slow
 def test_what_a_result_holds(method: Any) -> None:
-    clip, _ = made("mug", 2)
-    result = found("mug", 2, SMALL, Options(method=method))
+    clip, _ = scene("mug", 2)
+    result = found("mug", 2, SMALL, replace(DEFAULT, method=method))
     assert result.clip == clip.name
     assert result.method == method
     assert result.frames == clip.frames
@@ -142,7 +136,7 @@ def test_what_a_result_holds(method: Any) -> None:
 @pytest.mark.slow
 def test_the_axis_describes_the_motion() -> None:
     """Eq. 3: from frame to frame the object turns about the axis by the difference of the angles."""
-    result = found("mug", 2, SMALL, Options(method="one-dof"))
+    result = found("mug", 2, SMALL, replace(DEFAULT, method="one-dof"))
     axis = result.axis
     assert axis is not None
     assert np.linalg.norm(axis.direction) == pytest.approx(1.0)
@@ -153,7 +147,7 @@ def test_the_axis_describes_the_motion() -> None:
 
 @pytest.mark.slow
 def test_an_axis_through_the_hand() -> None:
-    axis = found("mug", 2, SMALL, Options(axis="hand")).axis
+    axis = found("mug", 2, SMALL, replace(DEFAULT, axis="hand")).axis
     assert axis is not None
     np.testing.assert_array_equal(axis.point, np.zeros(3))
 
@@ -161,7 +155,7 @@ def test_an_axis_through_the_hand() -> None:
 @pytest.mark.slow
 def test_progress_is_reported_after_each_stage() -> None:
     calls: list[tuple[str, float]] = []
-    result = reconstruct(*made("spoon", 1), Options(inits=8), lambda stage, part: calls.append((stage, part)))
+    result = reconstruct(*scene("spoon", 1), Options(inits=8), lambda stage, part: calls.append((stage, part)))
     assert [stage for stage, _ in calls] == [k for k in result.seconds if k != "total"]
     assert calls[-1][1] == pytest.approx(1.0)
     assert (np.diff([part for _, part in calls]) > 0).all()
@@ -169,7 +163,7 @@ def test_progress_is_reported_after_each_stage() -> None:
 
 @pytest.mark.slow
 def test_frames_are_sampled_linearly() -> None:
-    clip, masks = made("spoon", 1)
+    clip, masks = scene("spoon", 1)
     result = reconstruct(clip, masks, Options(inits=8, frames=3))
     assert result.frames_of("sampled").tolist() == [0, 4, 7]
     assert result.T_hand_obj.shape == (8, 4, 4)
@@ -177,7 +171,7 @@ def test_frames_are_sampled_linearly() -> None:
 
 @pytest.mark.slow
 def test_the_truth_explains_clean_masks() -> None:
-    clip, masks = made("kettle", 1)
+    clip, masks = scene("kettle", 1)
     assert clip.truth is not None
     T_hand_obj = se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
     assert image_iou(clip, masks, T_hand_obj, clip.truth.scale).min() > 0.999  # two rasterisers, one or two pixels
@@ -188,7 +182,7 @@ def test_the_truth_explains_clean_masks() -> None:
 
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_result_to_the_bit() -> None:
-    a, b = (reconstruct(*made("spoon", 1), Options(seed=4)) for _ in range(2))
+    a, b = (reconstruct(*scene("spoon", 1), replace(DEFAULT, seed=4)) for _ in range(2))
     np.testing.assert_array_equal(a.T_hand_obj, b.T_hand_obj)
     np.testing.assert_array_equal(a.candidates.energy, b.candidates.energy)
     assert a.energy == b.energy
@@ -196,8 +190,8 @@ def test_the_same_seed_gives_the_same_result_to_the_bit() -> None:
 
 @pytest.mark.slow
 def test_another_seed_finds_the_same() -> None:
-    a, b = (reconstruct(*made("kettle", 1), Options(seed=seed)) for seed in (0, 1))
-    mesh = made("kettle", 1)[0].mesh
+    a, b = (reconstruct(*scene("kettle", 1), replace(DEFAULT, seed=seed)) for seed in (0, 1))
+    mesh = scene("kettle", 1)[0].mesh
     assert 0.0 < apart(posed(a, mesh), posed(b, mesh)) < 0.02 * mesh.diameter
 
 
@@ -217,16 +211,16 @@ def _reframed(clip: Clip, T_new_old: ndarray) -> Clip:
 @pytest.mark.slow
 def test_the_frame_of_the_cad_does_not_matter(T: ndarray, tolerance: float) -> None:
     """Turned, the search starts from other poses of the object, and ends where it did."""
-    clip, masks = made("kettle", 1)
+    clip, masks = scene("kettle", 1)
     other = _reframed(clip, T)
-    a, b = found("kettle", 1), reconstruct(other, masks)
+    a, b = found("kettle", 1), reconstruct(other, masks, DEFAULT)
     assert apart(posed(a, clip.mesh), posed(b, other.mesh)) < tolerance * clip.mesh.diameter
 
 
 @pytest.mark.slow
 def test_turning_the_camera_about_its_axis_does_not_matter() -> None:
     """A quarter turn: pixel (u, v) of a picture of width W becomes (v, W - u)."""
-    clip, masks = made("kettle", 1)
+    clip, masks = scene("kettle", 1)
     width, height = clip.size
     (fx, fy), (cx, cy) = clip.K[0, [0, 1], [0, 1]], clip.K[0, :2, 2]
     K = np.tile([[fy, 0.0, cy], [0.0, fx, width - cx], [0.0, 0.0, 1.0]], (len(clip), 1, 1))
@@ -234,7 +228,7 @@ def test_turning_the_camera_about_its_axis_does_not_matter() -> None:
     hand = replace(clip.hand, T_cam_hand=turn @ clip.hand.T_cam_hand)
     turned = replace(clip, K=K, size=(height, width), hand=hand, truth=None)
     quarter = Masks(*(np.ascontiguousarray(np.rot90(m, axes=(1, 2))) for m in (masks.object, masks.ignore)))
-    a, b = found("kettle", 1), reconstruct(turned, quarter)
+    a, b = found("kettle", 1), reconstruct(turned, quarter, DEFAULT)
     assert apart(posed(a, clip.mesh), posed(b, clip.mesh)) < 0.02 * clip.mesh.diameter
 
 
@@ -242,19 +236,19 @@ def test_turning_the_camera_about_its_axis_does_not_matter() -> None:
 def test_a_left_hand_is_a_right_hand_in_a_mirror() -> None:
     left = replace(SMALL, side="left")
     a, b = found("kettle", 1), found("kettle", 1, left)
-    mesh, mirrored = made("kettle", 1)[0].mesh, made("kettle", 1, left)[0].mesh
+    mesh, mirrored = scene("kettle", 1)[0].mesh, scene("kettle", 1, left)[0].mesh
     assert apart(posed(a, mesh), posed(b, mirrored) * [-1.0, 1.0, 1.0]) < 0.02 * mesh.diameter
 
 
 @pytest.mark.slow
 def test_the_size_of_the_pixels_does_not_matter() -> None:
     """Masks of twice the resolution give the same object."""
-    clip, masks = made("kettle", 1)
+    clip, masks = scene("kettle", 1)
     double = np.diag([2.0, 2.0, 1.0])
     width, height = clip.size
     finer = replace(clip, K=double @ clip.K, size=(2 * width, 2 * height), truth=None)
     grown = Masks(*(m.repeat(2, axis=1).repeat(2, axis=2) for m in (masks.object, masks.ignore)))
-    a, b = found("kettle", 1), reconstruct(finer, grown)
+    a, b = found("kettle", 1), reconstruct(finer, grown, DEFAULT)
     assert apart(posed(a, clip.mesh), posed(b, clip.mesh)) < 0.01 * clip.mesh.diameter
 
 
@@ -286,7 +280,7 @@ def test_one_visible_frame_is_refused(refused: Callable[..., str]) -> None:
 
 @pytest.mark.slow
 def test_frames_without_a_visible_object_are_left_out_and_reported() -> None:
-    clip, masks = made("spoon", 1)
+    clip, masks = scene("spoon", 1)
     seen = masks.object.copy()
     seen[[2, 5]] = False
     result = reconstruct(clip, Masks(seen, masks.ignore), Options(inits=8))
@@ -296,7 +290,7 @@ def test_frames_without_a_visible_object_are_left_out_and_reported() -> None:
 
 
 def test_an_object_behind_the_camera_is_reported() -> None:
-    clip, masks = made("spoon", 1)
+    clip, masks = scene("spoon", 1)
     behind = clip.hand.T_cam_hand.copy()
     behind[:, 2, 3] -= 10.0
     with pytest.raises(GetagripError, match="behind the camera"):
@@ -306,7 +300,7 @@ def test_an_object_behind_the_camera_is_reported() -> None:
 @pytest.mark.parametrize("inits", [1, 2])
 @pytest.mark.slow
 def test_few_starts_and_two_frames_will_do(inits: int) -> None:
-    clip, masks = made("spoon", 1)
+    clip, masks = scene("spoon", 1)
     index = np.array([0, 7])
     result = reconstruct(clip.take(index), Masks(masks.object[index], masks.ignore[index]), Options(inits=inits))
     assert np.isfinite(result.T_hand_obj).all()
@@ -324,7 +318,7 @@ def test_a_single_visible_pixel_will_do() -> None:
 @pytest.mark.slow
 def test_hidden_pixels_may_be_counted_for_an_ablation() -> None:
     with_ignore = found("kettle", 1)
-    without = found("kettle", 1, SMALL, Options(occlusion=False))
+    without = found("kettle", 1, SMALL, replace(DEFAULT, occlusion=False))
     assert without.options["occlusion"] is False
     assert without.energy["mask"] > with_ignore.energy["mask"]
 
@@ -338,7 +332,7 @@ def test_blas_runs_on_one_thread_and_has_its_own_again_after_that() -> None:
         return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
 
     during = set[int]()
-    clip, masks = made("box", 1)
+    clip, masks = scene("box", 1)
     with threadpool_limits(2, user_api="blas"):
         reconstruct(clip, masks, Options(inits=1), lambda *_: during.update(threads()))
         assert threads() == {2}

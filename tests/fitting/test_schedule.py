@@ -6,17 +6,15 @@ from itertools import pairwise
 
 import pytest
 
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.fitting.schedule import THOROUGH, USUAL
+from helpers.scenes import scene
 
 
 @pytest.mark.slow
 def test_the_longer_search_finds_no_worse_and_says_what_it_was() -> None:
-    clip, masks = synthesise("mug", 2, SceneOptions(frames=8, size=(320, 240), focal=300.0))
-    usual, longer = (reconstruct(clip, masks, Options(inits=20, thorough=thorough)) for thorough in (False, True))
+    usual, longer = (reconstruct(*scene("mug", 2), Options(inits=20, thorough=thorough)) for thorough in (False, True))
     assert longer.energy["total"] < 1.01 * usual.energy["total"]
     assert (usual.options["thorough"], longer.options["thorough"]) == (False, True)
 

@@ -82,7 +82,7 @@ def test_angles_are_the_best_of_all(seed: int) -> None:
             assert np.all(least <= each_energy(hinge.at(np.full(len(R), angle)), (R, c), size) + 1e-9)
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(seeds)
 @pytest.mark.slow
 def test_an_exact_hinge_is_found_exactly(seed: int) -> None:
@@ -137,7 +137,7 @@ def test_random_restarts_find_no_better_hinge(noise: float, through: np.ndarray 
     rng = np.random.default_rng(int(100 * noise))
     R, c = noisy(rng, noise)
     best = pose_hinge(R, c, SIZE, through).energy(R, c)
-    for _ in range(8):
+    for _ in range(5):
         start = replace(exact(rng, through)[0], R=se3.exp_so3(2.0 * rng.normal(size=3)))
         assert best <= _refined(start, R, c, through, 60).energy(R, c) * (1.0 + 1e-6)
 
@@ -271,7 +271,7 @@ def test_all_is_written_and_printed(run: Run, tmp_path: Path) -> None:
     far = replace(away.truth, T_cam_obj=away.truth.T_cam_obj @ se3.rigid(t=np.array([0.2, 0.0, 0.0])))
     write_clip(replace(away, truth=far), None, tmp_path / "clips" / "away")
     out, file = tmp_path / "out", tmp_path / "study.json"
-    options = ("--tau", 0.3, "--contact-mm", 5, "--shortest", 10, "--out", out, "--json", file)
+    options = ("--tau", 0.3, "--contact-mm", 5, "--shortest", 10, "--workers", 1, "--out", out, "--json", file)
     status, printed, err = run("study", tmp_path / "clips", *options)
     assert (status, err) == (0, "")
     assert "2 stable grasps in 2 of 3 clips" in printed

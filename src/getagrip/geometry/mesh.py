@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip.geometry.rows import same_rows
 from getagrip.io.array_data import ArrayData, check_ids
 
 PAIRS = 50_000
@@ -115,9 +116,9 @@ def edge_table(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
     position = np.arange(len(order))
     rank = np.empty_like(position)
     rank[order] = position - np.maximum.accumulate(np.where(first, position, 0))
-    _, pair = np.unique(np.stack([low, high, rank]), axis=1, return_inverse=True)
+    pair = same_rows(np.stack([low, high, rank], axis=1))
     halves = np.full((pair.max() + 1, 2), -1)
-    halves[pair.ravel(), forward] = position
+    halves[pair, forward] = position
     head = np.where(halves[:, 1] >= 0, halves[:, 1], halves[:, 0])
     both = halves.min(axis=1) >= 0
     f2 = np.where(both, face[halves[:, 0]], len(faces))
@@ -156,8 +157,9 @@ def diameter(points: Float[ndarray, "V 3"]) -> float:
 
 def merged(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
     """For each vertex the index of the first vertex at the same place."""
-    _, first, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    return np.asarray(first[inverse.ravel()], dtype=np.int64)
+    place = same_rows(vertices)
+    _, first = np.unique(place, return_index=True)
+    return np.asarray(first[place], dtype=np.int64)
 
 
 def decimate(mesh: Mesh, faces: int) -> Mesh:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from getagrip.geometry.rows import same_rows
 from getagrip.kernels.silhouette import OPTIONS
 
 SLACK = 0.867
@@ -68,16 +69,13 @@ class FaceGrid:
 def pseudonormals(corners: np.ndarray) -> np.ndarray:
     """Unit normals (F, 7, 3) at the corners, edges and inside of faces (F, 3, 3), those shared weighted by angle."""
     F = len(corners)
-    _, vertex = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    vertex = vertex.reshape(F, 3)
+    vertex = same_rows(corners.reshape(-1, 3)).reshape(F, 3)
     along = np.roll(corners, -1, axis=1) - corners
     normal = np.cross(along[:, 0], along[:, 1])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     unit = along / np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-300)
     angle = np.arccos(np.clip(-np.sum(unit * np.roll(unit, 1, axis=1), axis=2), -1.0, 1.0))
-    _, edge = np.unique(
-        np.sort(np.stack([vertex, np.roll(vertex, -1, axis=1)], axis=-1).reshape(-1, 2)), axis=0, return_inverse=True
-    )
+    edge = same_rows(np.sort(np.stack([vertex, np.roll(vertex, -1, axis=1)], axis=-1).reshape(-1, 2)))
     out = np.empty((F, 7, 3))
     out[:, 6] = normal
     for at, ids, weight in ((slice(0, 3), vertex, angle), (slice(3, 6), edge.reshape(F, 3), np.ones((F, 3)))):

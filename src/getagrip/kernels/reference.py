@@ -70,8 +70,8 @@ def mask_energy(
     Its limit, ``integral of C_o |M_o - Pi|`` over the plane, is what the contour's gradient is the gradient of.
     """
     fine = silhouette(uvz * [finer, finer, 1.0], faces, (finer * len(observed), finer * observed.shape[1]))
-    grow = np.ones((finer, finer), bool)
-    return mismatch(fine, np.kron(observed, grow), np.kron(valid, grow)) / finer**2
+    observed, valid = (mask.repeat(finer, axis=0).repeat(finer, axis=1) for mask in (observed, valid))
+    return mismatch(fine, observed, valid) / finer**2
 
 
 def silhouette_edges(

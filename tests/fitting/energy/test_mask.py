@@ -65,13 +65,16 @@ def test_e_mask_is_zero_at_the_truth_and_positive_elsewhere(which: str, occluded
     assert (term(off, no_bound(off)).value > 10.0).all()
 
 
+def enlarged(mask: ndarray, finer: int) -> ndarray:
+    return mask.repeat(finer, axis=0).repeat(finer, axis=1)
+
+
 def smooth_energy(term: MaskTerm, mesh: Mesh, poses: PosesInCamera, finer: int = 8) -> ndarray:
     """E_mask (1, N) of silhouettes drawn finer than the masks, as ``reference.mask_energy`` says."""
     o = term.observation
-    grow = np.ones((finer, finer), bool)
     drawn = pack(rendered(mesh, poses, o.K * finer, (CROP * finer, CROP * finer)))
     energy = [
-        mismatch(drawn[n], *(pack(np.kron(unpack(bits[CROP][n], CROP), grow)) for bits in (o.observed, o.valid)))
+        mismatch(drawn[n], *(pack(enlarged(unpack(bits[CROP][n], CROP), finer)) for bits in (o.observed, o.valid)))
         for n in range(len(drawn))
     ]
     return np.array([energy]) / finer**2

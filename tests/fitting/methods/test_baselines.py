@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError
 from getagrip.evaluation import evaluate
@@ -23,19 +22,14 @@ from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
 from getagrip.result import Reconstruction
 from helpers.clips import small_clip
+from helpers.scenes import SMALL, scene
 
-SMALL = SceneOptions(frames=8, size=(320, 240), focal=300.0)
 BASELINES = ("single-frame", "homan", "contact-consistency")
 
 
 @cache
-def made(category: str, seed: int, options: SceneOptions = SMALL) -> tuple[Clip, Masks]:
-    return synthesise(category, seed, options)
-
-
-@cache
 def found(method: Any, category: str, seed: int, options: SceneOptions = SMALL) -> Reconstruction:
-    return reconstruct(*made(category, seed, options), Options(method=method))
+    return reconstruct(*scene(category, seed, options), Options(method=method, inits=25))
 
 
 def scores(result: Reconstruction, clip: Clip, masks: Masks) -> dict[str, float]:
@@ -45,7 +39,7 @@ def scores(result: Reconstruction, clip: Clip, masks: Masks) -> dict[str, float]
 @pytest.mark.parametrize("method", BASELINES)
 @pytest.mark.slow
 def test_a_kettle_is_recovered(method: str) -> None:
-    metrics = scores(found(method, "kettle", 1), *made("kettle", 1))
+    metrics = scores(found(method, "kettle", 1), *scene("kettle", 1))
     assert metrics["add_sym_success"] == 1.0
     assert metrics["iou"] > 0.9
 
@@ -54,7 +48,7 @@ def test_a_kettle_is_recovered(method: str) -> None:
 @pytest.mark.slow
 def test_an_unknown_scale_is_recovered(method: str) -> None:
     options = replace(SMALL, scale="free")
-    metrics = scores(found(method, "kettle", 1, options), *made("kettle", 1, options))
+    metrics = scores(found(method, "kettle", 1, options), *scene("kettle", 1, options))
     assert abs(metrics["scale_error"]) < 0.15
     assert metrics["iou"] > 0.85
 
@@ -65,7 +59,7 @@ def test_what_a_result_holds(method: str) -> None:
     result = found(method, "kettle", 1)
     assert result.method == method
     assert result.options["method"] == method
-    assert result.frames == made("kettle", 1)[0].frames
+    assert result.frames == scene("kettle", 1)[0].frames
     assert se3.is_rigid(result.T_hand_obj).all()
     assert result.axis is None
     np.testing.assert_array_equal(result.candidates.T_hand_obj[0], result.T_hand_obj)
@@ -75,7 +69,7 @@ def test_what_a_result_holds(method: str) -> None:
 
 @pytest.mark.slow
 def test_a_single_frame_knows_nothing_of_the_others() -> None:
-    clip, masks = made("spoon", 1)
+    clip, masks = scene("spoon", 1)
     back = np.arange(len(clip))[::-1]
     options = Options(method="single-frame", inits=12)
     forth = reconstruct(clip, masks, options)
@@ -86,7 +80,7 @@ def test_a_single_frame_knows_nothing_of_the_others() -> None:
 @pytest.mark.slow
 def test_consistency_holds_the_object_stiller_than_dynamic() -> None:
     def spread(result: Reconstruction) -> float:
-        held = se3.transform(result.T_hand_obj, made("mug", 2)[0].mesh.vertices)
+        held = se3.transform(result.T_hand_obj, scene("mug", 2)[0].mesh.vertices)
         return float(np.linalg.norm(held - held.mean(axis=0), axis=-1).mean())
 
     assert spread(found("contact-consistency", "mug", 2)) < spread(found("dynamic", "mug", 2))
