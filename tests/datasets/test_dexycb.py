@@ -12,6 +12,7 @@ from getagrip.datasets.cutting import clip as clip_of
 from getagrip.datasets.cutting import pieces
 from getagrip.datasets.dataset import clips
 from getagrip.datasets.dexycb import recording as files
+from getagrip.datasets.dexycb.calibration import intrinsics as intrinsics_of
 from getagrip.datasets.dexycb.reader import WITHIN_10_MM, DexYcb, fit_hand
 from getagrip.datasets.dexycb.recording import PACKED_K, Poses, Recording, bent_side, find
 from getagrip.datasets.tracks import subject_of
@@ -470,7 +471,7 @@ def test_import_writes_clips_and_goes_on_where_it_stopped(root, tmp_path, capsys
 def test_real_labels_and_intrinsics_are_read():
     poses, joints = files._label(DATA / "frame" / "labels.npz", 4)
     assert se3.is_rigid(np.concatenate([poses, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (4, 1, 1))], axis=1)).all()
-    K = files._intrinsics(DATA / "frame" / "836212060125_640x480.yml")
+    K = intrinsics_of(DATA / "frame" / "836212060125_640x480.yml")
     label = np.load(DATA / "frame" / "labels.npz")
     uv = joints @ K.T
     np.testing.assert_allclose(uv[:, :2] / uv[:, 2:] - 0.5, label["joint_2d"][0], atol=1e-3)
