@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from getagrip.errors import UsageError
-from getagrip.export import arrays_npz, bop, gltf, mujoco, obj_sequence, poses_csv, usd
+from getagrip.export import arrays_npz, bop, dex_retargeting, gltf, mujoco, obj_sequence, poses_csv, spider, usd
 from getagrip.export.scene import Scene
 from getagrip.io import files
 
@@ -21,6 +21,8 @@ FORMATS: dict[str, Write] = {
     "bop": bop.write,
     "usd": usd.write,
     "mujoco": mujoco.write,
+    "spider": spider.write,
+    "dex-retargeting": dex_retargeting.write,
 }
 ABOUT = "about.json"
 

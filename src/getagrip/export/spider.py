@@ -1,0 +1,63 @@
+"""SPIDER (Pan et al., 2025; https://github.com/facebookresearch/spider): keypoint trajectories in its folders.
+
+As its readers of datasets write them: ``trajectory_keypoints.npz`` with, for each side, the poses of the wrist (T, 7),
+of the five fingertips (T, 5, 7) and of the object (T, 7), each a position [m] and a quaternion (w, x, y, z), z up; and
+``task_info.json`` with the time between frames and the folder of ``visual.obj``. The wrist's z points to the middle
+knuckle. What the clip does not have is the identity.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from getagrip.export.palm import RING, TIPS, WRIST, besides, joints_on_stage, palm, pose7
+from getagrip.export.scene import Scene, word
+from getagrip.export.stage import Stage
+from getagrip.geometry import se3
+from getagrip.geometry.mesh_files import write_mesh
+from getagrip.io import arrays, files
+
+DATASET = "getagrip"
+IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+def write(scene: Scene, folder: Path) -> dict[str, str]:
+    """Write SPIDER's ``processed`` folder. Raises ``UsageError`` where joints are not known."""
+    stage = Stage.of(scene)
+    joints = joints_on_stage(scene, stage, "spider")
+    T_stage_obj, _ = stage.poses(scene)
+    count = len(scene.frames)
+    given = {
+        "wrist": pose7(se3.rigid(palm(joints, scene.side, RING), joints[:, WRIST]), "wxyz"),
+        "finger": np.concatenate([joints[:, TIPS], np.tile(IDENTITY[3:], (count, len(TIPS), 1))], axis=-1),
+        "obj": pose7(T_stage_obj, "wxyz"),
+    }
+    content = {}
+    for side in ("right", "left"):
+        for name, poses in given.items():
+            content[f"qpos_{name}_{side}"] = poses if side == scene.side else np.broadcast_to(IDENTITY, poses.shape)
+    content |= {"timestamps": np.round(1e9 * scene.time).astype(np.int64), "joints": joints, **besides(scene)}
+    task, mesh_folder = word(scene.name), f"processed/{DATASET}/assets/objects/{word(scene.name)}"
+    clip_folder = f"processed/{DATASET}/mano/{scene.side}/{task}"
+    trajectory, info, mesh = f"{clip_folder}/0/trajectory_keypoints.npz", f"{clip_folder}/task_info.json", "visual.obj"
+    (folder / trajectory).parent.mkdir(parents=True)
+    (folder / mesh_folder).mkdir(parents=True)
+    arrays.write(folder / trajectory, content)
+    write_mesh(scene.object, folder / mesh_folder / mesh)
+    about = {
+        "task": task,
+        "dataset_name": DATASET,
+        "robot_type": "mano",
+        "embodiment_type": scene.side,
+        "data_id": 0,
+        **{f"{side}_object_mesh_dir": mesh_folder if side == scene.side else None for side in ("right", "left")},
+        "ref_dt": float(np.median(np.diff(scene.time))) if count > 1 else 1.0 / scene.fps,
+    }
+    files.write_json(folder / info, about)
+    return {
+        trajectory: f"positions and quaternions (w, x, y, z); {stage.words}; T_a_b, time_s, frame_kind are ours",
+        info: "SPIDER's record; ref_dt, the time between frames [s], is the median; folders are relative; metres",
+        f"{mesh_folder}/{mesh}": "the object at the size that was found; metres",
+    }
