@@ -13,8 +13,8 @@ beside the true tracks of the same frames (``artigrasp``). What to know of it:
   estimated hand stands here as far from the true origin of the object as from the estimated one, and what is off in
   both, or in the object's place, counts as the hand's error.
 - The camera is not given. It stands still, so its orientation is that which takes the true rotations of the object to
-  the estimated ones, their median over the sequence: a constant error of the object's rotation (1 to 5 degrees, as
-  sequences before the same camera differ) counts as the hand's, too. Its distance and focal length are assumed.
+  the estimated ones, their median over the sequence: a constant error of the object's rotation counts as the hand's,
+  too. Its distance and focal length are assumed.
 
 The generic hand is fitted to the estimated joints as to the true ones. Clips are given the estimated hand; the true one
 is the ground truth, cuts sequences to grasps and hides the object in the masks.
@@ -38,11 +38,12 @@ from getagrip.datasets.assumed_camera import facing
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.fitted_hands import describe_fit, fit_hand
-from getagrip.datasets.joint_tracks import tracks
+from getagrip.datasets.joint_tracks import Motion, tracks
 from getagrip.datasets.tracks import Source, Track
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.grasps.options import GraspOptions
+from getagrip.hands.model import Side
 
 NOT_ESTIMATED = 10
 """Frames at either end without an estimate."""
@@ -59,20 +60,52 @@ class EstimatedArtiGrasp(TrackedDataset):
 
     def sources(self) -> list[Source]:
         """The sequences with estimates below ``root``, ArtiGrasp's folder or its ``rsc``."""
-        rsc = artigrasp.folder_rsc(self.root)
-        found = sorted(rsc.glob(f"arctic/*/*{ESTIMATED}/*.object.npy"))
-        if not found:
-            given = f"no arctic/<object>/<subject>{ESTIMATED}/<sequence>.object.npy in it"
-            raise InputError(self.root, "", given, "ArtiGrasp's folder, or its rsc")
+        rsc, found = files(self.root)
         return [Source(f"{f.parent.name}/{artigrasp.sequence_of(f)}", partial(_read, rsc, f)) for f in found]
+
+
+def files(root: Path) -> tuple[Path, list[Path]]:
+    """ArtiGrasp's ``rsc``, and the file of the estimated object of each sequence. Raises ``InputError``."""
+    rsc = artigrasp.folder_rsc(root)
+    found = sorted(rsc.glob(f"arctic/*/*{ESTIMATED}/*.object.npy"))
+    if not found:
+        given = f"no arctic/<object>/<subject>{ESTIMATED}/<sequence>.object.npy in it"
+        raise InputError(root, "", given, "ArtiGrasp's folder, or its rsc")
+    return rsc, found
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """A sequence as it truly was, before the camera of the estimates, and joints of the estimated hands there."""
+
+    true: Motion
+    T_cam_world: Float[ndarray, "T 4 4"]
+    joints: dict[Side, Float[ndarray, "T 21 3"]]
+    """In the camera frame [m], in this package's order."""
 
 
 def _read(rsc: Path, file: Path, note: Note) -> Iterator[Track]:
     """The object in each hand over a sequence, by the file of the estimated object."""
+    estimates = read_estimates(rsc, file, note)
+    if estimates is None:
+        return
+    for track in tracks(estimates.true):
+        given = fit_hand(file, f"{track.side} joints", track.side, estimates.joints[track.side])
+        provenance = {
+            "hands": "the generic hand, fitted to 21 joints that were estimated from images; placed by the object's "
+            "true place, since the estimates hold the object still",
+            "truth": "the generic hand, fitted to the true 21 joints: " + track.provenance["hand_fit"],
+            "hand_fit": describe_fit(given.residuals) + ", over the sequence",
+        }
+        yield replace(track, given_hand=given.track, provenance=track.provenance | provenance)
+
+
+def read_estimates(rsc: Path, file: Path, note: Note) -> Estimates | None:
+    """A sequence, by the file of the estimated object; None where too few frames are right. Raises ``InputError``."""
     subject, sequence = file.parent.name.removesuffix(ESTIMATED), artigrasp.sequence_of(file)
     motion = artigrasp.true_motion(rsc, file.parents[1] / subject / file.name, note, NOT_ESTIMATED)
     if motion is None:
-        return
+        return None
     poses = artigrasp.numbers(file, (-1, 7))
     if len(poses) <= motion.numbers[-1]:
         raise InputError(file, "", f"{len(poses)} frames", f"{motion.numbers[-1] + 1} or more, as of {motion.file}")
@@ -85,15 +118,9 @@ def _read(rsc: Path, file: Path, note: Note) -> Iterator[Track]:
     camera = facing(R_cam_world, centres, "a guess but for its orientation, which is that of the estimates; fixed")
     origin = template.joint.point[None]  # the template's: what an estimate of the object places
     displaced = se3.transform(camera.T_cam_world @ motion.T_world_obj, origin) - se3.transform(T_estimate_obj, origin)
-    for track in tracks(replace(motion, camera=camera)):
-        given = fit_hand(file, f"{track.side} joints", track.side, estimated[track.side] + displaced)
-        provenance = {
-            "hands": "the generic hand, fitted to 21 joints that were estimated from images; placed by the object's "
-            "true place, since the estimates hold the object still",
-            "truth": "the generic hand, fitted to the true 21 joints: " + track.provenance["hand_fit"],
-            "hand_fit": describe_fit(given.residuals) + ", over the sequence",
-        }
-        yield replace(track, given_hand=given.track, provenance=track.provenance | provenance)
+    return Estimates(
+        replace(motion, camera=camera), camera.T_cam_world, {side: j + displaced for side, j in estimated.items()}
+    )
 
 
 def median_rotation(R: Float[ndarray, "T 3 3"]) -> Float[ndarray, "3 3"]:

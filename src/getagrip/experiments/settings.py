@@ -162,7 +162,7 @@ def _hand_noise(mm: float) -> Setting:
 
 
 def _noise_level(name: str) -> Setting:
-    """The hands of an assumed level of noise; the masks stay as they are."""
+    """The hands of a level of noise; the masks stay as they are."""
     return Setting(name, change=Noisy(replace(NOISE[name], mask_ragged_px=0.0)))
 
 
@@ -216,8 +216,16 @@ ABLATIONS: dict[str, Ablation] = {
         (
             Setting("none"),
             *(_hand_noise(mm) for mm in (2.5, 5.0, 7.5, 10.0)),
-            _noise_level("moderate"),
-            _noise_level("strong"),
+            *map(_noise_level, ("moderate", "strong", "estimated")),
+        ),
+    ),
+    "estimated-hands": Ablation(
+        "Hands that are off as estimates from images are: as given, or corrected by their own pixels",
+        "none",
+        (
+            Setting("none"),
+            replace(_noise_level("estimated"), label="as given", options={"hands": "as-given"}),
+            replace(_noise_level("estimated"), label="corrected", options={"hands": "corrected"}),
         ),
     ),
     "hand-correction": Ablation(

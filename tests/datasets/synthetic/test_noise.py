@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import Clip, Masks
+from getagrip.datasets.synthetic.error_curves import ERROR_MEASURES, draw, measure
+from getagrip.datasets.synthetic.estimated_hands import LENGTHS, MEASURED
 from getagrip.datasets.synthetic.noise import NOISE, Noise, noisy_hand, perturbed, ragged
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
@@ -137,6 +139,61 @@ def test_ragged_masks_keep_to_the_object_and_an_empty_one_stays_empty(made: tupl
     assert 0.8 < both.sum() / union.sum() < 1.0
     empty = np.zeros((20, 30), dtype=bool)
     assert not ragged(empty, 2.0, np.random.default_rng(0)).any()
+
+
+def test_clips_differ_in_how_far_they_are_off_and_the_usual_one_is_off_by_the_bias(made: tuple[Clip, Masks]) -> None:
+    noise = Noise(hand_bias_deg=10.0, spread=0.6)
+    turns = np.array([displaced(made[0], noise, seed)[0] for seed in range(200)])
+    np.testing.assert_allclose(turns, turns[:, :1].repeat(turns.shape[1], axis=1), rtol=1e-6)
+    logs = np.log(turns[:, 0] / 10.0)
+    assert abs(np.median(logs)) < 0.15
+    assert logs.std() == pytest.approx(0.6, rel=0.2)
+
+
+def test_outliers_have_their_share_their_duration_and_one_error_each(made: tuple[Clip, Masks]) -> None:
+    noise = Noise(hand_jitter_mm=1.0, outlier_share=0.2, outlier_times=1000.0, outlier_s=0.2)
+    shifts = np.stack([displaced(made[0], noise, seed)[1] for seed in range(40)])
+    in_hand = np.einsum("nij,sni->snj", made[0].hand.T_cam_hand[:, :3, :3], shifts)
+    out = np.linalg.norm(in_hand, axis=-1) > 30.0
+    assert out.mean() == pytest.approx(0.2, abs=0.05)
+    starts = out[:, 1:] & ~out[:, :-1]
+    assert out.sum() / (starts.sum() + out[:, 0].sum()) == pytest.approx(0.2 * made[0].fps, rel=0.25)
+    follow = out[:, 1:] & out[:, :-1]
+    same = np.linalg.norm(in_hand[:, 1:] - in_hand[:, :-1], axis=-1) < 20.0  # but for jitter, and bursts that touch
+    assert same[follow].mean() > 0.8
+
+
+def test_spread_and_outliers_leave_the_other_draws_as_they_are(made: tuple[Clip, Masks]) -> None:
+    plain = Noise(hand_bias_deg=2.0, hand_jitter_mm=1.0, finger_bias_deg=5.0, mask_ragged_px=1.0)
+    a, b = (perturbed(*made, noise, 7) for noise in (plain, replace(plain, outlier_share=1e-9, outlier_times=3.0)))
+    np.testing.assert_array_equal(a[0].hand.T_cam_hand, b[0].hand.T_cam_hand)
+    np.testing.assert_array_equal(a[0].hand.vertices, b[0].hand.vertices)
+    np.testing.assert_array_equal(a[1].object, b[1].object)
+
+
+def test_measures_of_drawn_errors_are_those_that_were_drawn() -> None:
+    rng = np.random.default_rng(0)
+    noise = Noise(
+        hand_bias_deg=12.0, hand_jitter_deg=3.0, hand_bias_depth_mm=20.0, hand_jitter_depth_mm=5.0, hand_jitter_mm=0.1,
+        finger_bias_deg=10.0, finger_jitter_deg=4.0, jitter_memory_s=0.05,
+    )  # fmt: skip
+    clips = [draw(noise, 200, 30.0, rng).curves for _ in range(40)]
+    found = measure(clips, 30.0)
+    for name, expected in (("turn_bias", 12.0), ("turn_jitter", 3.0), ("finger_bias", 10.0), ("finger_jitter", 4.0)):
+        assert np.degrees(found[name]) == pytest.approx(expected, rel=0.15)
+    assert found["depth_bias"] == pytest.approx(0.020, rel=0.05)
+    assert found["depth_jitter"] == pytest.approx(0.005, rel=0.1)
+    assert found["across_bias"] < 1e-4
+    assert found["memory"] == pytest.approx(0.05, rel=0.3)
+    assert found["outlier_share"] < 0.01
+
+
+def test_errors_drawn_as_estimated_have_the_measures_of_the_estimates() -> None:
+    rng = np.random.default_rng(0)
+    clips = [draw(NOISE["estimated"], int(n), 30.0, rng).curves for n in rng.choice(LENGTHS, 300)]
+    found = measure(clips, 30.0)
+    for name in {*ERROR_MEASURES, "spread"} - {"finger_bias", "finger_jitter"}:
+        assert found[name] == pytest.approx(MEASURED[name], rel=0.25), name
 
 
 def test_the_strong_level_displaces_hands_further_than_the_moderate_level(made: tuple[Clip, Masks]) -> None:

@@ -7,10 +7,11 @@ A tracker's hand in frame n is the true one, displaced:
 w_n turns the hand about its middle, s_n shifts it in any direction, and d_n shifts it along the camera's ray r through
 its middle: the direction that one image constrains least. The fingers' joints are bent as well. Every error has a
 **bias**, the same in all frames, and **jitter**, an autoregressive process: e_n = a e_(n-1) + sqrt(1 - a^2) white
-noise, with a = exp(-1 / (fps memory)), so that errors of neighbouring frames are alike.
+noise, with a = exp(-1 / (fps memory)), so that errors of neighbouring frames are alike. Clips may differ in how far
+they are off, and frames in bursts may be **outliers** (``error_curves``).
 
-The levels ``moderate`` and ``strong`` are assumptions, not measurements of any tracker: see "Noise levels" in
-docs/datasets.md.
+The level ``estimated`` has errors as they were measured of hands estimated from images, ``moderate`` and ``strong`` are
+assumptions: see "Noise levels" in docs/datasets.md.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from numpy import ndarray
 
 from getagrip.clip import Clip, HandTrack, Masks
+from getagrip.datasets.synthetic.error_curves import draw
+from getagrip.datasets.synthetic.estimated_hands import ESTIMATED
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
@@ -44,6 +47,11 @@ class Noise:
         hand_jitter_depth_mm: root mean square translation along the camera's ray that changes from frame to frame [mm].
         finger_jitter_deg: root mean square bend of each finger joint that changes from frame to frame [degrees].
         jitter_memory_s: time after which the correlation of the jitter has fallen to 1/e [s]; zero: new in every frame.
+        spread: standard deviation of the logarithm of how many times as far a clip is off as said above, drawn anew for
+            the bias and for the jitter of rotation, translation, depth and fingers.
+        outlier_share: share of frames with outliers.
+        outlier_times: how many times as large as jitter the error is that they have besides, one throughout a run.
+        outlier_s: mean duration of a run of them [s].
         mask_ragged_px: root mean square distance of the masks' boundaries from the true ones [px].
     """
 
@@ -56,6 +64,10 @@ class Noise:
     hand_jitter_depth_mm: float = 0.0
     finger_jitter_deg: float = 0.0
     jitter_memory_s: float = 0.0
+    spread: float = 0.0
+    outlier_share: float = 0.0
+    outlier_times: float = 0.0
+    outlier_s: float = 0.0
     mask_ragged_px: float = 0.0
 
 
@@ -85,8 +97,10 @@ NOISE: dict[str, Noise] = {
         jitter_memory_s=0.1,
         mask_ragged_px=1.0,
     ),
+    "estimated": Noise(**ESTIMATED, mask_ragged_px=1.0),
 }
-"""Assumed levels: hands of ``strong`` are 2.5 times as far off as of ``moderate`` (fingers: twice), masks alike."""
+"""``estimated`` is measured, but for the masks. The others are assumed: ``strong`` hands are 2.5 times as far off as
+``moderate`` ones (fingers: twice), masks alike."""
 
 
 def perturbed(clip: Clip, masks: Masks, noise: Noise, seed: int | Sequence[int]) -> tuple[Clip, Masks]:
@@ -103,28 +117,18 @@ def perturbed(clip: Clip, masks: Masks, noise: Noise, seed: int | Sequence[int])
 
 def noisy_hand(clip: Clip, noise: Noise, rng: np.random.Generator) -> HandTrack:
     """The clip's hands, displaced; see ``perturbed``."""
-    frames, a = len(clip), _memory(noise, clip.fps)
-    depth, fingers = rng.spawn(2)  # generators of their own: hands err alike whatever their depth and fingers do
-    turn = _of_length(rng.normal(size=3), np.radians(noise.hand_bias_deg))
-    shift = _of_length(rng.normal(size=3), 1e-3 * noise.hand_bias_mm)
-    turns = turn + np.radians(noise.hand_jitter_deg) / np.sqrt(3.0) * _lasting(rng.normal(size=(frames, 3)), a)
-    shifts = shift + 1e-3 * noise.hand_jitter_mm / np.sqrt(3.0) * _lasting(rng.normal(size=(frames, 3)), a)
+    errors = draw(noise, len(clip), clip.fps, rng)
     middle = clip.hand.vertices.mean(axis=(0, 1))
-    R = se3.exp_so3(turns)
-    displaced = clip.hand.T_cam_hand @ se3.rigid(R, middle + shifts - R @ middle)
-
+    R = se3.exp_so3(errors.turn)
+    displaced = clip.hand.T_cam_hand @ se3.rigid(R, middle + errors.shift - R @ middle)
     ray = se3.transform(clip.hand.T_cam_hand, middle[None])[:, 0]
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    deeper = 1e-3 * noise.hand_bias_depth_mm * depth.choice([-1.0, 1.0])
-    deeper = deeper + 1e-3 * noise.hand_jitter_depth_mm * _lasting(depth.normal(size=(frames, 1)), a)
-    hand = replace(clip.hand, T_cam_hand=se3.rigid(None, deeper * ray) @ displaced)
+    hand = replace(clip.hand, T_cam_hand=se3.rigid(None, errors.deeper * ray) @ displaced)
     if noise.finger_bias_deg == 0.0 and noise.finger_jitter_deg == 0.0:
         return hand
     if hand.joints is None:
         raise InputError(clip.origin / "hand.npz", "joints", "none", "joints (T, 21, 3), to bend the fingers about")
-    angles = np.radians(noise.finger_bias_deg) * fingers.normal(size=(5, 3))
-    angles = angles + np.radians(noise.finger_jitter_deg) * _lasting(fingers.normal(size=(frames, 5, 3)), a)
-    vertices, joints = bent(hand.vertices, hand.joints, finger_weights(hand), angles)
+    vertices, joints = bent(hand.vertices, hand.joints, finger_weights(hand), errors.bends)
     return replace(hand, vertices=vertices, joints=joints)
 
 
@@ -157,20 +161,3 @@ def ragged(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> B
     moved = mask.copy()
     moved[window] = inside - outside > field * (px / field.std())
     return moved
-
-
-def _memory(noise: Noise, fps: float) -> float:
-    """Correlation of the jitter of two frames in succession."""
-    return float(np.exp(-1.0 / (fps * noise.jitter_memory_s))) if noise.jitter_memory_s > 0.0 else 0.0
-
-
-def _lasting(white: Float[ndarray, "T *rest"], a: float) -> Float[ndarray, "T *rest"]:
-    """White noise of unit variance made into a first-order autoregressive process of unit variance."""
-    out = white.copy()
-    for n in range(1, len(out)):
-        out[n] = a * out[n - 1] + np.sqrt(1.0 - a * a) * white[n]
-    return out
-
-
-def _of_length(v: Float[ndarray, "3"], length: float) -> Float[ndarray, "3"]:
-    return np.asarray(v / np.linalg.norm(v) * length)

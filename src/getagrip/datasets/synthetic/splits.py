@@ -22,6 +22,7 @@ PRESETS: dict[str, SceneOptions] = {
     "clean": SceneOptions(),
     "moderate": SceneOptions(**asdict(NOISE["moderate"])),
     "strong": SceneOptions(**asdict(NOISE["strong"])),
+    "estimated": SceneOptions(**asdict(NOISE["estimated"])),
     "wild": SceneOptions(**asdict(NOISE["moderate"]), cad="mean", vary=0.15, scale="free"),
     "measured": SceneOptions(
         **asdict(NOISE["moderate"]), cad="mean", vary=0.15, deform=0.03, scale="free", motion="measured"
