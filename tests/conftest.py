@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +16,7 @@ check_package()  # before anything of the package is imported
 
 # The same examples on every machine, however busy it is.
 settings.register_profile(
-    "here", deadline=None, max_examples=30, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+    "here", deadline=None, max_examples=20, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("here")
 
@@ -24,6 +25,12 @@ from getagrip.clip import write_clip  # noqa: E402
 from helpers.clips import small_clip  # noqa: E402
 from helpers.command_line import Run  # noqa: E402
 from helpers.folders import FullDisk  # noqa: E402
+
+
+def pytest_collection_finish() -> None:
+    """What is there by now stays until the end: the garbage collector need not look at it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

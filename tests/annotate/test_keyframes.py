@@ -80,11 +80,11 @@ class Clicking:
     def work(self, what: str) -> dict[str, Any]:
         """Have something done; the job once it is over."""
         self.project.work(self.about | {"work": what})
-        for _ in range(3000):
+        for _ in range(600):
             job = self.state()["job"]
             if job["state"] not in ("waiting", "running"):
                 break
-            time.sleep(0.02)
+            time.sleep(0.1)
         return dict(job)
 
 
