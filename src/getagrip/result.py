@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -141,6 +141,20 @@ class Reconstruction(ArrayData):
     def frames_of(self, *kinds: FrameKind) -> Int[ndarray, "n"]:
         """Where the frames of some kinds are."""
         return np.flatnonzero([kind in kinds for kind in self.frame_kind])
+
+    def take(self, index: Int[ndarray, "n"]) -> Reconstruction:
+        """The result in some of its frames, in the given order."""
+        found = self.candidates
+        return replace(
+            self,
+            frames=tuple(self.frames[n] for n in index),
+            frame_kind=tuple(self.frame_kind[n] for n in index),
+            T_hand_obj=self.T_hand_obj[index],
+            iou=self.iou[index],
+            axis=None if self.axis is None else replace(self.axis, angle=self.axis.angle[index]),
+            candidates=replace(found, T_hand_obj=found.T_hand_obj[:, index]),
+            T_cam_hand=None if self.T_cam_hand is None else self.T_cam_hand[index],
+        )
 
     @property
     def mean_iou(self) -> float:

@@ -43,6 +43,7 @@ from getagrip.experiments.tables import LATEX, latex, markdown
 from getagrip.experiments.trials import Score, Scores
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures, Options
+from getagrip.geometry import se3
 from getagrip.grasps import lists
 from getagrip.result import read_result
 from helpers.command_line import Run
@@ -298,6 +299,37 @@ def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: 
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_results_of_other_systems_are_rows(made: Path, tmp_path: Path, run: Run) -> None:
+    """Poses by clip, evaluated in the frames of ours; again where they change, and failed where they are missing."""
+    theirs, out = tmp_path / "theirs", tmp_path / "out"
+    theirs.mkdir()
+    truths = {}
+    for folder in sorted(made.iterdir()):
+        clip = read_clip(folder)
+        assert clip.truth is not None
+        truths[clip.name] = clip.truth.T_cam_obj
+        np.save(theirs / f"{clip.name}.npy", clip.truth.T_cam_obj)
+    call = ("bench", made, "--out", out, "--workers", "1", "--inits", "4", "--methods", "static")
+    status, text, err = run(*call, "--with", f"theirs={theirs}")
+    assert (status, err) == (0, "")
+    assert text.count("2 done, 0 already done") == 2
+    rows = {(r["clip"], r["method"]): r for r in csv.DictReader((out / "methods-clips.csv").read_text().splitlines())}
+    assert {method for _, method in rows} == {"static", "theirs"}
+    assert all(float(rows[name, "theirs"]["add_mm"]) < 1e-3 for name in truths)
+    assert "theirs" in (out / "methods.md").read_text()
+    assert run("evaluate", out / "results" / "theirs")[0] == 0  # results like any other
+    first, second = truths
+    np.save(theirs / f"{first}.npy", truths[first] @ se3.rigid(None, np.array([0.01, 0.0, 0.0])))
+    (theirs / f"{second}.npy").unlink()
+    status, text, err = run(*call, "--with", f"theirs={theirs}")
+    assert status == 1
+    assert f"{second}: theirs" in text + err
+    assert "no poses of the clip" in text + err
+    rows = {(r["clip"], r["method"]): r for r in csv.DictReader((out / "methods-clips.csv").read_text().splitlines())}
+    assert float(rows[first, "theirs"]["add_mm"]) == pytest.approx(10.0, abs=1e-3)
+
+
 def test_an_ablation_changes_clips_and_draws_a_plot(made: Path, tmp_path: Path, run: Run) -> None:
     call = ("bench", made, "--out", tmp_path, "--workers", "1", "--inits", "8", "--clips", "1")
     status, _, _ = run(*call, "--ablation", "mask-noise", "--methods", "static")
@@ -453,6 +485,9 @@ def test_what_fails_is_named_and_the_rest_done(made: Path, tmp_path: Path, run: 
         (("--ablation", "none"), "expected one of physical"),
         (("--json", "nowhere/x.json"), "--json"),
         (("--inits", "0"), "inits"),
+        (("--with", "x=nowhere"), "--with"),
+        (("--with", "static=."), "another one than those of the methods"),
+        (("--with", "x=.", "--ablation", "scale"), "--with"),
     ],
 )
 def test_wrong_calls_are_refused(made: Path, tmp_path: Path, run: Run, args: tuple[str, ...], word: str) -> None:

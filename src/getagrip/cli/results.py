@@ -103,12 +103,16 @@ class Reconstruct(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(Command):
-    """Print the metrics of results, and of the meshes of another system beside them."""
+    """Print the metrics of results, and of another system's poses or meshes beside them."""
 
     results: Results = ()
     """Result folders, or folders of results."""
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
+    poses: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
+    """Another system's poses of the clip's mesh: one 4x4 for each frame (.npz, .npy, .json, .txt, or a file for each
+    frame in a folder), or BOP's results (.csv). Of many clips: a folder of such files or folders, named like the clips.
+    They need --clips, and appear under the name of PATH."""
     meshes: OptionalFolder = None
     """Another system's meshes, one for each frame, in metres: DIR/<clip>/<frame>.obj (.ply, .stl, .glb). They need
     --clips and --mesh-frame, and appear under the name of DIR."""
@@ -123,7 +127,13 @@ class Evaluate(Command):
     def run(self) -> int:
         from getagrip.commands.evaluate import evaluate_results
         from getagrip.commands.evaluate_meshes import Meshes
+        from getagrip.commands.evaluate_poses import Poses
 
+        poses = None
+        if self.poses is not None:
+            if self.clips is None:
+                raise UsageError("--poses: got no --clips, expected the clip, or the folder that holds the clips")
+            poses = Poses(self.poses, self.clips)
         meshes = None
         if self.meshes is not None:
             if self.clips is None or self.mesh_frame is None:
@@ -131,7 +141,7 @@ class Evaluate(Command):
             meshes = Meshes(self.meshes, self.mesh_frame, self.clips)
         elif self.mesh_frame is not None:
             raise UsageError(f"--mesh-frame: got {self.mesh_frame}, expected none without --meshes")
-        return evaluate_results(self.results, self.clips, meshes, self.contact, self.json, self.debug)
+        return evaluate_results(self.results, self.clips, meshes, poses, self.contact, self.json, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,6 +168,9 @@ class Bench(Command):
     hands: Annotated[tuple[str, ...], arg(metavar="NAME=DIR...", help_behavior_hint="")] = ()
     """Compare hands of several estimators for the same clips, on the frames that all have: DIR holds clips of the same
     names, or a hand file <clip>.npz for each (import hands --out)."""
+    others: Annotated[tuple[str, ...], arg(name="with", metavar="NAME=DIR...", help_behavior_hint="")] = ()
+    """Other systems' results as further rows: DIR holds poses of each clip by its name, as for evaluate --poses, or
+    result folders."""
     contact: Annotated[
         tuple[float, ...],
         arg(metavar="MM...", help_behavior_hint="(default: 10; of a folder that import made, as its clips were cut)"),
@@ -198,6 +211,7 @@ class Bench(Command):
     def run(self) -> int:
         from getagrip.commands.bench import Plan, bench
         from getagrip.experiments.hand_sources import HandSource
+        from getagrip.experiments.other_systems import system_of
 
         source = source_of(
             self.dataset, split=self.split, preset=self.preset, root=self.root, meshes=self.meshes,
@@ -208,9 +222,11 @@ class Bench(Command):
             priors=_priors(self.priors, self.init), hands=_hands(self.given_hands), every_frame=self.every_frame,
         )  # fmt: skip
         hands = tuple(HandSource.of(text) for text in self.hands)
+        systems = tuple(system_of(text) for text in self.others)
         plan = Plan(
             source, self.out, count=self.clips, methods=self.methods, ablation=self.ablation, hands=hands,
-            contact_mm=self.contact, options=options, workers=self.workers, overwrite=self.overwrite, json=self.json,
+            systems=systems, contact_mm=self.contact, options=options, workers=self.workers, overwrite=self.overwrite,
+            json=self.json,
         )  # fmt: skip
         return bench(plan, self.debug)
 

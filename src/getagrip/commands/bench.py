@@ -12,8 +12,10 @@ from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import Outcome
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.errors import UsageError
+from getagrip.evaluation.other_poses import OtherSystem
 from getagrip.experiments.comparison import Table, compare, groups
 from getagrip.experiments.hand_sources import HandSource, comparison
+from getagrip.experiments.other_systems import system_variants
 from getagrip.experiments.settings import ABLATIONS, Ablation, Variant, ablation_variants, method_variants
 from getagrip.experiments.sources import ClipSource, samples
 from getagrip.experiments.stamp import stamp
@@ -40,6 +42,8 @@ class Plan:
     ablation: str | None = None
     hands: tuple[HandSource, ...] = ()
     """Compare the hands of these sources, instead of an ablation of the table."""
+    systems: tuple[OtherSystem, ...] = ()
+    """Compare the results of these systems, too."""
     contact_mm: tuple[float, ...] = ()
     """Thresholds of contact in the tables [mm]; none: that of the source."""
     options: Options = field(default_factory=Options)
@@ -56,6 +60,8 @@ class Plan:
             raise UsageError(f"--ablation: got {self.ablation!r}, expected one of {', '.join(ABLATIONS)}")
         if self.ablation is not None and self.hands:
             raise UsageError(f"--ablation: got {self.ablation} and --hands, expected one of them")
+        if self.systems and (self.ablation is not None or self.hands):
+            raise UsageError("--with: got other systems, expected none with --ablation and --hands")
 
     @cached_property
     def contacts(self) -> tuple[ContactDefinition, ...]:
@@ -77,7 +83,8 @@ class Plan:
     def variants(self) -> list[Variant]:
         """The rows of the tables."""
         if self.settings is None:
-            return method_variants(self.methods, self.options, self.contacts)
+            ours = method_variants(self.methods, self.options, self.contacts)
+            return ours + system_variants(self.systems, self.options, self.contacts)
         return ablation_variants(self.name, self.methods, self.options, self.contacts, self.settings)
 
     @property

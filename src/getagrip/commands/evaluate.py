@@ -12,6 +12,7 @@ from getagrip.batch.clips import FEW, print_outcome
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.commands.evaluate_meshes import Meshes, MeshJob, evaluate_clip_meshes, mesh_jobs
+from getagrip.commands.evaluate_poses import PoseJob, Poses, evaluate_clip_poses, pose_jobs
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import contact_tables, evaluate_result, results_table, summary
 from getagrip.io import files
@@ -30,16 +31,22 @@ class ResultJob:
 
 
 def evaluate_results(
-    paths: Sequence[Path], clips: Path | None, meshes: Meshes | None, contact: bool, json: Path | None, debug: bool
+    paths: Sequence[Path],
+    clips: Path | None,
+    meshes: Meshes | None,
+    poses: Poses | None,
+    contact: bool,
+    json: Path | None,
+    debug: bool,
 ) -> int:
     """Print the metrics of results, and write them to a file; 1 if anything could not be evaluated, else 0.
 
-    A path is a result, or a folder of results. ``meshes`` of another system are evaluated in the frames of our results
-    of the same clip, else in all of the clip's. ``contact`` adds a table of stable contact by definition. Raises
-    ``UsageError`` where there is nothing to do, and ``InputError`` where there are no such meshes.
+    A path is a result, or a folder of results. ``meshes`` and ``poses`` of another system are evaluated in the frames
+    of our results of the same clip, else in all of the clip's. ``contact`` adds a table of stable contact.
+    Raises ``UsageError`` where there is nothing to do, and ``InputError`` where there are no such meshes or poses.
     """
-    if not paths and meshes is None:
-        raise UsageError("RESULT: name at least one result, or --meshes")
+    if not paths and meshes is None and poses is None:
+        raise UsageError("RESULT: name at least one result, or --poses, or --meshes")
     jobs: list[ResultJob] = []
     problems: list[Outcome] = []
     for path in paths:
@@ -53,12 +60,13 @@ def evaluate_results(
         for made, failed in _in_order(evaluate_one, jobs, lambda: bar.advance(task)):
             evaluations += [] if made is None else [made]
             problems += failed
-        if meshes is not None:
-            others = mesh_jobs(meshes, {made["clip"]: tuple(made["frames"]) for made in evaluations})
-            task = bar.add_task("meshes", total=len(others))
-            for made, failed in _in_order(evaluate_clip_meshes, others, lambda: bar.advance(task)):
-                evaluations += [] if made is None else [made]
-                problems += failed
+        frames = {made["clip"]: tuple(made["frames"]) for made in evaluations}
+        others: list[MeshJob | PoseJob] = [] if meshes is None else [*mesh_jobs(meshes, frames)]
+        others += [] if poses is None else pose_jobs(poses, frames)
+        of_others = bar.add_task("of other systems", total=len(others), visible=bool(others))
+        for made, failed in _in_order(evaluate_other, others, lambda: bar.advance(of_others)):
+            evaluations += [] if made is None else [made]
+            problems += failed
     for outcome in problems:
         print_outcome(outcome, debug)
     if evaluations:
@@ -80,7 +88,7 @@ def _print_doubts(made: dict[str, Any]) -> None:
         print(f"{made['method']}, {made['clip']}: {doubt}", file=sys.stderr)
 
 
-J = TypeVar("J", ResultJob, MeshJob)
+J = TypeVar("J", ResultJob, MeshJob | PoseJob)
 
 
 def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callable[[], None]) -> list[Evaluated]:
@@ -98,6 +106,11 @@ def _done(work: Callable[[J], Evaluated], jobs: Sequence[J]) -> Iterator[tuple[J
     if len(jobs) <= FEW or cores() == 1:
         return ((job, work(job)) for job in jobs)
     return in_processes(work, jobs, min(len(jobs), cores()))
+
+
+def evaluate_other(job: MeshJob | PoseJob) -> Evaluated:
+    """The metrics of another system's meshes or poses, or why there are none. Raises nothing."""
+    return evaluate_clip_meshes(job) if isinstance(job, MeshJob) else evaluate_clip_poses(job)
 
 
 def evaluate_one(job: ResultJob) -> Evaluated:

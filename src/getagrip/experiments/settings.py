@@ -13,6 +13,7 @@ import numpy as np
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
 from getagrip.errors import InputError
+from getagrip.evaluation.other_poses import OtherSystem
 from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures, Options
@@ -150,6 +151,13 @@ class Variant:
     """What a plot draws as one line: the method."""
     step: str
     """The place on the plot's axis."""
+    system: OtherSystem | None = None
+    """Whose results these are, where they are not ours."""
+
+    @property
+    def method(self) -> str:
+        """The method's name, or the other system's."""
+        return self.options.method if self.system is None else self.system.name
 
 
 def _hand_noise(mm: float) -> Setting:

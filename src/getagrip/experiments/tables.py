@@ -226,7 +226,7 @@ def write_clips_csv(scores: Sequence[Scores], variants: Sequence[Variant], path:
                 found = " ".join((*score.serious, *score.noted))
                 how = [score.seconds, score.energy, score.ambiguous, found, status]
                 metrics = [score.metrics.get(key, "") for key in keys]
-                what = [clip.clip, clip.category, clip.subject, variant.options.method, variant.step]
+                what = [clip.clip, clip.category, clip.subject, variant.method, variant.step]
                 writer.writerow([*what, *how, *metrics])
 
 
@@ -252,7 +252,7 @@ def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, Any]
                 "rows": [
                     {
                         "row": row.variant.label,
-                        "method": row.variant.options.method,
+                        "method": row.variant.method,
                         "contact": row.variant.contact.key,
                         "medians": row.medians,
                         "ambiguous": row.ambiguous,

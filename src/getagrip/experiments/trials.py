@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
@@ -21,10 +21,10 @@ from getagrip.batch.job import failure
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation.metric import SCA
+from getagrip.experiments.other_systems import options_of, result_of
 from getagrip.experiments.settings import AS_GIVEN, Variant
 from getagrip.experiments.sources import Sample
 from getagrip.finding import read_findings
-from getagrip.fitting.options import Options
 from getagrip.io import files
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 from getagrip.result import is_result, read_record, read_result, software, write_result
@@ -94,7 +94,7 @@ def run(trial: Trial) -> Scores:
         for variant in trial.variants:
             place = _place(trial, variant)
             identity = _checksum(checksum, variant, clip.name)
-            record = None if trial.overwrite else _kept(place, identity, variant.options)
+            record = None if trial.overwrite else _kept(place, identity, options_of(variant, clip.name))
             if record is None or not _measured(record, trial.contacts):
                 missing.append(variant)
             else:
@@ -128,20 +128,26 @@ def _made(trial: Trial, clip: Clip, variants: list[Variant], checksum: str) -> d
 def _try(trial: Trial, variant: Variant, changed: tuple[Clip, Masks], masks: Masks, checksum: str) -> Score:
     """Reconstruct, evaluate and write the result: against the clip as the variant has it, and the masks as they are.
 
-    A method's error becomes its score; ``InputError`` is raised.
+    A method's error, and another system's files that are missing or wrong, become its score; else ``InputError`` is
+    raised.
     """
     from getagrip.evaluation import evaluate
     from getagrip.fitting.reconstruct import reconstruct
 
     clip, place = changed[0], _place(trial, variant)
     try:
-        kept = None if trial.overwrite else _kept(place, checksum, variant.options)
-        result = reconstruct(*changed, variant.options) if kept is None else read_result(place)[0]
+        kept = None if trial.overwrite else _kept(place, checksum, options_of(variant, clip.name))
+        if kept is not None:
+            result = read_result(place)[0]
+        elif variant.system is not None:
+            result = replace(result_of(variant, *changed), options=options_of(variant, clip.name))
+        else:
+            result = reconstruct(*changed, variant.options)
         metrics = evaluate(result, clip, masks, trial.contacts)["metrics"]
         write_result(result, place, checksum, metrics, clip_folder=clip.folder, overwrite=True)
-    except InputError:
-        raise
     except Exception as error:
+        if isinstance(error, InputError) and variant.system is None:
+            raise
         return Score(variant.folder, {}, np.nan, np.nan, False, failure(clip.name, error).message, failed=True)
     return _score(variant, place, read_record(place))
 
@@ -154,7 +160,8 @@ def _measured(record: Mapping[str, Any], contacts: Sequence[ContactDefinition]) 
 def _score(variant: Variant, place: Path, record: dict[str, Any]) -> Score:
     """The score that a result's record holds."""
     metrics = {key: np.nan if value is None else float(value) for key, value in record["metrics"].items()}
-    seconds, energy = float(record["seconds"]["total"]), float(record["energy"]["total"])
+    of_all = (record["seconds"]["total"], record["energy"]["total"])
+    seconds, energy = (np.nan if value is None else float(value) for value in of_all)
     found = read_findings(place / "result.json", record["findings"])
     serious, noted = (tuple(f.check for f in found if f.serious == kind) for kind in (True, False))
     how = record["ambiguous"], record["status"]
@@ -187,7 +194,7 @@ def _code_changed() -> float:
     return max(file.stat().st_mtime for file in Path(getagrip.__file__).parent.rglob("*.py"))
 
 
-def _kept(folder: Path, checksum: str, options: Options) -> dict[str, Any] | None:
+def _kept(folder: Path, checksum: str, options: Mapping[str, Any]) -> dict[str, Any] | None:
     """The record of the result that is there, if it is one of this clip, these options and this version.
 
     Raises ``UsageError`` where something else is in its place.
@@ -199,7 +206,7 @@ def _kept(folder: Path, checksum: str, options: Options) -> dict[str, Any] | Non
     record = read_record(folder)
     same = (
         record["input_sha256"] == checksum
-        and record["options"] == json.loads(files.to_json(asdict(options)))
+        and record["options"] == json.loads(files.to_json(options))
         and record["software"].get("getagrip") == software()["getagrip"]
         and record["metrics"]
     )

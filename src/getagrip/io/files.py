@@ -82,7 +82,15 @@ def read_bytes(path: Path, limit: int = LARGEST_FILE) -> bytes:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object. Raises ``InputError`` for anything else, for duplicate keys and for NaN or infinite numbers."""
+    """A JSON object. Raises ``InputError`` for anything else, and as ``read_any_json`` does."""
+    content = read_any_json(path)
+    if not isinstance(content, dict):
+        raise InputError(path, "", f"a JSON {type(content).__name__}", "a JSON object")
+    return content
+
+
+def read_any_json(path: Path) -> Any:
+    """What a JSON file holds. Raises ``InputError``, also for duplicate keys and for NaN or infinite numbers."""
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         out = dict(pairs)
@@ -98,14 +106,11 @@ def read_json(path: Path) -> dict[str, Any]:
         return value
 
     try:
-        content = json.loads(
+        return json.loads(
             read_bytes(path, LARGEST_JSON), object_pairs_hook=unique, parse_float=number, parse_constant=number
         )
     except (ValueError, RecursionError) as error:  # RecursionError: nested thousands deep
-        raise InputError(path, "", f"text that is no JSON ({error})", "a JSON object") from error
-    if not isinstance(content, dict):
-        raise InputError(path, "", f"a JSON {type(content).__name__}", "a JSON object")
-    return content
+        raise InputError(path, "", f"text that is no JSON ({error})", "JSON") from error
 
 
 def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tuple[str, dict[str, str]]]]:

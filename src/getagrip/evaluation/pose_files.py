@@ -1,0 +1,224 @@
+"""Poses in other systems' files: one 4x4 for each frame, in one file or in a file each, or BOP's results.
+
+- ``.csv``: BOP's results; ``R`` row by row and ``t`` [mm] bring the model into the camera frame, ``im_id`` is the
+  frame's number. Of several poses of an image that with the highest score counts;
+- ``.json``: a list of matrices, a dictionary with a matrix for each frame, or BOP's ``scene_gt`` (``cam_R_m2c``,
+  ``cam_t_m2c`` [mm]);
+- ``.npz``, or ``.json`` with the same keys: ``T_cam_obj`` or ``T_hand_obj`` (T, 4, 4), and perhaps ``scale`` and
+  ``frames`` (names or numbers);
+- ``.npy`` (T, 4, 4), ``.txt`` with 16 numbers for each frame, in any number of lines;
+- a folder of ``.txt``, ``.npy`` or ``.json`` files of one matrix each, named like the frames.
+
+Matrices are in metres, from the object's frame to the camera's (x right, y down, z forward), unless they are called
+``T_hand_obj``.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.io import arrays, files
+
+SUFFIXES = (".csv", ".npz", ".npy", ".json", ".txt")
+ALONE = (".txt", ".npy", ".json")
+"""Of files that may hold one matrix."""
+LARGEST = 256 * 2**20
+COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t")
+LAST_ROW = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class PoseFile:
+    """What a file holds."""
+
+    path: Path
+    T: Float[ndarray, "n 4 4"]
+    names: tuple[str, ...] | None
+    """Of the frames, or their numbers; None where the file does not name them."""
+    in_hand: bool = False
+    """Whether the poses are in the clip's hand frame, not in the camera's."""
+    scale: float | None = None
+    by_place: bool = False
+    """Whether numbers may stand for the places of frames that have no numbers, as in BOP's files."""
+
+
+def read_pose_file(path: Path) -> PoseFile:
+    """The poses in a file or folder. Raises ``InputError``."""
+    if path.is_dir():
+        return _folder(path)
+    if not path.exists():
+        raise InputError(path, "", "no such file or folder", "poses of the object")
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        return _bop_results(path)
+    if suffix == ".npz":
+        return _record(path, arrays.read(path, {"T_cam_obj", "T_hand_obj", "scale", "frames"}.__contains__))
+    if suffix == ".npy":
+        return PoseFile(path, _matrices(path, "", arrays.parse_npy(path, "", files.read_bytes(path, LARGEST))), None)
+    if suffix == ".txt":
+        return PoseFile(path, _matrices(path, "", _text(path)), None)
+    if suffix == ".json":
+        return _json(path)
+    raise InputError(path, "", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")
+
+
+def _folder(folder: Path) -> PoseFile:
+    """A matrix in each file."""
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in ALONE)
+    if not paths:
+        raise InputError(folder, "", "no poses in it", f"files named like the frames ({', '.join(ALONE)})")
+    found = [read_pose_file(path) for path in paths]
+    several = next((each for each in found if len(each.T) != 1), None)
+    if several is not None:
+        raise InputError(
+            several.path, "", f"{len(several.T)} matrices", "one, of the frame that the file is named after"
+        )
+    return PoseFile(folder, np.concatenate([each.T for each in found]), tuple(path.stem for path in paths))
+
+
+def _text(path: Path) -> ndarray:
+    words = files.read_bytes(path, LARGEST).decode("utf-8", "replace").replace(",", " ").split()
+    try:
+        values = np.array([float(word) for word in words])
+    except ValueError as error:
+        raise InputError(path, "", f"a text that is no number ({error})", "16 numbers for each frame") from error
+    if not len(values) or len(values) % 16:
+        raise InputError(path, "", f"{len(values)} numbers", "16 for each frame")
+    return values.reshape(-1, 4, 4)
+
+
+def _json(path: Path) -> PoseFile:
+    content = files.read_any_json(path)
+    if isinstance(content, list):
+        return PoseFile(path, _matrices(path, "", content), None)
+    if not isinstance(content, dict) or not content:
+        raise InputError(path, "", files.shown(content), "a list of matrices, or a matrix for each frame")
+    if {"T_cam_obj", "T_hand_obj"} & content.keys():
+        return _record(path, content)
+    if all(isinstance(value, list) and value and isinstance(value[0], dict) for value in content.values()):
+        return _bop_truth(path, content)
+    T = [_matrices(path, name, value) for name, value in content.items()]
+    several = next((name for name, each in zip(content, T, strict=True) if len(each) != 1), None)
+    if several is not None:
+        raise InputError(path, files.plain(several), "several matrices", "one for each frame")
+    return PoseFile(path, np.concatenate(T), tuple(content))
+
+
+def _record(path: Path, given: Mapping[str, Any]) -> PoseFile:
+    """Poses by name."""
+    key = next((key for key in ("T_cam_obj", "T_hand_obj") if key in given), None)
+    if key is None:
+        raise InputError(path, "T_cam_obj", "no such array", "T_cam_obj or T_hand_obj (T, 4, 4)")
+    T = _matrices(path, key, given[key])
+    names, scale = None, None
+    if "frames" in given:
+        values = np.asarray(given["frames"])
+        if values.dtype.kind not in "Uiu" or values.shape != (len(T),):
+            raise InputError(path, "frames", files.shown(given["frames"]), f"{len(T)} names or numbers of frames")
+        names = tuple(str(value) for value in values)
+    if "scale" in given:
+        value = np.asarray(given["scale"])
+        if value.dtype.kind not in "fiu" or value.size != 1 or not 0 < float(value.reshape(())) < np.inf:
+            raise InputError(path, "scale", files.shown(given["scale"]), "one number above 0 for all frames")
+        scale = float(value.reshape(()))
+    return PoseFile(path, T, names, key == "T_hand_obj", scale)
+
+
+def _bop_results(path: Path) -> PoseFile:
+    """BOP's table of results. Raises ``InputError`` where it is of several scenes or objects."""
+    text = files.read_bytes(path, LARGEST).decode("utf-8-sig", "replace")
+    rows = csv.DictReader(io.StringIO(text))
+    if rows.fieldnames is None or not {*COLUMNS} <= {*rows.fieldnames}:
+        raise InputError(
+            path, "line 1", files.shown(rows.fieldnames), f"the columns {', '.join(COLUMNS)} of BOP's results"
+        )
+    best: dict[str, tuple[float, ndarray]] = {}
+    seen: dict[str, set[str]] = {"scene_id": set(), "obj_id": set()}
+    for row in rows:
+        where = f"line {rows.line_num}"
+        for key, values in seen.items():
+            values.add(str(row[key]))
+            if len(values) > 1:
+                raise InputError(
+                    path, where, f"a second {key}, {files.plain(str(row[key]))}", "those of one clip's object"
+                )
+        score, T = _numbers(path, where, row["score"], 1)[0], np.eye(4)
+        T[:3, :3], T[:3, 3] = (
+            _numbers(path, where, row["R"], 9).reshape(3, 3),
+            1e-3 * _numbers(path, where, row["t"], 3),
+        )
+        image = str(row["im_id"])
+        if image not in best or score > best[image][0]:
+            best[image] = score, T
+    if not best:
+        raise InputError(path, "", "no poses", "one for each frame")
+    return PoseFile(path, np.array([T for _, T in best.values()]), tuple(best), by_place=True)
+
+
+def _bop_truth(path: Path, content: Mapping[str, Any]) -> PoseFile:
+    """BOP's ``scene_gt``, or estimates in that layout."""
+    T = np.tile(np.eye(4), (len(content), 1, 1))
+    for n, (image, objects) in enumerate(content.items()):
+        if len(objects) > 1:
+            raise InputError(path, files.plain(image), f"{len(objects)} objects", "that of the clip alone")
+        for key, count in (("cam_R_m2c", 9), ("cam_t_m2c", 3)):
+            values = np.asarray(objects[0].get(key, ()))
+            if values.dtype.kind not in "fiu" or values.size != count:
+                raise InputError(
+                    path, f"{files.plain(image)}.{key}", files.shown(objects[0].get(key)), f"{count} numbers"
+                )
+            if count == 9:
+                T[n, :3, :3] = values.reshape(3, 3)
+            else:
+                T[n, :3, 3] = 1e-3 * values.ravel()
+    return PoseFile(path, T, tuple(content), by_place=True)
+
+
+def _numbers(path: Path, where: str, text: str | None, count: int) -> Float[ndarray, "n"]:
+    try:
+        values = np.array([float(word) for word in (text or "").split()])
+    except ValueError:
+        values = np.array([])
+    if len(values) != count or not np.isfinite(values).all():
+        raise InputError(path, where, files.shown(text), f"{count} number{'s' if count > 1 else ''}")
+    return values
+
+
+def _matrices(path: Path, key: str, given: object) -> Float[ndarray, "n 4 4"]:
+    """Finite matrices of four rows and columns; a last row that a file leaves out is added."""
+    try:
+        values = np.asarray(given)
+    except ValueError:  # rows of different lengths
+        values = np.asarray(None)
+    if values.dtype.kind in "fiu" and values.shape[-1:] == (16,):
+        values = values.reshape(*values.shape[:-1], 4, 4)
+    if values.dtype.kind in "fiu" and values.shape[-2:] == (3, 4):
+        row = np.broadcast_to(LAST_ROW, (*values.shape[:-2], 1, 4))
+        values = np.concatenate([values, row], axis=-2)
+    if values.dtype.kind not in "fiu" or values.shape[-2:] != (4, 4) or values.ndim > 3 or not values.size:
+        shape = files.shown(given) if not isinstance(given, ndarray) else f"{given.dtype} of shape {given.shape}"
+        raise InputError(path, key, shape, "a 4x4 matrix of numbers for each frame")
+    values = values.reshape(-1, 4, 4).astype(float)
+    return arrays.floats(path, {key: values}, key, values.shape)
+
+
+def row_of_each(names: Sequence[str], found: Sequence[int | None], path: Path) -> dict[int, int]:
+    """The row of each frame that has one. Raises ``InputError`` for two of one frame."""
+    rows: dict[int, int] = {}
+    for row, frame in enumerate(found):
+        if frame is not None:
+            if frame in rows:
+                given = f"{files.plain(names[rows[frame]])} and {files.plain(names[row])}"
+                raise InputError(path, "frames", given, "one pose for each frame")
+            rows[frame] = row
+    return rows

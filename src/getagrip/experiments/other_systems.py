@@ -1,0 +1,64 @@
+"""Results of other systems as rows of the tables, beside our methods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from getagrip.clip import Clip, Masks, observed_frames
+from getagrip.clip.sampling import frame_indices
+from getagrip.errors import InputError, UsageError
+from getagrip.evaluation.other_poses import OtherSystem
+from getagrip.experiments.settings import AS_GIVEN, REFERENCE, Variant, by_contact
+from getagrip.fitting.methods import METHODS
+from getagrip.fitting.options import Options
+from getagrip.io.files import is_plain_name, sha256
+from getagrip.metrics.contact import ContactDefinition
+from getagrip.result import Reconstruction
+
+
+def system_of(text: str) -> OtherSystem:
+    """From ``NAME=FOLDER``. Raises ``UsageError``."""
+    name, equals, folder = text.partition("=")
+    if not (equals and folder and is_plain_name(name)):
+        raise UsageError(f"--with: got {text!r}, expected NAME=FOLDER")
+    if name in METHODS:
+        raise UsageError(f"--with: got the name {name!r}, expected another one than those of the methods")
+    if not Path(folder).is_dir():
+        raise UsageError(f"--with: got {text!r}, expected a folder with poses for each clip")
+    return OtherSystem(name, Path(folder))
+
+
+def system_variants(
+    systems: Sequence[OtherSystem], base: Options, contacts: Sequence[ContactDefinition]
+) -> list[Variant]:
+    """A row for each system, by each definition of contact."""
+    rows = [
+        Variant(each.name, each.name, base, AS_GIVEN, contacts[0], REFERENCE, each.name, each.name, each)
+        for each in systems
+    ]
+    return by_contact(rows, contacts)
+
+
+def options_of(variant: Variant, clip: str) -> dict[str, Any]:
+    """The options of a variant; of another system's results with the checksum of their files, empty where none are."""
+    options = asdict(variant.options)
+    if variant.system is None:
+        return options
+    try:
+        return options | {"poses_sha256": sha256(variant.system.inputs(clip))}
+    except InputError:  # named where they are read
+        return options | {"poses_sha256": ""}
+
+
+def result_of(variant: Variant, clip: Clip, masks: Masks) -> Reconstruction:
+    """Another system's poses in the frames in which our methods are evaluated. Raises ``InputError``."""
+    assert variant.system is not None
+    result = variant.system.result(clip, masks)
+    if variant.options.every_frame:
+        return result
+    visible = observed_frames(clip, masks.observed)
+    used = visible.take(frame_indices(len(visible), variant.options.frames))
+    return result.take(clip.index_of(used.frames))

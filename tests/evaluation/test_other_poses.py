@@ -1,0 +1,188 @@
+"""Other systems' poses: whatever file they are in, they are measured as our own would be."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from getagrip.clip import Clip, Masks, write_clip
+from getagrip.evaluation import evaluate
+from getagrip.evaluation.other_poses import poses_of
+from getagrip.export import bop
+from getagrip.export.scene import Scene
+from getagrip.geometry import se3
+from getagrip.io import arrays
+from getagrip.result import Reconstruction, write_result
+from helpers.clips import small_clip
+from helpers.command_line import Run
+from helpers.true_result import true_result
+
+Refused = Callable[..., str]
+
+
+@pytest.fixture(scope="module")
+def moved() -> tuple[Clip, Masks, Reconstruction]:
+    """A clip, and a result that is near its truth."""
+    clip, masks = small_clip(4)
+    clip = replace(clip, frames=("000010", "000011", "000012", "000013"))
+    rng = np.random.default_rng(0)
+    true = true_result(clip, None)
+    nudge = se3.rigid(se3.exp_so3(0.05 * rng.normal(size=(4, 3))), 0.004 * rng.normal(size=(4, 3)))
+    T = true.T_hand_obj @ nudge
+    return clip, masks, replace(true, T_hand_obj=T, candidates=replace(true.candidates, T_hand_obj=T[None]))
+
+
+def of_file(kind: str, folder: Path, clip: Clip, result: Reconstruction) -> Path:
+    """The result's poses in another system's file."""
+    T = clip.hand.T_cam_hand @ result.T_hand_obj
+    path = folder / f"theirs.{kind}"
+    match kind:
+        case "npz":
+            arrays.write(path, {"T_cam_obj": T[::-1].copy(), "frames": np.array(clip.frames[::-1])})
+        case "hand.npz":
+            arrays.write(path, {"T_hand_obj": result.T_hand_obj, "scale": np.array(1.0)})
+        case "npy":
+            np.save(path, T)
+        case "txt":
+            np.savetxt(path, T.reshape(-1, 4))
+        case "json":
+            path.write_text(json.dumps(T.tolist()))
+        case "by-name.json":
+            path.write_text(
+                json.dumps({f"frame_{name}": each for name, each in zip(clip.frames, T.tolist(), strict=True)})
+            )
+        case "3x4.json":
+            path.write_text(json.dumps(T[:, :3].tolist()))
+        case "folder":
+            path.mkdir()
+            for name, each in zip(clip.frames, T, strict=True):
+                np.savetxt(path / f"{name}.txt", each)
+        case "bop.csv" | "scene_gt.json":
+            made = bop.write(Scene.of(result, clip), folder)
+            wanted = ".csv" if kind == "bop.csv" else "scene_gt.json"
+            return folder / next(name for name in made if name.endswith(wanted))
+        case "result":
+            return write_result(result, path)
+    return path
+
+
+KINDS = (
+    "npz", "hand.npz", "npy", "txt", "json", "by-name.json", "3x4.json", "folder", "bop.csv", "scene_gt.json", "result",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_file_gives_the_same_metrics(tmp_path: Path, moved: Any, kind: str) -> None:
+    clip, masks, result = moved
+    found = poses_of(of_file(kind, tmp_path, clip, result), "theirs", clip, masks)
+    np.testing.assert_allclose(found.T_hand_obj, result.T_hand_obj, atol=1e-7)
+    assert found.frame_kind == ("sampled",) * 4
+    ours, theirs = (evaluate(each, clip, masks)["metrics"] for each in (result, found))
+    assert theirs.keys() == ours.keys()
+    for key, value in ours.items():
+        assert theirs[key] == pytest.approx(value, abs=1e-3, nan_ok=True), key
+
+
+def test_frames_without_a_pose_are_held_still_in_the_hand_and_said(tmp_path: Path, moved: Any) -> None:
+    clip, masks, result = moved
+    T = clip.hand.T_cam_hand @ result.T_hand_obj
+    arrays.write(tmp_path / "some.npz", {"T_cam_obj": T[[1, 3]], "frames": np.array([11, 13])})
+    found = poses_of(tmp_path / "some.npz", "theirs", clip, masks)
+    assert found.frame_kind == ("interpolated", "sampled", "interpolated", "sampled")
+    np.testing.assert_allclose(found.T_hand_obj, result.T_hand_obj[[1, 1, 1, 3]], atol=1e-12)
+    assert any("no pose in 2 of 4 frames" in note for note in found.notes)
+    assert "metrics_of_fitted" in evaluate(found, clip, masks)
+    free = poses_of(tmp_path / "some.npz", "theirs", replace(clip, scale="free"), masks)
+    assert any("scale 1 is a guess" in note for note in free.notes)
+
+
+def test_what_is_wrong_is_named(tmp_path: Path, moved: Any, refused: Refused) -> None:
+    clip, masks, result = moved
+    T = clip.hand.T_cam_hand @ result.T_hand_obj
+    far = T.copy()
+    far[:, :3, 3] *= 1000.0
+    sheared = T.copy()
+    sheared[0, 0, 1] += 0.5
+    twice = np.array([10, 10, 11, 12])
+    bad: dict[str, tuple[Any, str]] = {
+        "millimetres": ({"T_cam_obj": far}, "are these millimetres?"),
+        "sheared": ({"T_cam_obj": sheared}, "no rigid motion"),
+        "short": ({"T_cam_obj": T[:3]}, "3 poses without names"),
+        "twice": ({"T_cam_obj": T, "frames": twice}, "one pose for each frame"),
+        "others": ({"T_cam_obj": T, "frames": twice + np.arange(4) + 90}, "no pose of the clip's frames"),
+        "camera": ({"T_hand_obj": T @ se3.rigid(None, np.array([0.0, 0.0, 0.4]))}, "T_cam_obj"),
+        "nothing": ({"poses": T}, "T_cam_obj or T_hand_obj"),
+        "scale": ({"T_cam_obj": T, "scale": np.array(-1.0)}, "above 0"),
+        "shape": ({"T_cam_obj": T[:, :3, :3]}, "4x4"),
+    }
+    for name, (content, words) in bad.items():
+        path = tmp_path / f"{name}.npz"
+        arrays.write(path, content)
+        refused(lambda path=path: poses_of(path, "theirs", clip, masks), str(path), words)
+    texts = {
+        "a.txt": ("1 2 3", "3 numbers"),
+        "b.txt": ("1 x", "no number"),
+        "c.json": ('"x"', "a list of matrices"),
+        "d.json": ('{"10": [[1]]}', "4x4"),
+        "e.csv": ("a,b\n1,2\n", "columns"),
+        "f.csv": ("scene_id,im_id,obj_id,score,R,t,time\n1,10,1,1,1 0 0,0 0 500,-1\n", "9 numbers"),
+        "g.csv": (
+            "scene_id,im_id,obj_id,score,R,t,time\n"
+            + "".join(f"1,10,{k},1,1 0 0 0 1 0 0 0 1,0 0 500,-1\n" for k in (1, 2)),
+            "a second obj_id",
+        ),
+        "h.xml": ("", "the suffix"),
+    }
+    for name, (text, words) in texts.items():
+        (tmp_path / name).write_text(text)
+        refused(lambda name=name: poses_of(tmp_path / name, "theirs", clip, masks), str(tmp_path / name), words)
+
+
+def test_the_best_score_of_an_image_counts(tmp_path: Path, moved: Any) -> None:
+    clip, masks, result = moved
+    path = of_file("bop.csv", tmp_path, clip, result)
+    lines = path.read_text().splitlines()
+    worse = lines[1].split(",")
+    worse[3], worse[5] = "-1", "0 0 900"
+    path.write_text("\n".join([*lines, ",".join(worse)]) + "\n")
+    np.testing.assert_allclose(poses_of(path, "x", clip, masks).T_hand_obj, result.T_hand_obj, atol=1e-7)
+
+
+def test_they_are_rows_beside_ours(tmp_path: Path, moved: Any, run: Run) -> None:
+    """One clip by a file, and many by a folder; the frames of our results count where there are any."""
+    clip, masks, result = moved
+    folder = write_clip(clip, masks, tmp_path / "clips" / clip.name)
+    theirs = tmp_path / "foundationpose"
+    theirs.mkdir()
+    file = of_file("npy", tmp_path, clip, result).rename(theirs / f"{clip.name}.npy")
+    status, out, _ = run("evaluate", "--poses", file, "--clips", folder, "--json", tmp_path / "one.json")
+    assert status == 0
+    status, out, _ = run("evaluate", "--poses", theirs, "--clips", tmp_path / "clips", "--json", tmp_path / "all.json")
+    assert (status, "ADD" in out) == (0, True)
+    one, many = (json.loads((tmp_path / name).read_text()) for name in ("one.json", "all.json"))
+    assert list(many["methods"]) == ["foundationpose"]
+    assert many["mean"] == one["mean"]
+    ours = write_result(
+        result.take(np.array([0, 2])), tmp_path / "results" / clip.name, _checksum(folder), clip_folder=folder
+    )
+    status, _, err = run(
+        "evaluate", ours, "--poses", theirs, "--clips", tmp_path / "clips", "--json", tmp_path / "b.json"
+    )
+    assert (status, err) == (0, "")
+    both = json.loads((tmp_path / "b.json").read_text())["samples"]
+    assert [sample["frames"] for sample in both] == [["000010", "000012"]] * 2
+    assert both[0]["metrics"]["add_mm"] == pytest.approx(both[1]["metrics"]["add_mm"])
+    assert run("evaluate", "--poses", theirs)[0] == 2
+    assert run("evaluate", "--poses", tmp_path / "none", "--clips", folder)[0] == 1
+
+
+def _checksum(folder: Path) -> str:
+    from getagrip.clip import input_sha256
+
+    return input_sha256(folder)
