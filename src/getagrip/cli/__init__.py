@@ -20,6 +20,7 @@ from getagrip.cli.footage import Annotate, ClipCommand, Epic
 from getagrip.cli.labelled import Segment, Stats, Study
 from getagrip.cli.report import Report
 from getagrip.cli.results import Bench, Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct
+from getagrip.cli.view import View
 from getagrip.errors import GetagripError, UsageError
 
 DESCRIPTION = (
@@ -46,6 +47,7 @@ def commands(imports: Any, figures: Any) -> Any:
         | Annotated[ClipCommand, subcommand("clip new")]
         | Annotated[Epic, subcommand("epic candidates")]
         | Annotated[Annotate, subcommand("annotate")]
+        | Annotated[View, subcommand("view")]
         | Annotated[Report, subcommand("report")]
         | Annotated[Export, subcommand("export")]
         | Annotated[figures, subcommand("figure", description="Draw figures of results, as the paper has them.")]

@@ -1,1 +1,1 @@
-"""Pictures of results, of contact matrices and of the study."""
+"""Pictures of results, of contact matrices and of the study; in `live`, the page of `getagrip view`."""

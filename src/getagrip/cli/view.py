@@ -1,0 +1,33 @@
+"""The command that shows results and clips in 3D."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from getagrip.cli.command import Command
+from getagrip.cli.results import ClipsFolder
+
+
+@dataclass(frozen=True, kw_only=True)
+class View(Command):
+    """Look at results and clips in 3D, moving, on a page that only who has its address can open."""
+
+    paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="PATH...", help_behavior_hint="")] = ()
+    """Results, clips, or folders of them. Results of one clip stand side by side; several clips are listed, the worst
+    results first."""
+    clips: ClipsFolder = None
+    """A clip, or the folder that holds the clips by name."""
+    port: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 8770, or a free one)")] = None
+    """Where the page is served."""
+    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
+    """The address of this machine that the page is served at. By default other machines cannot reach it: forward the
+    port with ssh -L (docs/view.md)."""
+
+    def run(self) -> int:
+        from getagrip.commands.view import view
+
+        return view(self.paths, self.clips, self.port, self.host, self.debug)

@@ -1,0 +1,74 @@
+"""``getagrip view``: results in 3D on a local page, until it is interrupted."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from getagrip.batch.clips import print_outcome
+from getagrip.batch.job import failure
+from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.view.live.column import Column
+from getagrip.view.live.entries import Entry, entries
+from getagrip.view.live.page import Page
+from getagrip.view.live.server import serve
+
+RESULTS, CLIPS = ("", "*", "*/*"), ("", "*")
+"""Where results and clips are looked for below a path: a result, results, results of several methods."""
+
+
+def view(paths: Sequence[Path], clips: Path | None, port: int | None, host: str, debug: bool) -> int:
+    """Serve the page; 1 if any of the paths could not be read, else 0.
+
+    Raises ``UsageError`` where there are none, for a port that is taken or an address that is not this machine's, and
+    ``InputError`` where nothing can be shown.
+    """
+    if not paths:
+        raise UsageError("PATH: name at least one result, clip, or folder of them")
+    problems: list[Exception] = []
+    results, alone = found(paths, problems)
+    listed = entries(results, alone, clips, problems.append)
+    first, columns = _first_readable(listed, problems)
+    for problem in problems:
+        print_outcome(failure("", problem), debug)
+    served = serve(port, host)
+    page = Page(served.viser, [first, *(entry for entry in listed if entry is not first)], columns)
+    print(f"open {served.url}\nCtrl-C ends", flush=True)
+    try:
+        page.run()
+    except KeyboardInterrupt:
+        print()
+    finally:
+        page.stop()
+        served.stop()
+    return 1 if problems else 0
+
+
+def found(paths: Sequence[Path], problems: list[Exception]) -> tuple[list[Path], list[Path]]:
+    """The folders of results, and of clips where there are no results, that paths stand for."""
+    results: list[Path] = []
+    clips: list[Path] = []
+    for path in paths:
+        below = [sorted(file.parent for file in path.glob(f"{depth}/result.json".lstrip("/"))) for depth in RESULTS]
+        alone = [sorted(file.parent for file in path.glob(f"{depth}/clip.json".lstrip("/"))) for depth in CLIPS]
+        if any(below):
+            results += next(folders for folders in below if folders)
+        elif any(alone):
+            clips += next(folders for folders in alone if folders)
+        else:
+            given = "neither result.json nor clip.json in it or below" if path.is_dir() else "no such folder"
+            problems.append(InputError(path, "", given, "a result, a clip, or a folder of them"))
+    return results, clips
+
+
+def _first_readable(listed: Sequence[Entry], problems: list[Exception]) -> tuple[Entry, list[Column]]:
+    """The first entry that can be shown. Raises the first problem where there is none."""
+    for entry in listed:
+        try:
+            return entry, entry.read()
+        except (GetagripError, OSError) as error:
+            problems.append(error)
+    if len(problems) > 1:
+        print(f"{len(problems)} problems, of which the first is:", file=sys.stderr)
+    raise problems[0]

@@ -1,0 +1,82 @@
+"""What there is to show: clips, results, and several results of one clip side by side; the worst first."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from getagrip.clip import find_masks, read_clip
+from getagrip.errors import GetagripError
+from getagrip.result import Reconstruction, read_result
+from getagrip.view.figures.kind import Given
+from getagrip.view.figures.rows import at_common_frames, distinct
+from getagrip.view.live.column import Column, named
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A line of the list.
+
+    Attributes:
+        label: what the list calls it.
+        results: folders of the results of one clip; none where a clip itself is shown.
+        clip: folder of the clip that is shown itself.
+        clips: where the clips of results are; None: where the results say.
+    """
+
+    label: str
+    results: tuple[Path, ...] = ()
+    clip: Path | None = None
+    clips: Path | None = None
+
+    def read(self) -> list[Column]:
+        """A column for each result, at the frames that all of them have. Raises ``InputError``."""
+        if self.clip is not None:
+            clip = read_clip(self.clip)
+            return [Column.of_clip(clip, find_masks(clip))]
+        given = [Given(folder, self.clips) for folder in self.results]
+        views = at_common_frames([(one, one.read()) for one in given])
+        return named(list(zip(distinct(given), views, strict=True)))
+
+
+def entries(
+    results: Sequence[Path], clip_folders: Sequence[Path], clips: Path | None, fail: Callable[[Exception], None]
+) -> list[Entry]:
+    """Results of the same clip and inputs make one entry: the serious ones first, then by mean IOU; clips follow.
+
+    ``fail`` is told of those that cannot be read.
+    """
+    groups: dict[tuple[str, str], list[tuple[Path, Reconstruction]]] = {}
+    for folder in dict.fromkeys(path.resolve() for path in results):
+        try:
+            result, record = read_result(folder)
+            groups.setdefault((result.clip, record["input_sha256"]), []).append((folder, result))
+        except (GetagripError, OSError) as error:
+            fail(error)
+    ranked = sorted(groups.values(), key=lambda group: badness([result for _, result in group]))
+    found = [Entry(_label(group), tuple(folder for folder, _ in group), clips=clips) for group in ranked]
+    found += [Entry(folder.resolve().name, clip=folder) for folder in clip_folders]
+    twice = {label for label, count in Counter(entry.label for entry in found).items() if count > 1}
+    return [replace(e, label=f"{n + 1}. {e.label}") if e.label in twice else e for n, e in enumerate(found)]
+
+
+def badness(results: Sequence[Reconstruction]) -> tuple[bool, float]:
+    """Sorts the worst first: whether nothing serious is found, then the lowest mean IOU."""
+    serious = any(finding.serious for result in results for finding in result.findings)
+    return not serious, min(_iou(result) for result in results)
+
+
+def _label(group: Sequence[tuple[Path, Reconstruction]]) -> str:
+    results = [result for _, result in group]
+    overlap = f"{100 * min(_iou(result) for result in results):.0f} %"
+    serious = {finding.check for result in results for finding in result.findings if finding.serious}
+    several = [f"{len(group)} results"] if len(group) > 1 else []
+    return "  ".join([results[0].clip, overlap, *several, *sorted(serious)])
+
+
+def _iou(result: Reconstruction) -> float:
+    return result.mean_iou if np.isfinite(result.iou).any() else 0.0

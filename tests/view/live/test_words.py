@@ -1,0 +1,36 @@
+"""Texts from files are nothing but texts on the page."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from getagrip.view.live import words
+from helpers.two_candidates import column
+
+
+@given(st.text(max_size=40))
+def test_quoted_texts_hold_no_tags_and_no_markup(text: str) -> None:
+    made = words.quoted(text)
+    assert "<" not in made
+    assert "\n" not in made
+    for mark in "*_`[]!":
+        assert made.count(mark) == made.count("\\" + mark) == text.count(mark)
+
+
+def test_the_summary_says_what_is_known_and_quotes_it() -> None:
+    it = column()
+    result = replace(it.view.result, status="<img src=x onerror=alert(1)>", notes=("the *scale* is a guess",))
+    text = words.summary(replace(it, view=replace(it.view, result=result)))
+    assert "ambiguous" in text
+    assert "<img" not in text
+    assert r"\*scale\* is a guess" in text
+    assert "mug in a" in text
+
+
+def test_candidates_are_named_by_their_energy() -> None:
+    it = column()
+    assert words.candidate_name(it, 0) == "1: lowest energy"
+    assert words.candidate_name(it, 1) == "2: energy +50 %"
