@@ -8,8 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from getagrip.cli.command import Command
-from getagrip.cli.results import ClipsFolder
+from getagrip.cli.command import ClipsFolder, Command
 
 
 @dataclass(frozen=True, kw_only=True)
