@@ -72,5 +72,7 @@ def plots(actors: list[Actor]) -> list[Plot]:
     if any(actor.column.view.masks is not None for actor in posed):
         low = min((float(np.nanmin(c.values)) for c in iou if np.isfinite(c.values).any()), default=50.0)
         out.append(Plot("overlap of the object with its mask (IOU)", "%", iou, (min(50.0, low), 100.0)))
-    out.append(Plot(f"gap between hand and object, up to {1e3 * REACH:.0f} mm; below 0 inside", "mm", gap))
+    known = np.concatenate([[0.0], *(curve.values[np.isfinite(curve.values)] for curve in gap)])
+    limits = min(float(known.min()), -1.0), max(float(known.max()), 1.0)
+    out.append(Plot(f"gap of hand and object, up to {1e3 * REACH:.0f} mm; below 0 inside", "mm", gap, limits))
     return out

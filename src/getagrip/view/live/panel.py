@@ -26,7 +26,7 @@ LABELS = {
 }  # fmt: skip
 MOST_MM = 20
 """Largest threshold of contact that may be chosen [mm]."""
-WIDE = 440
+WIDE = 400
 """Of the panel of pictures [px]."""
 GO_TO_FRAME = (
     "const s=document.getElementById('{slider}'),box=s&&s.parentElement.querySelector('input:not([type=hidden])');"

@@ -12,8 +12,8 @@ from numpy import ndarray
 
 from getagrip.view.style import FAINT, INK, LINE
 
-WIDTH, HEIGHT = 440, 118
-LEFT, RIGHT, TOP, BOTTOM = 40, 8, 22, 16
+WIDTH, HEIGHT = 400, 102
+LEFT, RIGHT, TOP, BOTTOM = 36, 8, 22, 14
 """Margins of the field in which curves are drawn [px]."""
 COLOURS = ("#2a7f9e", "#c8553d", "#7b5ea7", "#d19a2a", "#4f8a4f", "#a0466f")
 """Of the columns, in their order."""
@@ -54,6 +54,8 @@ class Plot:
             height = float(y(np.array(value)))
             parts.append(f'<path d="M{LEFT} {height:.1f}H{WIDTH - RIGHT}" stroke="{LINE}"/>')
             parts.append(_text(LEFT - 4, height + 3.5, f"{value:.3g}", FAINT, "end"))
+        if low < 0.0 < high:
+            parts.append(f'<path d="M{LEFT} {float(y(np.array(0.0))):.1f}H{WIDTH - RIGHT}" stroke="{LINE}"/>')
         parts.append(f'<path d="M{x[n]:.1f} {TOP - 4}V{HEIGHT - BOTTOM}" stroke="{INK}" stroke-opacity="0.55"/>')
         for curve in self.curves:
             dashes = ' stroke-dasharray="4 3"' if curve.faint else ""

@@ -11,7 +11,7 @@ from getagrip.view.figures.kind import about
 from getagrip.view.live.column import Column
 from getagrip.view.live.evidence import Numbers, arguments
 
-HEADINGS = ("", "energy", "IOU %", "gap mm", "in mm", "SCA %", "ADD mm")
+HEADINGS = ("no.", "energy", "IOU %", "gap mm", "depth mm", "SCA %", "ADD mm")
 
 
 def quoted(text: str) -> str:
@@ -63,7 +63,7 @@ def comparison(known: Sequence[Numbers], rank: int) -> str:
 def _cells(it: Numbers) -> list[str]:
     """What stands in a candidate's line, under all but the first of ``HEADINGS``."""
     whole = {"energy": it.energy, "SCA %": 100 * it.sca}
-    fine = {"IOU %": 100 * it.iou, "gap mm": it.gap, "in mm": it.depth, "ADD mm": it.add}
+    fine = {"IOU %": 100 * it.iou, "gap mm": it.gap, "depth mm": it.depth, "ADD mm": it.add}
     texts = {key: f"{value:.0f}" for key, value in whole.items()} | {k: f"{value:.1f}" for k, value in fine.items()}
     return ["-" if texts[key] == "nan" else texts[key] for key in HEADINGS[1:]]
 
