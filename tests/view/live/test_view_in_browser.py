@@ -14,10 +14,10 @@ from PIL import Image
 from getagrip.view.live.entries import Entry
 from getagrip.view.live.page import Page
 from getagrip.view.live.server import serve
-from helpers.annotation_page import CHROMIUM
+from helpers.browser import CHROMIUM, WEBGL, chromium
 from helpers.two_candidates import column
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytest.importorskip("viser", reason="viser is not installed")
 pytestmark = [
     pytest.mark.browser,
@@ -25,8 +25,6 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine"),
 ]
 
-SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-"""WebGL without a graphics card."""
 PATIENCE = 60_000
 """On a busy machine a page takes its time [ms]."""
 KNOWN = "THREE.Clock: This module has been deprecated"
@@ -58,8 +56,7 @@ def coloured(picture: np.ndarray) -> np.ndarray:
 
 
 def test_the_scene_moves_with_the_slider_and_with_a_press_on_a_curve(url: str) -> None:
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+    with chromium(*WEBGL) as browser:
         page = browser.new_page(viewport={"width": 1000, "height": 480})
         said: list[str] = []
         asked: list[str] = []
@@ -91,4 +88,3 @@ def test_the_scene_moves_with_the_slider_and_with_a_press_on_a_curve(url: str) -
 
         assert [text for text in said if text.startswith(("error", "warning")) and KNOWN not in text] == []
         assert all(address.startswith((url, "data:", "blob:")) for address in asked)
-        browser.close()
