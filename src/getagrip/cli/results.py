@@ -268,7 +268,8 @@ class Export(Command):
     to: Annotated[str, arg(metavar="FORMAT")]
     """csv: a table of poses; npz: arrays; obj: posed meshes, one per frame; glb: glTF, animated, for Blender and
     browsers; bop: files of the BOP benchmark; usd: a USD stage, animated; mujoco: an MJCF scene to
-    replay and to simulate; spider: keypoint trajectories; dex-retargeting: joints and object poses, z up."""
+    replay and to simulate; lerobot: a dataset; spider: keypoint trajectories; dex-retargeting: joints and object
+    poses, z up."""
     out: OptionalFolder = None
     """Where the exports go, each into a folder named as its result's. Otherwise RESULT/export-FORMAT."""
     clips: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: where they were made from)")] = None

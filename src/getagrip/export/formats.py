@@ -6,7 +6,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 from getagrip.errors import UsageError
-from getagrip.export import arrays_npz, bop, dex_retargeting, gltf, mujoco, obj_sequence, poses_csv, spider, usd
+from getagrip.export import (
+    arrays_npz,
+    bop,
+    dex_retargeting,
+    gltf,
+    lerobot,
+    mujoco,
+    obj_sequence,
+    poses_csv,
+    spider,
+    usd,
+)
 from getagrip.export.scene import Scene
 from getagrip.io import files
 
@@ -21,6 +32,7 @@ FORMATS: dict[str, Write] = {
     "bop": bop.write,
     "usd": usd.write,
     "mujoco": mujoco.write,
+    "lerobot": lerobot.write,
     "spider": spider.write,
     "dex-retargeting": dex_retargeting.write,
 }

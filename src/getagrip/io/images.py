@@ -9,10 +9,23 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
+from getagrip.errors import InputError
 from getagrip.io import files
 
 QUALITY = 92
 """Of JPEG images, of 100."""
+
+
+def read_image(path: Path, least: tuple[int, int] = (1, 1)) -> UInt8[ndarray, "H W 3"]:
+    """An RGB image of at least some width and height [px]. Raises ``InputError``."""
+    import cv2
+
+    read = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if read is None:
+        raise InputError(path, "", "a file that is no image", "an image")
+    if read.shape[1] < least[0] or read.shape[0] < least[1]:
+        raise InputError(path, "size", f"{read.shape[1]} x {read.shape[0]}", f"at least {least[0]} x {least[1]}")
+    return np.asarray(read[..., ::-1], dtype=np.uint8)
 
 
 def write_image(path: Path, image: UInt8[ndarray, "H W"] | UInt8[ndarray, "H W 3"]) -> None:

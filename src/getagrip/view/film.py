@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from getagrip.errors import GetagripError
 from getagrip.fitting.methods import method_of
-from getagrip.io import files
+from getagrip.io.videos import write_video
 from getagrip.view.curves import seconds
 from getagrip.view.stills import overlay, steady_windows, turned
 from getagrip.view.style import INK
@@ -22,8 +21,6 @@ SIDE, STRIP, MARGIN = 540, 36, 12
 """Side of the two pictures, height of the line of words under them, and what is left free around it [px]."""
 SLOWEST, FASTEST = 1.0, 120.0
 """Frames per second."""
-QUALITY = "20"
-"""H.264's constant rate factor: lower is better."""
 
 
 def write_film(view: View, path: Path) -> Path:
@@ -31,18 +28,7 @@ def write_film(view: View, path: Path) -> Path:
 
     Raises ``InputError`` for an image that cannot be read, ``GetagripError`` where PyAV has no encoder for H.264.
     """
-    import av
-
-    try:
-        av.codec.Codec("libx264", "w")
-    except av.codec.codec.UnknownCodecError as error:
-        raise GetagripError("PyAV was built without libx264: no film can be written") from error
-    with files.new_file(path) as part, av.open(str(part), "w", format="mp4", options={"movflags": "faststart"}) as film:
-        stream = film.add_stream("libx264", rate=_rate(view), options={"crf": QUALITY})
-        stream.width, stream.height, stream.pix_fmt = 2 * SIDE, SIDE + STRIP, "yuv420p"
-        for picture in _pictures(view):
-            film.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        film.mux(stream.encode())
+    write_video(path, _pictures(view), _rate(view), (2 * SIDE, SIDE + STRIP))
     return path
 
 

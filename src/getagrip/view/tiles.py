@@ -14,11 +14,11 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
-from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import Crops, bounding_boxes, project
 from getagrip.geometry.depth import covered, depth_and_face
 from getagrip.geometry.render import Surface, render_rgb
+from getagrip.io.images import read_image
 from getagrip.result import Reconstruction
 from getagrip.view.style import (
     AXIS,
@@ -256,10 +256,7 @@ def _image(view: View, n: int) -> UInt8[ndarray, "H W 3"]:
     """The frame's image where the clip has one, else its masks in colours."""
     file = view.image_file(n)
     if file is not None:
-        read = cv2.imread(str(file), cv2.IMREAD_COLOR)
-        if read is None:
-            raise InputError(file, "", "a file that is no image", "an image")
-        return np.asarray(read[..., ::-1], dtype=np.uint8)
+        return read_image(file)
     width, height = view.clip.size
     picture = np.full((height, width, 3), BLANK, dtype=np.uint8)
     if view.masks is not None:

@@ -1,0 +1,203 @@
+"""LeRobot: a dataset, version 3.0, of one episode (https://github.com/huggingface/lerobot).
+
+Each frame has the wrist's pose and the 21 joints (``observation.state``) and the object's pose
+(``observation.environment_state``) in a frame that stands still, z up; quaternions are (w, x, y, z). A person gives no
+commands: ``action`` is the state of the next frame. LeRobot takes frames as evenly spaced: ``timestamp`` is n / fps, at
+the clip's own rate as a whole number; ``time_s`` is when the frame was taken. Images, if there is one for every frame,
+are a video.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Shaped, UInt8
+from numpy import ndarray
+
+from getagrip.export import extras
+from getagrip.export.bones import JOINTS
+from getagrip.export.lerobot_stats import image_stats, statistics
+from getagrip.export.palm import joints_on_stage, pose7
+from getagrip.export.scene import Scene
+from getagrip.export.stage import Stage
+from getagrip.io import files
+from getagrip.io.images import read_image
+from getagrip.io.videos import write_video
+
+VERSION = "v3.0"
+CHUNK, FILE = {"chunk_index": 0, "file_index": 0}, "chunk-{chunk_index:03d}/file-{file_index:03d}"
+DATA, EPISODES = f"data/{FILE}.parquet", f"meta/episodes/{FILE}.parquet"
+VIDEO, CAMERA = "videos/{video_key}/" + f"{FILE}.mp4", "observation.images.camera"
+POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+STATE = [*(f"wrist_{name}" for name in POSE), *(f"{joint}_{axis}" for joint in JOINTS for axis in "xyz")]
+
+
+def write(scene: Scene, folder: Path) -> dict[str, str]:
+    """Write the dataset. Raises ``UsageError`` without pyarrow or joints, ``InputError`` for unreadable images."""
+    extras.load("pyarrow", "lerobot")
+    stage = Stage.of(scene)
+    fps, columns = rate(scene), _columns(scene, stage)
+    features: dict[str, Any] = {
+        name: {"dtype": _dtype(values), "shape": list(values.shape[1:]) or [1], "names": _names(name)}
+        for name, values in columns.items()
+    }
+    stats = {name: statistics(values) for name, values in columns.items() if values.dtype.kind != "U"}
+    task = f"hold the {scene.category} with the {scene.side} hand"
+    count = len(scene.frames)
+    episode: dict[str, Any] = {
+        "episode_index": 0,
+        "tasks": [task],
+        "length": count,
+        "dataset_from_index": 0,
+        "dataset_to_index": count,
+        **{f"data/{key}": value for key, value in CHUNK.items()},
+        **{f"meta/episodes/{key}": value for key, value in CHUNK.items()},
+    }
+    pictures = Pictures.of(scene)
+    if pictures is not None:
+        path = folder / VIDEO.format(video_key=CAMERA, **CHUNK)
+        path.parent.mkdir(parents=True)
+        write_video(path, iter(pictures), Fraction(fps), pictures.size, seek=True)
+        features[CAMERA] = pictures.feature(fps)
+        stats[CAMERA] = image_stats(iter(pictures))
+        episode |= {f"videos/{CAMERA}/{key}": value for key, value in CHUNK.items()}
+        episode |= {f"videos/{CAMERA}/from_timestamp": 0.0, f"videos/{CAMERA}/to_timestamp": count / fps}
+    episode |= {f"stats/{name}/{key}": value for name, of in stats.items() for key, value in of.items()}
+    _write_table(folder / DATA.format(**CHUNK), columns)
+    _write_table(folder / EPISODES.format(**CHUNK), {key: [_plain(value)] for key, value in episode.items()})
+    _write_tasks(folder / "meta" / "tasks.parquet", task)
+    files.write_json(folder / "meta" / "stats.json", stats)
+    files.write_json(folder / "meta" / "info.json", _info(fps, count, features, pictures is not None))
+    video = {} if pictures is None else {VIDEO.format(video_key=CAMERA, **CHUNK): "the images, H.264, at the same fps"}
+    return {
+        DATA.format(**CHUNK): f"a row per frame; {stage.words}; quaternions (w, x, y, z); T_a_b row by row; action is "
+        "the next frame's state (a guess: people give no commands)",
+        EPISODES.format(**CHUNK): "the one episode, with its statistics; the same units",
+        "meta/tasks.parquet": "the task in words, in the same order as task_index",
+        "meta/stats.json": "statistics of each feature, in the same units; images from 0 to 1",
+        "meta/info.json": "the dataset's features; the same units",
+        **video,
+    }
+
+
+def rate(scene: Scene) -> int:
+    """Frames per second as a whole number: of the median step between frames."""
+    step = float(np.median(np.diff(scene.time))) if len(scene.frames) > 1 else 1.0 / scene.fps
+    return int(np.clip(round(1.0 / step), 1, 1000))
+
+
+class Pictures:
+    """The images of all frames, cut to an even width and height, as H.264 wants them; they are read one at a time."""
+
+    def __init__(self, paths: list[Path]) -> None:
+        height, width = read_image(paths[0]).shape[:2]
+        self.paths, self.size = paths, (width // 2 * 2, height // 2 * 2)
+
+    @staticmethod
+    def of(scene: Scene) -> Pictures | None:
+        """Of a scene; None where a frame has none."""
+        paths = [path for path in scene.image_files if path is not None]
+        return Pictures(paths) if paths and len(paths) == len(scene.frames) else None
+
+    def __iter__(self) -> Iterator[UInt8[ndarray, "H W 3"]]:
+        width, height = self.size
+        for path in self.paths:
+            yield read_image(path, least=self.size)[:height, :width]
+
+    def feature(self, fps: int) -> dict[str, Any]:
+        """How LeRobot describes the video."""
+        width, height = self.size
+        about = {"height": height, "width": width, "codec": "h264", "pix_fmt": "yuv420p", "is_depth_map": False}
+        info = {f"video.{key}": value for key, value in {**about, "fps": fps, "channels": 3}.items()}
+        names = ["height", "width", "channels"]
+        return {"dtype": "video", "shape": [height, width, 3], "names": names, "info": info | {"has_audio": False}}
+
+
+def _columns(scene: Scene, stage: Stage) -> dict[str, Shaped[ndarray, "T ..."]]:
+    """Every feature but the video, by name."""
+    joints = joints_on_stage(scene, stage, "lerobot")
+    T_stage_obj, T_stage_hand = stage.poses(scene)
+    wrist = T_stage_hand.copy()
+    wrist[:, :3, 3] = joints[:, 0]
+    count = len(joints)
+    state = np.concatenate([pose7(wrist, "wxyz"), joints.reshape(count, -1)], axis=1).astype(np.float32)
+    number = np.arange(count)
+    return {
+        "observation.state": state,
+        "observation.environment_state": pose7(T_stage_obj, "wxyz").astype(np.float32),
+        "action": np.concatenate([state[1:], state[-1:]]),
+        **{name: T.reshape(count, 16).astype(np.float32) for name, T in scene.poses.items()},
+        "time_s": scene.time,
+        "interpolated": np.array([kind == "interpolated" for kind in scene.frame_kind]),
+        "frame_kind": np.array(scene.frame_kind, dtype=np.str_),
+        "timestamp": (number / rate(scene)).astype(np.float32),
+        "frame_index": number,
+        "episode_index": np.zeros_like(number),
+        "index": number,
+        "task_index": np.zeros_like(number),
+    }
+
+
+def _names(name: str) -> list[str] | None:
+    """What the numbers of a feature are."""
+    of = {"observation.state": STATE, "action": STATE, "observation.environment_state": [f"object_{p}" for p in POSE]}
+    return of.get(name)
+
+
+def _dtype(values: Shaped[ndarray, "T ..."]) -> str:
+    return "string" if values.dtype.kind == "U" else str(values.dtype)
+
+
+def _info(fps: int, count: int, features: dict[str, Any], has_video: bool) -> dict[str, Any]:
+    return {
+        "codebase_version": VERSION,
+        "robot_type": "human_hand",
+        "total_episodes": 1,
+        "total_frames": count,
+        "total_tasks": 1,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": fps,
+        "splits": {"train": "0:1"},
+        "data_path": DATA,
+        "video_path": VIDEO if has_video else None,
+        "features": features,
+    }
+
+
+def _write_table(path: Path, columns: dict[str, Any], metadata: dict[bytes, bytes] | None = None) -> None:
+    """Write a Parquet file; arrays with several numbers in a row become lists of that length."""
+    pa, parquet = extras.load("pyarrow", "lerobot"), extras.load("pyarrow.parquet", "lerobot")
+
+    def column(values: Any) -> Any:
+        if isinstance(values, ndarray) and values.ndim == 2:
+            return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+        return pa.array(values.tolist() if isinstance(values, ndarray) and values.dtype.kind == "U" else values)
+
+    table = pa.table({name: column(values) for name, values in columns.items()})
+    content = io.BytesIO()
+    parquet.write_table(table.replace_schema_metadata(metadata) if metadata else table, content)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    files.write_bytes(path, content.getvalue())
+
+
+def _write_tasks(path: Path, task: str) -> None:
+    """LeRobot reads tasks with pandas, as a table whose index is the task: pandas finds that in the metadata."""
+
+    def about(name: str, kind: str, numpy_type: str) -> dict[str, Any]:
+        return {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy_type, "metadata": None}
+
+    columns = [about("task_index", "int64", "int64"), about("task", "unicode", "object")]
+    pandas = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
+    _write_table(path, {"task_index": [0], "task": [task]}, {b"pandas": json.dumps(pandas).encode()})
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, ndarray) else value
