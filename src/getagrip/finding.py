@@ -49,9 +49,9 @@ def read_findings(path: Path, given: list[Any]) -> tuple[Finding, ...]:
     return tuple(Finding(**{key: item[key] for key in KINDS}) for item in given)
 
 
-def read_checks(path: Path, given: dict[str, Any]) -> dict[str, float]:
-    """What the checks of a ``result.json`` measured; NaN for null. Raises ``InputError``."""
-    for key, value in given.items():
+def read_checks(path: Path, given: dict[str, Any], key: str = "checks") -> dict[str, float]:
+    """Measured values by name, as the ``key`` of a ``result.json`` has them; NaN for null. Raises ``InputError``."""
+    for name, value in given.items():
         if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise InputError(path, f"checks.{shown(key)}", shown(value), "a number, or null")
-    return {key: float("nan") if value is None else float(value) for key, value in given.items()}
+            raise InputError(path, f"{key}.{shown(name)}", shown(value), "a number, or null")
+    return {name: float("nan") if value is None else float(value) for name, value in given.items()}

@@ -17,6 +17,7 @@ from getagrip.finding import Finding, read_checks, read_findings
 from getagrip.geometry import se3
 from getagrip.io import arrays, files
 from getagrip.io.array_data import ArrayData
+from getagrip.probability import Probability, read_probability
 
 VERSION = 1
 FrameKind = Literal["sampled", "fitted", "interpolated"]
@@ -40,6 +41,7 @@ FIELDS: dict[str, tuple[type, str]] = {
     "notes": (list, "a list of texts"),
     "findings": (list, "a list of findings"),
     "checks": (dict, "numbers by name"),
+    "signs": (dict, "numbers by name"),
     "energy": (dict, "an object"),
     "metrics": (dict, "an object"),
     "seconds": (dict, "an object"),
@@ -102,6 +104,9 @@ class Reconstruction(ArrayData):
         notes: frames left out and values that are guesses (scale, focal length), in words.
         findings: what is unusual about the inputs and the result, the inputs first.
         checks: what each check has measured, by its name; NaN where it could not.
+        signs: what is known about whether it is right, by name (``checks.signs``); NaN where it is not.
+        probability_right: how probable it is that the poses are right (ADD, up to symmetries, below 10 % of the
+            diameter); None where nothing is calibrated for such a fit.
         T_cam_hand: (T, 4, 4) pose of the corrected hand, hand frame to camera frame [m], which ``T_hand_obj`` and the
             axis are relative to; None where the hand is as the clip gives it.
         frame_kind: how the pose of each frame was found; by default, all frames were sampled.
@@ -124,6 +129,8 @@ class Reconstruction(ArrayData):
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     checks: dict[str, float] = field(default_factory=dict)
+    signs: dict[str, float] = field(default_factory=dict)
+    probability_right: Probability | None = None
     T_cam_hand: Float[ndarray, "T 4 4"] | None = None
     frame_kind: tuple[FrameKind, ...] = ()
 
@@ -202,6 +209,8 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
         notes=tuple(fields["notes"]),
         findings=read_findings(folder / "result.json", fields["findings"]),
         checks=read_checks(folder / "result.json", fields["checks"]),
+        signs=read_checks(folder / "result.json", fields["signs"], "signs"),
+        probability_right=read_probability(folder / "result.json", fields["probability_right"]),
         T_cam_hand=_rigid(path, given, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in given else None,
     )
     return result, fields
@@ -220,6 +229,8 @@ def read_record(folder: str | Path) -> dict[str, Any]:
     fields.setdefault("notes", [])
     fields.setdefault("findings", [])
     fields.setdefault("checks", {})
+    fields.setdefault("signs", {})
+    fields.setdefault("probability_right", None)
     for key, (kind, expected) in FIELDS.items():
         if key not in fields:
             raise InputError(path, key, "no such key", expected)
@@ -292,6 +303,8 @@ def _fields(
         "notes": result.notes,
         "findings": [finding.fields() for finding in result.findings],
         "checks": result.checks,
+        "signs": result.signs,
+        "probability_right": result.probability_right and result.probability_right.fields(),
         "energy": result.energy,
         "metrics": metrics or {},
         "seconds": result.seconds,

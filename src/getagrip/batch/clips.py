@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,16 +44,28 @@ def reconstruct_clips(
     for outcome in failed:
         print_outcome(outcome, debug)
     counts, doubtful = {"done": 0, "kept": 0, "failed": len(failed)}, list[str]()
+    right: dict[str, float] = {}
     with progress_bar() as bar:
         for outcome in _outcomes(jobs, workers, bar):
             print_outcome(outcome, debug)
             counts[outcome.state] += 1
             doubtful += [outcome.name] * any(finding.serious for finding in outcome.findings)
+            if outcome.probability_right is not None:
+                right[outcome.name] = outcome.probability_right.value
     if len(jobs) + len(failed) > 1:
         print(f"{counts['done']} done, {counts['kept']} already done, {counts['failed']} failed")
         if doubtful:
             print(f"{len(doubtful)} with serious findings: {', '.join(sorted(doubtful))}")
+        if right:
+            print(expected(right))
     return 1 if counts["failed"] or (strict and doubtful) else 0
+
+
+def expected(right: Mapping[str, float]) -> str:
+    """How many results are probably right, and which are rather wrong, by the probability of each that it is right."""
+    wrong = sorted((name for name in right if right[name] < 0.5), key=lambda name: right[name])
+    named = f"; rather wrong than right, the worst first: {', '.join(wrong)}" if wrong else ""
+    return f"about {sum(right.values()):.0f} of {len(right)} are right, by their probabilities{named}"
 
 
 def _outcomes(jobs: Sequence[Job], workers: int | None, bar: Progress) -> Iterator[Outcome]:

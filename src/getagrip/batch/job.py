@@ -13,6 +13,7 @@ from getagrip.clip import input_sha256, read_clip, read_name
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.finding import Finding, read_findings
 from getagrip.io import files
+from getagrip.probability import Probability, read_probability
 from getagrip.result import is_result, read_record, write_result
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ class Outcome:
     """Where the error arose, for ``--debug``."""
     findings: tuple[Finding, ...] = ()
     """What is unusual about a result."""
+    probability_right: Probability | None = None
+    """Of a result, where it is known."""
 
 
 def failure(name: str, error: Exception) -> Outcome:
@@ -116,9 +119,11 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
     except Exception as error:  # one clip's trouble must not end the others
         meanwhile = settled(job)
         return meanwhile if meanwhile is not None and meanwhile.state == "kept" else failure(job.name, error)
-    ambiguous = ", ambiguous" if result.ambiguous else ""
-    summary = f"IOU {metrics['iou_full']:.2f}{ambiguous}, {result.seconds['total']:.1f} s, {job.out}; {result.status}"
-    return Outcome(job.name, "done", summary, findings=result.findings)
+    right = result.probability_right
+    probably = "" if right is None else f", right with a probability of {right}"
+    about = f"{probably}{', ambiguous' if result.ambiguous else ''}"
+    summary = f"IOU {metrics['iou_full']:.2f}{about}, {result.seconds['total']:.1f} s, {job.out}; {result.status}"
+    return Outcome(job.name, "done", summary, findings=result.findings, probability_right=right)
 
 
 def settled(job: Job) -> Outcome | None:
@@ -135,9 +140,10 @@ def settled(job: Job) -> Outcome | None:
         if other:
             raise UsageError(f"{job.out}: holds a result of another {' and '.join(other)}; replace it with --overwrite")
         findings = read_findings(job.out / "result.json", record["findings"])
+        right = read_probability(job.out / "result.json", record["probability_right"])
     except Exception as error:  # as above
         return failure(job.name, error)
-    return Outcome(job.name, "kept", f"already done in {job.out}", findings=findings)
+    return Outcome(job.name, "kept", f"already done in {job.out}", findings=findings, probability_right=right)
 
 
 def _differences(job: Job, record: dict[str, Any]) -> list[str]:

@@ -1,10 +1,12 @@
 """Whether inputs and results can be believed: each check measures one thing, and finds fault beyond its limit.
 
 ``INPUT_CHECKS`` need the clip and its masks, ``RESULT_CHECKS`` the poses that were found, too. Limits were chosen on
-training data (docs/checks.md).
+training data (docs/checks.md). ``read_signs`` is what ``CALIBRATIONS`` (``calibrated``) make a probability of.
 """
 
 from getagrip.checks.evidence import Evidence
+from getagrip.checks.signs import read_signs
+from getagrip.checks.solved import Solved
 from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Check, examine
 
-__all__ = ["INPUT_CHECKS", "LEAST_IOU", "RESULT_CHECKS", "Check", "Evidence", "examine"]
+__all__ = ["INPUT_CHECKS", "LEAST_IOU", "RESULT_CHECKS", "Check", "Evidence", "Solved", "examine", "read_signs"]

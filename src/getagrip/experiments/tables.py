@@ -214,17 +214,18 @@ def write_clips_csv(scores: Sequence[Scores], variants: Sequence[Variant], path:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         about = (
-            "clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "findings", "status",
+            "clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "probability_right",
+            "findings", "status",
         )  # fmt: skip
         writer.writerow([*about, *keys])
         for clip in scores:
             if clip.failure:
-                writer.writerow([clip.clip, *[""] * 8, f"failed: {clip.failure}", *[""] * len(keys)])
+                writer.writerow([clip.clip, *[""] * 9, f"failed: {clip.failure}", *[""] * len(keys)])
             for score in clip.scores:
                 variant = of[score.variant]
                 status = f"failed: {score.status}" if score.failed else score.status
                 found = " ".join((*score.serious, *score.noted))
-                how = [score.seconds, score.energy, score.ambiguous, found, status]
+                how = [score.seconds, score.energy, score.ambiguous, score.probability_right, found, status]
                 metrics = [score.metrics.get(key, "") for key in keys]
                 what = [clip.clip, clip.category, clip.subject, variant.method, variant.step]
                 writer.writerow([*what, *how, *metrics])

@@ -27,6 +27,7 @@ from getagrip.experiments.sources import Sample
 from getagrip.finding import read_findings
 from getagrip.io import files
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
+from getagrip.probability import read_probability
 from getagrip.result import is_result, read_record, read_result, software, write_result
 
 
@@ -62,6 +63,8 @@ class Score:
     """Names of the checks that found something serious."""
     noted: tuple[str, ...] = ()
     """Names of those that found something else."""
+    probability_right: float | None = None
+    """By its own signs; None where that is not calibrated."""
 
 
 @dataclass(frozen=True)
@@ -164,8 +167,10 @@ def _score(variant: Variant, place: Path, record: dict[str, Any]) -> Score:
     seconds, energy = (np.nan if value is None else float(value) for value in of_all)
     found = read_findings(place / "result.json", record["findings"])
     serious, noted = (tuple(f.check for f in found if f.serious == kind) for kind in (True, False))
+    right = read_probability(place / "result.json", record["probability_right"])
+    value = None if right is None else right.value
     how = record["ambiguous"], record["status"]
-    return Score(variant.folder, metrics, seconds, energy, *how, serious=serious, noted=noted)
+    return Score(variant.folder, metrics, seconds, energy, *how, serious=serious, noted=noted, probability_right=value)
 
 
 def _place(trial: Trial, variant: Variant) -> Path:

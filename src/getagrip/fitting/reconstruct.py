@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from getagrip.checks import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Evidence, examine
+from getagrip.checks import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Evidence, Solved, examine, read_signs
+from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.clip import Clip, Masks, check_clip, check_masks
 from getagrip.errors import GetagripError, InputError
 from getagrip.finding import Finding
@@ -17,10 +18,14 @@ from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frame
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare
+from getagrip.probability import Probability
 from getagrip.result import Candidates, Reconstruction
 
 AMBIGUOUS = 1.05
 """A distinct candidate within this factor of the best energy makes a result ambiguous."""
+
+CHOICES = ("method", "inits", "init", "priors", "thorough", "seed", "frames", "every_frame")
+"""Options that leave a calibration valid; it was made with the usual values of all."""
 
 UNEXPLAINED = "failed: the best pose meets the masks with a mean IOU of {:.2f} only; nothing is known of the object"
 """The status of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
@@ -61,11 +66,36 @@ def reconstruct(
         clock("finish")
         whole = at_every_frame(clip, masks, problem, found, track) if options.every_frame else track
         clock("every frame")
-        held = replace(given, clip=problem.clip, T_hand_obj=track.T_hand_obj[0], scale=scale, iou=whole.iou)
-        of_result, more = examine(RESULT_CHECKS, held)
+        solved = Solved(
+            problem.clip, problem.given_masks, track.T_hand_obj[0], scale, track.iou,
+            candidates=Candidates(track.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
+            T_cam_hand_given=sampled.hand.T_cam_hand,
+        )  # fmt: skip
+        of_result, more = examine(RESULT_CHECKS, replace(solved, iou=whole.iou))
+        signs = read_signs(solved)
         clock("check of the result")
-    result = _reconstruction(problem, found, whole, clock.seconds())
-    return replace(result, findings=(*findings, *more), checks=measured | of_result)
+    return replace(
+        _reconstruction(problem, found, whole, clock.seconds()),
+        findings=(*findings, *more),
+        checks=measured | of_result,
+        signs=signs,
+        probability_right=probability_right(options, signs, findings),
+    )
+
+
+def probability_right(options: Options, signs: Mapping[str, float], findings: Sequence[Finding]) -> Probability | None:
+    """How probable it is that a result with such signs is right; ``findings`` are those about its input.
+
+    None where nothing is calibrated: for methods and energies other than those that were, for shorter searches, and
+    where something serious is found about the input.
+    """
+    calibration = CALIBRATIONS.get(options.method)
+    as_usual = options.inits >= Options.inits and all(
+        getattr(options, option.name) == option.default for option in fields(Options) if option.name not in CHOICES
+    )
+    if calibration is None or not as_usual or any(finding.serious for finding in findings):
+        return None
+    return calibration.probability(signs)
 
 
 def _fitted(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> MethodResult:

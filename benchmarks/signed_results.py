@@ -1,0 +1,173 @@
+"""Results with their signs, and whether they are right: what ``benchmarks.probability`` is fitted to and tested on.
+
+Every clip is reconstructed by the default method under each of ``CONDITIONS``.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from getagrip.batch.pool import in_processes
+from getagrip.checks.signs import SIGNS
+from getagrip.clip import Clip, Masks, read_clip, read_masks
+from getagrip.datasets.synthetic.deform import drawn
+from getagrip.datasets.synthetic.noise import NOISE, Noise
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.splits import Split, split
+from getagrip.evaluation import evaluate
+from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_MM
+from getagrip.experiments.settings import AS_GIVEN, Noisy, ScaleFree
+from getagrip.experiments.sources import source_of
+from getagrip.experiments.stamp import stamp
+from getagrip.fitting.options import Options
+from getagrip.fitting.reconstruct import reconstruct
+from getagrip.geometry.mesh import Mesh
+
+DEFORMED, STRETCHED = 0.03, 0.1
+"""How far another mesh is from the object's: what the best similarity leaves, in diameters, and shares of its sides."""
+EVERY: dict[Split, tuple[int, int]] = {"train": (1, 2), "test": (2, 4)}
+"""Of DexYCB's clips, and of the synthetic ones of each preset, every so many are used."""
+PRESETS = ("clean", "moderate", "strong", "wild", "measured")
+Change = Callable[[Clip, Masks, int], tuple[Clip, Masks]]
+TEN = Noisy(Noise(hand_bias_mm=10.0, hand_bias_deg=8.0, hand_jitter_mm=5.0, hand_jitter_deg=4.0, jitter_memory_s=0.1))
+
+
+def other_shape(clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+    """A mesh that is only of the object's kind: deformed and stretched, as large."""
+    rng = np.random.default_rng([seed, *clip.name.encode()])
+    deformation, centre = drawn(clip.mesh, DEFORMED, rng), clip.mesh.centre
+    sides = np.exp(rng.uniform(-1.0, 1.0, 3) * np.log(1.0 + STRETCHED))
+    sides /= np.prod(sides) ** (1.0 / 3.0)
+    vertices = centre + sides * (deformation(clip.mesh.vertices) - centre)
+    return replace(clip, mesh=Mesh(vertices, clip.mesh.faces)), masks
+
+
+def unseen_hand(clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+    """As far off as ``TEN``, and no pixels of the hand to mend it by."""
+    clip, masks = TEN(clip, masks, seed)
+    return clip, Masks(masks.object, np.zeros_like(masks.ignore))
+
+
+CONDITIONS: dict[str, Change] = {
+    "as it is": AS_GIVEN,
+    "moderate": Noisy(NOISE["moderate"]),
+    "strong": Noisy(NOISE["strong"]),
+    "10 mm, 8°": TEN,
+    "10 mm, 8°, no hand pixels": unseen_hand,
+    "masks off by 4 px": Noisy(Noise(mask_ragged_px=4.0)),
+    "size unknown": ScaleFree(),
+    "other shape": other_shape,
+}
+"""What is done to the clips of DexYCB. Synthetic clips are as their preset has them."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A clip, and what is to be done with it."""
+
+    dataset: str
+    part: Split
+    clip: str
+    conditions: tuple[str, ...]
+    make: Callable[[], tuple[Clip, Masks]]
+
+
+@dataclass(frozen=True)
+class ReadClip:
+    """The clip of a folder."""
+
+    folder: Path
+
+    def __call__(self) -> tuple[Clip, Masks]:
+        clip = read_clip(self.folder)
+        return clip, read_masks(clip)
+
+
+@dataclass(frozen=True)
+class Synthesised:
+    """A synthetic clip."""
+
+    preset: str
+    part: Split
+    number: int
+
+    def __call__(self) -> tuple[Clip, Masks]:
+        return synthesise(*split(self.part, self.preset)[self.number])
+
+
+def cases(clips: Path, root: Path, meshes: Path) -> Iterator[Case]:
+    """All clips, test and training in turn."""
+    for part, (every, every_synthetic) in EVERY.items():
+        found = source_of("dexycb", split=part, root=root, meshes=meshes).samples(clips, False)[0]
+        for sample in found[::every]:
+            yield Case("DexYCB", part, sample.name, tuple(CONDITIONS), ReadClip(sample.folder))
+        for preset in PRESETS:
+            for number, (category, seed, _) in list(enumerate(split(part, preset)))[::every_synthetic]:
+                yield Case("synthetic", part, f"{category}-{seed}", (preset,), Synthesised(preset, part, number))
+
+
+Row = dict[str, str]
+COLUMNS = ("dataset", "part", "condition", "clip", "right", "off", "seconds", "made", *(sign.name for sign in SIGNS))
+
+
+def run(case: Case) -> list[Row]:
+    """A row for each condition, none for one that fails."""
+    clip, masks = case.make()
+    rows = []
+    for condition in case.conditions:
+        start = time.process_time()
+        try:
+            changed = clip, masks
+            if case.dataset == "DexYCB":
+                changed = CONDITIONS[condition](clip, masks, 0)
+            result = reconstruct(*changed, Options(every_frame=False))
+        except Exception as error:  # one clip's trouble must not end the others
+            print(f"{case.clip}, {condition}: {error}", file=sys.stderr)
+            continue
+        seconds = time.process_time() - start
+        given = changed[0]
+        metrics = evaluate(result, given, None, wanted=(ADD_SYM, ADD_SYM_MM))["metrics"]
+        assert given.truth is not None
+        off = 1e-3 * metrics[ADD_SYM_MM.name] / (given.mesh.diameter * given.truth.scale)
+        what = [case.dataset, case.part, condition, case.clip, f"{metrics[ADD_SYM.name]:.0f}", f"{off:.4f}"]
+        signs = [f"{result.signs[sign.name]:.6g}" for sign in SIGNS]
+        rows.append(dict(zip(COLUMNS, [*what, f"{seconds:.2f}", stamp(), *signs], strict=True)))
+    return rows
+
+
+def collect(file: Path, every: Sequence[Case], workers: int) -> list[Row]:
+    """The rows of all cases: those of the file, and those that are missing there, which are added to it."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    rows = read(file) if file.exists() else []
+    if not rows:
+        write([COLUMNS], file, "w")
+    done = {(row["dataset"], row["part"], row["clip"], row["condition"]) for row in rows}
+    missing = []
+    for case in every:
+        left = tuple(c for c in case.conditions if (case.dataset, case.part, case.clip, c) not in done)
+        missing += [replace(case, conditions=left)] if left else []
+    made = ((case, run(case)) for case in missing) if workers == 1 else in_processes(run, missing, workers)
+    for n, (case, new) in enumerate(made, start=1):
+        write([[row[column] for column in COLUMNS] for row in new or []], file, "a")
+        rows += new or []
+        print(f"{n} of {len(missing)}: {case.dataset}, {case.part}, {case.clip}", flush=True)
+    return rows
+
+
+def read(file: Path) -> list[Row]:
+    """The rows of a file."""
+    with file.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def write(lines: Sequence[Sequence[str]], file: Path, mode: str) -> None:
+    """Lines of a table."""
+    with file.open(mode, encoding="utf-8", newline="") as stream:
+        csv.writer(stream).writerows(lines)

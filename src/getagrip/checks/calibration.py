@@ -1,0 +1,69 @@
+"""From signs to the probability that a result is right: a logistic regression, fitted on training data.
+
+    probability = 1 / (1 + exp(-(bias + sum_i weight_i x_i)))
+
+x_i are signs (``checks.signs``), held within the range that they had in the training data. Only what was calibrated
+has a probability: ``CALIBRATIONS`` (``calibrated``), by method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.probability import Probability
+
+MEANING = "probability that the mean distance of vertices (ADD), up to symmetries, is below 10 % of the diameter"
+
+
+@dataclass(frozen=True)
+class Weight:
+    """What a sign counts."""
+
+    weight: float
+    """For one unit of the sign, in the logarithm of the odds."""
+    low: float
+    high: float
+    """The range of the sign in the training data, but for the last hundredth at either end."""
+
+    def held(self, value: float) -> float:
+        """A value of the sign within the range; the middle for NaN."""
+        return 0.5 * (self.low + self.high) if np.isnan(value) else min(max(value, self.low), self.high)
+
+    def beyond(self, value: float) -> bool:
+        """Whether a value of the sign is outside the range."""
+        return not np.isnan(value) and not self.low <= value <= self.high
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Of one method.
+
+    Attributes:
+        weights: by name of the sign.
+        bias: the logarithm of the odds where all signs are 0.
+        data: on what it was fitted, in words.
+        made: when, by which code and which command.
+    """
+
+    weights: Mapping[str, Weight]
+    bias: float
+    data: str
+    made: str
+
+    def probability(self, signs: Mapping[str, float]) -> Probability:
+        """Of a result with these signs. A sign that is NaN counts as in the middle of its range."""
+        held = {name: weight.held(signs[name]) for name, weight in self.weights.items()}
+        logit = self.bias + sum(self.weights[name].weight * value for name, value in held.items())
+        beyond = tuple(name for name, weight in self.weights.items() if weight.beyond(signs[name]))
+        meaning = f"{MEANING}; calibrated on {self.data}; for anything else it is an extrapolation"
+        return Probability(float(sigmoid(np.array(logit))), meaning, beyond)
+
+
+def sigmoid(logit: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
+    """Probabilities of logarithms of odds."""
+    return 0.5 * (1.0 + np.tanh(0.5 * logit))

@@ -1,0 +1,114 @@
+"""A clip with all that a fit has found for it, as the signs of a right result look at it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.checks.evidence import Evidence
+from getagrip.clip.sampling import frame_indices
+from getagrip.geometry import se3
+from getagrip.metrics.contact import moving_distance
+from getagrip.metrics.symmetry import surface_points
+from getagrip.result import Axis, Candidates
+
+PER_REGION = 6
+"""Vertices that stand for a contact region of the hand."""
+FRAMES, POINTS = 5, 200
+"""Frames in which candidates are compared, and points of the object's surface."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Solved(Evidence):
+    """In the frames that were fitted together; ``clip`` has the corrected hand.
+
+    Attributes:
+        T_hand_obj: (T, 4, 4) poses that were found.
+        iou: (T,) overlap of rendered and observed mask.
+        candidates: the best distinct solutions in these frames; the first is the one that was found.
+        axis: the axis that was found, where the method has one.
+        T_cam_hand_given: (T, 4, 4) poses of the hand as it was given.
+    """
+
+    candidates: Candidates
+    axis: Axis | None
+    T_cam_hand_given: Float[ndarray, "T 4 4"]
+
+    @property
+    def poses(self) -> Float[ndarray, "T 4 4"]:
+        """``T_hand_obj``, which is known here."""
+        assert self.T_hand_obj is not None
+        return self.T_hand_obj
+
+    @property
+    def diameter(self) -> float:
+        """Of the object at the scale that was found [m]."""
+        return self.scale * self.clip.mesh.diameter
+
+    @property
+    def energy_times(self) -> Float[ndarray, "K"]:
+        """How many times as large as the least energy those of the candidates are."""
+        energy = np.maximum(self.candidates.energy, 1e-9)
+        return np.asarray(energy / energy.min())
+
+    @cached_property
+    def apart(self) -> Float[ndarray, "K"]:
+        """How far the surface of each candidate is from that of the first, in diameters.
+
+        Means of the distances to the nearest point, so that symmetric poses are not apart.
+        """
+        from scipy.spatial import cKDTree
+
+        few = frame_indices(len(self.clip), FRAMES)
+        points = surface_points(self.clip.mesh, POINTS)
+        T, scale = self.candidates.T_hand_obj[:, few], self.candidates.scale[:, None, None, None]
+        surfaces = se3.transform(T, scale * points)
+        trees = [cKDTree(surface) for surface in surfaces[0]]
+        off = [[tree.query(x)[0].mean() for tree, x in zip(trees, surface, strict=True)] for surface in surfaces]
+        nearest = [tree.query(x, k=2)[0][:, 1].mean() for tree, x in zip(trees, surfaces[0], strict=True)]
+        return np.maximum(np.mean(off, axis=1) - 0.5 * np.mean(nearest), 0.0) / self.diameter
+
+    @cached_property
+    def region_distance(self) -> Float[ndarray, "T R"]:
+        """Signed distance [m] of each contact region of the hand to the object, negative inside."""
+        hand, mesh = self.clip.hand, self.clip.mesh
+        some = [ids[frame_indices(len(ids), PER_REGION)] for ids in hand.regions.values() if len(ids)]
+        points = se3.transform(se3.inverse(self.poses), hand.vertices[:, np.concatenate(some)])
+        vertices = np.broadcast_to(self.scale * mesh.vertices, (len(points), *mesh.vertices.shape))
+        distance = moving_distance(points, vertices, mesh.faces)
+        ends = np.cumsum([len(ids) for ids in some])[:-1]
+        return np.stack([part.min(axis=1) for part in np.split(distance, ends, axis=1)], axis=1)
+
+    @cached_property
+    def off_axis(self) -> tuple[float, float]:
+        """How far the motion is from a rotation about the axis: root mean square shift [m] and turn [rad]."""
+        T = self.poses
+        if self.axis is not None:
+            about = self.axis.point, self.axis.direction
+            T = se3.inverse(se3.rotation_about_line(*about, self.axis.angle)) @ T
+        R = T[:, :3, :3]
+        turn = se3.angle_between(R, se3.nearest_rotation(R.mean(axis=0)))
+        centre = se3.transform(T, self.scale * self.clip.mesh.centre[None])[:, 0]
+        shift = np.linalg.norm(centre - centre.mean(axis=0), axis=1)
+        return float(np.sqrt(np.mean(shift**2))), float(np.sqrt(np.mean(turn**2)))
+
+    @cached_property
+    def hand_moved(self) -> tuple[float, float]:
+        """How far the hand was corrected: mean shift of its middle [m], mean turn [rad]."""
+        middle = self.clip.hand.vertices.mean(axis=(0, 1))[None]
+        T, given = self.clip.hand.T_cam_hand, self.T_cam_hand_given
+        shift = np.linalg.norm(se3.transform(T, middle) - se3.transform(given, middle), axis=-1)
+        return float(shift.mean()), float(se3.angle_between(T[:, :3, :3], given[:, :3, :3]).mean())
+
+    @cached_property
+    def hand_overlap(self) -> float:
+        """Overlap (IOU) of the drawn hand and its own pixels, outside the object's masks; NaN where none are known."""
+        own = self.masks.ignore if self.masks.hand is None else self.masks.hand
+        if not own.any():
+            return float("nan")
+        seen, drawn = self.small(own), self.drawn_hands & ~self.small(self.masks.object)
+        return float((seen & drawn).sum() / max((seen | drawn).sum(), 1))

@@ -1,0 +1,47 @@
+"""How probable it is that a result is right, as results hold it (docs/checks.md)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from getagrip.errors import InputError
+from getagrip.io.files import shown
+
+
+@dataclass(frozen=True)
+class Probability:
+    """A calibrated probability, from what is known without ground truth.
+
+    Attributes:
+        value: of the results with such a value, this share is right.
+        meaning: what "right" is, and on what the value was calibrated.
+        beyond: names of signs (``checks.signs``) that are outside the range they had there: an extrapolation.
+    """
+
+    value: float
+    meaning: str
+    beyond: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{100.0 * self.value:.0f} %{' (extrapolated)' if self.beyond else ''}"
+
+    def fields(self) -> dict[str, Any]:
+        """As ``result.json`` holds it."""
+        return asdict(self)
+
+
+KINDS: dict[str, tuple[type, ...]] = {"value": (int, float), "meaning": (str,), "beyond": (list,)}
+
+
+def read_probability(path: Path, given: Any) -> Probability | None:
+    """That of a ``result.json``; None for null. Raises ``InputError``."""
+    if given is None:
+        return None
+    known = isinstance(given, dict) and all(isinstance(given.get(key), kind) for key, kind in KINDS.items())
+    if not known or isinstance(given["value"], bool) or not all(isinstance(name, str) for name in given["beyond"]):
+        raise InputError(path, "probability_right", shown(given), f"an object with {', '.join(KINDS)}, or null")
+    if not 0.0 <= given["value"] <= 1.0:
+        raise InputError(path, "probability_right.value", shown(given["value"]), "0 to 1")
+    return Probability(float(given["value"]), given["meaning"], tuple(given["beyond"]))
