@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from textwrap import wrap
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -62,19 +63,16 @@ class Results:
 def calibrated(train: Results, made: str) -> Calibration:
     """Fitted to the training part."""
     weights, bias = fit_weights(train.signs, train.right, [sign.direction for sign in SIGNS])
-    clips = {
-        dataset: len({row["clip"] for row in train.where(dataset=dataset).rows}) for dataset in of(train, "dataset")
-    }
     data = (
-        f"{len(train.rows)} results of training clips ({', '.join(f'{n} of {name}' for name, n in clips.items())}) "
-        "with right hands and masks, and with errors of hands, masks, size and shape"
+        f"{len(train.rows)} results of training clips of {' and '.join(of(train, 'dataset'))}, of which "
+        f"{100.0 * train.right.mean():.0f} % are right: right inputs, and errors of hands, masks, size and shape"
     )
     return Calibration({sign.name: w for sign, w in zip(SIGNS, weights, strict=True)}, bias, data, made)
 
 
 def of(results: Results, key: str) -> list[str]:
     """The different entries of a column."""
-    return list(dict.fromkeys(row[key] for row in results.rows))
+    return sorted({row[key] for row in results.rows})
 
 
 def source(calibration: Calibration) -> str:
@@ -83,7 +81,11 @@ def source(calibration: Calibration) -> str:
         f'            "{name}": Weight({w.weight:.5g}, {w.low:.5g}, {w.high:.5g}),'
         for name, w in calibration.weights.items()
     )
-    return f'''"""What signs count; written by ``python -m benchmarks.probability``, {calibration.made}."""
+    data = "\n".join(f'            "{part}"' for part in wrap(calibration.data, 90, drop_whitespace=False))
+    return f'''"""What signs count; written by ``python -m benchmarks.probability``.
+
+Made {calibration.made}.
+"""
 
 from getagrip.checks.calibration import Calibration, Weight
 
@@ -93,7 +95,9 @@ CALIBRATIONS: dict[str, Calibration] = {{
 {weights}
         }},
         bias={calibration.bias:.5g},
-        data="{calibration.data}",
+        data=(
+{data}
+        ),
         made="{calibration.made}",
     ),
 }}
@@ -163,7 +167,7 @@ def draw(test: Results, calibration: Calibration, path: Path) -> None:
 
 def main(out: Path, root: Path, meshes: Path, workers: int) -> None:
     """Collect, fit, and put the measurements into the page."""
-    report(Results(collect(out / "results.csv", list(cases(out / "clips", root, meshes)), workers)))
+    report(Results(collect(out / "results.csv", cases(out / "clips", root, meshes), workers)))
 
 
 def report(rows: Results) -> None:

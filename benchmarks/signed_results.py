@@ -102,8 +102,14 @@ class Synthesised:
         return synthesise(*split(self.part, self.preset)[self.number])
 
 
-def cases(clips: Path, root: Path, meshes: Path) -> Iterator[Case]:
-    """All clips, test and training in turn."""
+def cases(clips: Path, root: Path, meshes: Path) -> list[Case]:
+    """All clips in a random order: what there is of an interrupted run is a sample of everything."""
+    found = list(_cases(clips, root, meshes))
+    return [found[n] for n in np.random.default_rng(0).permutation(len(found))]
+
+
+def _cases(clips: Path, root: Path, meshes: Path) -> Iterator[Case]:
+    """Clip by clip."""
     for part, (every, every_synthetic) in EVERY.items():
         found = source_of("dexycb", split=part, root=root, meshes=meshes).samples(clips, False)[0]
         for sample in found[::every]:

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
+from getagrip.probability import Probability
 from getagrip.result import Axis, Candidates, Reconstruction, is_result, read_result, write_result
 
 Refused = Callable[..., str]
@@ -45,6 +46,8 @@ def small_result(frames: int = 3, candidates: int = 2, hinged: bool = True, seed
         options={"inits": 50},
         seed=7,
         notes=("a note",),
+        signs={"contact-gap": -2.5},
+        probability_right=Probability(0.75, "of being right", ("contact-gap",)),
     )
 
 
@@ -66,6 +69,8 @@ def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, candidates:
         "options",
         "seed",
         "notes",
+        "signs",
+        "probability_right",
     ):
         assert getattr(back, name) == getattr(result, name)
     np.testing.assert_array_equal(back.T_hand_obj, result.T_hand_obj)
@@ -119,6 +124,13 @@ BROKEN: dict[str, tuple[dict[str, object], dict[str, object], str]] = {
     "no method": ({}, {"method": None}, "result.json: method"),
     "clip a path": ({}, {"clip": "../x"}, "result.json: clip"),
     "seed a text": ({}, {"seed": "7"}, "result.json: seed"),
+    "signs texts": ({}, {"signs": {"a": "b"}}, "result.json: signs."),
+    "probability a number": ({}, {"probability_right": 0.5}, "result.json: probability_right"),
+    "probability of 2": (
+        {},
+        {"probability_right": {"value": 2, "meaning": "", "beyond": []}},
+        "result.json: probability_right.value",
+    ),
     "energy a number": ({}, {"energy": 7}, "result.json: energy"),
     "no poses": ({"T_hand_obj": None}, {}, "result.npz: T_hand_obj"),
     "poses short": ({"T_hand_obj": EYE[:2]}, {}, "result.npz: T_hand_obj"),

@@ -17,7 +17,7 @@ class Probability:
     Attributes:
         value: of the results with such a value, this share is right.
         meaning: what "right" is, and on what the value was calibrated.
-        beyond: names of signs (``checks.signs``) that are outside the range they had there: an extrapolation.
+        beyond: names of signs (``checks.signs``) that are worse than nearly all of them were there: an extrapolation.
     """
 
     value: float

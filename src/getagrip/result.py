@@ -104,7 +104,7 @@ class Reconstruction(ArrayData):
         notes: frames left out and values that are guesses (scale, focal length), in words.
         findings: what is unusual about the inputs and the result, the inputs first.
         checks: what each check has measured, by its name; NaN where it could not.
-        signs: what is known about whether it is right, by name (``checks.signs``); NaN where it is not.
+        signs: what is known about whether it is right, by name (``checks.signs``).
         probability_right: how probable it is that the poses are right (ADD, up to symmetries, below 10 % of the
             diameter); None where nothing is calibrated for such a fit.
         T_cam_hand: (T, 4, 4) pose of the corrected hand, hand frame to camera frame [m], which ``T_hand_obj`` and the

@@ -31,12 +31,12 @@ class Weight:
     """The range of the sign in the training data, but for the last hundredth at either end."""
 
     def held(self, value: float) -> float:
-        """A value of the sign within the range; the middle for NaN."""
-        return 0.5 * (self.low + self.high) if np.isnan(value) else min(max(value, self.low), self.high)
+        """The nearest value within the range."""
+        return min(max(value, self.low), self.high)
 
     def beyond(self, value: float) -> bool:
-        """Whether a value of the sign is outside the range."""
-        return not np.isnan(value) and not self.low <= value <= self.high
+        """Whether a value is outside the range, where results are less probable."""
+        return value > self.high if self.weight < 0.0 else value < self.low
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Calibration:
     made: str
 
     def probability(self, signs: Mapping[str, float]) -> Probability:
-        """Of a result with these signs. A sign that is NaN counts as in the middle of its range."""
+        """Of a result with these signs."""
         held = {name: weight.held(signs[name]) for name, weight in self.weights.items()}
         logit = self.bias + sum(self.weights[name].weight * value for name, value in held.items())
         beyond = tuple(name for name, weight in self.weights.items() if weight.beyond(signs[name]))
@@ -66,4 +66,4 @@ class Calibration:
 
 def sigmoid(logit: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
     """Probabilities of logarithms of odds."""
-    return 0.5 * (1.0 + np.tanh(0.5 * logit))
+    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * logit)))

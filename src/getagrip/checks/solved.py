@@ -24,19 +24,17 @@ FRAMES, POINTS = 5, 200
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Solved(Evidence):
-    """In the frames that were fitted together; ``clip`` has the corrected hand.
+    """In the frames that were fitted together; ``clip`` has the hand that the poses are relative to.
 
     Attributes:
         T_hand_obj: (T, 4, 4) poses that were found.
         iou: (T,) overlap of rendered and observed mask.
         candidates: the best distinct solutions in these frames; the first is the one that was found.
         axis: the axis that was found, where the method has one.
-        T_cam_hand_given: (T, 4, 4) poses of the hand as it was given.
     """
 
     candidates: Candidates
     axis: Axis | None
-    T_cam_hand_given: Float[ndarray, "T 4 4"]
 
     @property
     def poses(self) -> Float[ndarray, "T 4 4"]:
@@ -84,31 +82,9 @@ class Solved(Evidence):
         return np.stack([part.min(axis=1) for part in np.split(distance, ends, axis=1)], axis=1)
 
     @cached_property
-    def off_axis(self) -> tuple[float, float]:
-        """How far the motion is from a rotation about the axis: root mean square shift [m] and turn [rad]."""
-        T = self.poses
+    def off_axis(self) -> float:
+        """Angle by which the motion is off a rotation about the axis, root mean square [rad]."""
+        R = self.poses[:, :3, :3]
         if self.axis is not None:
-            about = self.axis.point, self.axis.direction
-            T = se3.inverse(se3.rotation_about_line(*about, self.axis.angle)) @ T
-        R = T[:, :3, :3]
-        turn = se3.angle_between(R, se3.nearest_rotation(R.mean(axis=0)))
-        centre = se3.transform(T, self.scale * self.clip.mesh.centre[None])[:, 0]
-        shift = np.linalg.norm(centre - centre.mean(axis=0), axis=1)
-        return float(np.sqrt(np.mean(shift**2))), float(np.sqrt(np.mean(turn**2)))
-
-    @cached_property
-    def hand_moved(self) -> tuple[float, float]:
-        """How far the hand was corrected: mean shift of its middle [m], mean turn [rad]."""
-        middle = self.clip.hand.vertices.mean(axis=(0, 1))[None]
-        T, given = self.clip.hand.T_cam_hand, self.T_cam_hand_given
-        shift = np.linalg.norm(se3.transform(T, middle) - se3.transform(given, middle), axis=-1)
-        return float(shift.mean()), float(se3.angle_between(T[:, :3, :3], given[:, :3, :3]).mean())
-
-    @cached_property
-    def hand_overlap(self) -> float:
-        """Overlap (IOU) of the drawn hand and its own pixels, outside the object's masks; NaN where none are known."""
-        own = self.masks.ignore if self.masks.hand is None else self.masks.hand
-        if not own.any():
-            return float("nan")
-        seen, drawn = self.small(own), self.drawn_hands & ~self.small(self.masks.object)
-        return float((seen & drawn).sum() / max((seen | drawn).sum(), 1))
+            R = se3.exp_so3(-self.axis.angle[:, None] * self.axis.direction) @ R
+        return float(np.sqrt(np.mean(se3.angle_between(R, se3.nearest_rotation(R.mean(axis=0))) ** 2)))

@@ -68,12 +68,11 @@ def auroc(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"]) -> float:
 
     NaN where there are none of either.
     """
-    from scipy.stats import rankdata
-
-    rights, wrongs = int(right.sum()), int((~right).sum())
-    if not rights or not wrongs:
+    rights, wrongs = probability[right], np.sort(probability[~right])
+    if not len(rights) or not len(wrongs):
         return float("nan")
-    return float((rankdata(probability)[right].sum() - 0.5 * rights * (rights + 1)) / (rights * wrongs))
+    below = [np.searchsorted(wrongs, rights, side=side) for side in ("left", "right")]
+    return float(np.mean(below) / len(wrongs))
 
 
 def bins(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"]) -> list[Bin]:

@@ -1,0 +1,133 @@
+"""The probability that a result is right: its laws, and where there is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from getagrip.checks import Solved
+from getagrip.checks.calibrated import CALIBRATIONS
+from getagrip.checks.signs import SIGNS, contact_gap, energy_gap, mask_miss, off_axis_turn, read_signs
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.finding import Finding
+from getagrip.fitting.options import Options
+from getagrip.fitting.reconstruct import probability_right
+from getagrip.geometry import se3
+from getagrip.result import Axis, Candidates
+
+DIRECTION = {sign.name: sign.direction for sign in SIGNS}
+USUAL = {name: 0.5 * (weight.low + weight.high) for name, weight in CALIBRATIONS["soft-hinge"].weights.items()}
+unit = st.floats(-10.0, 10.0)
+
+
+@cache
+def mug() -> Solved:
+    """The true solution, and one that is a quarter turn away at 1.5 times the energy."""
+    clip, masks = synthesise("mug", 2, SceneOptions(frames=4, size=(160, 120), focal=150.0))
+    assert clip.truth is not None
+    T = se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
+    away = T @ se3.rigid(se3.exp_so3(np.array([0.5 * np.pi, 0.0, 0.0])), np.zeros(3))
+    candidates = Candidates(np.stack([T, away]), np.ones(2), np.array([100.0, 150.0]))
+    return Solved(clip, masks, T, 1.0, np.full(4, 0.9), candidates=candidates, axis=None)
+
+
+def gap_of(energy: float, apart: int = 1) -> float:
+    """The energy gap where the other solution has some energy."""
+    it = mug()
+    T = it.candidates.T_hand_obj[[0, apart]]
+    return energy_gap(replace(it, candidates=Candidates(T, np.ones(2), np.array([100.0, energy]))))
+
+
+@given(st.sampled_from(SIGNS), unit, unit)
+def test_a_sign_counts_in_its_direction(sign, a: float, b: float) -> None:
+    low, high = sorted((a, b))
+    less, more = (CALIBRATIONS["soft-hinge"].probability(USUAL | {sign.name: value}) for value in (low, high))
+    assert sign.direction * (more.value - less.value) >= 0.0
+    assert 0.0 < less.value < 1.0
+
+
+def test_more_energy_elsewhere_is_a_larger_gap() -> None:
+    gaps = [gap_of(energy) for energy in (100.0, 101.0, 120.0, 150.0, 190.0)]
+    assert gaps == sorted(gaps)
+    assert gaps[0] == 0.0
+    assert gaps[1] < gaps[-1]
+
+
+def test_the_same_solution_twice_is_no_other_one() -> None:
+    assert gap_of(100.0, apart=0) == gap_of(1e9)
+
+
+def test_signs_of_the_truth_and_of_what_is_wrong() -> None:
+    it = mug()
+    away = replace(it, T_hand_obj=se3.rigid(None, np.array([0.0, 0.0, 0.1])) @ it.poses)
+    assert contact_gap(it) < contact_gap(away)
+    assert mask_miss(it) < mask_miss(replace(it, iou=np.full(4, 0.5)))
+    shaken = it.poses @ se3.rigid(
+        se3.exp_so3(0.3 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])), np.zeros(3)
+    )
+    assert off_axis_turn(it) < off_axis_turn(replace(it, T_hand_obj=shaken))
+
+
+def test_a_rotation_about_the_axis_is_no_turn_besides_it() -> None:
+    it, angle = mug(), np.linspace(0.0, 1.0, 4)
+    axis = Axis(np.zeros(3), np.array([0.0, 0.6, 0.8]), angle)
+    turned = se3.rotation_about_line(axis.point, axis.direction, angle) @ it.poses[:1]
+    assert replace(it, T_hand_obj=turned, axis=axis).off_axis == pytest.approx(0.0, abs=1e-6)
+    assert replace(it, T_hand_obj=turned).off_axis > 0.1
+
+
+def test_signs_are_the_same_each_time() -> None:
+    assert read_signs(mug()) == read_signs(replace(mug()))
+    assert read_signs(mug()).keys() == DIRECTION.keys()
+
+
+def test_signs_do_not_depend_on_where_camera_and_world_are() -> None:
+    it, T = mug(), se3.rigid(se3.exp_so3(np.array([0.3, -0.2, 0.1])), np.array([0.1, 0.2, 0.3]))
+    moved = it.clip.with_hand_at(T @ it.clip.hand.T_cam_hand)
+    assert read_signs(replace(it, clip=moved)) == read_signs(it)
+
+
+SERIOUS = Finding("frame-order", True, 3.0, 2.5, "in another order")
+
+
+@pytest.mark.parametrize(
+    ("options", "findings"),
+    [
+        (Options(method="one-dof"), ()),
+        (Options(method="static"), ()),
+        (Options(inits=10), ()),
+        (Options(push=0.5), ()),
+        (Options(hands="as-given"), ()),
+        (Options(), (SERIOUS,)),
+    ],
+)
+def test_there_is_none_where_nothing_is_calibrated(options: Options, findings: tuple[Finding, ...]) -> None:
+    assert probability_right(options, USUAL, findings) is None
+
+
+@pytest.mark.parametrize("options", [Options(), Options(seed=3), Options(inits=200), Options(frames=10)])
+def test_there_is_one_with_the_usual_energy(options: Options) -> None:
+    note = replace(SERIOUS, serious=False)
+    assert probability_right(options, USUAL, (note,)) == CALIBRATIONS["soft-hinge"].probability(USUAL)
+
+
+def test_what_is_worse_than_in_training_is_said_to_be_extrapolated() -> None:
+    calibration = CALIBRATIONS["soft-hinge"]
+    worst = {name: -1e3 * DIRECTION[name] for name in USUAL}
+    assert calibration.probability(USUAL).beyond == ()
+    assert {*calibration.probability(worst).beyond} == {name for name, w in calibration.weights.items() if w.weight}
+    assert calibration.probability({name: -value for name, value in worst.items()}).beyond == ()
+    assert "extrapolated" in str(calibration.probability(worst))
+
+
+def test_the_calibration_says_on_what_it_was_made() -> None:
+    calibration = CALIBRATIONS["soft-hinge"]
+    assert calibration.weights.keys() == DIRECTION.keys()
+    assert calibration.data in calibration.probability(USUAL).meaning
+    assert "10 % of the diameter" in calibration.probability(USUAL).meaning
