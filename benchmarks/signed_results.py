@@ -34,7 +34,7 @@ DEFORMED, STRETCHED = 0.03, 0.1
 """How far another mesh is from the object's: what the best similarity leaves, in diameters, and shares of its sides."""
 EVERY: dict[Split, tuple[int, int]] = {"train": (1, 2), "test": (2, 4)}
 """Of DexYCB's clips, and of the synthetic ones of each preset, every so many are used."""
-PRESETS = ("clean", "moderate", "strong", "wild", "measured")
+PRESETS = ("clean", "moderate", "strong", "estimated", "wild", "measured")
 Change = Callable[[Clip, Masks, int], tuple[Clip, Masks]]
 TEN = Noisy(Noise(hand_bias_mm=10.0, hand_bias_deg=8.0, hand_jitter_mm=5.0, hand_jitter_deg=4.0, jitter_memory_s=0.1))
 
@@ -59,6 +59,7 @@ CONDITIONS: dict[str, Change] = {
     "as it is": AS_GIVEN,
     "moderate": Noisy(NOISE["moderate"]),
     "strong": Noisy(NOISE["strong"]),
+    "estimated": Noisy(NOISE["estimated"]),
     "10 mm, 8°": TEN,
     "10 mm, 8°, no hand pixels": unseen_hand,
     "masks off by 4 px": Noisy(Noise(mask_ragged_px=4.0)),
