@@ -76,6 +76,7 @@ def row(folder: str, view: View, evaluation: Mapping[str, Any], page: bool) -> I
         doubts=tuple(str(finding) for finding in result.findings),
         values={
             **values,
+            "probability right": np.nan if result.probability_right is None else result.probability_right.value,
             "worst frame": float(result.iou[worst]) if known else np.nan,
             "time": float(result.seconds.get("total", np.nan)),
         },
@@ -86,7 +87,7 @@ def row(folder: str, view: View, evaluation: Mapping[str, Any], page: bool) -> I
 def write_index(rows: Sequence[IndexRow], title: str, tables: Sequence[str], path: Path) -> Path:
     """Write the page and return its path. ``tables`` are files beside it that it links to."""
     units: dict[str, tuple[str, int]] = {name: (metric.unit, metric.decimals) for name, metric in COLUMNS.items()}
-    units |= {"worst frame": ("%", 1), "time": ("s", 2)}
+    units |= {"probability right": ("%", 0), "worst frame": ("%", 1), "time": ("s", 2)}
     known = [name for name in units if any(np.isfinite(one.values.get(name, np.nan)) for one in rows)] or ["IOU"]
     data = {
         "title": title,

@@ -19,6 +19,7 @@ from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 from getagrip.pages import motion
 from getagrip.pages.document import document, pack
 from getagrip.pages.pictures import jpeg, mask_path, paths
+from getagrip.result import Reconstruction
 from getagrip.view.curves import angle_curve, seconds
 from getagrip.view.stills import steady_windows
 from getagrip.view.style import AXIS, FOUND, HAND_LINE, INK, TRUE
@@ -51,7 +52,7 @@ def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, A
     crops = steady_windows(some, PICTURE)
     data = {
         **_summary(view, record),
-        "main": _main(evaluation["metrics"]),
+        "main": [*_probably(view.result), *_main(evaluation["metrics"])],
         "plots": _plots(view, evaluation["per_frame"]),
         "times": seconds(view),
         "shown": shown,
@@ -97,10 +98,22 @@ def _summary(view: View, record: Mapping[str, Any]) -> dict[str, Any]:
         "status": result.status,
         "ambiguous": result.ambiguous,
         "findings": [{"serious": f.serious, "check": f.check, "message": f.message} for f in result.findings],
-        "notes": [str(note) for note in result.notes],
+        "notes": [str(note) for note in result.notes] + _meaning(result),
         "truth": clip.truth is not None,
         "version": str(record.get("software", {}).get("getagrip", "")),
     }
+
+
+def _probably(result: Reconstruction) -> list[dict[str, str]]:
+    """How probable it is that the result is right, where that is calibrated."""
+    right = result.probability_right
+    return [] if right is None else [{"name": "probability right", "value": str(right)}]
+
+
+def _meaning(result: Reconstruction) -> list[str]:
+    """What that means, in words."""
+    right = result.probability_right
+    return [] if right is None else [f"probability right: {right.meaning}"]
 
 
 def _main(metrics: Mapping[str, float]) -> list[dict[str, str]]:
