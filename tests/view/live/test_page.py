@@ -114,7 +114,7 @@ def test_it_plays_and_steps_come_round(running: Running) -> None:
 def test_other_entries_take_the_first_ones_place_and_broken_ones_do_not(running: Running) -> None:
     running.heard.entry(1)
     running.until(lambda: len(running.page._actors) == 2 and running.page._actors[1].column.rank == 1)
-    running.until(lambda: running.pose("hand", 1)[0, 3] > running.pose("hand", 0)[0, 3] + 0.05)
+    running.until(lambda: running.pose("hand", 1)[0, 3] > running.pose("hand", 0)[0, 3] + 0.03)
     running.heard.entry(2)
     running.until(lambda: len(running.page._actors) == 1 and not running.page._actors[0].column.posed)
     assert "object" not in running.page._actors[0].stage._nodes

@@ -13,7 +13,7 @@ from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.metrics.mask import iou_of_poses
 from getagrip.view.curves import angle_curve
 from getagrip.view.live.column import Column
-from getagrip.view.live.contact import REACH, Surfaces
+from getagrip.view.live.contact import Surfaces
 from getagrip.view.live.overlay import Overlays
 from getagrip.view.live.plots import Curve, Plot
 from getagrip.view.live.stage import Stage
@@ -74,5 +74,5 @@ def plots(actors: list[Actor]) -> list[Plot]:
         out.append(Plot("overlap of the object with its mask (IOU)", "%", iou, (min(50.0, low), 100.0)))
     known = np.concatenate([[0.0], *(curve.values[np.isfinite(curve.values)] for curve in gap)])
     limits = min(float(known.min()), -1.0), max(float(known.max()), 1.0)
-    out.append(Plot(f"gap of hand and object, up to {1e3 * REACH:.0f} mm; below 0 inside", "mm", gap, limits))
+    out.append(Plot("gap of hand and object, below 0 inside", "mm", gap, limits))
     return out

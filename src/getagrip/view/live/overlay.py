@@ -18,6 +18,8 @@ from getagrip.view.tiles import View, image_in, input_windows, intrinsics_of, si
 
 SIZE = 480
 """Side of an overlay [px]."""
+FRAME = 12
+"""Width of frames, half of it beyond the picture [px]."""
 FRACTION = 4
 """Binary digits of cv2's coordinates after the point."""
 
@@ -52,9 +54,12 @@ class Overlays:
 def _draw(picture: UInt8[ndarray, "size size 3"], lines: Sequence[Float[ndarray, "_n 2"]], colour: str) -> None:
     """Closed lines, with a halo that sets them off from any image."""
     corners = [_fixed(line) for line in lines]
-    rgb = tuple(round(255 * part) for part in to_rgb(colour))
-    for ink, width in (((255, 255, 255), 4), (rgb, 2)):
+    for ink, width in (((255, 255, 255), 4), (_rgb(colour), 2)):
         cv2.polylines(picture, corners, True, ink, width, cv2.LINE_AA, FRACTION)
+
+
+def _rgb(colour: str) -> tuple[int, ...]:
+    return tuple(round(255 * part) for part in to_rgb(colour))
 
 
 def _fixed(line: Float[ndarray, "n 2"]) -> Int[ndarray, "n 1 2"]:
@@ -62,9 +67,13 @@ def _fixed(line: Float[ndarray, "n 2"]) -> Int[ndarray, "n 1 2"]:
     return np.round((line - 0.5) * 2**FRACTION).astype(np.int32)[:, None]
 
 
-def side_by_side(pictures: Sequence[UInt8[ndarray, "size size 3"]]) -> UInt8[ndarray, "H W 3"]:
-    """Pictures in rows of two, with white between them."""
-    across = min(2, len(pictures))
+def side_by_side(
+    pictures: Sequence[UInt8[ndarray, "size size 3"]], colours: Sequence[str], across: int
+) -> UInt8[ndarray, "H W 3"]:
+    """Pictures in rows of ``across``, with white between them; several are framed in colours that tell them apart."""
+    if len(pictures) > 1:
+        for picture, colour in zip(pictures, colours, strict=True):
+            cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), _rgb(colour), FRAME)
     blank = [np.full_like(pictures[0], 255)] * (-len(pictures) % across)
     framed = [np.pad(p, ((0, 8), (0, 8), (0, 0)), constant_values=255) for p in (*pictures, *blank)]
     rows = [np.concatenate(framed[k : k + across], axis=1) for k in range(0, len(framed), across)]

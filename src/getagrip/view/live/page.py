@@ -10,7 +10,7 @@ from queue import Empty, Queue
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from getagrip.errors import GetagripError
@@ -100,7 +100,11 @@ class Page:
         with self._server.atomic():
             for actor in self._actors:
                 actor.stage.show(n, self._look)
-            self._panel.frame(n, text, overlay.side_by_side(pictures), plots(self._actors))
+            self._panel.frame(n, text, self._together(pictures), plots(self._actors))
+
+    def _together(self, pictures: list[UInt8[ndarray, "size size 3"]]) -> UInt8[ndarray, "H W 3"]:
+        """The columns' pictures, laid out as the columns are."""
+        return overlay.side_by_side(pictures, [actor.colour for actor in self._actors], _across(len(pictures)))
 
     def _step(self, by: int) -> None:
         self._player.playing = False
@@ -133,8 +137,7 @@ class Page:
             self._look = replace(self._look, still=choices[0])
         self._player = Player(seconds(columns[0].view))
         low, high = _extent(columns)
-        apart = np.array([APART * (high - low)[0], 0.0, 0.0])
-        self._beside = [k * apart for k in range(len(columns))]
+        self._beside = _places(low, high, len(columns))
         self._actors = [
             Actor(self._server.scene, f"column{k}", column, self._beside[k], COLOURS[k % len(COLOURS)])
             for k, column in enumerate(columns)
@@ -147,7 +150,7 @@ class Page:
                 self._server.scene.add_label(f"/name{k}", column.name, position=top + self._beside[k])
         self._panel.open(columns, choices, self._look)
         self._panel.names(columns)
-        self._look_at(low, high + self._beside[-1], up)
+        self._look_at((low + high) / 2 + np.mean(self._beside, axis=0), high - low, len(columns), up)
         self._measure()
 
     def _candidate(self, k: int, rank: int) -> None:
@@ -183,12 +186,14 @@ class Page:
 
         threading.Thread(target=work, daemon=True).start()
 
-    def _look_at(self, low: Float[ndarray, "3"], high: Float[ndarray, "3"], up: Float[ndarray, "3"]) -> None:
-        """Let all who watch, and who will, look at a box in the scene."""
-        centre, size = (low + high) / 2.0, high - low
-        away = 0.62 * float(max(size[1], size[0] / 1.2, size[2])) / np.tan(FIELD / 2.0) + size[2] / 2.0
-        turn = se3.exp_so3(np.array([0.0, ASIDE[1], 0.0])) @ se3.exp_so3(np.array([ASIDE[0], 0.0, 0.0]))
-        position = centre + turn @ np.array([0.0, 0.0, -away])
+    def _look_at(
+        self, centre: Float[ndarray, "3"], size: Float[ndarray, "3"], count: int, up: Float[ndarray, "3"]
+    ) -> None:
+        """Let all who watch, and who will, look at so many columns of a size in the scene [m]."""
+        rows = -(-count // _across(count))
+        span = APART * float(max(size[0] * _across(count), size[1] * rows, size[2]))
+        away = 0.55 * span / np.tan(FIELD / 2.0) + size[2] / 2.0
+        position = centre - away * _view_axes()[2]
         start = self._server.initial_camera
         start.fov, start.up, start.position, start.look_at = FIELD, up, position, centre
         for client in self._server.get_clients().values():
@@ -204,6 +209,24 @@ class Page:
             client.camera.fov = 2.0 * float(np.arctan(height / 2.0 / K[1, 1]))
             client.camera.wxyz, client.camera.position = se3.quaternion(T[:3, :3]), T[:3, 3]
             client.camera.look_at = far[:3]
+
+
+def _across(count: int) -> int:
+    """How many of so many columns stand beside each other, in the scene and among the pictures."""
+    return min(2, count)
+
+
+def _view_axes() -> Float[ndarray, "3 3"]:
+    """Right, down and forward, one a row, as one looks at the scene at first."""
+    turn = se3.exp_so3(np.array([0.0, ASIDE[1], 0.0])) @ se3.exp_so3(np.array([ASIDE[0], 0.0, 0.0]))
+    return np.asarray(turn.T)
+
+
+def _places(low: Float[ndarray, "3"], high: Float[ndarray, "3"], count: int) -> list[Float[ndarray, "3"]]:
+    """How far each column is moved [m], so that boxes stand in rows, across the direction in which one looks."""
+    size, (right, down, _) = APART * (high - low), _view_axes()
+    across = _across(count)
+    return [(k % across) * max(size[0], size[2]) * right + (k // across) * size[1] * down for k in range(count)]
 
 
 def _extent(columns: Sequence[Column]) -> tuple[Float[ndarray, "3"], Float[ndarray, "3"]]:

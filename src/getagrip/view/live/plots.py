@@ -15,6 +15,8 @@ from getagrip.view.style import FAINT, INK, LINE
 WIDTH, HEIGHT = 400, 102
 LEFT, RIGHT, TOP, BOTTOM = 36, 8, 22, 14
 """Margins of the field in which curves are drawn [px]."""
+MOST_NUMBERS = 4
+"""Beside a plot's title."""
 COLOURS = ("#2a7f9e", "#c8553d", "#7b5ea7", "#d19a2a", "#4f8a4f", "#a0466f")
 """Of the columns, in their order."""
 
@@ -84,7 +86,9 @@ class Plot:
         return (low, high) if high - low > 1e-6 else (low - 0.5, high + 0.5)
 
     def _numbers(self, n: int) -> str:
-        """The values in frame ``n``, each in its colour."""
+        """The values in frame ``n``, each in its colour; of many, there is no room for any."""
+        if len(self.curves) > MOST_NUMBERS:
+            return ""
         spans = [
             f'<tspan fill="{curve.colour}" dx="7">{curve.values[n]:.1f}</tspan>'
             for curve in self.curves
