@@ -309,6 +309,34 @@ def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: 
     expect(page.locator("#keyframes li")).to_have_count(1)
 
 
+def test_clicks_near_points_add_points(context: Any, served: Served) -> None:
+    """Every click while drawing is a point, however near; later a click on a line inserts one, on a dot selects it."""
+    page = opened(context, served)
+    page.keyboard.press("o")
+    border = [[100 + 4 * n, 80] for n in range(8)] + [[128, 120], [100, 120]]
+    x, y = on_screen(page, border[0])
+    step = on_screen(page, border[1])[0] - x
+    assert step < 8 * 4  # nearer to each other than a click reaches
+    draw(page, border)
+    saved(page)
+    (one,) = kept(served)[FIRST].outlines.values()
+    assert (len(one["points"]), one["closed"]) == (len(border), True)
+    page.mouse.click(*on_screen(page, [130, 120]))  # beside the dot, not on it
+    page.mouse.click(x, y)
+    saved(page)
+    (one,) = kept(served)[FIRST].outlines.values()
+    assert len(one["points"]) in (len(border), len(border) + 1)
+    assert page.locator("#layer .corner.chosen").count() == 1
+
+
+def test_nothing_moves_when_something_is_refused(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    before = page.evaluate("JSON.stringify(document.getElementById('screen').getBoundingClientRect())")
+    page.keyboard.press("g")
+    playwright.expect(page.locator("#problem")).to_be_visible()
+    assert page.evaluate("JSON.stringify(document.getElementById('screen').getBoundingClientRect())") == before
+
+
 def test_what_was_just_moved_is_kept_when_another_clip_is_opened(context: Any, served: Served) -> None:
     page = opened(context, served)
     click(page, [100, 100])

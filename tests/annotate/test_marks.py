@@ -18,12 +18,13 @@ from hypothesis import strategies as st
 from getagrip.annotate.agreement import agreements, matched, temporal_iou
 from getagrip.annotate.marks import REASONS, Mark
 from getagrip.annotate.project import Project
-from getagrip.annotate.server import LARGEST_BODY, Server
+from getagrip.annotate.server import LARGEST_BODY, Server, first_free, kept_token
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import RefusedError
 from getagrip.commands.annotate import DATABASE, write_files
 from getagrip.datasets.epic.tables import read_grasps
+from getagrip.errors import UsageError
 from getagrip.grasps import lists
 from helpers.annotation_page import ask
 from helpers.command_line import Run
@@ -303,6 +304,40 @@ def test_the_page_is_for_this_machine_only(server: Server) -> None:
     assert server.project.store.marks.standing() == []
     assert ask(server, "/api/change", sent, {"Origin": f"http://{own}"})[0] == 200
     assert ask(server, "/", head={"Host": f"localhost:{server.server_port}"})[0] == 200
+    through_ssh = {"Host": "localhost:9000", "Origin": "http://localhost:9000"}
+    assert ask(server, "/api/change", change(new(), {"start": 5}), through_ssh)[0] == 200
+
+
+def test_the_address_with_the_token_opens_the_page(server: Server) -> None:
+    """Others who work on the machine reach the server, but nothing of what is in it."""
+    stranger = {"Cookie": ""}
+    for path in ("/", "/page.js", "/api/tasks?annotator=ann", "/?token=another", f"/page.js?token={server.token}"):
+        status, _, answer = ask(server, path, head=stranger)
+        assert (status, b"the address that getagrip annotate has printed" in answer) == (401, True)
+    for cookie in (f"{server.cookie}=another", f"other={server.token}", f"{server.cookie}", "a=\xff"):
+        assert ask(server, "/api/change", change(new(), {"start": 4}), {"Cookie": cookie})[0] == 401
+    assert server.project.store.marks.standing() == []
+    status, head, _ = ask(server, server.url.removeprefix(f"http://127.0.0.1:{server.server_port}"), head=stranger)
+    assert (status, head["Location"]) == (303, "/")
+    assert "HttpOnly" in head["Set-Cookie"]
+    assert ask(server, "/", head={"Cookie": head["Set-Cookie"].partition(";")[0]})[0] == 200
+
+
+def test_the_token_stays_over_restarts_and_is_its_owners(tmp_path: Path) -> None:
+    token = kept_token(tmp_path / "token")
+    assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
+    assert kept_token(tmp_path / "token") == token
+    (tmp_path / "token").chmod(0o644)  # others may have read it
+    assert kept_token(tmp_path / "token") != token
+
+
+def test_another_port_is_taken_where_the_usual_one_is_not_free(project: Project, monkeypatch: Any) -> None:
+    with Server(project, 0) as busy:
+        monkeypatch.setattr("getagrip.annotate.server.PORT", busy.server_port)
+        with first_free(project, "a-token") as other:
+            assert other.server_port != busy.server_port
+        with pytest.raises(UsageError, match="--port"):
+            Server(project, busy.server_port)
 
 
 @pytest.mark.parametrize(

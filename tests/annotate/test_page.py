@@ -123,7 +123,9 @@ def test_step_mark_reload_nothing_is_lost(context: Any, served: Served) -> None:
     playwright.expect(page.locator("#marks li")).to_have_count(0)
     saved(page)
     assert served.grasps() == []
-    assert all(url.startswith(served.server.url) for url in asked)  # nothing is asked of other hosts
+    here = f"http://127.0.0.1:{served.port}/"
+    assert all(url.startswith(here) for url in asked)  # nothing is asked of other hosts
+    assert page.url == f"{here}#first"  # without the token
 
 
 def test_nothing_is_said_of_the_zoom_before_there_is_a_picture(context: Any, served: Served) -> None:
@@ -187,7 +189,7 @@ def test_marks_do_not_go_to_another_database(context: Any, served: Served, tmp_p
     own, served.database = served.database, tmp_path / "other.sqlite"
     served.start()
     page.keyboard.press("s")
-    playwright.expect(page.locator("#saved")).to_contain_text("another database")
+    playwright.expect(page.locator("#saved")).to_contain_text("the address that getagrip annotate has")
     assert served.grasps() == []
     served.stop()
     served.database = own

@@ -23,7 +23,7 @@ class Served:
 
     def start(self) -> None:
         self.project = Project(self.tasks, Store(self.database))
-        self.server = Server(self.project, self.port)
+        self.server = Server(self.project, self.port, "a-token")
         self.port = self.server.server_port
         self.thread = threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.02})
         self.thread.start()
@@ -45,6 +45,7 @@ def ask(
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
     body = content if content is None or isinstance(content, bytes) else json.dumps(content).encode()
     kind = {"Content-Type": "application/json"} if body is not None else {}
+    kind |= {"Cookie": f"{server.cookie}={server.token}"}
     connection.request("GET" if body is None else "POST", path, body, kind | (head or {}))
     answer = connection.getresponse()
     found = answer.status, dict(answer.getheaders()), answer.read()

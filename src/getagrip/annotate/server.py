@@ -1,17 +1,24 @@
-"""The page over HTTP, for this machine only.
+"""The page over HTTP, for this machine and this user only.
 
-The server listens on 127.0.0.1. A page of another site that a browser has open could still send requests here: those
-are recognised by the name they ask for (``Host``) and by where they come from (``Origin``, ``Sec-Fetch-Site``), and are
-refused.
+The server listens on 127.0.0.1, which a tunnel may lead to from any port of another machine. Others who work on this
+one can reach it, too: it answers only who has opened the address with the token, which becomes a cookie. A page of
+another site that a browser has open could still send requests here: those are recognised by the name they ask for
+(``Host``) and by where they come from (``Origin``, ``Sec-Fetch-Site``), and are refused.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import secrets
 import sqlite3
+from contextlib import suppress
+from hmac import compare_digest
 from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files as package_files
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, quote, urlsplit
 
@@ -20,6 +27,11 @@ from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError, InputError, UsageError
 
 ADDRESS = "127.0.0.1"
+NAMES = (ADDRESS, "localhost")
+"""What this machine is called by its own browser."""
+PORT, PORTS = 8765, 20
+"""The first of the ports that are tried where none is named, and how many of them."""
+CLOSED = "open the address that getagrip annotate has printed: the token in it is missing here"
 LARGEST_BODY = 256 * 2**10
 """Bytes of a request."""
 MOST_PASSED_OVER = 64 * 2**20
@@ -59,9 +71,13 @@ class Server(ThreadingHTTPServer):
     daemon_threads = True
     closed = False
 
-    def __init__(self, project: Project, port: int) -> None:
-        """Listen on a port, on any free one for 0. Raises ``UsageError`` where it is taken."""
-        self.project = project
+    def __init__(self, project: Project, port: int, token: str = "") -> None:
+        """Listen on a port, on any free one for 0. Raises ``UsageError`` where it is taken.
+
+        Without a ``token`` a new one is made.
+        """
+        self.project, self.token = project, token or secrets.token_urlsafe(18)
+        self.cookie = f"getagrip-{project.name}"
         try:
             super().__init__((ADDRESS, port), _Handler)
         except (OSError, OverflowError) as error:
@@ -69,12 +85,12 @@ class Server(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
-        """Where the page is."""
-        return f"http://{ADDRESS}:{self.server_port}/"
+        """Where the page is, for who may open it."""
+        return f"http://{ADDRESS}:{self.server_port}/?token={self.token}"
 
-    def hosts(self) -> set[str]:
-        """What this server is called by its own page."""
-        return {f"{name}:{self.server_port}" for name in (ADDRESS, "localhost")}
+    def admits(self, token: str) -> bool:
+        """Whether a token is this server's."""
+        return compare_digest(token.encode("utf-8", "replace"), self.token.encode())
 
     def server_close(self) -> None:
         """Listen no more, and answer nothing more on connections that are still open."""
@@ -83,6 +99,26 @@ class Server(ThreadingHTTPServer):
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of connections that end early."""
+
+
+def first_free(project: Project, token: str) -> Server:
+    """A server at the usual port, or at the next one that is free. Raises ``UsageError`` where none is."""
+    for port in range(PORT, PORT + PORTS):
+        with suppress(UsageError):
+            return Server(project, port, token)
+    return Server(project, 0, token)
+
+
+def kept_token(path: Path) -> str:
+    """The token in a file that only its owner reads; a new one where there is none, so that pages survive a restart."""
+    with suppress(OSError):
+        if path.stat().st_mode & 0o077 == 0 and (token := path.read_text("ascii").strip()):
+            return token
+        path.unlink()
+    token = secrets.token_urlsafe(18)
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        file.write(token)
+    return token
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -110,6 +146,9 @@ class _Handler(BaseHTTPRequestHandler):
             if (reason := self._foreign()) is not None:
                 self.close_connection = True
                 self._send_json({"error": reason}, HTTPStatus.FORBIDDEN)
+            elif not self._may_enter():
+                self.close_connection = True
+                self._send_json({"error": CLOSED}, HTTPStatus.UNAUTHORIZED)
             else:
                 act()
         except RefusedError as error:
@@ -130,22 +169,37 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _foreign(self) -> str | None:
         """Why a request is refused before it is looked at."""
-        hosts = self.server.hosts()
-        if self.headers.get("Host") not in hosts:
+        host = self.headers.get("Host") or ""
+        name, _, port = host.rpartition(":")
+        if name not in NAMES or not port.isdigit():
             return "requests to another host are refused"
         origin = self.headers.get("Origin")
-        if origin is not None and origin not in {f"http://{host}" for host in hosts}:
+        if origin is not None and origin not in {f"http://{name}:{port}" for name in NAMES}:
             return "requests from other sites are refused"
         site = self.headers.get("Sec-Fetch-Site", "same-origin")
         if site not in ("same-origin", "none") and urlsplit(self.path).path != "/":
             return "requests from other sites are refused"
         return None
 
+    def _may_enter(self) -> bool:
+        """Whether a request has the token, in its cookie or, as the first one, in its address."""
+        url = urlsplit(self.path)
+        if url.path == "/" and self.server.admits("".join(parse_qs(url.query).get("token", [])[-1:])):
+            return True
+        try:
+            cookie = SimpleCookie(self.headers.get("Cookie", "")).get(self.server.cookie)
+        except CookieError:
+            return False
+        return cookie is not None and self.server.admits(cookie.value)
+
     def _get(self) -> None:
         url = urlsplit(self.path)
         asked = {key: values[-1] for key, values in parse_qs(url.query).items()}
         project = self.server.project
-        if url.path in PAGE:
+        if url.path == "/" and "token" in asked:  # out of the address, which others may come to see
+            kept = f"{self.server.cookie}={self.server.token}; Path=/; HttpOnly; SameSite=Lax"
+            self._send(b"", "text/plain", {"Location": "/", "Set-Cookie": kept}, HTTPStatus.SEE_OTHER)
+        elif url.path in PAGE:
             name, kind = PAGE[url.path]
             content = (package_files("getagrip.annotate") / "page" / name).read_bytes()
             self._send(content, f"{kind}; charset=utf-8")

@@ -110,7 +110,7 @@ class Annotate(Command):
     """Where marks are kept as they are made. Called again with the same folder, it goes on where it stopped."""
     videos: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: where the list is)")] = None
     """For a list: where its videos are, or folders of their images."""
-    port: int = 8765
+    port: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 8765, or the next free one)")] = None
     """Where the page is served, on 127.0.0.1."""
     K: Intrinsics = None
     """The camera, for the hands that are fitted to clicked joints. Without it their depth and size are guesses."""

@@ -14,7 +14,7 @@ from getagrip.annotate.labelled_footage import tasks_of
 from getagrip.annotate.labelling import Grasp
 from getagrip.annotate.labels import Labels
 from getagrip.annotate.project import Project
-from getagrip.annotate.server import Server
+from getagrip.annotate.server import Server, first_free, kept_token
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, read_tasks
 from getagrip.annotate.versions import RefusedError
@@ -24,6 +24,8 @@ from getagrip.io import files
 
 DATABASE = "marks.sqlite"
 """The marks, in the folder of the annotations."""
+TOKEN = "token"
+"""The file beside them whose content the address of the page holds."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +40,11 @@ class Wanted:
     """Write files."""
 
 
-def annotate(source: Path, videos: Path | None, out: Path, port: int, lens: Lens, wanted: Wanted) -> int:
+def annotate(source: Path, videos: Path | None, out: Path, port: int | None, lens: Lens, wanted: Wanted) -> int:
     """Serve the page for a source; or take labels, or write what is marked and labelled as files into ``out``.
 
     Returns 1 where files could not be made of some grasp, else 0. Raises ``InputError`` for a source or database that
-    is malformed, ``UsageError`` for a port that is taken.
+    is malformed, ``UsageError`` for a ``port`` that is taken; without one a free one is used.
     """
     tasks = read_tasks(source, videos)
     absent = [task for task in tasks if task.path is None]
@@ -89,9 +91,10 @@ def take_labels(project: Project, given: Labels, wanted: Wanted) -> Grasp:
         raise InputError(wanted.labels, "", f"labels that do not fit ({error})", "labels of the footage") from error
 
 
-def serve(project: Project, port: int) -> None:
+def serve(project: Project, port: int | None) -> None:
     """Serve the page until it is interrupted. Raises ``UsageError`` for a port that is taken."""
-    with Server(project, port) as server:
+    token = kept_token(project.store.path.with_name(TOKEN))
+    with first_free(project, token) if port is None else Server(project, port, token) as server:
         print(f"open {server.url} in a browser; marks are kept in {project.store.path}; Ctrl-C ends", flush=True)
         try:
             server.serve_forever()

@@ -12,6 +12,8 @@ export const colour = (joint) => COLOURS[Math.ceil(joint / 4)];
 /** The back of a right hand, fingers up. */
 const PICTURE = [[100, 200], [70, 176], [46, 150], [29, 126], [17, 104], [66, 104], [58, 70], [54, 48], [51, 28], [94, 98], [92, 56], [91, 33], [90, 11], [120, 103], [124, 66], [126, 44], [127, 24], [143, 117], [154, 90], [160, 74], [165, 57]];
 
+const DOT = 0.65; // a joint's dot, as part of the reach
+
 let chosen = null; // joint that the keyboard moves
 let wanted = null; // joint to be clicked next, where it is not simply the next one
 let last = -1; // joint that was clicked last, and on which frame
@@ -46,8 +48,10 @@ export const tool = {
     chosen = joint;
     adjust(player.wanted, { joints: { [joint]: point } });
   },
-  tap(joint) {
-    chosen = joint;
+  tap(joint, point, reach) {
+    const [x, y] = here().joints[joint], beside = Math.hypot(x - point[0], y - point[1]) > DOT * reach;
+    if (beside && next() !== null) this.click(point); // beside the dot: the next joint is close by
+    else chosen = joint;
   },
   click(point) {
     const joint = next();

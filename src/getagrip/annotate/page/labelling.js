@@ -118,7 +118,7 @@ screen.onpointerdown = (event) => {
     screen.onpointermove = screen.onpointerup = screen.onpointercancel = null;
     if (far) labels.settle();
     else if (ready && now.type === "pointerup") {
-      if (grabbed !== null) tool().tap(grabbed);
+      if (grabbed !== null) tool().tap(grabbed, inside(at), reach);
       else if (within(at)) tool().click(inside(at), reach);
       draw();
     } else if (state.mode === "labels" && !inExtent()) say("This frame is not part of the grasp.");

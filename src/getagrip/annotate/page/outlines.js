@@ -4,6 +4,9 @@ import { player } from "./app.js";
 import { adjust, change, draft, here } from "./labels.js";
 import { fresh } from "./saving.js";
 
+const DOT = 0.6; // a point's dot, as part of the reach: beside it a click is no click on the point
+const TWICE = 0.25; // the second click of two on the same place, likewise
+
 let chosen = null; // {id, n}: the point that the keyboard moves
 
 const mine = (of) => Object.entries(here().outlines).filter(([, one]) => one.of === of);
@@ -39,9 +42,13 @@ export const tool = (of) => ({
     chosen = { id, n };
     adjust(player.wanted, { outlines: { [id]: moved(here().outlines[id], n, point) } });
   },
-  tap({ id, n }) {
-    const one = here().outlines[id];
-    if (!one.closed && n === 0 && one.points.length > 2) this.finish();
+  /** A click on a point, or near it: while drawing it adds a point, but on the first one; else beside the dot it inserts one. */
+  tap({ id, n }, point, reach) {
+    const one = here().outlines[id], far = distance(one.points[n], point), drawn = open(of);
+    if (drawn) {
+      if (id === drawn[0] && n === 0 && one.points.length > 2) this.finish();
+      else if (far > TWICE * reach || n !== one.points.length - 1) this.click(point, reach);
+    } else if (far > DOT * reach) this.click(point, reach);
     else chosen = { id, n };
   },
   click(point, reach) {

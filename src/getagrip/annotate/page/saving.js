@@ -46,7 +46,7 @@ export class Saving {
       try {
         answer = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(content) });
         body = await answer.json();
-        if (answer.status === 503) throw new Error(body.error);
+        if (answer.status === 503 || answer.status === 401) throw new Error(body.error); // away, or not to be entered by this page
       } catch (error) {
         this.onPending(keys.length, answer ? error.message : "the server is not reached");
         setTimeout(() => this.flush(), 1000);
