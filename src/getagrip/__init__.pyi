@@ -3,6 +3,7 @@ from .clip import Clip as Clip
 from .clip import HandTrack as HandTrack
 from .clip import Masks as Masks
 from .clip import Truth as Truth
+from .clip import World as World
 from .clip import read_clip as read_clip
 from .clip import read_masks as read_masks
 from .clip import write_clip as write_clip

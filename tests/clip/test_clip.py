@@ -97,6 +97,10 @@ def test_clips_of_version_1_are_read_as_before(clip_folder: Path) -> None:
     assert (clip.times, clip.world) == (None, None)
     np.testing.assert_allclose(clip.time, np.arange(3) / 30.0)
     np.testing.assert_allclose(clip.take(np.array([2])).time, 2 / 30.0)
+    named = replace(clip, frames=("0007", "0010", "0011"))  # numbers say which frames were left out
+    np.testing.assert_allclose(named.time, np.array([0, 3, 4]) / 30.0)
+    for frames in (("b", "a", "c"), ("7", "6", "8")):
+        np.testing.assert_allclose(replace(clip, frames=frames).time, np.arange(3) / 30.0)
 
 
 def test_the_true_hand_is_kept_where_it_differs(tmp_path: Path) -> None:

@@ -170,8 +170,7 @@ class Clip(ArrayData):
         name: name of the clip, fit to name a folder.
         category: what the object is, such as "mug".
         fps: frames per second of the footage, for durations.
-        times: (T,) when each frame was taken [s], rising; None where frames follow each other at ``fps`` from 0 on
-            (``time`` has them in any case).
+        times: (T,) when each frame was taken [s], rising; None where it follows from ``fps`` (``time``).
         world: where the camera was; None where it is not known.
         truth: the ground truth; None where it is not known.
         folder: folder of the clip, with its masks and images; None for a clip that is only in memory.
@@ -216,8 +215,17 @@ class Clip(ArrayData):
 
     @property
     def time(self) -> Float[ndarray, "T"]:
-        """When each frame was taken [s]: ``times``, or evenly from 0."""
-        return np.arange(len(self)) / self.fps if self.times is None else self.times
+        """When each frame was taken [s]: ``times``, or at ``fps``, from 0 on.
+
+        Frames whose names are rising numbers are counted by these: some may have been left out.
+        """
+        if self.times is not None:
+            return self.times
+        numbers = np.arange(len(self))
+        if all(name.isascii() and name.isdigit() and len(name) < 16 for name in self.frames):
+            named = np.array([int(name) for name in self.frames])
+            numbers = named - named[0] if np.all(np.diff(named) > 0) else numbers
+        return np.asarray(numbers / self.fps)
 
     @property
     def origin(self) -> Path:

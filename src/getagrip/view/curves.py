@@ -23,14 +23,9 @@ class AngleCurve:
 
 
 def seconds(view: View) -> Float[ndarray, "T"]:
-    """Times of the frames: the clip's, or from the numbers in their names where these are numbers, else evenly."""
-    names = view.result.frames
-    if view.clip.times is not None:
-        times = view.clip.times[view.clip.index_of(names)]
-        return np.asarray(times - times[0])
-    if all(name.isdecimal() for name in names):
-        return np.asarray((np.array([int(name) for name in names]) - int(names[0])) / view.clip.fps)
-    return np.arange(len(names)) / view.clip.fps
+    """Times of the frames since the first."""
+    times = view.clip.time[view.clip.index_of(view.result.frames)]
+    return np.asarray(times - times[0])
 
 
 def angle_curve(view: View) -> AngleCurve:
