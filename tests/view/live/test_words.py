@@ -23,7 +23,8 @@ def test_quoted_texts_hold_no_tags_and_no_markup(text: str) -> None:
 def test_the_summary_says_what_is_known_and_quotes_it() -> None:
     it = column()
     result = replace(it.view.result, status="<img src=x onerror=alert(1)>", notes=("the *scale* is a guess",))
-    text = words.summary(replace(it, view=replace(it.view, result=result)))
+    it = replace(it, view=replace(it.view, result=result))
+    text = words.about_clip(it) + words.about_result(it)
     assert "ambiguous" in text
     assert "<img" not in text
     assert r"\*scale\* is a guess" in text

@@ -32,6 +32,8 @@ FIELD = np.radians(45.0)
 """Vertical field of view at first."""
 ASIDE = np.radians([-16.0, 24.0])
 """At first one looks from so far above and beside the camera: from the camera itself depth is hard to see."""
+NARROW = 0.85
+"""Width by height of what the panels leave to the scene, on common screens."""
 APART = 1.15
 """Columns stand so many of their widths apart."""
 
@@ -191,7 +193,8 @@ class Page:
     ) -> None:
         """Let all who watch, and who will, look at so many columns of a size in the scene [m]."""
         rows = -(-count // _across(count))
-        span = APART * float(max(size[0] * _across(count), size[1] * rows, size[2]))
+        wide = max(size[0], size[2]) * _across(count) / NARROW
+        span = APART * float(max(wide, size[1] * rows))
         away = 0.55 * span / np.tan(FIELD / 2.0) + size[2] / 2.0
         position = centre - away * _view_axes()[2]
         start = self._server.initial_camera

@@ -71,9 +71,9 @@ class Panel:
 
     def _list(self, entries: Sequence[str]) -> None:
         """What can be shown, the worst first."""
-        folder = self._gui.add_folder(f"{len(entries)} results, worst first")
+        folder = self._gui.add_folder(f"{len(entries)} clips, worst first")
         with folder:
-            chosen: Any = self._gui.add_dropdown("result", tuple(entries), initial_value=entries[0])
+            chosen: Any = self._gui.add_dropdown("clip", tuple(entries), initial_value=entries[0])
             steps = self._gui.add_button_group("", ("previous", "next"))
 
         @chosen.on_update
@@ -109,8 +109,9 @@ class Panel:
         speed.on_update(lambda _: self._heard.speed(float(speed.value[:-1])))
         tabs = gui.add_tab_group()
         with tabs.add_tab("Result"):
+            gui.add_markdown(words.about_clip(columns[0]))
             for column in columns:
-                gui.add_markdown(words.summary(column))
+                gui.add_markdown(words.about_result(column))
         self._compared = []
         if any(column.is_result for column in columns):
             with tabs.add_tab("Candidates"):

@@ -19,20 +19,25 @@ def quoted(text: str) -> str:
     return re.sub(r"([\\`*_{}\[\]<>()#+!|&~:])", r"\\\1", " ".join(text.split())).replace("\\<", "&lt;")
 
 
-def summary(column: Column) -> str:
-    """Which clip and method, how the fit ended, what is a guess, and what the checks have found."""
-    view = column.view
-    lines = [f"**{quoted(view.clip.name)}**", quoted("  ·  ".join(about(view)))]
-    if column.is_result:
-        iou = view.result.iou
-        overlap = f", mean IOU {100 * np.nanmean(iou):.1f} %" if np.isfinite(iou).any() else ""
-        lines += [f"{quoted(column.name)}{overlap}", quoted(view.result.status)]
-        if view.result.ambiguous:
-            lines.append("**ambiguous**: another candidate explains the masks almost as well")
-    elif not column.posed:
+def about_clip(column: Column) -> str:
+    """Which clip it is, what it shows, and what of it is a guess."""
+    lines = [f"**{quoted(column.view.clip.name)}**", quoted("  ·  ".join(about(column.view)))]
+    if not column.posed:
         lines.append("no result and no ground truth: the hand alone")
-    lines += [f"**{'serious' if f.serious else 'note'}**: {quoted(f.message)}" for f in view.result.findings]
-    lines += [f"note: {quoted(note)}" for note in view.result.notes]
+    return "\n\n".join(lines)
+
+
+def about_result(column: Column) -> str:
+    """Which method found it, how the fit ended, and what the checks have found; of a clip, that it is the truth."""
+    result = column.view.result
+    if not column.is_result:
+        return quoted(column.name) if column.posed else ""
+    overlap = f", mean IOU {100 * np.nanmean(result.iou):.1f} %" if np.isfinite(result.iou).any() else ""
+    lines = [f"**{quoted(column.name)}**{overlap}", quoted(result.status)]
+    if result.ambiguous:
+        lines.append("**ambiguous**: another candidate explains the masks almost as well")
+    lines += [f"**{'serious' if f.serious else 'note'}**: {quoted(f.message)}" for f in result.findings]
+    lines += [f"note: {quoted(note)}" for note in result.notes]
     return "\n\n".join(lines)
 
 
