@@ -30,7 +30,7 @@ EVIL = "<img src=x onerror=hacked=1><script>hacked=1<"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: Any) -> Path:
-    """Two results of one clip, one of them moved, and one that cannot be read; with pages and an index."""
+    """Two results of one clip, one of them moved, one of changed input, and one that cannot be read; with an index."""
     root: Path = tmp_path_factory.mktemp("pages")
     clip, masks = egg_and_mug()
     clip = replace(clip, name=EVIL, category="</script><script>hacked=1</script>")
@@ -47,6 +47,8 @@ def folder(tmp_path_factory: Any) -> Path:
     checksum = input_sha256(written)
     for name, result in (("good", good), ("moved", moved)):
         write_result(result, root / name / "one", checksum, clip_folder=written)
+    changed = write_result(moved, root / "other" / "one", "0" * 64, {"iou": 0.6, "sca_object_10mm": None}, written)
+    assert changed.is_dir()
     (root / "bad").mkdir()
     (root / "bad" / "result.json").write_text('{"version": 1}')
     assert report([root], Wanted(), 1, debug=False) == 1
@@ -160,16 +162,20 @@ def test_the_index_sorts_filters_and_links(page: Any, folder: Path) -> None:
         return [text.split("\n")[1] for text in page.locator("tbody .name").all_inner_texts()]
 
     assert sets()[:2] == ["moved", "good"]  # the worst first, what has no value last
-    assert "bad/result.json" in sets()[2]
+    assert any("bad/result.json" in words for words in sets()[2:])
+    assert page.locator(".summary tbody th").all_inner_texts() == ["moved", "good", "other"]
     page.locator("#order").select_option("best")
     assert sets()[:2] == ["good", "moved"]
     page.get_by_role("button", name="worst frame").click()
-    assert sets()[:2] == ["moved", "good"]
+    assert sets()[::2][:2] == ["moved", "good"]
+    assert sets()[1].startswith("other: ")
+    assert "expected an unchanged clip" in sets()[1]
     assert page.locator("tbody .value.by").first.inner_text() == "40.0"
     page.locator("#flags").select_option("serious")
-    assert sets() == ["moved"]
+    assert sets()[0] == "moved"
+    assert len(sets()) == 2
     page.locator("#flags").select_option("any")
-    page.fill("#words", "mask-fit onerror")
+    page.fill("#words", "mask-fit onerror moved")
     assert sets() == ["moved"]
     page.locator("#form").select_option("gallery")
     assert page.locator(".gallery figure").count() == 1

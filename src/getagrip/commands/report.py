@@ -10,11 +10,11 @@ from pathlib import Path
 from getagrip.batch.clips import FEW, print_outcome
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.pool import DIED, cores, in_processes
-from getagrip.errors import InputError
+from getagrip.errors import GetagripError, InputError
 from getagrip.evaluation import evaluate, read_evaluated
 from getagrip.io.terminal import progress_bar
-from getagrip.pages import IndexRow, row, write_index, write_page
-from getagrip.result import read_record
+from getagrip.pages import IndexRow, row, row_without_clip, write_index, write_page
+from getagrip.result import read_record, read_result
 from getagrip.view.film import write_film
 from getagrip.view.report import write_report
 from getagrip.view.tiles import View
@@ -42,6 +42,11 @@ class Job:
     folder: Path
     root: Path | None
     wanted: Wanted
+
+    @property
+    def name(self) -> str:
+        """Where it is, below the index."""
+        return "" if self.root is None else self.folder.relative_to(self.root).as_posix()
 
 
 Reported = tuple[IndexRow, Outcome | None]
@@ -88,21 +93,39 @@ def results_below(path: Path) -> list[Path]:
 
 def report_one(job: Job) -> Reported:
     """Write the pages of a result; its row of the index, and what went wrong. Raises nothing."""
-    folder, wanted = job.folder, job.wanted
-    name = "" if job.root is None else folder.relative_to(job.root).as_posix()
     try:
-        result, clip, masks = read_evaluated(folder, wanted.clips)
-        evaluation, view = evaluate(result, clip, masks), View.of(result, clip, masks)
-        if job.root is None or not wanted.index_only:
-            write_page(view, evaluation, read_record(folder), folder / PAGE)
-        if job.root is None:
-            write_report(result, clip, masks, folder / PICTURE, evaluation["metrics"])
-        if wanted.film:
-            write_film(view, folder / FILM)
-        return row(name, view, evaluation, (folder / PAGE).is_file()), None
+        return _written(job), None
     except Exception as error:  # one result's trouble must not end the others
-        outcome = failure("" if isinstance(error, InputError) else str(folder), error)
-        return IndexRow(name, problem=outcome.message), outcome
+        outcome = failure("" if isinstance(error, InputError) else str(job.folder), error)
+        return _unwritten(job, outcome.message), outcome
+
+
+def _written(job: Job) -> IndexRow:
+    """Write the pages of a result."""
+    folder, wanted = job.folder, job.wanted
+    result, clip, masks = read_evaluated(folder, wanted.clips)
+    evaluation, view = evaluate(result, clip, masks), View.of(result, clip, masks)
+    if job.root is None or not wanted.index_only:
+        write_page(view, evaluation, read_record(folder), folder / PAGE)
+    if job.root is None:
+        write_report(result, clip, masks, folder / PICTURE, evaluation["metrics"])
+    if wanted.film:
+        write_film(view, folder / FILM)
+    return row(job.name, view, evaluation, _is_newer(folder / PAGE, folder / "result.json"))
+
+
+def _unwritten(job: Job, problem: str) -> IndexRow:
+    """The row of a result whose pages could not be written: what its own files say, if they can be read."""
+    try:
+        result, record = read_result(job.folder)
+        return row_without_clip(job.name, result, record["metrics"], problem)
+    except (GetagripError, OSError):
+        return IndexRow(job.name, problem=problem)
+
+
+def _is_newer(page: Path, than: Path) -> bool:
+    """Whether a page is there and not of an earlier result."""
+    return page.is_file() and page.stat().st_mtime >= than.stat().st_mtime
 
 
 def _folder(path: Path, wanted: Wanted, workers: int | None) -> list[Outcome]:
@@ -112,8 +135,8 @@ def _folder(path: Path, wanted: Wanted, workers: int | None) -> list[Outcome]:
     with progress_bar(counted=True) as bar:
         task = bar.add_task("results", total=len(jobs))
         for job, reported in _reported(jobs, workers):
-            died = IndexRow(job.folder.relative_to(path).as_posix(), problem=DIED)
-            done[job.folder] = reported or (died, Outcome(str(job.folder), "failed", DIED))
+            dead = IndexRow(job.name, problem=DIED), Outcome(str(job.folder), "failed", DIED)
+            done[job.folder] = reported or dead
             bar.advance(task)
     rows, problems = zip(*(done[job.folder] for job in jobs), strict=True)
     tables = sorted(file.name for file in path.glob("*.md"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from posixpath import commonpath
 from typing import Any
@@ -18,6 +18,7 @@ from getagrip.io import files
 from getagrip.pages.document import document
 from getagrip.pages.pictures import jpeg
 from getagrip.pages.report import CONTACT, MAIN
+from getagrip.result import Reconstruction
 from getagrip.view.stills import overlay, turned
 from getagrip.view.tiles import View, input_windows
 
@@ -53,34 +54,44 @@ class IndexRow:
 def row(folder: str, view: View, evaluation: Mapping[str, Any], page: bool) -> IndexRow:
     """A result's row; its thumbnail shows the frame of the lowest IOU."""
     result = view.result
-    serious = any(finding.serious for finding in result.findings)
-    flags = {
-        "failed": result.status.startswith("failed"),
-        "serious": serious,
-        "note": any(not finding.serious for finding in result.findings),
-        "ambiguous": result.ambiguous,
-        "guess": view.clip.scale == "free" or any("guess" in str(note).lower() for note in result.notes),
-    }
-    values = {name: evaluation["metrics"].get(metric.key(CONTACT), np.nan) for name, metric in COLUMNS.items()}
     known = not np.isnan(result.iou).all()
     worst = int(np.nanargmin(result.iou)) if known else 0
     crops = input_windows([view], np.array([worst]), THUMBNAIL)
     pair = np.concatenate([overlay(view, worst, crops, 0), turned(view, worst, crops, 0)], axis=1)
+    plain = _row(folder, result, evaluation["metrics"])
+    values = plain.values | {"worst frame": float(result.iou[worst]) if known else np.nan}
+    return replace(plain, page=page, values=values, thumbnail=jpeg(pair, QUALITY))
+
+
+def row_without_clip(folder: str, result: Reconstruction, metrics: Mapping[str, Any], problem: str) -> IndexRow:
+    """The row of a result whose clip cannot be had: with the metrics of its ``result.json``, and why there are no more.
+
+    So it is with results of inputs that a benchmark has changed on purpose.
+    """
+    known = {key: float(value) for key, value in metrics.items() if isinstance(value, int | float)}
+    plain = _row(folder, result, known)
+    worst = np.nan if np.isnan(result.iou).all() else float(np.nanmin(result.iou))
+    return replace(plain, problem=problem, values=plain.values | {"worst frame": worst})
+
+
+def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> IndexRow:
+    flags = {
+        "failed": result.status.startswith("failed"),
+        "serious": any(finding.serious for finding in result.findings),
+        "note": any(not finding.serious for finding in result.findings),
+        "ambiguous": result.ambiguous,
+        "guess": any("guess" in str(note).lower() for note in result.notes),
+    }
+    values = {name: metrics.get(metric.key(CONTACT), np.nan) for name, metric in COLUMNS.items()}
+    probable = np.nan if result.probability_right is None else result.probability_right.value
     return IndexRow(
         folder=folder,
-        page=page,
         clip=result.clip,
         method=method_of(result.method).label,
         status=result.status,
         flags=tuple(name for name, holds in flags.items() if holds),
         doubts=tuple(str(finding) for finding in result.findings),
-        values={
-            **values,
-            "probability right": np.nan if result.probability_right is None else result.probability_right.value,
-            "worst frame": float(result.iou[worst]) if known else np.nan,
-            "time": float(result.seconds.get("total", np.nan)),
-        },
-        thumbnail=jpeg(pair, QUALITY),
+        values=values | {"probability right": probable, "time": float(result.seconds.get("total", np.nan))},
     )
 
 

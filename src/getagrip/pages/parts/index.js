@@ -46,7 +46,7 @@ function linked(row, ...children) {
 
 const picture = (row) => row.thumbnail ? element("img", { src: `data:image/jpeg;base64,${row.thumbnail}`, alt: "", loading: "lazy" }) : "";
 const title = (row) => row.clip || row.folder;
-const about = (row) => row.problem || row.set || row.method;
+const about = (row) => [row.set || row.method, row.problem].filter(Boolean).join(": ");
 
 function table(rows) {
   const by = byId("by").value;
@@ -79,7 +79,7 @@ function gallery(rows) {
 /** Means of shares and medians of the rest, of each set of the rows that are shown. */
 function summary(rows) {
   const sets = new Map();
-  for (const row of rows.filter((one) => !one.problem)) sets.set(row.set, [...(sets.get(row.set) || []), row]);
+  for (const row of rows.filter((one) => one.clip)) sets.set(row.set, [...(sets.get(row.set) || []), row]);
   if (sets.size === 0) return "";
   const middle = (values) => {
     const sorted = [...values].sort((a, b) => a - b), half = Math.floor(sorted.length / 2);
