@@ -95,20 +95,20 @@ def rate(scene: Scene) -> int:
 class Pictures:
     """The images of all frames, cut to an even width and height, as H.264 wants them; they are read one at a time."""
 
-    def __init__(self, paths: list[Path]) -> None:
-        height, width = read_image(paths[0]).shape[:2]
-        self.paths, self.size = paths, (width // 2 * 2, height // 2 * 2)
+    def __init__(self, paths: list[Path], given: tuple[int, int]) -> None:
+        self.paths, self.given = paths, given
+        self.size = (given[0] // 2 * 2, given[1] // 2 * 2)
 
     @staticmethod
     def of(scene: Scene) -> Pictures | None:
         """Of a scene; None where a frame has none."""
         paths = [path for path in scene.image_files if path is not None]
-        return Pictures(paths) if paths and len(paths) == len(scene.frames) else None
+        return Pictures(paths, scene.size) if paths and len(paths) == len(scene.frames) else None
 
     def __iter__(self) -> Iterator[UInt8[ndarray, "H W 3"]]:
         width, height = self.size
         for path in self.paths:
-            yield read_image(path, least=self.size)[:height, :width]
+            yield read_image(path, self.given)[:height, :width]
 
     def feature(self, fps: int) -> dict[str, Any]:
         """How LeRobot describes the video."""

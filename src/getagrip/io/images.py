@@ -1,8 +1,9 @@
-"""Images as files, each written whole or with an error."""
+"""Images as files: each written whole or with an error; read only where they have the size that they should have."""
 
 from __future__ import annotations
 
 import errno
+import io
 from pathlib import Path
 
 import numpy as np
@@ -11,21 +12,36 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.io import files
+from getagrip.io.png import LARGEST, read_colour_png
 
 QUALITY = 92
 """Of JPEG images, of 100."""
 
 
-def read_image(path: Path, least: tuple[int, int] = (1, 1)) -> UInt8[ndarray, "H W 3"]:
-    """An RGB image of at least some width and height [px]. Raises ``InputError``."""
-    import cv2
+def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
+    """Red, green and blue of a PNG or JPEG of the given (width, height). Raises ``InputError``.
 
-    read = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if read is None:
-        raise InputError(path, "", "a file that is no image", "an image")
-    if read.shape[1] < least[0] or read.shape[0] < least[1]:
-        raise InputError(path, "size", f"{read.shape[1]} x {read.shape[0]}", f"at least {least[0]} x {least[1]}")
-    return np.asarray(read[..., ::-1], dtype=np.uint8)
+    The decoder that says how large an image is also decodes it: of a crafted file others may see another size.
+    """
+    if path.suffix.lower() == ".png":
+        return read_colour_png(path, size)
+    from PIL import ImageOps
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    content = files.read_bytes(path, LARGEST)
+    try:
+        image = JpegImageFile(io.BytesIO(content))
+        if size not in (image.size, image.size[::-1]):  # upright images may be stored on their side, with a note
+            given, expected = (f"{width} x {height}" for width, height in (image.size, size))
+            raise InputError(path, "size", f"{given} pixels", f"{expected}, the clip's size")
+        upright = ImageOps.exif_transpose(image).convert("RGB")
+    except InputError:
+        raise
+    except Exception as error:  # Pillow raises whatever its parsers meet
+        raise InputError(path, "", f"a damaged file, or no JPEG ({error})", "a whole JPEG file") from error
+    if upright.size != size:
+        raise InputError(path, "size", "an image on its side", f"one of {size[0]} x {size[1]} pixels")
+    return np.array(upright)
 
 
 def write_image(path: Path, image: UInt8[ndarray, "H W"] | UInt8[ndarray, "H W 3"]) -> None:

@@ -256,7 +256,7 @@ def _image(view: View, n: int) -> UInt8[ndarray, "H W 3"]:
     """The frame's image where the clip has one, else its masks in colours."""
     file = view.image_file(n)
     if file is not None:
-        return read_image(file)
+        return read_image(file, view.clip.size)
     width, height = view.clip.size
     picture = np.full((height, width, 3), BLANK, dtype=np.uint8)
     if view.masks is not None:

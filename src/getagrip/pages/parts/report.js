@@ -143,6 +143,7 @@ function scene(arrays, overlay) {
     const names = data.candidates.map(({ energy }, k) => [k, `${k ? `candidate ${k + 1}` : "the result"}, energy ${Number(energy.toPrecision(4))}`]);
     options.append(choice("pose", names, (value) => {
       viewer.candidate = overlay.candidate = Number(value);
+      byId("other").hidden = viewer.candidate === 0;
       viewer.ask();
       overlay.show(viewer.frame);
     }));
