@@ -33,7 +33,7 @@ def with_images(scene: Scene, folder: Path, size: tuple[int, int] = (64, 48)) ->
     paths = tuple(folder / f"{n}.png" for n in range(len(scene.frames)))
     for n, path in enumerate(paths):
         write_image(path, np.full((size[1], size[0], 3), 50 + 50 * n, np.uint8))
-    return replace(scene, image_files=paths)
+    return replace(scene, image_files=paths, size=size)
 
 
 def test_rows_are_the_frames(scene: Scene, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from getagrip.batch.clips import FEW, print_outcome
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.pool import DIED, cores, in_processes
-from getagrip.errors import GetagripError, InputError
+from getagrip.errors import InputError
 from getagrip.evaluation import evaluate, read_evaluated
 from getagrip.io.terminal import progress_bar
 from getagrip.pages import IndexRow, row, row_without_clip, write_index, write_page
@@ -119,7 +119,7 @@ def _unwritten(job: Job, problem: str) -> IndexRow:
     try:
         result, record = read_result(job.folder)
         return row_without_clip(job.name, result, record["metrics"], problem)
-    except (GetagripError, OSError):
+    except Exception:  # its files may hold anything
         return IndexRow(job.name, problem=problem)
 
 
