@@ -15,8 +15,8 @@ from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import Change
 from getagrip.commands.annotate import DATABASE
-from helpers.annotation_page import Served, saved, until
-from helpers.browser import CHROMIUM, chromium
+from helpers.annotation_page import Served, saved
+from helpers.browser import CHROMIUM, chromium, until
 from helpers.labelled_scene import circle, joints, middle, write_scene
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

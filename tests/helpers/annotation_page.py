@@ -58,12 +58,3 @@ def saved(page: Any) -> None:
     from playwright.sync_api import expect
 
     expect(page.locator("#saved")).to_have_text("All saved")
-
-
-def until(page: Any, condition: str) -> None:
-    """Wait for JavaScript that says true. (Playwright's own wait compiles it in the page, which the page forbids.)"""
-    for _ in range(200):
-        if page.evaluate(condition):
-            return
-        page.wait_for_timeout(50)
-    raise AssertionError(f"never true: {condition}")

@@ -21,3 +21,12 @@ def chromium(*args: str) -> Iterator[Any]:
         browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *args])
         yield browser
         browser.close()
+
+
+def until(page: Any, condition: str) -> None:
+    """Wait for JavaScript that says true. (Playwright's own wait compiles it in the page, which the page forbids.)"""
+    for _ in range(200):
+        if page.evaluate(condition):
+            return
+        page.wait_for_timeout(50)
+    raise AssertionError(f"never true: {condition}")

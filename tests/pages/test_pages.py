@@ -16,7 +16,7 @@ from getagrip.commands.report import Wanted, report
 from getagrip.finding import Finding
 from getagrip.geometry import se3
 from getagrip.result import Axis, Candidates, write_result
-from helpers.browser import CHROMIUM, WEBGL, chromium
+from helpers.browser import CHROMIUM, WEBGL, chromium, until
 from helpers.egg_and_mug import egg_and_mug, perfect
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -26,6 +26,11 @@ pytestmark = [
 ]
 EVIL = "<img src=x onerror=hacked=1><script>hacked=1<"
 """As a clip's name; with a slash it could not name a folder."""
+FRAMES_SEEN = """() => {
+  window.seen = new Set();
+  const look = () => window.seen.add(document.getElementById("frame").textContent);
+  new MutationObserver(look).observe(document.getElementById("frame"), { childList: true });
+}"""
 
 
 @pytest.fixture(scope="module")
@@ -131,8 +136,9 @@ def test_the_object_is_there_and_moves_with_the_slider(page: Any, folder: Path) 
 
 def test_playing_goes_on_and_a_click_on_a_plot_jumps(page: Any, folder: Path) -> None:
     opened(page, folder / "moved" / "one" / "report.html")
+    page.evaluate(FRAMES_SEEN)
     page.click("#play")
-    playwright.expect(page.locator("#frame")).to_contain_text("4 of 5")
+    until(page, "window.seen.size === 5")
     page.click("#play")
     plot = page.locator(".plot svg").nth(1)
     plot.click(position={"x": 0.5 * plot.bounding_box()["width"], "y": 40})
