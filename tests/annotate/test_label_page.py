@@ -11,10 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from getagrip.annotate import reconstruction
+from getagrip.annotate.background import Job
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import Change
+from getagrip.cli import main
+from getagrip.clip import read_clip
 from getagrip.commands.annotate import DATABASE
+from getagrip.errors import GetagripError
+from getagrip.io.images import write_image
 from helpers.annotation_page import Served, saved
 from helpers.browser import CHROMIUM, chromium, until
 from helpers.labelled_scene import circle, joints, middle, write_scene
@@ -284,6 +290,43 @@ def test_from_clicks_to_files(context: Any, served: Served, tmp_path: Path) -> N
     with page.expect_download() as download:
         page.click("#labels-json")
     assert json.loads(Path(download.value.path()).read_text())["frames"].keys() == {str(n) for n in (FIRST, 6, LAST)}
+
+
+def test_it_ends_in_a_reconstruction(
+    context: Any, served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clip is made as the commands make it; the fit, which takes its time, is left out here."""
+
+    def ran(words: Sequence[str], job: Job) -> str:
+        if words[0] == "clip" and main([*words]):
+            raise GetagripError(f"{words[words.index('--mesh') + 1]} is refused")
+        if words[0] == "report":
+            folder = Path(words[1])
+            folder.mkdir(parents=True)
+            write_image(folder / "report.png", np.zeros((40, 200, 3), np.uint8))
+            (folder / "report.html").write_text("<p>the report of a plate</p>")
+        return f"{words[0]}: done"
+
+    monkeypatch.setattr(reconstruction, "_run", ran)
+    page, expect = opened(context, served), playwright.expect
+    expect(page.locator("#reconstruct")).to_be_disabled()
+    click_joints(page, FIRST)
+    page.keyboard.press("o")
+    draw(page, circle(FIRST))
+    saved(page)
+    assert page.input_value("#mesh") == "disc"  # what the grasp is of: there is no such shape
+    page.click("#reconstruct")
+    expect(page.locator("#fill-state")).to_contain_text("disc is refused", timeout=30_000)
+    page.fill("#mesh", "plate")
+    page.fill("#size-mm", "180")
+    page.click("#reconstruct")
+    expect(page.locator("#outcome")).to_have_text("reconstruct: done", timeout=30_000)
+    until(page, "document.getElementById('report').naturalWidth == 200")
+    (clip,) = (tmp_path / "clips").iterdir()
+    assert np.ptp(read_clip(clip).mesh.vertices, axis=0).max() == pytest.approx(0.18)
+    with context.expect_page() as opens:
+        page.click("#report-page")
+    expect(opens.value.locator("body")).to_contain_text("the report of a plate")
 
 
 def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: Served) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,11 +75,16 @@ def with_hand(
 
 def command(labels: Labels, out: Path) -> str:
     """The call that makes a clip of what ``make`` has written."""
-    return (
-        f"getagrip clip new {labels.video} --interval {labels.first + 1} {labels.last + 1} --side {labels.side} "
-        f"--hands {out / 'hand.npz'} --masks {out / 'masks'} --object {OBJECT} --ignore {FRONT} "
-        f"--mesh MESH --out CLIP"
-    )
+    return " ".join(map(shlex.quote, ["getagrip", *clip_words(labels, out, labels.video)])) + " --mesh MESH --out CLIP"
+
+
+def clip_words(labels: Labels, out: Path, video: str) -> list[str]:
+    """The words of that call after the program's name, but for the mesh and the clip's folder."""
+    return [
+        *("clip", "new", video, "--interval", str(labels.first + 1), str(labels.last + 1), "--side", labels.side),
+        *("--hands", str(out / "hand.npz"), "--masks", str(out / "masks")),
+        *("--object", str(OBJECT), "--ignore", str(FRONT)),
+    ]
 
 
 def _extra(labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera: str) -> dict[str, ndarray]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
@@ -17,7 +16,7 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from getagrip.annotate import keyframes, labels, versions
+from getagrip.annotate import keyframes, labels, reconstruction, versions
 from getagrip.annotate.background import Background, Job, Work
 from getagrip.annotate.clicked_hands import FEWEST
 from getagrip.annotate.footage import Footage
@@ -153,9 +152,33 @@ class Labelling:
             raise RefusedError("a clip needs joints on one frame at least, and a polygon around the object on one")
         self._start(grasp, "files", lambda job: self.write(grasp, given, job))
 
+    def reconstruct(self, grasp: Grasp, content: Mapping[str, Any]) -> None:
+        """Begin to write the files, make a clip of them and reconstruct it. Raises ``RefusedError``."""
+        from getagrip.annotate.labelled import clip_words
+
+        shape, given = reconstruction.shape_of(content), self.labels(grasp)
+        self._check_joints(grasp, given)
+        if not given.clicks or not given.label_maps():
+            raise RefusedError("a clip needs joints on one frame at least, and a polygon around the object on one")
+
+        def work(job: Job) -> str:
+            job.message = "writing the files"
+            self.write(grasp, given, job)
+            words = clip_words(given, self.out / grasp.name, str(_path(grasp)))
+            return reconstruction.reconstruct(words, shape, self.out, grasp.name, job)
+
+        self._start(grasp, "reconstruct", work)
+
+    def result_file(self, grasp: Grasp, name: str) -> bytes:
+        """The report of the grasp's result. Raises ``RefusedError`` where there is none."""
+        path = reconstruction.result_folder(self.out, grasp.name) / name
+        if not path.is_file():
+            raise RefusedError("there is no result of this grasp yet")
+        return path.read_bytes()
+
     def write(self, grasp: Grasp, given: Labels, job: Job) -> str:
         """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; the command that makes a clip of them."""
-        from getagrip.annotate.labelled import make
+        from getagrip.annotate.labelled import command, make
 
         self.out.mkdir(parents=True, exist_ok=True)
         whole = replace(given, sha256=checksum(_path(grasp)))
@@ -166,8 +189,8 @@ class Labelling:
                 job.report(max(job.done, n - given.first), given.last - given.first + 1)
                 return footage.image(n)
 
-            made = make(given, image, self.lens, self.out / grasp.name, overwrite=True)
-        return made.command.replace(f" new {given.video} ", f" new {shlex.quote(str(_path(grasp)))} ", 1)
+            make(given, image, self.lens, self.out / grasp.name, overwrite=True)
+        return command(replace(given, video=str(_path(grasp))), self.out / grasp.name)
 
     def close(self) -> None:
         """End what is being done."""

@@ -111,11 +111,12 @@ class Project:
         return self.labelling.state(grasp) | undone
 
     def work(self, content: Mapping[str, Any]) -> dict[str, Any]:
-        """Begin, or end, work on a grasp's labels: "propagate", "files" or "cancel". Raises ``RefusedError``."""
+        """Begin to "propagate", write "files" or "reconstruct" a grasp, or "cancel" that. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         known = {
             "propagate": lambda: self.labelling.propagate(grasp),
             "files": lambda: self.labelling.make(grasp),
+            "reconstruct": lambda: self.labelling.reconstruct(grasp, content),
             "cancel": lambda: self.labelling.background.cancel(grasp.mark.mark),
         }
         if not isinstance(what := content.get("work"), str) or what not in known:
@@ -132,6 +133,10 @@ class Project:
         grasp = self._grasp(content)
         text = files.to_json(labels.to_json(self.labelling.whole_labels(grasp))) + "\n"
         return text, f"labels-{grasp.name}.json"
+
+    def result_file(self, content: Mapping[str, Any], name: str) -> bytes:
+        """The picture or the page of a grasp's result. Raises ``RefusedError``."""
+        return self.labelling.result_file(self._grasp(content), name)
 
     def labelled(self) -> Iterator[Grasp]:
         """The finished grasps of these tasks that have labels. Raises ``InputError``."""

@@ -12,6 +12,7 @@ import json
 import os
 import secrets
 import sqlite3
+from collections.abc import Callable
 from contextlib import suppress
 from hmac import compare_digest
 from http import HTTPStatus
@@ -48,6 +49,15 @@ PAGE = {
     **{f"/{name}.css": (f"{name}.css", "text/css") for name in STYLES},
     **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in SCRIPTS},
 }
+DATA: dict[str, Callable[[Project, dict[str, str]], dict[str, Any]]] = {
+    "/api/tasks": lambda project, asked: project.overview(asked.get("annotator")),
+    "/api/task": lambda project, asked: project.task(asked.get("task")),
+    "/api/marks": lambda project, asked: project.marks(asked.get("task"), asked.get("annotator")),
+    "/api/labels": lambda project, asked: project.labels(asked),
+    "/api/drafts": lambda project, asked: project.drafts(asked, _whole(asked.get("since"))),
+    "/api/agreement": lambda project, _: project.agreement(),
+}
+"""What is asked for as JSON."""
 CHANGES = {
     "/api/change": "change",
     "/api/undo": "undo",
@@ -56,6 +66,10 @@ CHANGES = {
     "/api/work": "work",
 }
 """Methods of the project, by where their content is sent."""
+REPORTS = {"/report.png": "image/png", "/report.html": "text/html; charset=utf-8"}
+"""Of a grasp's result."""
+OF_REPORT = {"Content-Security-Policy": "frame-ancestors 'none'; base-uri 'none'"}
+"""The page of a result names in itself which of its scripts may run, and loads nothing."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'",
@@ -206,21 +220,14 @@ class _Handler(BaseHTTPRequestHandler):
         elif url.path == "/frame":
             image, time, number = project.frame(asked.get("task"), _whole(asked.get("n")), "whole" in asked)
             self._send(image, "image/jpeg", {"X-Time": f"{time:.6f}", "X-Number": str(number)})
-        elif url.path == "/api/tasks":
-            self._send_json(project.overview(asked.get("annotator")))
-        elif url.path == "/api/task":
-            self._send_json(project.task(asked.get("task")))
-        elif url.path == "/api/marks":
-            self._send_json(project.marks(asked.get("task"), asked.get("annotator")))
-        elif url.path == "/api/labels":
-            self._send_json(project.labels(asked))
-        elif url.path == "/api/drafts":
-            self._send_json(project.drafts(asked, _whole(asked.get("since"))))
+        elif url.path in DATA:
+            self._send_json(DATA[url.path](project, asked))
         elif url.path == "/labels.json":
             text, name = project.labels_file(asked)
             self._send_file(text, "json", name)
-        elif url.path == "/api/agreement":
-            self._send_json(project.agreement())
+        elif url.path in REPORTS:
+            name = url.path.removeprefix("/")
+            self._send(project.result_file(asked, name), REPORTS[url.path], OF_REPORT)
         elif url.path in ("/grasps.csv", "/grasps.json"):
             kind = url.path.rpartition(".")[2]
             text = project.exported(kind, asked.get("annotator"))

@@ -35,6 +35,7 @@ export async function begin(mark) {
   Object.assign(state, { mode: "labels", tool: "joints" });
   view.fitted = true;
   player.look(true);
+  $("mesh").value ||= mark.category ?? "";
   $("label-title").textContent = `Frames ${mark.start_number} – ${mark.end_number}`;
   emit("mode");
   draw();

@@ -141,11 +141,11 @@ export function undo() {
   saving.add("/api/unlabel", { ...who(), change: fresh(), tab });
 }
 
-/** Have the server "propagate", write "files", or "cancel". */
-export async function work(what) {
+/** Have the server "propagate", write "files", "reconstruct", or "cancel". */
+export async function work(what, about = {}) {
   settle();
   await saving.flush();
-  const sent = { ...who(), work: what, project: saving.project };
+  const sent = { ...who(), ...about, work: what, project: saving.project };
   try {
     const answer = await fetch("/api/work", { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(sent) });
     const body = await answer.json();

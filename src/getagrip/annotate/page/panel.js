@@ -31,7 +31,7 @@ function nextStep(joint) {
   if (!within(player.wanted)) return "This frame is not part of the grasp. Home goes to its start.";
   if (state.tool !== "joints" && drawing(state.tool)) return "Click point after point along the border. To close it, click its first point again, or press Enter.";
   if (state.tool === "joints" && Object.keys(own.joints).length && joint !== null) return `Click the ${NAMES[joint].toLowerCase()}; x where it cannot be located.`;
-  if (busy()) return job.what === "files" ? "Writing the files …" : "Filling in …";
+  if (busy()) return { files: "Writing the files …", reconstruct: "Reconstructing: this takes a minute or two …" }[job.what] ?? "Filling in …";
   if (!withJoints.length) return "Go to the first frame, or one near it that shows the hand well, and click the joints in the order of the picture below. The mouse wheel brings it closer.";
   const few = withJoints.find((one) => clicked(one) < fewest);
   if (few) return `A frame needs ${fewest} joints at least: click some more on frame ${few.number}, or delete them.`;
@@ -41,8 +41,9 @@ function nextStep(joint) {
     return `Now ${what} on the last frame or near it, and in the middle where the grasp is long or turns. The frames between are filled in (g).`;
   }
   if (unfilled()) return "Fill in the other frames (g).";
+  if (job?.what === "reconstruct" && job.state === "done") return "The result is there: see below, and open its report. Where it is off, correct labels or mesh, and reconstruct again.";
   if (job?.what === "files" && job.state === "done") return "The files are there. Run the command below, with your object's mesh, to make the clip.";
-  return "Step through the frames (→). Where something is off, t takes what was filled in, for you to correct; then fill in again. When all is right, write the files.";
+  return "Step through the frames (→). Where something is off, t takes what was filled in, for you to correct; then fill in again. When all is right, name the object's mesh below and reconstruct.";
 }
 
 function drawKeyframes() {
@@ -78,12 +79,12 @@ function drawWork() {
   const { job, basis, drafts, keyframes, extent: [first, last] } = state.labels, running = busy();
   const own = [...keyframes.values()].filter((one) => within(one.frame)), hand = own.some(clicked), masks = own.some((one) => one.outlined);
   $("fill").disabled = running || !(masks || hand);
-  $("write").disabled = running || !(masks && hand);
+  $("write").disabled = $("reconstruct").disabled = running || !(masks && hand);
   $("cancel").hidden = $("progress-bar").hidden = !running;
   $("progress-bar").max = job?.total || 1;
   $("progress-bar").value = job?.done ?? 0;
   const away = unfilled(), frames = last - first + 1;
-  const texts = { waiting: "waiting …", running: job?.total ? `${job.done} of ${job.total} frames` : "fitting the hand …", failed: `It did not work: ${job?.message}`, cancelled: "Stopped." };
+  const texts = { waiting: "waiting …", running: job?.message ? `${job.message} …` : job?.total ? `${job.done} of ${job.total} frames` : "fitting the hand …", failed: `It did not work: ${job?.message}`, cancelled: "Stopped." };
   const now = !basis.masks.length && !basis.hand.length ? "" : away ? `${away} of ${many(frames, "frame")} to be filled in${drafts.masks.size || drafts.hand.size ? " again" : ""}.` : `All ${many(frames, "frame")} filled in.`;
   $("fill-state").textContent = texts[job?.state] ?? now;
   $("fill-state").className = job?.state === "failed" ? "failed" : "";
@@ -95,6 +96,11 @@ function drawWork() {
   const command = job?.what === "files" && job.state === "done" ? job.message : "";
   $("command-box").hidden = !command;
   $("command").textContent = command;
+  const done = job?.what === "reconstruct" && job.state === "done", asked = new URLSearchParams(state.labels.about);
+  if (done && $("outcome-box").hidden) $("report").src = `/report.png?${asked}&at=${Date.now()}`;
+  $("outcome-box").hidden = !done;
+  $("outcome").textContent = done ? job.message : "";
+  $("report-page").href = `/report.html?${asked}`;
   $("labels-json").href = `/labels.json?${new URLSearchParams(state.labels.about)}`;
 }
 
@@ -107,6 +113,11 @@ export function drawPanel(joint) {
 
 $("fill").onclick = () => { work("propagate"); $("fill").blur(); };
 $("write").onclick = () => { work("files"); $("write").blur(); };
+$("reconstruct").onclick = () => {
+  const size = $("size-mm").value.trim();
+  work("reconstruct", { mesh: $("mesh").value, size_mm: size ? Number(size) : null });
+  $("reconstruct").blur();
+};
 $("cancel").onclick = () => work("cancel");
 $("copy").onclick = () => { navigator.clipboard.writeText($("command").textContent); $("copy").blur(); };
 $("hidden").onchange = () => { change(player.wanted, { hidden: $("hidden").checked }); $("hidden").blur(); };

@@ -1,0 +1,99 @@
+"""From the files of a labelled grasp to a result: the commands that a person would type, one after the other.
+
+Each runs in a process of its own: the page stays quick meanwhile, and ending one ends all that it does.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from getagrip.annotate.background import CancelledError, Job
+from getagrip.annotate.versions import RefusedError
+from getagrip.errors import GetagripError
+from getagrip.io.files import shown
+
+CLIPS, RESULTS = "clips", "results"
+"""Folders beside the marks."""
+LONGEST = 1000
+"""Characters of a path."""
+LARGEST_MM = 10_000.0
+ASKED = 0.3
+"""How often it is asked whether the work is still wanted [s]."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The object's mesh, as the page states it."""
+
+    mesh: str
+    """A file, or a kind of this package's own meshes."""
+    size_mm: float | None
+    """Largest side of its bounding box; None where it is to be found."""
+
+    @property
+    def options(self) -> list[str]:
+        """As ``clip new`` takes it."""
+        return ["--mesh", self.mesh, *([] if self.size_mm is None else ["--size-mm", f"{self.size_mm:g}"])]
+
+
+def shape_of(content: Mapping[str, Any]) -> Shape:
+    """What a request says of the mesh. Raises ``RefusedError``."""
+    mesh, size = content.get("mesh"), content.get("size_mm")
+    if not isinstance(mesh, str) or not mesh.strip() or len(mesh) > LONGEST or not mesh.isprintable():
+        raise RefusedError("mesh: got nothing, expected a file, or a kind such as plate or mug")
+    if mesh.strip().startswith("-"):
+        raise RefusedError(f"mesh: got {shown(mesh)}, expected a file, or a kind such as plate or mug")
+    if size is not None and (type(size) not in (int, float) or not 0 < size <= LARGEST_MM):
+        raise RefusedError(f"size: got {shown(size)}, expected millimetres above 0, or nothing")
+    return Shape(mesh.strip(), None if size is None else float(size))
+
+
+def result_folder(out: Path, name: str) -> Path:
+    """Where the result of a grasp is."""
+    return out / RESULTS / name
+
+
+def reconstruct(new_clip: Sequence[str], shape: Shape, out: Path, name: str, job: Job) -> str:
+    """Make the clip with ``new_clip``, the words of ``clip new`` but for mesh and folder; reconstruct it, and report.
+
+    Returns what was said of it. Raises ``GetagripError`` with what a command said against it, ``CancelledError``.
+    """
+    clip, result = out / CLIPS / name, result_folder(out, name)
+    steps = (
+        ("making the clip", [*new_clip, *shape.options, "--out", str(clip), "--overwrite"]),
+        ("reconstructing", ["reconstruct", str(clip), "--out", str(result.parent), "--overwrite"]),
+        ("drawing the report", ["report", str(result)]),
+    )
+    said = []
+    for n, (what, words) in enumerate(steps):
+        job.message = what
+        job.report(n, len(steps))
+        said.append(_run(words, job))
+    return said[1]
+
+
+def _run(words: Sequence[str], job: Job) -> str:
+    """Run a command; returns what it printed."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "getagrip", *words],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace",
+    )  # fmt: skip
+    while True:
+        try:
+            out, err = process.communicate(timeout=ASKED)
+            break
+        except subprocess.TimeoutExpired:
+            try:
+                job.report(job.done, job.total)
+            except CancelledError:
+                process.terminate()
+                process.communicate()
+                raise
+    if process.returncode:
+        raise GetagripError((err.strip() or out.strip() or "it ended early").removeprefix("getagrip: "))
+    return "\n".join(filter(None, (out.strip(), err.strip())))

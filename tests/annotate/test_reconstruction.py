@@ -1,0 +1,41 @@
+"""What the page asks of a reconstruction, and the processes that make it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from getagrip.annotate import reconstruction
+from getagrip.annotate.background import CancelledError, Job
+from getagrip.annotate.reconstruction import Shape, reconstruct, shape_of
+from getagrip.annotate.versions import RefusedError
+from getagrip.errors import GetagripError
+
+
+def test_what_the_page_says_of_the_mesh() -> None:
+    assert shape_of({"mesh": " plate ", "size_mm": None}) == Shape("plate", None)
+    assert shape_of({"mesh": "a b.obj", "size_mm": 180}).options == ["--mesh", "a b.obj", "--size-mm", "180"]
+    wrong: list[dict[str, Any]] = [
+        {}, {"mesh": ""}, {"mesh": 3}, {"mesh": "--overwrite"}, {"mesh": "a\nb"}, {"mesh": 2000 * "x"},
+        {"mesh": "plate", "size_mm": 0}, {"mesh": "plate", "size_mm": "180"}, {"mesh": "plate", "size_mm": True},
+    ]  # fmt: skip
+    for content in wrong:
+        with pytest.raises(RefusedError):
+            shape_of(content)
+
+
+def test_a_command_that_fails_ends_it_with_its_words(tmp_path: Path) -> None:
+    job = Job("reconstruct")
+    with pytest.raises(GetagripError, match=r"^.*nothing.mp4.*no such file"):
+        reconstruct(["clip", "new", str(tmp_path / "nothing.mp4")], Shape("plate", None), tmp_path, "it", job)
+    assert job.message == "making the clip"
+
+
+def test_work_that_is_not_wanted_any_more_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reconstruction, "ASKED", 0.001)
+    job = Job("reconstruct")
+    job.stop.set()
+    with pytest.raises(CancelledError):
+        reconstruction._run(["doctor"], job)
