@@ -10,6 +10,7 @@ import numpy as np
 from getagrip.fitting.energy import Energy
 from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import OnStage
+from getagrip.fitting.misfit import misfit, stiffened
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
 from getagrip.fitting.objective import NOTHING, consistency_of, energy_of, plus
 from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
@@ -23,7 +24,7 @@ M = TypeVar("M", bound=Motion)
 COARSE_RIDGE = (2e5 / 4, 1.2e3 / 4)
 """Stiffness of a soft hinge's deviations in the coarse stages, where it has no axis yet [px^2 per m^2, per rad^2]."""
 SOFT_RIDGE = (1.5e6, 1e4)
-"""Stiffness of a soft hinge's deviations in the fine stages, likewise."""
+"""Stiffness of a soft hinge's deviations in the fine stages, likewise; more where the mesh is not the object's."""
 STEADY = 0.5
 """Weight of the soft hinge's own term (``objective.consistency_of``), in lambda_3."""
 ALONE = 4.0
@@ -34,11 +35,15 @@ def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> M
     """A hinge, and a small deviation from it in each frame; ``more`` terms count in all stages.
 
     There is no axis in the coarse stages: held to one too early, right poses lose whose motion is not quite a hinge.
+    How well they explain the masks says how far the deviations may be believed afterwards (``misfit``).
     """
     search, coarse = search_of(problem, on_stage), plus(coarse_energy(problem), more)
     relaxed = search.relax(initial_of(problem), coarse)
-    motion = search.at_all_frames(search.coarse(replace(relaxed, ridge=COARSE_RIDGE), coarse).motion)
-    soft = Soft.around(hinge_of(problem, motion), motion.poses(), SOFT_RIDGE)
+    rough = search.coarse(replace(relaxed, ridge=COARSE_RIDGE), coarse)
+    motion = search.at_all_frames(rough.motion)
+    frames = rough.motion.deviation.shape[1]
+    ridge = stiffened(SOFT_RIDGE, misfit(problem.observation, float(rough.terms["mask"][0]) / frames))
+    soft = Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
     found = search.fine(soft, steady(problem, coarse))
     if more is not NOTHING:  # terms of these frames only
         return result_of(found, found.motion.core)
