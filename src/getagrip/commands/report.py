@@ -111,7 +111,7 @@ def _written(job: Job) -> IndexRow:
         write_report(result, clip, masks, folder / PICTURE, evaluation["metrics"])
     if wanted.film:
         write_film(view, folder / FILM)
-    return row(job.name, view, evaluation, _is_newer(folder / PAGE, folder / "result.json"))
+    return row(job.name, view, evaluation, (folder / PAGE).is_file())
 
 
 def _unwritten(job: Job, problem: str) -> IndexRow:
@@ -121,11 +121,6 @@ def _unwritten(job: Job, problem: str) -> IndexRow:
         return row_without_clip(job.name, result, record["metrics"], problem)
     except Exception:  # its files may hold anything
         return IndexRow(job.name, problem=problem)
-
-
-def _is_newer(page: Path, than: Path) -> bool:
-    """Whether a page is there and not of an earlier result."""
-    return page.is_file() and page.stat().st_mtime >= than.stat().st_mtime
 
 
 def _folder(path: Path, wanted: Wanted, workers: int | None) -> list[Outcome]:

@@ -44,7 +44,7 @@ function linked(row, ...children) {
   return row.link ? element("a", { href: row.link }, ...children) : element("span", {}, ...children);
 }
 
-const picture = (row) => row.thumbnail ? element("img", { src: `data:image/jpeg;base64,${row.thumbnail}`, alt: "", loading: "lazy" }) : "";
+const picture = (row) => row.thumbnail ? element("img", { src: `data:image/jpeg;base64,${row.thumbnail}`, alt: "" }) : "";
 const title = (row) => row.clip || row.folder;
 const about = (row) => [row.set || row.method, row.problem].filter(Boolean).join(": ");
 
