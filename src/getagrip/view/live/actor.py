@@ -12,7 +12,7 @@ from numpy import ndarray
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.metrics.mask import iou_of_poses
 from getagrip.view.curves import angle_curve
-from getagrip.view.live.column import Column
+from getagrip.view.live.column import TRUTH, Column
 from getagrip.view.live.contact import Surfaces
 from getagrip.view.live.overlay import Overlays
 from getagrip.view.live.plots import Curve, Plot
@@ -63,7 +63,7 @@ def plots(actors: list[Actor]) -> list[Plot]:
         curves = [Curve(actor.column.name, np.degrees(angle.found), actor.colour) for actor, angle in same]
         true = same[0][1].true
         if true is not None and same[0][0].column.is_result:
-            curves.insert(0, Curve("ground truth", np.degrees(true), TRUE, faint=True))
+            curves.insert(0, Curve(TRUTH, np.degrees(true), TRUE, faint=True))
         out.append(Plot(title, "°", curves))
     if not posed:
         return out

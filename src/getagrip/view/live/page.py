@@ -32,6 +32,8 @@ FIELD = np.radians(45.0)
 """Vertical field of view at first."""
 ASIDE = np.radians([-16.0, 24.0])
 """At first one looks from so far above and beside the camera: from the camera itself depth is hard to see."""
+ENDING = 5.0
+"""What is being measured may take so long to end [s]."""
 NARROW = 0.85
 """Width by height of what the panels leave to the scene, on common screens."""
 APART = 1.15
@@ -87,9 +89,10 @@ class Page:
                 self._draw()
 
     def stop(self) -> None:
-        """End ``run``."""
+        """End ``run``, and what is being measured."""
         self._opened += 1
         self._jobs.put(None)
+        self._measuring.join(ENDING)
 
     def _later(self, job: Callable[[], None]) -> None:
         self._jobs.put(job)
@@ -186,7 +189,8 @@ class Page:
                     known = evidence.numbers(actor.column)
                     self._later(lambda k=k, known=known: know(k, known))  # type: ignore[misc]
 
-        threading.Thread(target=work, daemon=True).start()
+        self._measuring = threading.Thread(target=work, daemon=True)
+        self._measuring.start()
 
     def _look_at(
         self, centre: Float[ndarray, "3"], size: Float[ndarray, "3"], count: int, up: Float[ndarray, "3"]

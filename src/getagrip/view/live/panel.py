@@ -11,11 +11,12 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from getagrip.view.live import words
-from getagrip.view.live.column import Column
+from getagrip.view.live.column import TRUTH, Column
 from getagrip.view.live.evidence import Numbers
 from getagrip.view.live.player import SPEEDS
 from getagrip.view.live.plots import COLOURS, Curve, Plot, legend
 from getagrip.view.live.stage import PARTS, Look
+from getagrip.view.style import TRUE
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -108,7 +109,7 @@ class Panel:
         step.on_click(lambda _: self._heard.step(1 if "forward" in step.value else -1))
         speed.on_update(lambda _: self._heard.speed(float(speed.value[:-1])))
         tabs = gui.add_tab_group()
-        with tabs.add_tab("Result"):
+        with tabs.add_tab("About"):
             gui.add_markdown(words.about_clip(columns[0]))
             for column in columns:
                 gui.add_markdown(words.about_result(column))
@@ -172,7 +173,8 @@ class Panel:
     def names(self, columns: Sequence[Column]) -> None:
         """Which contour and which curve is what."""
         curves = [Curve(c.name, np.zeros(1), COLOURS[k % len(COLOURS)]) for k, c in enumerate(columns)]
-        truth = [Curve("ground truth", np.zeros(1), "#6c757d", True)]
+        known = any(column.truth is not None for column in columns)
+        truth = [Curve(TRUTH, np.zeros(1), TRUE, True)] if known else []
         self._names.content = f'<div style="padding:0 10px">{legend(curves + truth)}</div>'
 
     def playing(self, playing: bool) -> None:
