@@ -91,7 +91,7 @@ def test_npz_arrays_are_the_scene(scene: Scene, tmp_path: Path) -> None:
 
 
 def test_obj_meshes_are_posed(scene: Scene, tmp_path: Path) -> None:
-    folder = export(scene, tmp_path / "out", "obj")
+    folder = export(scene, str(tmp_path / "out"), "obj")
     for n, frame in enumerate(scene.frames):
         found = trimesh.load(folder / "object" / f"{frame}.obj", process=False)
         np.testing.assert_allclose(found.vertices, object_in_camera(scene)[n], atol=1e-6)

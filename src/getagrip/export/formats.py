@@ -39,13 +39,14 @@ FORMATS: dict[str, Write] = {
 ABOUT = "about.json"
 
 
-def export(scene: Scene, folder: Path, to: str, overwrite: bool = False) -> Path:
+def export(scene: Scene, folder: str | Path, to: str, overwrite: bool = False) -> Path:
     """Write a scene in one of ``FORMATS`` into a folder, with ``about.json``: files, units, axes, times and notes.
 
     Raises ``UsageError`` for an unknown format, or where the folder exists and may not be replaced.
     """
     if to not in FORMATS:
         raise UsageError(f"--to: got {to!r}, expected one of {', '.join(FORMATS)}")
+    folder = Path(folder)
     with files.new_folder(folder, (ABOUT,) if overwrite else ()) as new:
         about = scene.about(FORMATS[to](scene, new))
         files.write_json(new / ABOUT, {"format": to} | about)
