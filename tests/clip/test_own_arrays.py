@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import small_clip
 
-from getagrip import Clip, Mesh, Reconstruction, UsageError, evaluate, reconstruct, synthesise, write_report
+from getagrip import Clip, Mesh, Reconstruction, UsageError, World, evaluate, reconstruct, synthesise, write_report
 from getagrip.clip import check_clip, check_masks, find_masks
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.options import Options
@@ -30,6 +30,11 @@ WRONG: dict[str, tuple[Clip, str]] = {
     "NaN": (replace(CLIP, mesh=Mesh(NAN, CLIP.mesh.faces)), "mesh"),
     "110 m large": (replace(CLIP, mesh=Mesh(1e3 * CLIP.mesh.vertices, CLIP.mesh.faces)), "mesh"),
     "look inward": (replace(CLIP, mesh=Mesh(CLIP.mesh.vertices, CLIP.mesh.faces[:, ::-1])), "mesh"),
+    "NaN or infinite": (replace(CLIP, times=np.array([0.0, np.nan, 0.1])), "times"),
+    "no rigid motion in frame '0000'": (
+        replace(CLIP, world=World(1.1 * np.tile(np.eye(4), (3, 1, 1)))),
+        "camera.T_world_cam",
+    ),
     "a hand without vertices": (
         replace(CLIP, hand=replace(CLIP.hand, vertices=np.zeros((3, 0, 3)), faces=CLIP.hand.faces[:0], regions={})),
         "vertices",

@@ -11,17 +11,12 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.data import World
-from getagrip.clip.plausible import check_intrinsics
+from getagrip.clip.plausible import check_camera_poses, check_intrinsics, check_times
 from getagrip.errors import InputError
-from getagrip.geometry import se3
 from getagrip.io import files
 
 CAMERA = ("K", "T_world_cam", "world_up")
 """Keys of ``camera``; the last two since version 2."""
-LONGEST = 86_400.0
-"""Time that a clip can take [s]."""
-ROOM = 1000.0
-"""How far a camera may be from where it was in the first frame [m]."""
 
 
 def frame_names(path: Path, names: object) -> tuple[str, ...]:
@@ -54,16 +49,7 @@ def world(path: Path, camera: dict[str, Any], frames: tuple[str, ...]) -> World 
             raise InputError(path, "camera.world_up", "it", "none without camera.T_world_cam, whose world it is in")
         return None
     T = _matrices(path, "camera.T_world_cam", camera["T_world_cam"], 4, len(frames))
-    with np.errstate(over="ignore", invalid="ignore"):
-        rigid = se3.is_rigid(T)
-        apart = np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1)
-    if not rigid.all():
-        bad = f"a matrix that is no rigid motion in frame {files.shown(frames[int(np.argmin(rigid))])}"
-        raise InputError(path, "camera.T_world_cam", bad, "rotations and translations [m], the last row 0 0 0 1")
-    if not apart.max() <= ROOM:
-        n = int(np.argmax(apart))
-        given = f"a camera {apart[n]:.4g} m from its first place in frame {files.shown(frames[n])}"
-        raise InputError(path, "camera.T_world_cam", given, f"at most {ROOM:g} m; are these millimetres?")
+    check_camera_poses(path, T, frames)
     return World(T, up)
 
 
@@ -74,14 +60,7 @@ def times(path: Path, given: object, frames: tuple[str, ...]) -> Float[ndarray, 
         raise InputError(path, "times", files.shown(given), "a list of numbers [s], one for each frame")
     if len(values) != len(frames):
         raise InputError(path, "times", f"{len(values)} numbers", f"one for each of the {len(frames)} frames")
-    step = np.diff(values)
-    if np.any(step <= 0.0):
-        n = int(np.argmax(step <= 0.0)) + 1
-        bad = f"{values[n]:.10g} s in frame {files.shown(frames[n])}, after {values[n - 1]:.10g} s"
-        raise InputError(path, "times", bad, "numbers that rise from frame to frame")
-    if not values[-1] - values[0] <= LONGEST:
-        bad = f"{values[-1] - values[0]:.4g} s from the first frame to the last"
-        raise InputError(path, "times", bad, f"at most {LONGEST:g} s; are these nanoseconds?")
+    check_times(path, values, frames)
     return values
 
 

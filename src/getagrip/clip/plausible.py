@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,14 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.mesh_files import check_size
+from getagrip.io.files import shown
 
 NEAREST, FARTHEST = 0.05, 20.0
 """Plausible distances from the camera [m]."""
+LONGEST = 86_400.0
+"""Time that a clip can take [s]."""
+ROOM = 1000.0
+"""How far a camera may be from where it was in the first frame [m]."""
 OFF_ORIGIN = 0.25
 """Largest distance of a hand's middle from the origin of the hand frame, which lies in the hand [m]."""
 
@@ -24,10 +30,12 @@ def check_clip(clip: Clip) -> None:
     """Raise ``InputError`` for what ``read_clip`` refuses in files: a clip may have been made of arrays instead."""
     path, mesh = clip.origin, clip.mesh
     hand = {"vertices": clip.hand.vertices, "T_cam_hand": clip.hand.T_cam_hand}
-    for key, array in {"K": clip.K, "mesh": mesh.vertices, **hand}.items():
+    for key, array in {"K": clip.K, "mesh": mesh.vertices, "times": clip.time, **hand}.items():
         if not np.isfinite(array).all():
             raise InputError(path, key, "NaN or infinite numbers", "finite numbers")
     check_intrinsics(path, clip.K, clip.size)
+    if clip.world is not None:
+        check_camera_poses(path, clip.world.T_world_cam, clip.frames)
     check_hand(path, clip.hand)
     check_in_view(path, clip.hand, clip.K, clip.size)
     check_size(path, "mesh", float(np.ptp(mesh.vertices, axis=0).max()), "the object")
@@ -75,6 +83,32 @@ def check_intrinsics(path: Path, K: Float[ndarray, "T 3 3"], size: tuple[int, in
         u, v = centre[np.argmax(off)]
         expected = f"{-size[0]} to {2 * size[0]}, {-size[1]} to {2 * size[1]} px for {image}"
         raise InputError(path, "camera.K", f"the principal point {u:g}, {v:g}", expected)
+
+
+def check_times(path: Path, times: Float[ndarray, "T"], frames: Sequence[str]) -> None:
+    """Raise ``InputError`` for times [s] that do not rise, or that take longer than a clip can."""
+    rises = np.diff(times) > 0.0
+    if not rises.all():
+        n = int(np.argmin(rises)) + 1
+        bad = f"{times[n]:.10g} s in frame {shown(frames[n])}, after {times[n - 1]:.10g} s"
+        raise InputError(path, "times", bad, "numbers that rise from frame to frame")
+    if not times[-1] - times[0] <= LONGEST:
+        bad = f"{times[-1] - times[0]:.4g} s from the first frame to the last"
+        raise InputError(path, "times", bad, f"at most {LONGEST:g} s; are these nanoseconds?")
+
+
+def check_camera_poses(path: Path, T_world_cam: Float[ndarray, "T 4 4"], frames: Sequence[str]) -> None:
+    """Raise ``InputError`` for motions that are not rigid, or that take the camera too far."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        rigid = se3.is_rigid(T_world_cam)
+        apart = np.linalg.norm(T_world_cam[:, :3, 3] - T_world_cam[0, :3, 3], axis=1)
+    if not rigid.all():
+        bad = f"a matrix that is no rigid motion in frame {shown(frames[int(np.argmin(rigid))])}"
+        raise InputError(path, "camera.T_world_cam", bad, "rotations and translations [m], the last row 0 0 0 1")
+    if not apart.max() <= ROOM:
+        n = int(np.argmax(apart))
+        given = f"a camera {apart[n]:.4g} m from its first place in frame {shown(frames[n])}"
+        raise InputError(path, "camera.T_world_cam", given, f"at most {ROOM:g} m; are these millimetres?")
 
 
 def check_poses(
