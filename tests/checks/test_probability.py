@@ -34,7 +34,8 @@ def mug() -> Solved:
     T = se3.inverse(clip.truth.T_cam_hand) @ clip.truth.T_cam_obj
     away = T @ se3.rigid(se3.exp_so3(np.array([0.5 * np.pi, 0.0, 0.0])), np.zeros(3))
     candidates = Candidates(np.stack([T, away]), np.ones(2), np.array([100.0, 150.0]))
-    return Solved(clip, masks, T, 1.0, np.full(4, 0.9), candidates=candidates, axis=None)
+    given = clip.hand.T_cam_hand
+    return Solved(clip, masks, T, 1.0, np.full(4, 0.9), candidates=candidates, axis=None, T_cam_hand_given=given)
 
 
 def gap_of(energy: float, apart: int = 1) -> float:
@@ -89,8 +90,19 @@ def test_signs_are_the_same_each_time() -> None:
 
 def test_signs_do_not_depend_on_where_camera_and_world_are() -> None:
     it, T = mug(), se3.rigid(se3.exp_so3(np.array([0.3, -0.2, 0.1])), np.array([0.1, 0.2, 0.3]))
-    moved = it.clip.with_hand_at(T @ it.clip.hand.T_cam_hand)
-    assert read_signs(replace(it, clip=moved)) == read_signs(it)
+    moved = replace(
+        it, clip=it.clip.with_hand_at(T @ it.clip.hand.T_cam_hand), T_cam_hand_given=T @ it.T_cam_hand_given
+    )
+    assert read_signs(moved) == pytest.approx(read_signs(it), abs=1e-6)
+
+
+def test_a_hand_that_was_corrected_far_is_a_sign() -> None:
+    it, by = mug(), se3.rigid(se3.exp_so3(np.array([0.0, 0.2, 0.0])), np.array([0.01, 0.0, 0.0]))
+    off = replace(it, T_cam_hand_given=it.T_cam_hand_given @ by)
+    assert off.hand_turn == pytest.approx(0.2)
+    assert it.hand_shift == it.hand_turn == 0.0
+    assert read_signs(off)["hand-turn"] > read_signs(it)["hand-turn"]
+    assert read_signs(off)["hand-shift"] > read_signs(it)["hand-shift"]
 
 
 SERIOUS = Finding("frame-order", True, 3.0, 2.5, "in another order")

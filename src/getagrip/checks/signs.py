@@ -55,6 +55,19 @@ def off_axis_turn(it: Solved) -> float:
     return _logarithm(it.off_axis, 5e-3)
 
 
+def hand_shift(it: Solved) -> float:
+    """How far the hand was moved when it was corrected, in diameters of the object, squared.
+
+    Corrections of the usual size succeed; those of hands that are far off leave much.
+    """
+    return (it.hand_shift / it.diameter) ** 2
+
+
+def hand_turn(it: Solved) -> float:
+    """By how much it was turned [rad], squared."""
+    return it.hand_turn**2
+
+
 def _logarithm(value: float | Float[ndarray, ""], least: float) -> float:
     """Of a number that is never below zero, and hardly counts below ``least``."""
     return float(np.log(max(float(value), 0.0) + least))
@@ -65,6 +78,8 @@ SIGNS: tuple[Sign, ...] = (
     Sign("contact-gap", contact_gap, -1),
     Sign("mask-miss", mask_miss, -1),
     Sign("off-axis-turn", off_axis_turn, -1),
+    Sign("hand-shift", hand_shift, -1),
+    Sign("hand-turn", hand_turn, -1),
 )
 
 

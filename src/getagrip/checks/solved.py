@@ -31,10 +31,12 @@ class Solved(Evidence):
         iou: (T,) overlap of rendered and observed mask.
         candidates: the best distinct solutions in these frames; the first is the one that was found.
         axis: the axis that was found, where the method has one.
+        T_cam_hand_given: (T, 4, 4) poses of the hand as it was given.
     """
 
     candidates: Candidates
     axis: Axis | None
+    T_cam_hand_given: Float[ndarray, "T 4 4"]
 
     @property
     def poses(self) -> Float[ndarray, "T 4 4"]:
@@ -88,3 +90,16 @@ class Solved(Evidence):
         if self.axis is not None:
             R = se3.exp_so3(-self.axis.angle[:, None] * self.axis.direction) @ R
         return float(np.sqrt(np.mean(se3.angle_between(R, se3.nearest_rotation(R.mean(axis=0))) ** 2)))
+
+    @property
+    def hand_shift(self) -> float:
+        """How far the hand's middle was moved when it was corrected, mean over frames [m]."""
+        middle = self.clip.hand.vertices.mean(axis=(0, 1))[None]
+        T, given = self.clip.hand.T_cam_hand, self.T_cam_hand_given
+        return float(np.linalg.norm(se3.transform(T, middle) - se3.transform(given, middle), axis=-1).mean())
+
+    @property
+    def hand_turn(self) -> float:
+        """By how much it was turned, mean over frames [rad]."""
+        T, given = self.clip.hand.T_cam_hand, self.T_cam_hand_given
+        return float(se3.angle_between(T[:, :3, :3], given[:, :3, :3]).mean())

@@ -69,6 +69,7 @@ def reconstruct(
         solved = Solved(
             problem.clip, problem.given_masks, track.T_hand_obj[0], scale, track.iou,
             candidates=Candidates(track.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
+            T_cam_hand_given=sampled.hand.T_cam_hand,
         )  # fmt: skip
         of_result, more = examine(RESULT_CHECKS, replace(solved, iou=whole.iou))
         signs = read_signs(solved)
