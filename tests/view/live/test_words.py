@@ -7,6 +7,7 @@ from dataclasses import replace
 from hypothesis import given
 from hypothesis import strategies as st
 
+from getagrip.probability import Probability
 from getagrip.view.live import words
 from helpers.two_candidates import column
 
@@ -23,12 +24,14 @@ def test_quoted_texts_hold_no_tags_and_no_markup(text: str) -> None:
 def test_the_summary_says_what_is_known_and_quotes_it() -> None:
     it = column()
     result = replace(it.view.result, status="<img src=x onerror=alert(1)>", notes=("the *scale* is a guess",))
+    result = replace(result, probability_right=Probability(0.93, "within <10> %"))
     it = replace(it, view=replace(it.view, result=result))
     text = words.about_clip(it) + words.about_result(it)
     assert "ambiguous" in text
     assert "<img" not in text
     assert r"\*scale\* is a guess" in text
     assert "mug in a" in text
+    assert "probability right: 93 %. within &lt;10" in text
 
 
 def test_candidates_are_named_by_their_energy() -> None:

@@ -70,8 +70,9 @@ class Column:
         T_hand_obj, scale = self.candidates.T_hand_obj[rank], float(self.candidates.scale[rank])
         axis = None if found.axis is None else hinge(T_hand_obj, scale * self.view.clip.mesh.vertices)
         other = replace(
-            found, T_hand_obj=T_hand_obj, scale=scale, iou=np.full(len(found.frames), np.nan), axis=axis, findings=()
-        )
+            found, T_hand_obj=T_hand_obj, scale=scale, iou=np.full(len(found.frames), np.nan), axis=axis,
+            findings=(), probability_right=None,
+        )  # fmt: skip
         return Column(self.name, replace(self.view, result=other), self.posed, rank)
 
     @property
