@@ -134,7 +134,8 @@ def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
 
     status, printed, _ = run("report", next(out.iterdir()))
     assert status == 0
-    assert Path(printed.strip()).stat().st_size > 10_000
+    assert [Path(line).name for line in printed.split("\n")[:-1]] == ["report.html", "report.png"]
+    assert all(Path(line).stat().st_size > 10_000 for line in printed.split("\n")[:-1])
 
 
 @pytest.mark.slow
