@@ -187,7 +187,7 @@ def test_an_import_without_recordings_is_named(run: Run, tmp_path: Path) -> None
 
 
 def test_an_interrupt_leaves_no_traceback(made: Path, tmp_path: Path, monkeypatch: Any, run: Run) -> None:
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("getagrip.batch.clips.reconstruct_one", interrupted)

@@ -81,22 +81,35 @@ def _outcomes(jobs: Sequence[Job], workers: int | None, bar: Progress) -> Iterat
             bar.advance(clips)
     if workers is None:
         workers = min(len(remaining), cores()) if len(remaining) > FEW else 1
+    elsewhere = set()
     for outcome in _in_turn(remaining, bar) if workers == 1 else _side_by_side(remaining, workers):
+        if outcome.state == "elsewhere":
+            elsewhere.add(outcome.name)
+            continue
         yield outcome
         bar.advance(clips)
+    for job in remaining:  # what another run was at work on: its result, or, where it has ended early, our own
+        if job.name in elsewhere:
+            yield reconstruct_one(job)
+            bar.advance(clips)
 
 
 def _in_turn(jobs: Sequence[Job], bar: Progress) -> Iterator[Outcome]:
     """The outcomes of jobs done in this process, with a bar for the one at work."""
     stage = bar.add_task("", total=1.0, visible=bool(jobs))
     for job in jobs:
-        yield reconstruct_one(job, partial(show_stage, bar, stage, job.name))
+        yield reconstruct_one(job, partial(show_stage, bar, stage, job.name), wait=False)
 
 
 def _side_by_side(jobs: Sequence[Job], workers: int) -> Iterator[Outcome]:
     """The outcomes of jobs done in processes, as they finish."""
-    for job, outcome in in_processes(reconstruct_one, jobs, workers):
+    for job, outcome in in_processes(_unless_elsewhere, jobs, workers):
         yield outcome or Outcome(job.name, "failed", DIED)
+
+
+def _unless_elsewhere(job: Job) -> Outcome:
+    """In a process of its own."""
+    return reconstruct_one(job, wait=False)
 
 
 def print_outcome(outcome: Outcome, debug: bool) -> None:

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from getagrip.batch.claims import claim
 from getagrip.clip import input_sha256, read_clip, read_name
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.finding import Finding, read_findings
@@ -41,8 +42,8 @@ class Outcome:
 
     name: str
     """Empty where a path is no clip."""
-    state: Literal["done", "kept", "failed"]
-    """``kept``: the result stood there already."""
+    state: Literal["done", "kept", "failed", "elsewhere"]
+    """``kept``: the result stood there already; ``elsewhere``: another run is at work on it."""
     message: str
     trace: str = ""
     """Where the error arose, for ``--debug``."""
@@ -103,8 +104,19 @@ def clips_in(path: Path) -> list[Path]:
     return clips
 
 
-def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
-    """Reconstruct a clip and write its result, unless that is settled already. Raises nothing."""
+def reconstruct_one(job: Job, progress: Progress | None = None, wait: bool = True) -> Outcome:
+    """Reconstruct a clip and write its result, unless that is settled already. Raises nothing.
+
+    Where another run is at work on it, it is waited for, or else left to that.
+    """
+    try:
+        with claim(job.out, wait) as free:
+            return _reconstructed(job, progress) if free else Outcome(job.name, "elsewhere", "another run does it")
+    except OSError as error:
+        return failure(job.name, error)
+
+
+def _reconstructed(job: Job, progress: Progress | None) -> Outcome:
     before = settled(job)
     if before is not None:
         return before

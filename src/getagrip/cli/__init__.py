@@ -6,6 +6,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import nullcontext, redirect_stdout
 from typing import Annotated, Any
 
 # Commands share their work between processes, one for each core. Said before numpy is loaded, which reads it once.
@@ -22,6 +23,7 @@ from getagrip.cli.report import Report
 from getagrip.cli.results import Bench, Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct
 from getagrip.cli.view import View
 from getagrip.errors import GetagripError, UsageError
+from getagrip.io.terminal import Silence
 
 DESCRIPTION = (
     "Where an object is in the hand that holds it: from hands, masks and the object's mesh, for every frame. "
@@ -69,7 +71,8 @@ def main(args: Sequence[str] | None = None) -> int:
 def _run(command: Command) -> int:
     try:
         command.check()
-        return command.run()
+        with redirect_stdout(Silence()) if command.quiet else nullcontext():
+            return command.run()
     except BrokenPipeError:
         raise
     except KeyboardInterrupt:

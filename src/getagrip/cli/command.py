@@ -36,6 +36,8 @@ class Command:
 
     debug: Flag = False
     """Show where an error arose."""
+    quiet: Flag = False
+    """Print warnings and errors only."""
 
     def run(self) -> int:
         """Do it, and return the exit status."""

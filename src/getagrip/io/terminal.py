@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +15,16 @@ if TYPE_CHECKING:
 
 PIPE_WIDTH = 200
 """Columns of a pipe, which has no width of its own: enough for every table."""
+
+
+class Silence(io.TextIOBase):
+    """Standard output of ``--quiet``: nothing of what is printed appears, and no progress bar."""
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        return len(text)
 
 
 def report(words: str) -> None:
@@ -57,7 +68,7 @@ def progress_bar(counted: bool = False) -> Iterator[Progress]:
     with Progress(
         *columns,
         console=stderr,
-        disable=not stderr.is_terminal,
+        disable=not stderr.is_terminal or isinstance(sys.stdout, Silence),
         transient=True,
         redirect_stdout=sys.stdout.isatty(),  # else what is printed would leave a pipe for the terminal
         speed_estimate_period=600.0,  # a clip takes seconds: the default of half a minute holds only a few
