@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.signs import SIGNS, contact_gap, energy_gap, mask_miss, off_axis_turn, read_signs
+from getagrip.clip import Masks
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.finding import Finding
@@ -88,8 +89,9 @@ def test_signs_are_the_same_each_time() -> None:
     assert read_signs(mug()).keys() == DIRECTION.keys()
 
 
-def test_signs_do_not_depend_on_where_camera_and_world_are() -> None:
-    it, T = mug(), se3.rigid(se3.exp_so3(np.array([0.3, -0.2, 0.1])), np.array([0.1, 0.2, 0.3]))
+def test_signs_do_not_depend_on_where_the_camera_is() -> None:
+    it = replace(mug(), masks=Masks(mug().masks.object, np.zeros_like(mug().masks.ignore)))
+    T = se3.rigid(se3.exp_so3(np.array([0.3, -0.2, 0.1])), np.array([0.1, 0.2, 0.3]))
     moved = replace(
         it, clip=it.clip.with_hand_at(T @ it.clip.hand.T_cam_hand), T_cam_hand_given=T @ it.T_cam_hand_given
     )
@@ -101,6 +103,9 @@ def test_a_hand_that_was_corrected_far_is_a_sign() -> None:
     off = replace(it, T_cam_hand_given=it.T_cam_hand_given @ by)
     assert off.hand_turn == pytest.approx(0.2)
     assert it.hand_shift == it.hand_turn == 0.0
+    shifted = replace(it, clip=it.clip.with_hand_at(it.T_cam_hand_given @ by))
+    assert 0.0 <= it.hand_miss < shifted.hand_miss < 1.0
+    assert replace(it, masks=Masks(it.masks.object, np.zeros_like(it.masks.ignore))).hand_miss == 0.0
     assert read_signs(off)["hand-turn"] > read_signs(it)["hand-turn"]
     assert read_signs(off)["hand-shift"] > read_signs(it)["hand-shift"]
 

@@ -2,7 +2,7 @@
 
     probability = 1 / (1 + exp(-(bias + sum_i weight_i x_i)))
 
-x_i are signs (``checks.signs``), held within the range that they had in the training data. Only what was calibrated
+x_i are signs (``checks.signs``), none better than nearly all were in the training data. Only what was calibrated
 has a probability: ``CALIBRATIONS`` (``calibrated``), by method.
 """
 
@@ -31,11 +31,11 @@ class Weight:
     """The range of the sign in the training data, but for the last hundredth at either end."""
 
     def held(self, value: float) -> float:
-        """The nearest value within the range."""
-        return min(max(value, self.low), self.high)
+        """The value, no better than the range: what is better than in training is no surer, what is worse counts on."""
+        return max(value, self.low) if self.weight < 0.0 else min(value, self.high)
 
     def beyond(self, value: float) -> bool:
-        """Whether a value is outside the range, where results are less probable."""
+        """Whether a value is worse than the range."""
         return value > self.high if self.weight < 0.0 else value < self.low
 
 

@@ -68,6 +68,11 @@ def hand_turn(it: Solved) -> float:
     return it.hand_turn**2
 
 
+def hand_miss(it: Solved) -> float:
+    """How badly the hand meets its own pixels even so: 1 - IOU, squared."""
+    return it.hand_miss**2
+
+
 def _logarithm(value: float | Float[ndarray, ""], least: float) -> float:
     """Of a number that is never below zero, and hardly counts below ``least``."""
     return float(np.log(max(float(value), 0.0) + least))
@@ -80,6 +85,7 @@ SIGNS: tuple[Sign, ...] = (
     Sign("off-axis-turn", off_axis_turn, -1),
     Sign("hand-shift", hand_shift, -1),
     Sign("hand-turn", hand_turn, -1),
+    Sign("hand-miss", hand_miss, -1),
 )
 
 

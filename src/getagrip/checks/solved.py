@@ -103,3 +103,12 @@ class Solved(Evidence):
         """By how much it was turned, mean over frames [rad]."""
         T, given = self.clip.hand.T_cam_hand, self.T_cam_hand_given
         return float(se3.angle_between(T[:, :3, :3], given[:, :3, :3]).mean())
+
+    @cached_property
+    def hand_miss(self) -> float:
+        """1 - IOU of the drawn hand and its own pixels, outside the object's masks; 0 where these are not known."""
+        own = self.masks.ignore if self.masks.hand is None else self.masks.hand
+        if not own.any():
+            return 0.0
+        seen, drawn = self.small(own), self.drawn_hands & ~self.small(self.masks.object)
+        return 1.0 - float((seen & drawn).sum() / max((seen | drawn).sum(), 1))
