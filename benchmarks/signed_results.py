@@ -32,7 +32,7 @@ from getagrip.geometry.mesh import Mesh
 
 DEFORMED, STRETCHED = 0.03, 0.1
 """How far another mesh is from the object's: what the best similarity leaves, in diameters, and shares of its sides."""
-EVERY: dict[Split, tuple[int, int]] = {"train": (1, 2), "test": (2, 4)}
+EVERY: dict[Split, tuple[int, int]] = {"train": (1, 3), "test": (2, 5)}
 """Of DexYCB's clips, and of the synthetic ones of each preset, every so many are used."""
 PRESETS = ("clean", "moderate", "strong", "estimated", "wild", "measured")
 Change = Callable[[Clip, Masks, int], tuple[Clip, Masks]]
