@@ -120,6 +120,32 @@ def test_everything_at_once(made: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "guess" not in capsys.readouterr().err
 
 
+def test_frames_without_a_hand_stay_and_get_one_later(made: Path, run: Run) -> None:
+    numbers = np.array([3, 4, 6, 7, 8, 9])
+    hand = generic.load("right").with_shape().with_pose()
+    track = hand_track(hand, np.tile(se3.rigid(None, AHEAD), (6, 1, 1)))
+    write_hand(track, made / "some.npz", {"frames": numbers})
+    status, out, err = run(*new(made, *everything(made), "--hands", str(made / "some.npz")))
+    assert status == 0
+    assert "6 frames" in out
+    assert "no hand in 1 of 6 frames" in err
+    clip = read_clip(made / "cup")
+    assert clip.frames == ("000003", "000004", "000006", "000007", "000008")
+    assert clip.provenance["frames_without_hand"].endswith(": 000005")
+    assert clip.times is not None
+    np.testing.assert_allclose(clip.times, np.array([2, 3, 5, 6, 7]) / clip.fps)
+    assert read_masks(clip).observed.all()
+    assert (made / "cup" / "frames" / "000005.jpg").is_file()
+    joints = np.tile(hand.joints + AHEAD, (6, 1, 1))
+    arrays.write(made / "joints.npz", {"joints": joints})
+    hands = ["import", "hands", made / "joints.npz", "--from", "joints", "--order", "openpose"]
+    assert run(*hands, "--clip", made / "cup", "--overwrite")[0] == 0
+    clip = read_clip(made / "cup")
+    assert clip.frames == tuple(f"{n:06d}" for n in range(3, 9))
+    assert "frames_without_hand" not in clip.provenance
+    assert read_masks(clip).observed.all()
+
+
 def test_images_that_the_disk_has_no_room_for_leave_no_clip(made: Path, run: Run, full_disk: FullDisk) -> None:
     before = contents(made)
     with full_disk(880):

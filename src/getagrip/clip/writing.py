@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,9 @@ from getagrip.clip.reading import VERSION
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import arrays, files
 from getagrip.io.images import write_image, write_mask
+
+WITHOUT_HAND = "frames_without_hand"
+"""Key of a clip's provenance."""
 
 
 def write_clip(
@@ -63,6 +66,18 @@ def write_hand(hand: HandTrack, path: Path, extra: Mapping[str, Shaped[ndarray, 
     arrays.write(
         path, {"vertices": hand.vertices, "faces": hand.faces} | T_cam_hand | joints | regions | dict(extra or {})
     )
+
+
+def write_hand_at(hand: HandTrack, frames: Sequence[str], rows: Sequence[int], path: Path) -> None:
+    """Write the hands of some of a clip's frames, by their ``rows``. The file names the frames unless these are all."""
+    partial = {"frames": np.array([frames[row] for row in rows])} if len(rows) < len(frames) else None
+    write_hand(hand, path, partial)
+
+
+def without_hand(frames: Sequence[str], rows: Sequence[int]) -> dict[str, str]:
+    """What a clip's provenance says where only the frames ``rows`` have a hand; nothing where all have one."""
+    missing = [name for row, name in enumerate(frames) if row not in {*rows}]
+    return {WITHOUT_HAND: f"left out until they have one: {', '.join(missing)}"} if missing else {}
 
 
 def _fields(clip: Clip) -> dict[str, object]:

@@ -12,7 +12,7 @@ import numpy as np
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.clip.plausible import check_in_view
 from getagrip.clip.reading import ClipHeader, read_header
-from getagrip.clip.writing import write_hand
+from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at
 from getagrip.errors import UsageError
 from getagrip.hands.model import Side
 from getagrip.hands.trackers import Hands, Request, Tracker, read
@@ -20,8 +20,6 @@ from getagrip.io import files
 
 MOST_FRAMES = 20_000
 """Of a hand file."""
-WITHOUT = "frames_without_hand"
-"""Key of a clip's provenance."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +76,7 @@ def into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder
         missing = len(header.frames) - len(hands.found)
         raise UsageError(f"{folder}: got no hand in {missing} frames, expected one in each, since it has a truth.npz")
     with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
-        some = [header.frames[n] for n in hands.found]
-        write_hand(hands.track, hand, {"frames": np.array(some)} if len(some) < len(header.frames) else None)
+        write_hand_at(hands.track, header.frames, hands.found, hand)
         files.write_json(fields, _fields(header, hands))
     _report(hands, header.frames)
     print(target)
@@ -122,10 +119,8 @@ def into_file(
 
 def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
     """What ``clip.json`` says with the hands: where they come from, and which frames have none."""
-    known = {key: text for key, text in header.fields["provenance"].items() if key != WITHOUT}
-    missing = [name for n, name in enumerate(header.frames) if n not in hands.found]
-    without = {WITHOUT: f"left out until they have one: {', '.join(missing)}"} if missing else {}
-    return header.fields | {"provenance": known | hands.provenance | without}
+    known = {key: text for key, text in header.fields["provenance"].items() if key != WITHOUT_HAND}
+    return header.fields | {"provenance": known | hands.provenance | without_hand(header.frames, hands.found)}
 
 
 def _report(hands: Hands, frames: Sequence[str]) -> None:

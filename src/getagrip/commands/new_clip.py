@@ -22,7 +22,7 @@ from getagrip.clip.plausible import check_in_view, check_intrinsics
 from getagrip.clip.reading import read_hand
 from getagrip.clip.video import video_frames, video_info
 from getagrip.clip.wanted_masks import MaskReader, Wanted
-from getagrip.clip.writing import fill_folder
+from getagrip.clip.writing import fill_folder, without_hand, write_hand_at
 from getagrip.commands import own_mesh
 from getagrip.commands.import_masks import provenance, write_masks
 from getagrip.errors import InputError, UsageError
@@ -102,24 +102,24 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
     names = tuple(f"{n:06d}" for n in numbers)
     K, camera = _camera(given.lens, hands, info.size)
     found = own_mesh.own_mesh(given.mesh)
-    rows, track = np.arange(len(numbers)), _no_hand(len(numbers))
+    found_hands = None if hands is None else hands.at(numbers, given.side)
     of_hands = {"hands": "none yet"}
-    if hands is not None:
-        rows, track, of_hands = hands.at(numbers, given.side)
-        check_in_view(hands.path, track, np.tile(K, (len(rows), 1, 1)), info.size)
+    if hands is not None and found_hands is not None:
+        check_in_view(hands.path, found_hands.track, np.tile(K, (len(found_hands.rows), 1, 1)), info.size)
+        of_hands = found_hands.provenance | without_hand(names, found_hands.rows)
     clip = Clip(
         folder=out,
         name=out.name,
         category=given.category or given.mesh.kind or "object",
         side=given.side,
         fps=info.fps,
-        frames=tuple(names[row] for row in rows),
-        times=(numbers[rows] - 1) / info.fps,
+        frames=names,
+        times=(numbers - 1) / info.fps,
         size=info.size,
-        K=np.tile(K, (len(rows), 1, 1)),
+        K=np.tile(K, (len(numbers), 1, 1)),
         mesh=found.mesh,
         scale="known" if found.sized else "free",
-        hand=track,
+        hand=_no_hand(len(numbers)),
         provenance={
             "source": f"{given.video.name}, frames {numbers[0]} to {numbers[-1]}",
             "camera": camera,
@@ -128,9 +128,9 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
             **of_hands,
         },
     )
-    reader = None if given.masks is None else _masks(given, numbers[rows], info.size)
-    _write(clip, given.video, numbers, set(rows.tolist()), reader, out, overwrite)
-    return _summary(clip, given, len(numbers), out)
+    reader = None if given.masks is None else _masks(given, numbers, info.size)
+    _write(clip, found_hands, _images(given.video, numbers, info.size), reader, out, overwrite)
+    return _summary(clip, given, found_hands, out)
 
 
 def _numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
@@ -147,6 +147,16 @@ def _camera(lens: Lens, hands: _HandFile | None, size: tuple[int, int]) -> tuple
         return intrinsics(lens, size)
     check_intrinsics(hands.path, hands.K[None], size)
     return hands.K, f"the hand file's: {hands.provenance.get('camera', 'it does not say from where')}"
+
+
+@dataclass(frozen=True)
+class _Hands:
+    """The hands in some of the clip's frames."""
+
+    track: HandTrack
+    rows: tuple[int, ...]
+    """Which of the frames these are."""
+    provenance: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -175,24 +185,24 @@ class _HandFile:
         K = arrays.floats(path, given, "K", (3, 3)) if "K" in given else None
         return _HandFile(path, numbers, K, texts.get("side"), sources)
 
-    def at(self, wanted: Int[ndarray, "T"], side: Side) -> tuple[Int[ndarray, "n"], HandTrack, dict[str, str]]:
-        """The rows of the wanted frames that have a hand, and the hand in them. Raises ``InputError``."""
+    def at(self, wanted: Int[ndarray, "T"], side: Side) -> _Hands:
+        """The hands in those of the wanted frames that have one. Raises ``InputError``."""
         if self.side not in (None, side):
             raise InputError(self.path, "side", f"a {self.side} hand", f"a {side} hand, as --side says")
         sources = {"hands": f"from {self.path.name}", **self.provenance}
         sources.pop("camera", None)
         if self.numbers is None:
-            return np.arange(len(wanted)), read_hand(self.path, len(wanted)), sources
+            return _Hands(read_hand(self.path, len(wanted)), tuple(range(len(wanted))), sources)
         track = read_hand(self.path, len(self.numbers))
         place = {number: row for row, number in enumerate(self.numbers)}
-        rows = np.array([row for row, number in enumerate(wanted.tolist()) if number in place], dtype=int)
+        rows = tuple(row for row, number in enumerate(wanted.tolist()) if number in place)
         if len(rows) < 2:
             given = f"hands in {len(rows)} frames of the interval"
             raise InputError(self.path, "frames", given, f"hands in frames {wanted[0]} to {wanted[-1]}")
         index = [place[int(wanted[row])] for row in rows]
         joints = None if track.joints is None else track.joints[index]
         picked = replace(track, vertices=track.vertices[index], T_cam_hand=track.T_cam_hand[index], joints=joints)
-        return rows, picked, sources
+        return _Hands(picked, rows, sources)
 
 
 def _no_hand(frames: int) -> HandTrack:
@@ -213,19 +223,19 @@ def _masks(given: Ingredients, numbers: Int[ndarray, "T"], size: tuple[int, int]
 
 def _write(
     clip: Clip,
-    video: Path,
-    numbers: Int[ndarray, "T"],
-    rows: set[int],
+    hands: _Hands | None,
+    images: Iterator[UInt8[ndarray, "H W 3"]],
     masks: MaskReader | None,
     out: Path,
     overwrite: bool,
 ) -> None:
     """Write the clip, its images and masks one by one, and read it again: a clip that is written is valid."""
     with files.new_folder(out, ("clip.json",) if overwrite else ()) as new:
-        fill_folder(new, clip, None, _wanted(clip, video, numbers, rows))
+        fill_folder(new, clip, None, images)
         if masks:
             write_masks(masks, clip.frames, new / "masks")
-        if clip.hand.vertices.size:
+        if hands:
+            write_hand_at(hands.track, clip.frames, hands.rows, new / "hand.npz")
             _check(new, masks is not None, out)
 
 
@@ -240,20 +250,24 @@ def _check(made: Path, masks: bool, out: Path) -> None:
         raise InputError(out / inside, error.key, error.given, error.expected) from error
 
 
-def _wanted(clip: Clip, video: Path, numbers: Int[ndarray, "T"], rows: set[int]) -> Iterator[UInt8[ndarray, "H W 3"]]:
+def _images(video: Path, numbers: Int[ndarray, "T"], size: tuple[int, int]) -> Iterator[UInt8[ndarray, "H W 3"]]:
     """The images of the clip's frames. Raises ``InputError`` for a video whose size changes."""
     for row, image in enumerate(video_frames(video, int(numbers[0]), int(numbers[-1]))):
-        if image.shape[1::-1] != clip.size:
+        if image.shape[1::-1] != size:
             raise InputError(video, "size", f"frame {numbers[row]} of another size", "one size")
-        if row in rows:
-            yield image
+        yield image
 
 
-def _summary(clip: Clip, given: Ingredients, frames: int, out: Path) -> int:
+def _summary(clip: Clip, given: Ingredients, hands: _Hands | None, out: Path) -> int:
     """Print what was made, what is a guess and what is missing; 1 where something is."""
     print(f"{out}: {len(clip)} frames")
-    if len(clip) < frames:
-        print(f"warning: no hand in {frames - len(clip)} of {frames} frames, which are left out", file=sys.stderr)
+    if hands and len(hands.rows) < len(clip):
+        bare = len(clip) - len(hands.rows)
+        print(
+            f"warning: no hand in {bare} of {len(clip)} frames, which are left out until they have one; "
+            f"getagrip import hands ... --clip {out} --overwrite",
+            file=sys.stderr,
+        )
     for key, text in clip.provenance.items():
         if "guess" in text:
             print(f"warning: {key}: {text}", file=sys.stderr)
