@@ -217,6 +217,25 @@ def test_the_frame_of_the_cad_does_not_matter(T: ndarray, tolerance: float) -> N
     assert apart(posed(a, clip.mesh), posed(b, other.mesh)) < tolerance * clip.mesh.diameter
 
 
+@pytest.mark.parametrize("lie", ["half", "elsewhere", "everything"])
+@pytest.mark.slow
+def test_one_wrong_mask_of_eight_hardly_matters(lie: str) -> None:
+    """Half of the object, another place, the hand's pixels too: the other frames stay where they are."""
+    clip, masks = scene("kettle", 1)
+    wrong, n = masks.object.copy(), 3
+    rows = np.flatnonzero(wrong[n].any(axis=1))
+    if lie == "half":
+        wrong[n, : int(rows.mean())] = False
+    elif lie == "elsewhere":
+        wrong[n] = np.roll(wrong[n], len(rows), axis=0)
+    else:
+        wrong[n] |= masks.ignore[n]
+    a, b = found("kettle", 1), reconstruct(clip, Masks(wrong, masks.ignore & ~wrong), DEFAULT)
+    others = np.arange(len(clip)) != n
+    off = apart(posed(a, clip.mesh)[others], posed(b, clip.mesh)[others])
+    assert off < 0.05 * clip.mesh.diameter
+
+
 @pytest.mark.slow
 def test_turning_the_camera_about_its_axis_does_not_matter() -> None:
     """A quarter turn: pixel (u, v) of a picture of width W becomes (v, W - u)."""
