@@ -4,6 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+LONGEST = 500
+"""Characters that a message says of what was given: parsers quote the whole of what they do not understand."""
+
+
+def cleaned(text: str, kept: str = "") -> str:
+    """A text that moves no cursor and colours nothing on a terminal: what is not printable is escaped, as Python does.
+
+    ``kept`` are characters that stay as they are.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in text)
+
 
 class GetagripError(Exception):
     """Root of all errors a user can cause. The message names the culprit, what was given and what is allowed."""
@@ -22,4 +35,5 @@ class InputError(GetagripError):
     def __init__(self, path: str | Path, key: str, given: str, expected: str) -> None:
         self.path, self.key, self.given, self.expected = Path(path), key, given, expected
         where = f"{path}: {key}" if key else f"{path}"
-        super().__init__(" ".join(f"{where}: got {given}, expected {expected}".split()))
+        short = given if len(given) <= LONGEST else f"{given[:LONGEST]}..."
+        super().__init__(cleaned(" ".join(f"{where}: got {short}, expected {expected}".split())))

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from getagrip.errors import InputError
+from getagrip.errors import InputError, cleaned
 from getagrip.io.files import shown
 
 
@@ -29,7 +29,7 @@ class Finding:
     message: str
 
     def __str__(self) -> str:
-        return f"{'serious' if self.serious else 'note'}: {self.check}: {self.message}"
+        return cleaned(f"{'serious' if self.serious else 'note'}: {self.check}: {self.message}")
 
     def fields(self) -> dict[str, Any]:
         """As ``result.json`` holds it."""

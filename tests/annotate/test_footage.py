@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -127,7 +128,8 @@ def test_bad_footage_is_refused(tmp_path: Path, refused: Callable[..., str]) -> 
     (tmp_path / "empty" / "a1.jpg").write_bytes(b"\xff\xd8\xff\xe0no image")
     refused(lambda: open_footage(tmp_path / "empty").jpeg(0), "a1.jpg")
     huge = cv2.imencode(".png", np.zeros((4, 4), np.uint8))[1].tobytes()
-    huge = huge[:16] + (10**5).to_bytes(4, "big") * 2 + huge[24:]
+    header = huge[12:16] + (10**5).to_bytes(4, "big") * 2 + huge[24:29]
+    huge = huge[:12] + header + zlib.crc32(header).to_bytes(4, "big") + huge[33:]
     (tmp_path / "empty" / "a1.jpg").write_bytes(huge)
     refused(lambda: open_footage(tmp_path / "empty").jpeg(0), "100000 x 100000")
 

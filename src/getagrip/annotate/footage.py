@@ -15,6 +15,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.io.files import read_bytes
+from getagrip.io.images import decoded
 
 IMAGES = (".jpg", ".jpeg", ".png")
 WIDEST = 1280
@@ -158,15 +159,9 @@ class ImageFolder:
         """No file is kept open."""
 
     def _bgr(self, index: int) -> UInt8[ndarray, "H W 3"]:
-        import cv2
-
         path = self.paths[index]
-        content = read_bytes(path, LARGEST_IMAGE)
-        _check_size(path, content)
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-        if image is None:
-            raise InputError(path, "", "an image that does not decode", "a JPEG or PNG image")
-        return np.asarray(image, np.uint8)
+        image = decoded(path, "", read_bytes(path, LARGEST_IMAGE), LARGEST_SIDE)
+        return np.ascontiguousarray(image[..., ::-1])
 
 
 def encoded(bgr: UInt8[ndarray, "H W 3"], widest: int = WIDEST) -> bytes:
@@ -179,29 +174,3 @@ def encoded(bgr: UInt8[ndarray, "H W 3"], widest: int = WIDEST) -> bytes:
         bgr = np.asarray(cv2.resize(bgr, size, interpolation=cv2.INTER_AREA), np.uint8)
     _, content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     return bytes(content.tobytes())
-
-
-def _check_size(path: Path, content: bytes) -> None:
-    """Refuse an image by the size in its header, before memory is taken for its pixels. Raises ``InputError``."""
-    size = _png_size(content) or _jpeg_size(content)
-    if size is None:
-        raise InputError(path, "", "an image with neither a JPEG's nor a PNG's header", "a JPEG or PNG image")
-    if not 0 < max(size) <= LARGEST_SIDE:
-        raise InputError(path, "size", f"{size[0]} x {size[1]} pixels", f"at most {LARGEST_SIDE} a side")
-
-
-def _png_size(content: bytes) -> tuple[int, int] | None:
-    if content[:8] != b"\x89PNG\r\n\x1a\n" or content[12:16] != b"IHDR":
-        return None
-    return int.from_bytes(content[16:20], "big"), int.from_bytes(content[20:24], "big")
-
-
-def _jpeg_size(content: bytes) -> tuple[int, int] | None:
-    """Width and height in the header of a JPEG's first frame."""
-    at = 2
-    while content[:2] == b"\xff\xd8" and at + 9 <= len(content) and content[at] == 0xFF:
-        kind, length = content[at + 1], int.from_bytes(content[at + 2 : at + 4], "big")
-        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
-            return int.from_bytes(content[at + 7 : at + 9], "big"), int.from_bytes(content[at + 5 : at + 7], "big")
-        at += 2 + length
-    return None

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.annotate.footage import LARGEST_SIDE
 from getagrip.annotate.labels import MOST_CORNERS, MOST_POLYGONS, FrameLabels, Polygons
 from getagrip.annotate.versions import TOKEN, Database, RefusedError, Versions
 from getagrip.io.files import shown
@@ -30,6 +31,8 @@ SETTABLE = frozenset({"joints", "outlines", "hidden", "deleted"})
 UNSEEN = "unseen"
 """A joint that a person has looked for and not found, so that the next one is asked for."""
 JOINTS = 21
+ANY_SIZE = (LARGEST_SIDE, LARGEST_SIDE)
+"""Of images whose size is not at hand."""
 SCHEMA = """
 CREATE TABLE keyframe_versions (
     seq INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -184,4 +187,8 @@ def _row(keyframe: KeyFrame) -> tuple[Any, ...]:
 def _keyframe(row: tuple[Any, ...]) -> KeyFrame:
     values = dict(zip(COLUMNS, row, strict=True))
     parsed = {key: json.loads(values[key]) for key in ("joints", "outlines")}
+    for key, value in parsed["joints"].items():
+        _joint(key, value, ANY_SIZE)
+    for key, value in parsed["outlines"].items():
+        _outline(key, value, ANY_SIZE)
     return KeyFrame(**values | parsed | {key: bool(values[key]) for key in ("hidden", "deleted")})

@@ -36,6 +36,9 @@ from getagrip.io.files import shown
 Basis = dict[str, list[tuple[int, int, str]]]
 """Of the "masks" and the "hand": first and last frame, and what drafts of these are made of, in a word."""
 
+LONGEST_NAME = 100
+"""Characters of a grasp's name in files."""
+
 
 @dataclass(frozen=True)
 class Grasp:
@@ -61,9 +64,11 @@ class Grasp:
 
     @property
     def name(self) -> str:
-        """What its files are called."""
+        """What its files are called; what has to be cut or replaced for that is told apart by a checksum."""
         parts = [self.mark.annotator, self.task.video, self.mark.start_number, self.mark.end_number, self.side]
-        return re.sub(r"[^\w.-]", "_", "-".join(map(str, parts))).lstrip(".")[:120]
+        whole = "-".join(map(str, parts))
+        plain = re.sub(r"[^\w.-]", "_", whole).lstrip(".")[:LONGEST_NAME]
+        return plain if plain == whole else f"{plain}-{_word(whole)[:8]}"
 
 
 class Labelling:

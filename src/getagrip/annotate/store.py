@@ -20,6 +20,8 @@ VERSION = 2
 """Of the tables, kept as the file's ``user_version``. Version 1 had marks only; it is read, and completed."""
 APPLICATION = 0x67616772
 """The file's ``application_id``: "gagr"."""
+LONGEST = 2**24
+"""Bytes of a text in the file."""
 SCHEMAS = {1: marks.SCHEMA, 2: keyframes.SCHEMA + drafts.SCHEMA}
 """What each version brought."""
 
@@ -32,7 +34,9 @@ class Store:
         self.path = path
         try:
             connection = sqlite3.connect(path, timeout=20.0, isolation_level=None, check_same_thread=False)
-            self.database = Database(connection)
+            connection.execute("PRAGMA trusted_schema = OFF")
+            connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
+            self.database = Database(path, connection)
             with self.database.transaction() as db:
                 _prepare(path, db)
         except sqlite3.Error as error:
@@ -55,8 +59,24 @@ def _prepare(path: Path, db: sqlite3.Connection) -> None:
     empty = not tables and not version
     if not empty and (application != APPLICATION or version not in SCHEMAS):
         raise InputError(path, "", f"a database of another kind or version ({version})", f"version 1 to {VERSION}")
+    if not empty and _tables(db) != _tables(_made(version)):  # a view of a stranger's may never end
+        raise InputError(path, "", "a database with other tables or views", "one made here")
     for number, schema in SCHEMAS.items():
         for statement in schema.split(";\n") if number > version else []:
             db.execute(statement)
     db.execute(f"PRAGMA user_version = {VERSION}")
     db.execute(f"PRAGMA application_id = {APPLICATION}")
+
+
+def _tables(db: sqlite3.Connection) -> set[tuple[str, str]]:
+    """Tables, views and indices by name, as they were made; without those that SQLite makes for itself."""
+    rows = db.execute("SELECT name, sql FROM sqlite_master WHERE name NOT GLOB 'sqlite_*'").fetchall()
+    return {(str(name), " ".join(str(sql).split())) for name, sql in rows}
+
+
+def _made(version: int) -> sqlite3.Connection:
+    """An empty database of a version, in memory."""
+    db = sqlite3.connect(":memory:")
+    for number, schema in SCHEMAS.items():
+        db.executescript(schema if number <= version else "")
+    return db

@@ -13,10 +13,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from pathlib import Path
 from threading import Lock
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from types import UnionType
+from typing import Any, ClassVar, Generic, Protocol, TypeVar, get_origin, get_type_hints
 
-from getagrip.errors import GetagripError
+from getagrip.errors import GetagripError, InputError
 from getagrip.io.files import is_plain_name, shown
 
 TOKEN = re.compile(r"[A-Za-z0-9-]{8,64}")
@@ -61,14 +63,22 @@ class Change:
 class Database:
     """An SQLite file, for any number of threads and processes."""
 
-    def __init__(self, connection: sqlite3.Connection) -> None:
-        self.connection = connection
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path, self.connection = path, connection
         self.lock = Lock()
 
     def rows(self, query: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
-        """What a query gives."""
-        with self.lock:
-            return self.connection.execute(query, values).fetchall()
+        """What a query gives. Raises ``InputError`` where the file is damaged."""
+        try:
+            with self.lock:
+                return self.connection.execute(query, values).fetchall()
+        except sqlite3.DatabaseError as error:
+            raise self.damaged(error) from error
+
+    def damaged(self, error: Exception) -> InputError:
+        """What to raise for contents that this program does not write."""
+        given = f"{type(error).__name__}: {error}"
+        return InputError(self.path, "", f"contents that are damaged ({given})", "what this program writes")
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
@@ -109,7 +119,7 @@ class Versions(Generic[Kind]):
             f"AND (?2 IS NULL OR annotator = ?2) ORDER BY {self.order}",
             (scope, annotator),
         )
-        return [self.state(row) for row in rows]
+        return [self._state(row) for row in rows]
 
     def newest(self, scope: str, annotator: str) -> int:
         """A number that grows with every change of an annotator's states of a scope."""
@@ -119,7 +129,7 @@ class Versions(Generic[Kind]):
     def history(self, key: str) -> list[Kind]:
         """All that a state was, the oldest first."""
         query = f"SELECT {', '.join(self.columns)} FROM {self.table} WHERE {self.key} = ? ORDER BY seq"
-        return [self.state(row) for row in self.database.rows(query, (key,))]
+        return [self._state(row) for row in self.database.rows(query, (key,))]
 
     def apply(self, change: Change, blank: Kind, complete: Callable[[Kind, Mapping[str, Any]], Kind]) -> Kind:
         """Make a change, once, however often it is sent: of the newest version, or of ``blank`` where there is none.
@@ -174,7 +184,20 @@ class Versions(Generic[Kind]):
             "ORDER BY seq DESC LIMIT 1",
             (key, before),
         ).fetchone()
-        return None if row is None else self.state(row)
+        return None if row is None else self._state(row)
+
+    def _state(self, row: tuple[Any, ...]) -> Kind:
+        """The state of a row. Raises ``InputError`` for values that no state has: SQLite keeps any in any column."""
+        try:
+            state = self.state(row)
+            annotator(state.annotator)
+            for name, hint in get_type_hints(type(state)).items():
+                kind = hint if isinstance(hint, UnionType) else get_origin(hint) or hint
+                if not isinstance(value := getattr(state, name), kind):
+                    raise ValueError(f"{name}: {shown(value)}")
+        except (RefusedError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            raise self.database.damaged(error) from error
+        return state
 
     def _add(self, db: sqlite3.Connection, state: Kind, change: str, tab: str, undoes: int | None) -> None:
         now = datetime.now(UTC).isoformat(timespec="milliseconds")

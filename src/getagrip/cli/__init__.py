@@ -22,7 +22,7 @@ from getagrip.cli.labelled import Segment, Stats, Study
 from getagrip.cli.report import Report
 from getagrip.cli.results import Bench, Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct
 from getagrip.cli.view import View
-from getagrip.errors import GetagripError, UsageError
+from getagrip.errors import GetagripError, UsageError, cleaned
 from getagrip.io.terminal import Silence
 
 DESCRIPTION = (
@@ -81,7 +81,7 @@ def _run(command: Command) -> int:
     except (GetagripError, OSError) as error:
         if command.debug:
             traceback.print_exc()
-        print(f"getagrip: {error}", file=sys.stderr)
+        print(f"getagrip: {cleaned(str(error))}", file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
 
 

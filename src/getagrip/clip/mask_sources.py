@@ -139,6 +139,8 @@ def _arrays(path: Path, wanted: Wanted) -> MaskReader:
     key = "labels" if "labels" in given else "object"
     if key not in given:
         raise InputError(path, "object", "no such array", "the array, or one called labels")
+    if given[key].ndim != 3:
+        raise InputError(path, key, f"{given[key].dtype} of shape {given[key].shape}", "masks of shape (n, H, W)")
     width, height = wanted.size
     for name in [key] + ["ignore"] * ("ignore" in given):
         array = given[name]

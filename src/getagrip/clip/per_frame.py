@@ -13,7 +13,7 @@ from numpy import ndarray
 from getagrip.clip.data import World
 from getagrip.clip.plausible import check_camera_poses, check_intrinsics, check_times
 from getagrip.errors import InputError
-from getagrip.io import files
+from getagrip.io import arrays, files
 
 CAMERA = ("K", "T_world_cam", "world_up")
 """Keys of ``camera``; the last two since version 2."""
@@ -76,8 +76,5 @@ def _matrices(path: Path, key: str, given: object, rows: int, frames: int) -> Fl
 
 def _numbers(given: object) -> Float[ndarray, "..."]:
     """Lists of numbers as an array, which JSON's reader has found to be finite; of no axes where they are none."""
-    try:
-        values = np.array(given)
-    except (ValueError, OverflowError):  # rows of different lengths
-        return np.array(np.nan)
-    return values.astype(float) if values.dtype.kind in "fi" else np.array(np.nan)
+    values = arrays.from_lists(given)
+    return np.array(np.nan) if values is None or values.dtype.kind not in "fi" else values.astype(float)

@@ -156,7 +156,7 @@ def _fields(folder: Path) -> dict[str, Any]:
         isinstance(name, str) and files.is_plain_name(name),
         "a text that can name a folder: printable, no slash, at most 200 bytes",
     )
-    require("category", isinstance(category, str) and category != "", "a text")
+    require("category", isinstance(category, str) and category != "" and category.isprintable(), "a printable text")
     require("side", fields["side"] in ("left", "right"), '"left" or "right"')
     require("fps", _is_number(fields["fps"]) and fields["fps"] > 0, "frames per second, above 0")
     require("mesh", isinstance(mesh, str) and mesh != "", "the name of a mesh file")

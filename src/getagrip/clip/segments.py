@@ -15,7 +15,7 @@ from jaxtyping import Bool
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.io import files
+from getagrip.io import arrays, files
 
 MOST_CORNERS = 100_000
 """Of the polygons of one region."""
@@ -35,11 +35,8 @@ def polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool
         raise InputError(path, key, f"{sum(map(len, given)) // 2} corners", f"at most {MOST_CORNERS}")
     out = np.zeros((height, width), np.uint8)
     for corners in given:
-        try:
-            points = np.array(corners)
-        except ValueError:
-            points = np.array(None)
-        if points.dtype.kind not in "fi" or points.ndim != 1 or len(points) < 6 or len(points) % 2:
+        points = arrays.from_lists(corners)
+        if points is None or points.dtype.kind not in "fi" or points.ndim != 1 or len(points) < 6 or len(points) % 2:
             raise InputError(path, key, files.shown(corners), "at least three corners x, y, x, y, x, y")
         points = points.reshape(-1, 2).astype(float)
         if not np.all((points >= -np.array(size)) & (points <= 2 * np.array(size))):  # false for NaN, too

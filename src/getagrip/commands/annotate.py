@@ -105,7 +105,13 @@ def serve(project: Project, port: int | None) -> None:
 def write_labels(project: Project) -> int:
     """Write each labelled grasp's labels and, where they suffice, hand and masks; 1 where one could not be made."""
     status = 0
+    written: set[str] = set()
     for grasp in project.labelled():
+        if grasp.name in written:
+            print(f"{grasp.name}: left out: another grasp of the same frames and hand is written", file=sys.stderr)
+            status = 1
+            continue
+        written.add(grasp.name)
         try:
             print(project.labelling.write(grasp, project.labelling.labels(grasp), Job("files")))
         except GetagripError as error:

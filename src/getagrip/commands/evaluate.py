@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from getagrip.commands.evaluate_poses import PoseJob, Poses, evaluate_clip_poses
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import contact_tables, evaluate_result, results_table, summary
 from getagrip.io import files
-from getagrip.io.terminal import console, progress_bar
+from getagrip.io.terminal import console, progress_bar, report
 
 Evaluated = tuple[dict[str, Any] | None, list[Outcome]]
 """All metrics, and what could not be read."""
@@ -85,7 +84,7 @@ def _print_doubts(made: dict[str, Any]) -> None:
     if missing := int(made["metrics"].get("frames_without_mesh", 0)):
         doubts.append(f"no mesh of {missing} of {len(made['frames'])} frames: IOU 0, no contact")
     for doubt in doubts:
-        print(f"{made['method']}, {made['clip']}: {doubt}", file=sys.stderr)
+        report(f"{made['method']}, {made['clip']}: {doubt}")
 
 
 J = TypeVar("J", ResultJob, MeshJob | PoseJob)

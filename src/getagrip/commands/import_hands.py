@@ -17,6 +17,7 @@ from getagrip.errors import UsageError
 from getagrip.hands.model import Side
 from getagrip.hands.trackers import Hands, Request, Tracker, read
 from getagrip.io import files
+from getagrip.io.terminal import report
 
 MOST_FRAMES = 20_000
 """Of a hand file."""
@@ -127,7 +128,7 @@ def _report(hands: Hands, frames: Sequence[str]) -> None:
     """Print where the hands come from, with a warning for what is guessed or missing."""
     for key, text in hands.provenance.items():
         mark = "warning: " if "guess" in text else ""
-        print(f"{mark}{key}: {text}", file=sys.stderr)
+        report(f"{mark}{key}: {text}")
     missing = [name for n, name in enumerate(frames) if n not in hands.found]
     if missing:
         some = ", ".join(missing[:5]) + (", ..." if len(missing) > 5 else "")

@@ -28,6 +28,7 @@ from getagrip.commands.import_masks import provenance, write_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
 from getagrip.io import arrays, files
+from getagrip.io.terminal import report
 
 MOST_FRAMES = 20_000
 """Of a clip; a stable grasp of minutes."""
@@ -270,7 +271,7 @@ def _summary(clip: Clip, given: Ingredients, hands: _Hands | None, out: Path) ->
         )
     for key, text in clip.provenance.items():
         if "guess" in text:
-            print(f"warning: {key}: {text}", file=sys.stderr)
+            report(f"warning: {key}: {text}")
     missing = [key for key, there in (("masks", given.masks), ("hands", given.hands)) if there is None]
     for key in missing:
         print(f"missing: {key}: {LATER[key].format(out=out, video=given.video)}", file=sys.stderr)

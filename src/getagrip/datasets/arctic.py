@@ -202,10 +202,8 @@ def _view(file: Path, misc: dict[str, Any], subject: str, number: int, egocam: P
 
 def _is_table(value: object) -> bool:
     """Whether a JSON value is lists of numbers, all of the same length."""
-    try:
-        return np.array(value).dtype.kind in "if"
-    except ValueError:
-        return False
+    table = arrays.from_lists(value)
+    return table is not None and table.dtype.kind in "if"
 
 
 def read_template(folder: Path) -> Template:

@@ -27,10 +27,7 @@ def numbers(
         raise InputError(path, name, "no such key", "the key")
     value: Any = given[key]
     if isinstance(value, list | tuple):
-        try:
-            value = np.array(value)
-        except ValueError:  # rows of different lengths
-            value = None
+        value = arrays.from_lists(value)
     if not isinstance(value, ndarray):
         raise InputError(path, name, shown(given[key]), f"numbers of shape {shape}")
     if value.dtype.kind not in "fiu":

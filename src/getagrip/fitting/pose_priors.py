@@ -93,7 +93,7 @@ def read_learnt(path: Path) -> Priors | LearntGrasps:
     """What ``init learn`` has written: grasps, or poses by its first version. Raises ``InputError``."""
     content = arrays.read(path, lambda key: key in {*NUMBERS, *NAMES, "way"})
     version = content.get("version", np.array(0))
-    if version.shape != () or version not in (1, VERSION):
+    if version.shape != () or version.dtype.kind not in "iu" or version not in (1, VERSION):
         raise InputError(path, "version", files.shown(version.tolist()), f"1 or {VERSION}")
     names = {key: _texts(path, content, key) for key in NAMES}
     if version == 1:

@@ -24,6 +24,7 @@ from getagrip.geometry.mesh import vertex_normals
 from getagrip.hands.mano_pickle import read_pickle
 from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, Side
 from getagrip.hands.regions import contact_regions, position_on_palm
+from getagrip.io import arrays
 
 ARRAYS = {
     "v_template": (778, 3),
@@ -89,16 +90,16 @@ def load(path: str | Path, side: Side) -> Mano:
     except OSError as error:
         raise InputError(path, "", f"an unreadable file ({error.strerror})", "a MANO file") from error
     cache = _cache_folder() / f"mano-{hashlib.sha256(content).hexdigest()}.npz"
-    arrays = _read_cache(cache)
-    if arrays is None:
-        arrays = checked(path, read_pickle(path, content))
-        _write_cache(cache, arrays)
-    return _hand(path, arrays, side)
+    values = _read_cache(cache)
+    if values is None:
+        values = checked(path, read_pickle(path, content))
+        _write_cache(cache, values)
+    return _hand(path, values, side)
 
 
 def checked(path: Path, values: dict[str, object]) -> dict[str, ndarray]:
     """The arrays of a MANO file, of the right shapes and finite, or an ``InputError``."""
-    arrays = {}
+    found = {}
     for key, shape in ARRAYS.items():
         if key not in values:
             raise InputError(path, key, "nothing", f"an array of shape {shape}")
@@ -108,24 +109,24 @@ def checked(path: Path, values: dict[str, object]) -> dict[str, ndarray]:
             raise InputError(path, key, given, f"numbers of shape {shape}")
         if not np.isfinite(value).all():
             raise InputError(path, key, "NaN or infinite numbers", "finite numbers")
-        arrays[key] = value.astype(np.int64) if key in {"f", "kintree_table"} else value.astype(float)
-    if arrays["f"].min() < 0 or arrays["f"].max() >= len(arrays["v_template"]):
-        raise InputError(path, "f", f"vertex {arrays['f'].max()}", f"indices below {len(arrays['v_template'])}")
-    if tuple(arrays["kintree_table"][0, 1:]) != PARENTS[1:]:
-        raise InputError(path, "kintree_table", str(arrays["kintree_table"][0, 1:]), f"MANO's tree {PARENTS[1:]}")
-    return arrays
+        found[key] = value.astype(np.int64) if key in {"f", "kintree_table"} else value.astype(float)
+    if found["f"].min() < 0 or found["f"].max() >= len(found["v_template"]):
+        raise InputError(path, "f", f"vertex {found['f'].max()}", f"indices below {len(found['v_template'])}")
+    if tuple(found["kintree_table"][0, 1:]) != PARENTS[1:]:
+        raise InputError(path, "kintree_table", str(found["kintree_table"][0, 1:]), f"MANO's tree {PARENTS[1:]}")
+    return found
 
 
-def _hand(path: Path, arrays: dict[str, ndarray], side: Side) -> Mano:
-    template, shape = arrays["v_template"], arrays["shapedirs"].copy()
-    joints = arrays["J_regressor"] @ template
+def _hand(path: Path, values: dict[str, ndarray], side: Side) -> Mano:
+    template, shape = values["v_template"], values["shapedirs"].copy()
+    joints = values["J_regressor"] @ template
     found = "right" if joints[0, 0] > 0 else "left"  # the wrist of a right hand lies towards +x
     if found != side:
         raise InputError(path, "v_template", f"a {found} hand", f"a {side} hand")
     if side == "left":
         shape[:, 0] *= -1.0
-    weights = arrays["weights"] / arrays["weights"].sum(axis=1, keepdims=True)
-    found_regions = regions(template, arrays["f"], joints, weights)
+    weights = values["weights"] / values["weights"].sum(axis=1, keepdims=True)
+    found_regions = regions(template, values["f"], joints, weights)
     empty = next((name for name, ids in found_regions.items() if len(ids) == 0), None)
     if empty is not None:
         raise InputError(path, "weights", f"no vertex in the region {empty}", "MANO's skinning weights")
@@ -133,18 +134,18 @@ def _hand(path: Path, arrays: dict[str, ndarray], side: Side) -> Mano:
         name="mano",
         side=side,
         template=template,
-        faces=arrays["f"],
+        faces=values["f"],
         joints=joints,
         weights=weights,
         tips=np.array(TIPS[side]),
         regions=found_regions,
         shape_names=tuple(f"beta{k}" for k in range(10)),
         shape_directions=shape,
-        joint_directions=np.tensordot(arrays["J_regressor"], shape, axes=1),
+        joint_directions=np.tensordot(values["J_regressor"], shape, axes=1),
         shape_spread=np.ones(10),
-        pose_directions=arrays["posedirs"],
+        pose_directions=values["posedirs"],
     )
-    return Mano(model, arrays["hands_components"], arrays["hands_mean"])
+    return Mano(model, values["hands_components"], values["hands_mean"])
 
 
 def regions(
@@ -179,17 +180,16 @@ def _read_cache(cache: Path) -> dict[str, ndarray] | None:
     if not cache.is_file():
         return None
     try:
-        with np.load(cache, allow_pickle=False) as file:
-            return checked(cache, {key: file[key] for key in ARRAYS})
-    except (OSError, ValueError, KeyError, EOFError, InputError):
+        return checked(cache, dict(arrays.read(cache, ARRAYS.__contains__)))
+    except InputError:
         return None  # a damaged cache is made again
 
 
-def _write_cache(cache: Path, arrays: dict[str, ndarray]) -> None:
+def _write_cache(cache: Path, content: dict[str, ndarray]) -> None:
     part = cache.with_name(f"{cache.stem}-{os.getpid()}.npz")
     try:
         cache.parent.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(part, **arrays)  # type: ignore[arg-type]
+        np.savez_compressed(part, **content)  # type: ignore[arg-type]
         part.replace(cache)
     except OSError:  # a full or read-only disk costs only the time of reading the pickle again
         part.unlink(missing_ok=True)

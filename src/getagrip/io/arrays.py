@@ -16,7 +16,9 @@ from getagrip.errors import InputError
 from getagrip.io import files
 
 LARGEST = 2**29
-"""Limit in bytes of the arrays of one file, unpacked."""
+"""Limit in bytes of the arrays of one file, unpacked, and of each once its numbers are floats of 8 bytes."""
+DEEPEST = 8
+"""Lists within lists of numbers."""
 
 
 def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray, "..."]]:
@@ -64,11 +66,38 @@ def parse_npy(path: Path, key: str, content: bytes) -> Shaped[ndarray, "..."]:
     return np.frombuffer(content, dtype, offset=start).reshape(shape, order="F" if fortran else "C")
 
 
+def from_lists(value: object) -> Shaped[ndarray, "..."] | None:
+    """Numbers in nested lists, as JSON and pickles have them, as an array; arrays come as they are.
+
+    None for anything else, rows of different lengths included. Every item is looked at before memory is taken: numpy
+    would make a text of each where one is a text, all of them as long as the longest. Arrays in lists count in full.
+    """
+    if isinstance(value, ndarray):
+        return value
+    size, waiting = 0, [(value, 0)]
+    while waiting:
+        item, depth = waiting.pop()
+        if isinstance(item, list | tuple) and depth < DEEPEST:
+            waiting += [(inner, depth + 1) for inner in item]
+        elif isinstance(item, ndarray) and item.dtype.kind in "fiub":
+            size += item.size
+        elif not isinstance(item, float | int | np.number | np.bool_):
+            return None
+        if size + len(waiting) > LARGEST // 8:
+            return None
+    try:
+        return np.array(value)
+    except (ValueError, OverflowError):  # rows of different lengths
+        return None
+
+
 def floats(
     path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str = "f"
 ) -> Float[ndarray, "..."]:
     """A finite array of the given shape, -1 standing for any length above 0."""
     array = _shaped(path, given, key, shape, kinds, "floating-point numbers")
+    if 8 * array.size > LARGEST:
+        raise InputError(path, key, f"{array.size} numbers", f"at most {LARGEST // 8}")
     with np.errstate(over="ignore"):
         array = array.astype(float)
     finite = np.isfinite(array)

@@ -105,10 +105,13 @@ def read_any_json(path: Path) -> Any:
             raise InputError(path, "", f"the number {shown(text)}", "finite numbers")
         return value
 
+    content = read_bytes(path, LARGEST_JSON)
     try:
-        return json.loads(
-            read_bytes(path, LARGEST_JSON), object_pairs_hook=unique, parse_float=number, parse_constant=number
-        )
+        text = content.decode(json.detect_encoding(content))
+        value = json.loads(text, object_pairs_hook=unique, parse_float=number, parse_constant=number)
+        if "\\ud" in text.lower():  # half a character, which no file can be written with
+            json.dumps(value, ensure_ascii=False).encode()
+        return value
     except (ValueError, RecursionError) as error:  # RecursionError: nested thousands deep
         raise InputError(path, "", f"text that is no JSON ({error})", "JSON") from error
 

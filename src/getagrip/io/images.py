@@ -44,6 +44,27 @@ def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
     return np.array(upright)
 
 
+def decoded(path: Path, key: str, content: bytes, largest: int) -> UInt8[ndarray, "H W 3"]:
+    """Red, green and blue of a JPEG or PNG in memory, of at most ``largest`` pixels a side, upright.
+
+    ``path`` and ``key`` are named in errors. Raises ``InputError``, for too large ones before memory is taken.
+    """
+    from PIL import ImageOps
+    from PIL.JpegImagePlugin import JpegImageFile
+    from PIL.PngImagePlugin import PngImageFile
+
+    try:
+        image = (PngImageFile if content[:4] == b"\x89PNG" else JpegImageFile)(io.BytesIO(content))
+        if max(image.size) > largest:
+            where = f"{key} size".strip()
+            raise InputError(path, where, "{} x {} pixels".format(*image.size), f"at most {largest} px a side")
+        return np.array(ImageOps.exif_transpose(image).convert("RGB"))
+    except InputError:
+        raise
+    except Exception as error:  # Pillow raises whatever its parsers meet
+        raise InputError(path, key, f"an image that does not decode ({error})", "a JPEG or PNG image") from error
+
+
 def write_image(path: Path, image: UInt8[ndarray, "H W"] | UInt8[ndarray, "H W 3"]) -> None:
     """Write a grey or RGB image as PNG or JPEG, by the suffix. Raises ``OSError``, on a full disk for one.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import codecs
 import json
+import re
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -23,7 +24,7 @@ LARGEST_ITEM = 4 * 2**20
 LARGEST, MOST = 2**31, 10**6
 """Limits of one file, in bytes that are read (unpacked) and in values: a small ``.zip`` may hold any number."""
 CHUNK = 2**16
-_SPACE = " \t\n\r"
+_SPACE = re.compile(r"[ \t\n\r]*")
 
 
 def items(path: Path, key: str) -> Iterator[dict[str, Any]]:
@@ -79,13 +80,13 @@ def _opened(path: Path) -> Iterator[IO[bytes]]:
 
 
 class _Text:
-    """A window on the text of a JSON object, moved on by what is read from it."""
+    """A window on the text of a JSON object, and the place in it up to which it is read."""
 
     def __init__(self, path: Path, stream: IO[bytes]) -> None:
         self.path, self.stream = path, stream
         self.decode = codecs.getincrementaldecoder("utf-8-sig")().decode
         self.parse = json.JSONDecoder(parse_constant=self._refuse).raw_decode
-        self.window, self.ended = "", False
+        self.window, self.at, self.ended = "", 0, False
         self.length = self.values = 0
 
     def enter(self, wanted: str) -> None:
@@ -107,18 +108,19 @@ class _Text:
 
     def skip(self, mark: str) -> bool:
         """Whether a mark comes next; if so, it is read."""
-        self.window = self.window.lstrip(_SPACE)
-        while not self.window and self._more():
-            self.window = self.window.lstrip(_SPACE)
-        if not self.window.startswith(mark):
+        self._pass_space()
+        while self.at == len(self.window) and self._more():
+            self._pass_space()
+        if not self.window.startswith(mark, self.at):
             return False
-        self.window = self.window[1:]
+        self.at += 1
         return True
 
     def expect(self, mark: str, key: str) -> None:
         """Read a mark that must come next."""
         if not self.skip(mark):
-            given = shown(self.window[:20]) if self.window else "the end of the file"
+            rest = self.window[self.at : self.at + 20]
+            given = shown(rest) if rest else "the end of the file"
             raise InputError(self.path, key, given, f"{mark!r}, as in a JSON object; is the file cut short?")
 
     def value(self, key: str) -> Any:
@@ -127,21 +129,25 @@ class _Text:
         if self.values > MOST:
             raise InputError(self.path, key, f"more than {MOST} values", f"at most {MOST}")
         while True:
-            self.window = self.window.lstrip(_SPACE)
+            self._pass_space()
             try:
-                value, end = self.parse(self.window)
+                value, end = self.parse(self.window, self.at)
                 if end < len(self.window) or self.ended:  # a number may go on
-                    self.window = self.window[end:]
+                    self.at = end
                     return value
                 trouble = "no end"
             except RecursionError as error:
                 raise InputError(self.path, key, "values nested too deep", "a JSON value") from error
             except ValueError as error:
                 trouble = f"text that is no JSON ({error})"
-            if len(self.window) > LARGEST_ITEM:
+            unread = len(self.window) - self.at
+            if unread > LARGEST_ITEM:
                 raise InputError(self.path, key, f"more than {LARGEST_ITEM} characters, or {trouble}", "a JSON value")
-            if not self._more(len(self.window)):
+            if not self._more(unread):
                 raise InputError(self.path, key, trouble, "a JSON value; is the file cut short?")
+
+    def _pass_space(self) -> None:
+        self.at = _SPACE.match(self.window, self.at).end()  # type: ignore[union-attr]
 
     def _more(self, least: int = 0) -> bool:
         """Widen the window; false at the end of the file."""
@@ -153,7 +159,7 @@ class _Text:
         if self.length > LARGEST:
             raise InputError(self.path, "", f"more than {LARGEST} bytes", f"at most {LARGEST}, unpacked")
         try:
-            self.window += self.decode(content, self.ended)
+            self.window, self.at = self.window[self.at :] + self.decode(content, self.ended), 0
         except UnicodeDecodeError as error:
             raise InputError(self.path, "", f"bytes that are no UTF-8 ({error.reason})", "JSON text") from error
         return bool(content)

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from getagrip.errors import cleaned
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress, TaskID
@@ -28,8 +30,8 @@ class Silence(io.TextIOBase):
 
 
 def report(words: str) -> None:
-    """Print a note, apart from the results."""
-    print(words, file=sys.stderr)
+    """Print a note, apart from the results; what files say in it moves no cursor."""
+    print(cleaned(words), file=sys.stderr)
 
 
 def console() -> Console:

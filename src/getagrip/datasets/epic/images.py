@@ -18,6 +18,7 @@ from getagrip.datasets.epic.tables import numbering_rate, subject_of
 from getagrip.datasets.epic.visor import DENSE_SIZE
 from getagrip.errors import InputError
 from getagrip.io.files import read_bytes
+from getagrip.io.images import decoded
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -128,27 +129,7 @@ def _resized(frame: VideoFrame) -> UInt8[ndarray, "H W 3"]:
 
 def _image(path: Path, key: str, given: bytes) -> UInt8[ndarray, "H W 3"]:
     """An image at the size of the masks; path and key are named in errors."""
-    import cv2
-
-    height, width = _jpeg_size(path, key, given)
-    if max(height, width) > LARGEST_SIDE:
-        expected = f"at most {LARGEST_SIDE} px a side"
-        raise InputError(path, f"{key} size".strip(), f"{width} x {height} pixels", expected)
-    image = cv2.imdecode(np.frombuffer(given, np.uint8), cv2.IMREAD_COLOR)
-    if image is None:
-        raise InputError(path, key, "an image that does not decode", "a JPEG image")
-    return _fitted(np.asarray(image, np.uint8)[..., ::-1])
-
-
-def _jpeg_size(path: Path, key: str, content: bytes) -> tuple[int, int]:
-    """Height and width in the header of a JPEG, read before memory is taken for its pixels."""
-    at = 2
-    while content[:2] == b"\xff\xd8" and at + 9 <= len(content) and content[at] == 0xFF:
-        kind, length = content[at + 1], int.from_bytes(content[at + 2 : at + 4], "big")
-        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
-            return int.from_bytes(content[at + 5 : at + 7], "big"), int.from_bytes(content[at + 7 : at + 9], "big")
-        at += 2 + length
-    raise InputError(path, key, "an image without a JPEG's header", "a JPEG image")
+    return _fitted(decoded(path, key, given, LARGEST_SIDE))
 
 
 def _fitted(image: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "H W 3"]:

@@ -25,6 +25,7 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.hands.model import Side
 from getagrip.io import json_stream
+from getagrip.io.arrays import from_lists
 from getagrip.io.files import plain, shown
 
 SPARSE_SIZE, DENSE_SIZE = (1920, 1080), (854, 480)
@@ -200,11 +201,8 @@ def _polygons(path: Path, key: str, given: Any, size: tuple[int, int]) -> tuple[
     for k, polygon in enumerate(given):
         if not polygon:
             continue
-        try:
-            points = np.array(polygon)
-        except ValueError:  # corners of different lengths
-            points = np.array(None)
-        if points.dtype.kind not in "fi" or points.ndim != 2 or points.shape[1] != 2:
+        points = from_lists(polygon)
+        if points is None or points.dtype.kind not in "fi" or points.ndim != 2 or points.shape[1] != 2:
             raise InputError(path, f"{key}[{k}]", shown(polygon), "corners [x, y]")
         if not np.all((points >= -np.array(size)) & (points <= 2 * np.array(size))):  # false for infinite ones too
             expected = f"corners in or about the {size[0]} x {size[1]} image"

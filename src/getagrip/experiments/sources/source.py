@@ -68,6 +68,7 @@ class ClipSource:
         note = clips / "source.json"
         if not note.exists():
             clips.mkdir(parents=True, exist_ok=True)
-            files.write_json(note, mine)
+            with files.new_file(note) as part:
+                files.write_json(part, mine)
         elif files.read_json(note) != mine:
             raise UsageError(f"--out: {clips} holds clips of another dataset, as {note.name} there says; name another")

@@ -122,12 +122,9 @@ def numbers(path: Path, record: Record, key: str, *shapes: tuple[int, ...], of: 
     name = f"{of}.{key}" if of else key
     if key not in record:
         raise InputError(path, name, "no such key", "the key")
-    try:
-        value = np.asarray(record[key])
-    except ValueError:  # rows of different lengths
-        value = np.asarray(None)
+    value = arrays.from_lists(record[key])
     expected = " or ".join(str(shape).replace("-1", "any") for shape in shapes)
-    if value.dtype.kind not in "fiub":
+    if value is None or value.dtype.kind not in "fiub":
         raise InputError(path, name, files.shown(record[key]), f"numbers of shape {expected}")
     for shape in shapes:
         if (fitted := _fitted(value, shape)) is not None:

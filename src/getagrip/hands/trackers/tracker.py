@@ -18,6 +18,8 @@ from getagrip.hands.trackers import records
 from getagrip.hands.trackers.estimates import Estimates, Request
 from getagrip.io import files
 
+LONGEST_NAME = 1000
+"""Characters of the name of a frame."""
 KEYED = (".pkl", ".pickle", ".json", ".pt", ".pth")
 """Files that may hold many images."""
 
@@ -78,7 +80,9 @@ def frames_of_rows(path: Path, record: records.Record, count: int, request: Requ
     ``frames`` in the file names them; without it, the rows are the clip's frames. Raises ``InputError``.
     """
     if "frames" in record:
-        names = np.asarray(record["frames"])
+        given = record["frames"]
+        short = not isinstance(given, list) or all(isinstance(x, int) or len(str(x)) < LONGEST_NAME for x in given)
+        names = np.asarray(given if short else None)
         if names.dtype.kind not in "Uiu" or names.shape != (count,):
             raise InputError(path, "frames", files.shown(record["frames"]), f"{count} names or numbers of frames")
         return [frame_of(str(name), request.frames) for name in names]

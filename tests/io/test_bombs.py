@@ -1,0 +1,216 @@
+"""Small files that would be vast in memory, or never done with, and damaged ones: each ends as an ``InputError``."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from getagrip.annotate import footage
+from getagrip.annotate.store import Store
+from getagrip.clip import read_clip, segments
+from getagrip.clip.reading import read_header
+from getagrip.datasets.dexycb.calibration import read_yaml
+from getagrip.datasets.epic import images
+from getagrip.errors import InputError
+from getagrip.fitting.pose_priors import read_learnt
+from getagrip.geometry.obj import parse_obj
+from getagrip.hands import mano
+from getagrip.hands.trackers import records
+from getagrip.io import arrays, files, json_stream
+
+PATH = Path("a.file")
+LONG = 4_000_000
+
+
+@contextmanager
+def memory(megabytes: int) -> Iterator[None]:
+    """Within it, so much more memory can be had and no more."""
+    resource = pytest.importorskip("resource")
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        pytest.skip("what the process has is not known")
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    now = int(statm.read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (now + megabytes * 2**20, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def test_one_long_text_among_numbers_takes_no_memory_for_all(refused: Callable[..., str]) -> None:
+    values = ["x" * LONG, *[""] * 200]
+    with memory(200):
+        refused(lambda: records.numbers(PATH, {"joints": values}, "joints", (-1, 3)), "joints")
+        refused(lambda: segments.polygons(PATH, "p", [values], (10, 10)), "corners")
+        assert arrays.from_lists(values) is None
+
+
+def test_a_list_of_one_array_many_times_is_counted_in_full(refused: Callable[..., str]) -> None:
+    values = [np.zeros(100_000)] * 5000
+    with memory(200):
+        refused(lambda: records.numbers(PATH, {"joints": values}, "joints", (-1, 3)), "joints")
+
+
+def test_lists_become_the_arrays_that_numpy_makes_of_them() -> None:
+    for good in ([1, 2], [[1.5, 2], [3, 4]], [], 3.0, [np.zeros(2), [1, 2]], [True, False]):
+        found = arrays.from_lists(good)
+        assert found is not None
+        assert np.array_equal(found, np.array(good))
+        assert found.dtype == np.array(good).dtype
+    for bad in (["1", 2], [[1], [1, 2]], None, "text", [None], {}, [[[[[[[[[[1]]]]]]]]]]):
+        assert arrays.from_lists(bad) is None
+
+
+def test_texts_in_place_of_a_camera_are_refused(clip_folder: Path, refused: Callable[..., str]) -> None:
+    path = clip_folder / "clip.json"
+    content = json.loads(path.read_text())
+    content["camera"]["K"] = ["x" * LONG, *[""] * 200]
+    path.write_text(json.dumps(content))
+    with memory(200):
+        refused(lambda: read_header(clip_folder), "camera")
+
+
+def test_narrow_numbers_are_refused_by_their_size_as_floats(refused: Callable[..., str]) -> None:
+    given = {"vertices": np.broadcast_to(np.float16(0), (30_000, 778, 3))}
+    with memory(200):
+        refused(lambda: arrays.floats(PATH, given, "vertices", (-1, -1, 3)), "70020000 numbers")
+
+
+def jpeg_of_two_sizes(claimed: int, real: int) -> bytes:
+    """A JPEG that reads as small where the byte that fills up before a marker is taken for a marker."""
+    stream = BytesIO()
+    Image.new("RGB", (64, 64)).save(stream, "JPEG")
+    whole = bytearray(stream.getvalue())
+    frame = whole.index(b"\xff\xc0")
+    whole[frame + 5 : frame + 9] = 2 * real.to_bytes(2, "big")
+    comment = bytearray(b"\xff\xff\xfe\xff\xff") + bytes(0xFFFF - 2)
+    at = 2 + 0xFEFF  # where the length FE FF leads to, from the marker FF FF
+    comment[at : at + 9] = b"\xff\xc0\x00\x11\x08" + 2 * claimed.to_bytes(2, "big")
+    return bytes(whole[:2] + comment + whole[2:])
+
+
+def test_jpegs_of_two_sizes_are_refused_before_they_are_decoded(tmp_path: Path, refused: Callable[..., str]) -> None:
+    content = jpeg_of_two_sizes(64, 30_000)
+    (tmp_path / "0001.jpg").write_bytes(content)
+    with memory(500):
+        refused(lambda: images._image(PATH, "", content), "30000 x 30000")
+        refused(lambda: footage.ImageFolder.open(tmp_path).image(0), "30000 x 30000")
+
+
+@pytest.mark.parametrize("text", ["a: !!timestamp x", 'a: !!int ""', "a: !!bool x", "a: !!float x", "? [a]\n: b"])
+def test_yaml_that_is_no_value_is_refused(tmp_path: Path, refused: Callable[..., str], text: str) -> None:
+    (tmp_path / "a.yml").write_text(text)
+    refused(lambda: read_yaml(tmp_path / "a.yml"), "a.yml")
+
+
+def test_yaml_that_takes_long_is_refused_by_its_size(tmp_path: Path, refused: Callable[..., str]) -> None:
+    (tmp_path / "a.yml").write_text("a: [" + "a," * 500_000 + "]")
+    refused(lambda: read_yaml(tmp_path / "a.yml"), "bytes")
+
+
+@pytest.mark.parametrize("faces", ["f" + " 1" * 3_000_000 + "\n", ("f " + "1 " * 250_000 + "\n") * 20])
+def test_meshes_beyond_bounds_are_refused(refused: Callable[..., str], faces: str) -> None:
+    content = ("v 0 0 0\n" * 3 + faces).encode()
+    with memory(400):
+        refused(lambda: parse_obj(PATH, content), "at most")
+
+
+def test_plain_meshes_are_read_alike_either_way() -> None:
+    from getagrip.geometry import obj
+
+    rng = np.random.default_rng(0)
+    points = "".join(f"v {x!r} {y!r} {z!r}\r\n" for x, y, z in rng.normal(size=(50, 3)).tolist())
+    for corners in ("{} {} {}", "{0}/1 {1}/1 {2}/1", "{0}//7 {1}//7 {2}//7", "{0}/1/7 {1}/1/7 {2}/1/7"):
+        faces = "".join(f"f {corners.format(*ids)}\n" for ids in rng.integers(1, 51, (70, 3)).tolist())
+        content = f"# v 1 2 3\nmtllib x\n{points}vn 0 0 1\n{faces}".encode()
+        plain, by_line = obj._plain(content), obj._by_line(PATH, content)
+        assert plain is not None
+        assert all(np.array_equal(a, b) for a, b in zip(plain, by_line, strict=True))
+    for other in ("f 1 2 3 4\n", "f -1 -2 -3\n", "v 1 2 3 0.5 0.5 0.5\n", " v 1 2 x\n", "v 1 2 3 \\\n"):
+        assert obj._plain(points.encode() + other.encode()) is None
+
+
+def test_json_with_half_a_character_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
+    for n, content in enumerate((rb'{"a": "\ud800"}', b'{"a": "\xed\xa0\x80"}', rb'{"\uDC00": 1}')):
+        (tmp_path / f"{n}.json").write_bytes(content)
+        refused(lambda path=tmp_path / f"{n}.json": files.read_json(path), "no JSON")
+    (tmp_path / "whole.json").write_text(r'{"a": "\ud83d\ude00"}')
+    assert files.read_json(tmp_path / "whole.json") == {"a": "\U0001f600"}
+
+
+def test_messages_move_no_cursor_and_are_short() -> None:
+    message = str(InputError("a\x1b[2J.json", "k", "\x9b31m\u202e" + 9000 * "x", "b\r\nc"))
+    assert message.isprintable()
+    assert len(message) < 700
+
+
+def test_a_small_zip_of_much_json_ends_soon(tmp_path: Path, refused: Callable[..., str]) -> None:
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.json", '{"' + "a" * 4_000_000 + '": [' + "1," * 1_900_000 + '1], "b": [' + "{}," * 600_000)
+    with memory(400):
+        refused(lambda: list(json_stream.items(path, "b")), "a.zip")
+
+
+def test_a_version_that_is_a_record_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
+    arrays.write(tmp_path / "p.npz", {"version": np.zeros((), dtype=[("a", "i8")])})
+    refused(lambda: read_learnt(tmp_path / "p.npz"), "version")
+
+
+def test_a_category_that_moves_the_cursor_is_refused(clip_folder: Path, refused: Callable[..., str]) -> None:
+    path = clip_folder / "clip.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"category": "mug\x1b[2J"}))
+    refused(lambda: read_clip(clip_folder), "category")
+
+
+def test_a_damaged_cache_of_mano_is_no_error(tmp_path: Path) -> None:
+    (tmp_path / "mano.npz").write_bytes(b"PK\x03\x04 damaged")
+    assert mano._read_cache(tmp_path / "mano.npz") is None
+
+
+def store_with(path: Path, *statements: str) -> Path:
+    Store(path).close()
+    with sqlite3.connect(path) as db:
+        for statement in statements:
+            db.execute(statement)
+    return path
+
+
+VALUES = "INSERT INTO versions (change, tab, at, mark, task, annotator, start, deleted) VALUES ('c', 't', 'now', {}, 0)"
+KEYFRAME = (
+    "INSERT INTO keyframe_versions (change, tab, at, keyframe, task, annotator, grasp, frame, joints, outlines, "
+    "hidden, deleted) VALUES ('c', 't', 'now', 'k', 'v', 'ann', 'g', 3, {}, 0, 0)"
+)
+
+
+def test_a_database_with_a_view_of_a_strangers_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
+    endless = "WITH RECURSIVE n(i) AS (VALUES(1) UNION ALL SELECT i FROM n) SELECT i FROM n"
+    path = store_with(tmp_path / "a.sqlite", "DROP VIEW marks", f"CREATE VIEW marks AS {endless}")
+    refused(lambda: Store(path), "other tables or views")
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        VALUES.format("'m', 't', 'ann', 'soon'"), VALUES.format("'m', 't', x'00ff', 1"),
+        VALUES.format("'m', CAST(x'ff' AS TEXT), 'ann', 1"), VALUES.format("'m', 't', '../../x', 1"),
+        KEYFRAME.format("'{', '{}'"), KEYFRAME.format("'{\"99\": [1, 2]}', '{}'"), KEYFRAME.format("'[]', '{}'"),
+        KEYFRAME.format("'{}', '{\"outline-0001\": {\"of\": \"object\"}}'"), KEYFRAME.format("'{}', x'ff'"),
+    ],
+)  # fmt: skip
+def test_contents_that_nobody_has_written_are_refused(
+    tmp_path: Path, refused: Callable[..., str], statement: str
+) -> None:
+    store = Store(store_with(tmp_path / "a.sqlite", statement))
+    refused(lambda: [*store.marks.standing(), *store.keyframes.standing()], "a.sqlite", "damaged")
+    store.close()
