@@ -9,13 +9,14 @@ KERNELS := $(shell grep -rl --include='*.py' '^@njit' src)
 # A process for each core, so one thread of BLAS in each.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
-.PHONY: help demo test quick check lint imports types bench lock clean
+.PHONY: help demo test quick check lint imports types docs bench lock clean
 
 help:
 	@echo "make demo    install, then reconstruct and evaluate a synthetic clip into out/demo"
 	@echo "make test    install, then run all tests, on every core"
 	@echo "make quick   those that are quick and need no browser"
 	@echo "make check   lint, layering and types"
+	@echo "make docs    build the documentation as a site: site/index.html"
 	@echo "make bench   measure speed against a peer, which it installs, and write docs/benchmarks.md"
 	@echo "make lock    recompile requirements.lock from pyproject.toml"
 	@echo "make clean   remove the virtual environment and all caches"
@@ -40,6 +41,11 @@ imports: $(VENV)/installed
 
 types: $(VENV)/installed
 	$(BIN)/mypy
+
+# Anew each time, since commands and docstrings are in it. A link that leads nowhere is an error.
+docs: $(VENV)/installed
+	rm -rf site
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going -b html -d $(VENV)/doctrees --fresh-env docs site
 
 bench: $(VENV)/kernels
 	$(PIP) install --no-build-isolation --editable '.[bench]'

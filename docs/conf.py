@@ -1,0 +1,54 @@
+"""The documentation as a site: ``make docs`` builds it into ``site/`` from these pages, as they are.
+
+Nothing is fetched, neither when it is built nor when it is read. Two pages are completed here: ``cli.md`` by the help of
+every command, ``api.md`` by the docstrings of the public names.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT / "src"), str(ROOT / "scripts")]
+
+import reference  # noqa: E402
+
+import getagrip  # noqa: E402
+
+project = "getagrip"
+copyright = "the authors of getagrip, MIT licence"  # noqa: A001
+version = release = getagrip.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+myst_heading_anchors = 4
+highlight_language = "none"  # blocks without a language are commands or files
+smartquotes = False  # it makes a dash of --out
+toc_object_entries = False
+autodoc_preserve_defaults = True
+autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True, "inherited-members": False, "exclude-members": "__init__, __new__"}
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 90
+add_module_names = False
+
+html_theme = "furo"
+html_title = f"getagrip {version}"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_copy_source = False
+html_show_sphinx = False
+
+
+def complete(_: Sphinx, page: str, text: list[str]) -> None:
+    """Put what is generated in the place of a page's marker."""
+    if page in reference.GENERATED:
+        before, after = text[0].split(reference.MARKER)
+        text[0] = before + reference.GENERATED[page]() + after
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    app.connect("source-read", complete)
