@@ -1,7 +1,7 @@
 """The documentation as a site: ``make docs`` builds it into ``site/`` from these pages, as they are.
 
-Nothing is fetched, neither when it is built nor when it is read. Two pages are completed here: ``cli.md`` by the help of
-every command, ``api.md`` by the docstrings of the public names.
+Nothing is fetched, neither when it is built nor when it is read. Two pages are completed here: ``cli.md`` by the help
+of every command, ``api.md`` by the docstrings of the public names.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import reference  # noqa: E402
 import getagrip  # noqa: E402
 
 project = "getagrip"
-copyright = "the authors of getagrip, MIT licence"  # noqa: A001
+copyright = "the authors of getagrip, MIT licence"
 version = release = getagrip.__version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]

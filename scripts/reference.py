@@ -1,6 +1,7 @@
 """What the site generates: the help of every command, and the list of the public names.
 
-``python scripts/reference.py cli`` prints the one, ``api`` the other, as Markdown; ``docs/conf.py`` puts them into the pages.
+``python scripts/reference.py cli`` prints the one, ``api`` the other, as Markdown; ``docs/conf.py`` puts them into the
+pages.
 """
 
 from __future__ import annotations

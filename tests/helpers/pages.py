@@ -1,0 +1,60 @@
+"""What is written in the documentation: links, headings, commands and Python."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
+
+from helpers.paths import ROOT
+
+PAGES = (*sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("*.md")))
+
+
+@cache
+def tokens(page: Path) -> tuple[Token, ...]:
+    """The blocks of a page."""
+    return tuple(MarkdownIt("commonmark").enable("table").parse(page.read_text(encoding="utf-8")))
+
+
+def targets(page: Path) -> Iterator[str]:
+    """Where a page's links and pictures lead."""
+    inline = (child for token in tokens(page) for child in token.children or ())
+    yield from (str(token.attrs.get("href") or token.attrs.get("src")) for token in inline if token.attrs)
+
+
+@cache
+def anchors(page: Path) -> frozenset[str]:
+    """The anchors of a page's headings, as GitHub and the site name them."""
+    found: list[str] = []
+    for heading, content in zip(tokens(page), tokens(page)[1:], strict=False):
+        if heading.type == "heading_open":
+            words = "".join(child.content for child in content.children or ()).strip().lower()
+            slug = re.sub(r"[^\w\- ]", "", words).replace(" ", "-")
+            found.append(f"{slug}-{found.count(slug)}" if slug in found else slug)
+    return frozenset(found)
+
+
+def python(page: Path, info: str = "") -> list[str]:
+    """A page's Python; with ``info`` only what is marked so."""
+    return [
+        token.content
+        for token in tokens(page)
+        if token.type == "fence" and token.info.startswith("python") and token.info.endswith(info)
+    ]
+
+
+def commands(page: Path, section: str) -> list[list[str]]:
+    """The words of each command in the indented blocks of a section; the section's page stops at the next heading."""
+    lines, here = [], False
+    for token, content in zip(tokens(page), (*tokens(page)[1:], None), strict=True):
+        if token.type == "heading_open":
+            here = content is not None and content.content == section
+        elif token.type == "code_block" and here:
+            lines += token.content.replace("\\\n", " ").splitlines()
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
