@@ -39,6 +39,7 @@ html_title = f"getagrip {version}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_copy_source = False
+html_show_search_summary = False  # it would fetch pages, which a browser refuses from disk
 html_show_sphinx = False
 
 

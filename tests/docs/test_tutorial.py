@@ -14,9 +14,9 @@ from helpers.paths import ROOT
 
 TUTORIAL = ROOT / "docs" / "tutorial.md"
 SMALLER = {
-    "reconstruct": ("--inits", "8", "--frames", "6"),
+    "reconstruct": ("--inits", "8", "--frames", "6", "--sampled-only"),
     "bench": ("--inits", "6", "--clips", "1", "--workers", "1"),
-    "report": ("--workers", "1"),
+    "report": ("--index-only",),
 }
 SERVED = {"view", "annotate"}  # they serve a page until they are interrupted
 INCOMPLETE = ("clip", "new")  # masks and hands come later
