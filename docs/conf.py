@@ -6,6 +6,7 @@ of every command, ``api.md`` by the docstrings of the public names.
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -28,6 +29,8 @@ highlight_language = "none"  # blocks without a language are commands or files
 smartquotes = False  # it makes a dash of --out
 toc_object_entries = False
 autodoc_preserve_defaults = True
+napoleon_use_ivar = True
+napoleon_attr_annotations = False  # the signature has the types
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True, "inherited-members": False, "exclude-members": "__init__, __new__"}
 python_use_unqualified_type_names = True
@@ -50,6 +53,20 @@ def complete(_: Sphinx, page: str, text: list[str]) -> None:
         text[0] = before + reference.GENERATED[page]() + after
 
 
+def linked(_app: Sphinx, _what: str, _name: str, _obj: object, _options: object, lines: list[str]) -> None:
+    """Make links of the pages that a docstring names."""
+    lines[:] = [re.sub(r"(?<!`)docs/([a-z]+)\.md", r":doc:`\1`", line) for line in lines]
+
+
+def plain(
+    _app: Sphinx, _what: str, _name: str, _obj: object, _options: object, signature: str | None, returns: str | None
+) -> tuple[str | None, str | None]:
+    """Write defaults that are made anew for each instance as Python can be written."""
+    return signature and signature.replace("<factory>", "..."), returns
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     app.connect("source-read", complete)
+    app.connect("autodoc-process-docstring", linked)
+    app.connect("autodoc-process-signature", plain)

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from getagrip.fitting.methods import METHODS
+from helpers.pages import python
 from helpers.paths import DATA, ROOT, needs
 
 EXAMPLES = {path.name[:2]: path for path in sorted((ROOT / "examples").glob("*.py"))}
@@ -58,7 +59,7 @@ def number_after(label: str, text: str) -> float:
 
 
 def test_they_are_numbered() -> None:
-    assert sorted(EXAMPLES) == ["01", "02", "03", "04", "05"]
+    assert sorted(EXAMPLES) == ["01", "02", "03", "04", "05", "06"]
 
 
 @pytest.mark.slow
@@ -101,7 +102,7 @@ def test_an_energy_term_of_ones_own(printed: Call) -> None:
 
 @pytest.mark.slow
 def test_the_python_in_the_readme(tmp_path: Path, printed: Call) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    (code,) = python(ROOT / "README.md", "run")
     script = tmp_path / "readme.py"
     script.write_text(code, encoding="utf-8")
     printed(script)
