@@ -118,5 +118,6 @@ def _write(draft: Draft, folder: Path) -> Mapping[str, Any] | None:
         return None
     clip, masks = made
     images = None if draft.images is None else draft.images(clip)
-    write_clip(clip, masks, folder, images, replace=(folder / "clip.json").is_file())
+    hand = None if draft.hand is None else draft.hand(clip)
+    write_clip(clip, masks, folder, images, (folder / "clip.json").is_file(), hand)
     return clip.provenance

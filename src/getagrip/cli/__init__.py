@@ -26,8 +26,8 @@ from getagrip.errors import GetagripError, UsageError, cleaned
 from getagrip.io.terminal import Silence
 
 DESCRIPTION = (
-    "Where an object is in the hand that holds it: from hands, masks and the object's mesh, for every frame. "
-    "--version prints the version."
+    "Reconstruct where an object is in the hand that holds it, in every frame of a video, from hand poses, masks and "
+    "the object's mesh. --version prints the version."
 )
 
 TWO_WORDS = ("clip new", "epic candidates", "init learn")
@@ -35,25 +35,28 @@ TWO_WORDS = ("clip new", "epic candidates", "init learn")
 
 
 def commands(imports: Any, figures: Any) -> Any:
-    """All commands; ``imports`` is what ``import`` takes, ``figures`` what ``figure`` takes."""
+    """All commands, in the order of use: to try it, input, reconstruction, what to do with results, research.
+
+    ``imports`` is what ``import`` takes, ``figures`` what ``figure`` takes.
+    """
     return (
         Annotated[Demo, subcommand("demo")]
+        | Annotated[Doctor, subcommand("doctor")]
+        | Annotated[ClipCommand, subcommand("clip new")]
+        | Annotated[Annotate, subcommand("annotate")]
+        | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
+        | Annotated[Epic, subcommand("epic candidates")]
         | Annotated[Reconstruct, subcommand("reconstruct")]
         | Annotated[Evaluate, subcommand("evaluate")]
+        | Annotated[Report, subcommand("report")]
+        | Annotated[View, subcommand("view")]
+        | Annotated[figures, subcommand("figure", description="Draw figures of results, as the paper has them.")]
+        | Annotated[Export, subcommand("export")]
+        | Annotated[Bench, subcommand("bench")]
         | Annotated[Segment, subcommand("segment")]
         | Annotated[Study, subcommand("study")]
         | Annotated[Stats, subcommand("stats")]
-        | Annotated[Bench, subcommand("bench")]
         | Annotated[InitCommand, subcommand("init learn")]
-        | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
-        | Annotated[ClipCommand, subcommand("clip new")]
-        | Annotated[Epic, subcommand("epic candidates")]
-        | Annotated[Annotate, subcommand("annotate")]
-        | Annotated[View, subcommand("view")]
-        | Annotated[Report, subcommand("report")]
-        | Annotated[Export, subcommand("export")]
-        | Annotated[figures, subcommand("figure", description="Draw figures of results, as the paper has them.")]
-        | Annotated[Doctor, subcommand("doctor")]
     )
 
 

@@ -6,6 +6,7 @@ Those modules load numpy and more. So this one is loaded when the command is cal
 from __future__ import annotations
 
 from dataclasses import dataclass
+from inspect import cleandoc
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar, Union
 
@@ -42,7 +43,7 @@ class DrawFigure(Command, Generic[K]):
 def _subcommands() -> Any:
     """A subcommand for each kind."""
     kinds = [
-        Annotated[DrawFigure[kind], subcommand(name, description=kind.__doc__)]  # type: ignore[valid-type]
+        Annotated[DrawFigure[kind], subcommand(name, description=cleandoc(kind.__doc__ or ""))]  # type: ignore[valid-type]
         for name, kind in FIGURES.items()
     ]
     return Union[tuple(kinds)]  # noqa: UP007

@@ -15,13 +15,10 @@ from getagrip.io.arguments import Flag
 
 @dataclass(frozen=True, kw_only=True)
 class Report(Command):
-    """Write report.html into a result's folder, a page that plays it in 3D and opens without a network; and report.png.
-
-    Of a folder of results, such as that of a benchmark: a page for each, and index.html, a table of all.
-    """
+    """Write pages of results, report.html, that play in 3D without a network; for a folder of them index.html, too."""
 
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="PATH...", help_behavior_hint="")] = ()
-    """Result folders, or folders that hold results."""
+    """Result folders, which get report.png as well, or folders that hold results."""
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     mp4: Flag = False

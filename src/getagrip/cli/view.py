@@ -13,7 +13,7 @@ from getagrip.cli.command import ClipsFolder, Command
 
 @dataclass(frozen=True, kw_only=True)
 class View(Command):
-    """Look at results and clips in 3D, moving, on a page that only who has its address can open."""
+    """Look at results and clips in 3D, moving, on a page that only those who have its address can open."""
 
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="PATH...", help_behavior_hint="")] = ()
     """Results, clips, or folders of them. Results of one clip stand side by side; several clips are listed, the worst

@@ -28,6 +28,7 @@ CAMERA_KEYS = {1: CAMERA[:1], 2: CAMERA}
 """Keys of ``camera`` by the version; only the first must be there."""
 JOINT = ("joint_moves", "joint_point", "joint_direction", "joint_angle")
 """Arrays of the truth about an articulated object's joint."""
+HANDS = "the hands of a clip, as getagrip import hands writes them"
 FARTHEST_JOINT = 2.0
 """Plausible distance of a joint from the object's origin [m]."""
 LARGEST_SIDE, LARGEST_IMAGE = 16384, 40_000_000
@@ -46,7 +47,7 @@ def read_clip(folder: str | Path) -> Clip:
     frames = frame_names(path, fields["frames"])
     size = _size(path, fields["size"])
     mesh = read_mesh(_mesh(folder, fields))
-    hand_path = files.inside(folder, "hand.npz", "", "the hands of a clip")
+    hand_path = files.inside(folder, "hand.npz", "", HANDS)
     rows = frames_with_hand(hand_path, frames)
     hand = read_hand(hand_path, len(rows))
     K = intrinsics(path, fields["camera"], len(frames), size)[rows]
@@ -111,7 +112,7 @@ def input_sha256(folder: str | Path) -> str:
     """
     folder = _folder(folder)
     fields = _fields(folder)
-    hand = files.inside(folder, "hand.npz", "", "the hands of a clip")
+    hand = files.inside(folder, "hand.npz", "", HANDS)
     frames = frame_names(folder / "clip.json", fields["frames"])
     paths = {"clip.json": folder / "clip.json", "hand.npz": hand, fields["mesh"]: _mesh(folder, fields)}
     for kind in ("object", "ignore", "hand"):

@@ -25,16 +25,19 @@ def write_clip(
     folder: str | Path,
     images: Iterable[UInt8[ndarray, "H W 3"]] | None = None,
     replace: bool = False,
+    hand: tuple[HandTrack, Sequence[int]] | None = None,
 ) -> Path:
     """Write a clip (mesh as ``object.obj``) into a new folder, complete or not at all, and return the folder.
 
     ``images`` are RGB, one for each frame, and are written as JPEG. A hand without vertices is left out: somebody will
-    add ``hand.npz``. With ``replace`` an older clip in ``folder`` is replaced. Raises ``UsageError`` where the folder
-    exists otherwise.
+    add ``hand.npz``, or ``hand`` has it, in some frames, with the rows of these. With ``replace`` an older clip
+    in ``folder`` is replaced. Raises ``UsageError`` where the folder exists otherwise.
     """
     folder = Path(folder)
     with files.new_folder(folder, ("clip.json",) if replace else ()) as new:
         fill_folder(new, clip, masks, images)
+        if hand is not None:
+            write_hand_at(hand[0], clip.frames, hand[1], new / "hand.npz")
     return folder
 
 

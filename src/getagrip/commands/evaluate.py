@@ -128,5 +128,11 @@ def results_in(path: Path) -> list[Path]:
         raise InputError(path, "", "no such folder", "a result, or a folder of results")
     results = sorted(found.parent for found in path.glob("*/result.json"))
     if not results:
-        raise InputError(path, "", "no result.json in it or in its folders", "a result, or a folder of results")
+        raise no_result(path)
     return results
+
+
+def no_result(path: Path) -> InputError:
+    """The error for a folder in which there is no result."""
+    given = "a clip" if (path / "clip.json").exists() else "no result.json in it or in its folders"
+    return InputError(path, "", given, "a result that getagrip reconstruct made, or a folder of results")

@@ -8,6 +8,7 @@ from pathlib import Path
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import failure
 from getagrip.commands.evaluate import results_in
+from getagrip.errors import InputError
 from getagrip.evaluation.results import clip_of
 from getagrip.export import Scene, export
 from getagrip.result import read_result
@@ -27,5 +28,5 @@ def export_results(
                 print(export(scene, target, to, overwrite))
         except Exception as error:  # one result's trouble must not end the others
             failed = True
-            print_outcome(failure(str(path), error), debug)
+            print_outcome(failure("" if isinstance(error, InputError) else str(path), error), debug)
     return int(failed)

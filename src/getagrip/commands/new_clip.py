@@ -56,7 +56,7 @@ class Ingredients:
 
 HOW = {
     "interval": "--interval START END: the frames between which the grasp is stable, counted from 1; "
-    "getagrip annotate VIDEO finds them",
+    "getagrip annotate {video} --out DIR finds them",
     "side": "--side left|right: the hand that holds the object",
     "mesh": "--mesh FILE: the object's shape (.obj, .ply, .stl, .glb), a CAD, a scan, or what an image-to-3D tool "
     "makes of a frame; or --mesh KIND, as plate, for a shape of this package's own; with --size-mm or --diameter-mm if "
@@ -68,9 +68,9 @@ HOW = {
 LATER = {
     "masks": "masks of the object and the hand: SAM 2 or any segmentation of {out}/frames, as PNG labels, COCO "
     "or .npz; then getagrip import masks PATH --object LABEL --ignore LABEL --clip {out}. Without a segmentation: "
-    "getagrip annotate {video} (docs/annotate.md)",
+    "getagrip annotate {video} --out DIR (docs/annotate.md)",
     "hands": "run an estimator on {out}/frames (docs/estimators.md); then getagrip import hands FILE... --from ... "
-    "--clip {out}. Without an estimator: click joints in getagrip annotate {video} (docs/annotate.md)",
+    "--clip {out}. Without an estimator: click joints in getagrip annotate {video} --out DIR (docs/annotate.md)",
 }
 """How to get what can be added later; the page of ``annotate`` makes both at once."""
 
@@ -96,7 +96,7 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
     }
     missing = [key for key, there in has.items() if not there]
     for key in missing:
-        print(f"missing: {key}: {HOW[key]}", file=sys.stderr)
+        print(f"missing: {key}: {HOW[key].format(video=given.video)}", file=sys.stderr)
     if missing or given.interval is None or given.side is None or given.mesh is None:
         return 2
     numbers = _numbers(given.interval)

@@ -10,6 +10,7 @@ from pathlib import Path
 from getagrip.batch.clips import FEW, print_outcome
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.pool import DIED, cores, in_processes
+from getagrip.commands.evaluate import no_result
 from getagrip.errors import InputError
 from getagrip.evaluation import evaluate, read_evaluated
 from getagrip.io.terminal import progress_bar
@@ -87,7 +88,7 @@ def results_below(path: Path) -> list[Path]:
             folders.clear()
         folders[:] = [name for name in folders if not name.startswith(".")]
     if not found:
-        raise InputError(path, "", "no result.json in it or in its folders", "a result, or a folder of results")
+        raise no_result(path)
     return sorted(found)
 
 

@@ -7,13 +7,14 @@ help. ``getagrip.commands.datasets`` lists the readers.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.errors import InputError
 
 Note = Callable[[str], None]
@@ -36,6 +37,8 @@ class Draft:
     """The clip and its masks; None, after a note, where nothing is left of it. Raises ``InputError``."""
     images: Callable[[Clip], Sequence[UInt8[ndarray, "H W 3"]]] | None = None
     """Reads the RGB images of the clip's frames, where they belong into its folder. Raises ``InputError``."""
+    hand: Callable[[Clip], tuple[HandTrack, Sequence[int]]] | None = None
+    """Reads the hand where the clip has none yet: in some of its frames, and which these are. Raises ``InputError``."""
 
 
 class Part(Protocol):
@@ -84,10 +87,16 @@ def clips(dataset: Dataset, note: Note = lambda _: None) -> Iterator[tuple[Clip,
             for draft in part.drafts(lambda name, with_hands=False: True, note):
                 made = draft.make()
                 if made is not None:
-                    yield made
+                    yield made if draft.hand is None else _with_hand(*made, *draft.hand(made[0]))
         except InputError as error:
             failed.append(error)
     for other in failed[1:]:
         note(f"failed: {other}")
     if failed:
         raise failed[0]
+
+
+def _with_hand(clip: Clip, masks: Masks | None, hand: HandTrack, rows: Sequence[int]) -> tuple[Clip, Masks | None]:
+    """The clip and its masks in the frames that have a hand."""
+    index = np.array(rows, dtype=int)
+    return replace(clip.take(index), hand=hand), masks and masks.take(index)

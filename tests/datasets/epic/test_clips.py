@@ -126,6 +126,12 @@ def test_hand_files_may_say_which_frames_and_camera_they_have(run: Run, epic_fol
     clip = read_clip(epic_folder / "out" / NAME)
     numbers = np.array([int(name) for name in clip.frames])
     assert {*numbers.tolist()} == {*known.tolist()} - {*range(1020, 1040), 1050}
+    content = json.loads((clip.folder / "clip.json").read_text())
+    assert len(content["frames"]) == 30  # the others may get a hand later
+    assert {*clip.frames} < {*content["frames"]}
+    assert all((clip.folder / "frames" / f"{name}.jpg").is_file() for name in content["frames"])
+    assert content["provenance"]["frames_without_hand"].count(",") == 29 - len(clip.frames)
+    assert read_masks(clip).observed.all()
     np.testing.assert_allclose(clip.hand.T_cam_hand[:, 0, 3], numbers / 1e5)
     np.testing.assert_array_equal(clip.K[0], K)
 

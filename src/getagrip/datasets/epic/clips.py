@@ -17,6 +17,7 @@ from numpy import ndarray
 from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading import read_hand
+from getagrip.clip.writing import without_hand
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.epic import visor
 from getagrip.datasets.epic.tables import EpicGrasp, numbering_rate, subject_of
@@ -55,8 +56,12 @@ class HandFile:
     K: Float[ndarray, "3 3"] | None
     """The camera that the estimator took, in pixels of 854 x 480, where the file has it (``K``)."""
 
+    def has(self, number: int) -> bool:
+        """Whether a frame has a hand."""
+        return self.frames is None or number in self.frames
+
     def track(self, chosen: Sequence[int]) -> HandTrack:
-        """The hand in some of the frames. Raises ``InputError``."""
+        """The hand in some of the frames that it has. Raises ``InputError``."""
         if self.frames is None:
             return read_hand(self.path, len(chosen))
         track = read_hand(self.path, len(self.frames))
@@ -127,39 +132,52 @@ def clip(
 ) -> tuple[Clip, Masks] | None:
     """The clip of a grasp and its masks, at up to ``FRAMES`` of its valid frames; None, after a note, with too few.
 
-    Valid are frames with a mask of the object and, where the hand file says which frames it has, with a hand. Without
-    hands the clip's hand has no vertices. Raises ``InputError`` for hands that do not fit.
+    Valid are frames with a mask of the object and, where the hand file says which frames it has, with a hand. Where
+    these are fewer than ``FRAMES``, frames with a mask alone are added: their hands may come later. The clip's hand has
+    no vertices: ``hand_of`` reads it.
     """
     masks = {number: masks_of(frame, grasp) for number, frame in sorted(frames.items())}
     valid = [number for number, (mask, _) in masks.items() if np.count_nonzero(mask) >= VISIBLE]
-    if hands is not None and hands.frames is not None:
-        valid = sorted({*valid} & {*hands.frames})
+    masked, valid = valid, [number for number in valid if hands is None or hands.has(number)]
     if len(valid) < FEWEST:
         what = "a mask" if hands is None or hands.frames is None else "a mask and a hand"
         note(f"{grasp.name}: {len(valid)} of its {grasp.frames} frames have {what} of {shown(grasp.entity)}: skipped")
         return None
-    chosen = [valid[i] for i in np.round(np.linspace(0, len(valid) - 1, min(FRAMES, len(valid)))).astype(int)]
+    chosen = _spread(valid, FRAMES)
+    chosen = sorted(chosen + _spread([number for number in masked if number not in valid], FRAMES - len(chosen)))
     if hands is not None and hands.K is not None:
         camera = Camera(hands.K, "the hand file's")
+    names = tuple(f"{number:010d}" for number in chosen)
     made = Clip(
         name=grasp.name,
         category=grasp.category,
         side=grasp.side,
         fps=numbering_rate(grasp.video),
-        frames=tuple(f"{number:010d}" for number in chosen),
+        frames=names,
         times=np.array(chosen) / numbering_rate(grasp.video),
         size=SIZE,
         K=np.tile(camera.K, (len(chosen), 1, 1)),
         mesh=mesh,
         scale="free",
-        hand=_no_hand(len(chosen)) if hands is None else hands.track(chosen),
-        provenance=_provenance(grasp, [frames[n] for n in chosen], mesh_source, camera, hands, has_mapping),
+        hand=HandTrack(
+            np.zeros((len(chosen), 0, 3)), np.zeros((0, 3), int), np.tile(np.eye(4), (len(chosen), 1, 1)), {}
+        ),
+        provenance=_provenance(grasp, [frames[n] for n in chosen], mesh_source, camera, hands, has_mapping)
+        | without_hand(names, [row for row, number in enumerate(chosen) if hands is None or hands.has(number)]),
     )
     return made, Masks(*(np.array([masks[number][k] for number in chosen]) for k in (0, 1)))
 
 
-def _no_hand(frames: int) -> HandTrack:
-    return HandTrack(np.zeros((frames, 0, 3)), np.zeros((0, 3), int), np.tile(np.eye(4), (frames, 1, 1)), {})
+def _spread(numbers: Sequence[int], count: int) -> list[int]:
+    """At most so many of the numbers, spread evenly."""
+    return [numbers[i] for i in np.round(np.linspace(0, len(numbers) - 1, min(count, len(numbers)))).astype(int)]
+
+
+def hand_of(path: Path, clip: Clip) -> tuple[HandTrack, list[int]]:
+    """The hand of a clip from its hand file, and the rows of the clip's frames that it is of. Raises ``InputError``."""
+    hands, numbers = hand_file(path), [int(name) for name in clip.frames]
+    rows = [row for row, number in enumerate(numbers) if hands.has(number)]
+    return hands.track([numbers[row] for row in rows]), rows
 
 
 def _provenance(

@@ -123,7 +123,9 @@ class VideoGrasps:
         frames = clips.annotated(self.annotations, visor.read_mapping(self.mapping, self.name), waiting)
         for grasp in waiting:
             make = partial(self._clip, grasp, frames.pop(grasp.name), camera, note)
-            yield Draft(grasp.name, make, lambda clip: self.images([int(name) for name in clip.frames]))
+            hands = self._hands(grasp)
+            hand = None if hands is None else partial(clips.hand_of, hands)
+            yield Draft(grasp.name, make, lambda clip: self.images([int(name) for name in clip.frames]), hand)
 
     def _clip(
         self, grasp: EpicGrasp, frames: clips.VisorFrames, camera: clips.Camera, note: Note

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, get_args
 
 import numpy as np
+from tyro.conf import arg
 
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.fit import ORDERS, JointOrder
@@ -15,6 +17,7 @@ from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
 from getagrip.hands.trackers.records import numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
 from getagrip.io import files
+from getagrip.io.arguments import one_of
 
 DEPTH = "joints before the camera, as the file has them; that it was the clip's camera is a guess"
 
@@ -26,7 +29,7 @@ class Joints(Tracker):
     name = "joints from a file"
     takes = "21 of them in metres, before the camera"
 
-    order: JointOrder | None = None
+    order: Annotated[JointOrder | None, one_of(*get_args(JointOrder)), arg(help_behavior_hint="")] = None
     """Their order (docs/hands.md)."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:

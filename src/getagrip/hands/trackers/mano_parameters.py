@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from tyro.conf import arg
 
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
@@ -24,6 +25,7 @@ from getagrip.hands.trackers.estimates import Estimate, Estimates, Parameters, R
 from getagrip.hands.trackers.hand import load_mano
 from getagrip.hands.trackers.records import Record, numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
+from getagrip.io.arguments import one_of
 
 Encoding = Literal["axis-angle", "pca", "matrix"]
 Mean = Literal["flat", "mean"]
@@ -37,9 +39,9 @@ class ManoParameters(Tracker):
     name = "MANO parameters"
     takes = "plain parameters"
 
-    pose: Encoding | None = None
+    pose: Annotated[Encoding | None, one_of(*get_args(Encoding)), arg(help_behavior_hint="")] = None
     """What hand_pose holds."""
-    mean: Mean | None = None
+    mean: Annotated[Mean | None, one_of(*get_args(Mean)), arg(help_behavior_hint="")] = None
     """Whether poses are relative to the flat hand or to MANO's mean pose."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
