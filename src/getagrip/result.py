@@ -15,7 +15,7 @@ from numpy import ndarray
 from getagrip.errors import InputError, UsageError
 from getagrip.finding import Finding, read_checks, read_findings
 from getagrip.geometry import se3
-from getagrip.io import arrays, files
+from getagrip.io import arrays, code, files
 from getagrip.io.array_data import ArrayData
 from getagrip.probability import Probability, read_probability
 
@@ -314,9 +314,10 @@ def _fields(
 
 
 def software() -> dict[str, str]:
-    """Versions of the package, of Python, and of the libraries that the numbers depend on."""
+    """Versions of the package, of Python, and of the libraries that the numbers depend on; and which code it is."""
     packages = ("getagrip", "numpy", "scipy", "numba", "trimesh", "opencv-python-headless")
-    return {"python": platform.python_version()} | {package: metadata.version(package) for package in packages}
+    versions = {package: metadata.version(package) for package in packages}
+    return {"python": platform.python_version(), **versions, "code": code.fingerprint()}
 
 
 def _texts(path: Path, given: dict[str, ndarray], key: str) -> tuple[str, ...]:

@@ -9,14 +9,12 @@ from typing import Any
 
 import pytest
 
-from getagrip.batch.claims import claim
-from getagrip.batch.job import Job, reconstruct_one
-from getagrip.clip import Clip, input_sha256, write_clip
+from getagrip.batch.job import Job, reconstruct_one, standing
+from getagrip.clip import input_sha256, write_clip
 from getagrip.finding import Finding
 from getagrip.fitting.options import Options
 from getagrip.io.files import to_json
 from getagrip.result import Reconstruction, write_result
-from helpers.command_line import Run
 from helpers.egg_and_mug import egg_and_mug, perfect
 
 DOUBT = Finding("contact-gap", True, 240.0, 15.0, "nothing is held")
@@ -37,31 +35,5 @@ def test_a_result_that_another_run_made_meanwhile_is_kept(tmp_path: Path, monkey
     outcome = reconstruct_one(job)
     assert outcome.state == "kept"
     assert outcome.findings == (DOUBT,)
-    assert reconstruct_one(replace(job, options=Options(method="static", seed=1))).state == "failed"
-
-
-def test_two_runs_share_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run) -> None:
-    """What another run is at work on is left to it, and looked at last; nothing is done twice."""
-    scene = egg_and_mug()
-    for name in ("a", "b"):
-        write_clip(replace(scene[0], name=name), scene[1], tmp_path / "clips" / name)
-    out, made = tmp_path / "out", list[str]()
-
-    def fit(clip: Clip, masks: object, options: Options, progress: object) -> Reconstruction:
-        made.append(clip.name)
-        if clip.name == "b":
-            other.__exit__(None, None, None)  # the other run has ended meanwhile, without a result
-        given = json.loads(to_json(asdict(options)))
-        return replace(perfect(clip), clip=clip.name, options=given, method=options.method)
-
-    monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", fit)
-    other = claim(out / "a", wait=True)
-    assert other.__enter__()
-    status, text, err = run("reconstruct", tmp_path / "clips", "--out", out)
-    assert (status, err, made) == (0, "", ["b", "a"])
-    assert "2 done, 0 already done, 0 failed" in text
-    assert sorted(path.name for path in out.iterdir()) == ["a", "b"]  # no locks stay
-    status, text, err = run("reconstruct", tmp_path / "clips", "--out", out, "--quiet")
-    assert (status, text, err) == (0, "", "")
-    assert made == ["b", "a"]
-    assert run("reconstruct", tmp_path / "none", "--out", out, "--quiet")[2] != ""
+    other = replace(job, options=Options(method="static", seed=1))
+    assert standing(other, input_sha256(folder)) == (None, "what was there is of another seed")

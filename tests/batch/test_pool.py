@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.pool import in_processes
-from helpers.jobs import work
-from helpers.paths import ROOT
+from getagrip.batch.limits import Limits
+from getagrip.batch.pool import in_processes, shared_out
+from getagrip.errors import UsageError
+from helpers.jobs import dies_once, greedy, patient, work
+from helpers.paths import import_path
 
 
 @pytest.mark.slow
@@ -30,7 +32,7 @@ def test_a_killed_parent_leaves_no_process_behind(tmp_path: Path) -> None:
         "from getagrip.batch.pool import in_processes; from helpers.jobs import tick;"
         f"list(in_processes(tick, [{str(file)!r}], 1))"
     )
-    parent = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT / "tests", stderr=subprocess.DEVNULL)
+    parent = subprocess.Popen([sys.executable, "-c", code], env=import_path(), stderr=subprocess.DEVNULL)
     try:
         assert _soon(file.exists)
     finally:
@@ -54,3 +56,31 @@ def _grows(file: Path) -> bool:
     before = file.stat().st_size
     time.sleep(1.0)
     return file.stat().st_size > before
+
+
+@pytest.mark.slow
+def test_a_job_that_takes_too_long_is_ended_and_the_others_go_on() -> None:
+    ends = {ended.job: ended for ended in shared_out(patient, ["a", "slow", "b", "c"], 2, Limits(seconds=0.5))}
+    assert {job: ended.result for job, ended in ends.items()} == {"a": "a", "b": "b", "c": "c", "slow": None}
+    assert ends["slow"].why == "it took longer than 0.5 s (--limit-seconds)"
+    assert ends["slow"].attempts == 1
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux can limit the memory of a process so")
+def test_a_job_gets_no_more_memory_than_it_may_have() -> None:
+    ends = shared_out(greedy, [0.1, 3.0], 1, Limits(gigabytes=1.0))
+    assert {ended.job: ended.result for ended in ends} == {0.1: "granted", 3.0: "refused"}
+
+
+@pytest.mark.slow
+def test_a_killed_process_gives_its_job_to_another_one(tmp_path: Path) -> None:
+    (ended,) = shared_out(dies_once, [str(tmp_path / "mark")], 2)
+    assert ended.attempts == 2
+    assert ended.result == ended.process
+
+
+@pytest.mark.parametrize("given", [{"seconds": 0.0}, {"seconds": float("nan")}, {"gigabytes": -1.0}])
+def test_limits_are_numbers_above_zero(given: dict[str, float]) -> None:
+    with pytest.raises(UsageError, match="expected a number above 0"):
+        Limits(**given)

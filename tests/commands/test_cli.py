@@ -17,6 +17,7 @@ import getagrip
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.result import read_result
 from helpers.command_line import Run
+from helpers.folders import results_in
 from helpers.paths import ROOT
 from helpers.scenes import SHORT, scene
 
@@ -105,19 +106,20 @@ def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
     assert status == 0
     assert "2 done, 0 already done, 0 failed" in printed
     names = {read_clip(made / name).name for name in ("can", "box")}
-    assert {path.name for path in out.iterdir()} == names
-    result, record = read_result(next(out.iterdir()))
+    assert {path.name for path in results_in(out)} == names
+    assert {path.name for path in out.iterdir()} == names | {"ledger.sqlite", "summary.csv", "index.html"}
+    result, record = read_result(results_in(out)[0])
     assert result.options["inits"] == 8
     assert record["metrics"]["iou_full"] == pytest.approx(result.iou.mean())
 
-    # What is done is kept, other options are refused, --overwrite makes it again: the same, in whatever process.
+    # What is done is kept, --overwrite makes it again: the same, in whatever process. Other options make it again, too.
     status, printed, _ = run("reconstruct", made, "--out", out, *QUICK)
     assert status == 0
     assert "0 done, 2 already done, 0 failed" in printed
-    status, _, err = run("reconstruct", made / "can", "--out", out, *QUICK, "--seed", 3)
-    assert status == 1
-    assert "another seed" in err
-    shared = {path.name: read_result(path)[0].T_hand_obj for path in out.iterdir()}
+    shared = {path.name: read_result(path)[0].T_hand_obj for path in results_in(out)}
+    status, printed, _ = run("reconstruct", made / "can", "--out", out, *QUICK, "--seed", 3)
+    assert status == 0
+    assert "done again, since what was there is of another seed: IOU" in printed
     assert run("reconstruct", made, "--out", out, *QUICK, "--overwrite")[0] == 0
     for name, T_hand_obj in shared.items():
         np.testing.assert_array_equal(read_result(out / name)[0].T_hand_obj, T_hand_obj)
@@ -132,7 +134,7 @@ def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
     assert {sample["clip"] for sample in samples} == names
     assert all(0.0 < sample["metrics"]["iou"] <= 1.0 for sample in samples)
 
-    status, printed, _ = run("report", next(out.iterdir()))
+    status, printed, _ = run("report", results_in(out)[0])
     assert status == 0
     assert [Path(line).name for line in printed.split("\n")[:-1]] == ["report.html", "report.png"]
     assert all(Path(line).stat().st_size > 10_000 for line in printed.split("\n")[:-1])
@@ -150,7 +152,7 @@ def test_one_broken_clip_stops_no_other(run: Run, made: Path, tmp_path: Path) ->
     assert len(lines) == 2
     assert "broken/clip.json: fps: got 0" in lines[0]
     assert "none: got no such folder" in lines[1]
-    assert len(list((tmp_path / "out").iterdir())) == 1
+    assert len(results_in(tmp_path / "out")) == 1
     assert "Traceback" in run("reconstruct", broken, "--out", tmp_path / "out", "--debug")[2]
 
 

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import dataclass
 from pathlib import Path
+
+from getagrip.batch.engine import Engine
+from getagrip.batch.ledger import Entry, Ledger
 
 
 def work(job: int) -> str:
@@ -21,3 +25,56 @@ def tick(file: str) -> None:
         with Path(file).open("a") as out:
             out.write(".")
         time.sleep(0.1)
+
+
+def patient(job: str) -> str:
+    """Runs in another process: "slow" takes a minute."""
+    time.sleep(60.0 if job == "slow" else 0.0)
+    return job
+
+
+def greedy(gigabytes: float) -> str:
+    """Runs in another process: takes so much memory, and says whether it got it."""
+    try:
+        bytearray(int(gigabytes * 1e9))
+    except MemoryError:
+        return "refused"
+    return "granted"
+
+
+def dies_once(mark: str) -> int:
+    """Runs in another process: the first time it is killed, as by a system that is out of memory."""
+    if not Path(mark).exists():
+        Path(mark).touch()
+        os.kill(os.getpid(), 9)
+    return os.getpid()
+
+
+@dataclass(frozen=True)
+class Errand:
+    """A task: takes its time, notes that it was run, and leaves a file, unless that is there."""
+
+    name: str
+    out: Path
+    seconds: float
+
+    def run(self) -> Entry:
+        if (self.out / self.name).exists():
+            return Entry(self.name, "kept")
+        with (self.out / "runs").open("a") as runs:
+            runs.write(f"{self.name}\n")
+        time.sleep(self.seconds)
+        (self.out / f"{self.name}.part").touch()
+        (self.out / f"{self.name}.part").rename(self.out / self.name)
+        return Entry(self.name, "done")
+
+
+def drive(out: Path, count: int, seconds: float, workers: int) -> list[str]:
+    """A driver of such tasks; what has become of each."""
+    engine = Engine(
+        work=Errand.run, lost=lambda errand, why: Entry(errand.name, "failed", why), entry=lambda entry: entry,
+        options=None, workers=workers,
+    )  # fmt: skip
+    errands = (Errand(f"task-{n:02d}", out, seconds) for n in range(count))
+    with Ledger(out) as ledger:
+        return sorted(f"{entry.name} {entry.state}" for entry in engine.run(errands, ledger))

@@ -23,3 +23,8 @@ def folder_of(variable: str) -> pytest.MarkDecorator:
     return pytest.mark.parametrize(
         "folder", [pytest.param(Path(named or "."), marks=pytest.mark.skipif(named is None, reason=reason))], ids=[""]
     )
+
+
+def import_path() -> dict[str, str]:
+    """The environment of a Python that imports this package and the tests' helpers, wherever it runs."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join((str(ROOT / "src"), str(ROOT / "tests")))}

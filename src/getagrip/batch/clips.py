@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from getagrip.batch.job import Job, Outcome, plan, reconstruct_one, settled
-from getagrip.batch.pool import DIED, cores, in_processes
+from getagrip.batch.engine import Engine
+from getagrip.batch.job import Job, Outcome, reconstruct_one
+from getagrip.batch.ledger import Ledger
+from getagrip.batch.limits import NONE, Limits
+from getagrip.batch.plan import ALL, Plan, Shard
+from getagrip.batch.pool import cores
+from getagrip.batch.progress import Pace
+from getagrip.batch.summary import entry_of, write_summary
 from getagrip.errors import UsageError
-from getagrip.io.terminal import progress_bar, show_stage
+from getagrip.io import leftovers
+from getagrip.io.terminal import progress_bar, report, show_stage
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -22,43 +32,127 @@ FEW = 3
 """Up to so many clips are done in this process: others take longer to start."""
 
 
-def reconstruct_clips(
-    paths: Sequence[Path],
-    out: Path,
-    options: Options,
-    workers: int | None,
-    overwrite: bool,
-    debug: bool,
-    strict: bool = False,
-) -> int:
+@dataclass(frozen=True)
+class Batch:
+    """How a call treats its clips."""
+
+    workers: int | None = None
+    """None: one for each core, where there are more than a few clips."""
+    overwrite: bool = False
+    """Make good results again, too."""
+    strict: bool = False
+    """Count something serious that a check has found as a failure of the call."""
+    fail_fast: bool = False
+    """Begin no other clip once one has failed."""
+    limits: Limits = NONE
+    shard: Shard = ALL
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.workers < 1:
+            raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
+
+
+def reconstruct_clips(paths: Sequence[Path], out: Path, options: Options, batch: Batch, debug: bool) -> int:
     """Reconstruct clips into ``out/<clip name>/`` and print the outcome of each; 1 if any failed, else 0.
 
-    With ``strict`` also 1 where a check has found something serious. Raises ``UsageError`` where there is nothing to
-    do, or where two clips have the same name.
+    Several calls may share a folder, at the same time or one after another: its ledger says who does what. Of more
+    than one clip a summary is written. With ``strict`` also 1 where a check has found something serious. Raises
+    ``UsageError`` where there is nothing to do, or where two clips have the same name; ``GetagripError`` where the
+    ledger cannot be written.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
-    if workers is not None and workers < 1:
-        raise UsageError(f"--workers: got {workers}, expected 1 or more")
-    jobs, failed = plan(paths, out, options, overwrite)
-    for outcome in failed:
-        print_outcome(outcome, debug)
-    counts, doubtful = {"done": 0, "kept": 0, "failed": len(failed)}, list[str]()
-    right: dict[str, float] = {}
-    with progress_bar() as bar:
-        for outcome in _outcomes(jobs, workers, bar):
+    with Plan(paths, batch.shard) as plan:
+        for outcome in plan.failed:
             print_outcome(outcome, debug)
-            counts[outcome.state] += 1
-            doubtful += [outcome.name] * any(finding.serious for finding in outcome.findings)
-            if outcome.probability_right is not None:
-                right[outcome.name] = outcome.probability_right.value
-    if len(jobs) + len(failed) > 1:
-        print(f"{counts['done']} done, {counts['kept']} already done, {counts['failed']} failed")
-        if doubtful:
-            print(f"{len(doubtful)} with serious findings: {', '.join(sorted(doubtful))}")
-        if right:
-            print(expected(right))
-    return 1 if counts["failed"] or (strict and doubtful) else 0
+        if not len(plan) or (batch.fail_fast and plan.failed):
+            return 1 if plan.failed else 0
+        with Ledger(out) as ledger:
+            for folder in leftovers.sweep(out):
+                report(f"{folder}: removed, left behind by a process that has died")
+            tally = _work_off(plan, ledger, out, options, batch, debug)
+            if len(plan) + len(plan.failed) > 1:
+                for path in write_summary(ledger, out, plan.failed):
+                    print(path)
+    tally.counts["failed"] += len(plan.failed)
+    if len(tally) > 1:
+        tally.print()
+    return 1 if tally.counts["failed"] or (batch.strict and tally.doubtful) else 0
+
+
+class _Tally:
+    """What has become of the clips of a call."""
+
+    def __init__(self) -> None:
+        self.counts = Counter[str]()
+        self.doubtful: list[str] = []
+        """Names of those with serious findings."""
+        self.right: dict[str, float] = {}
+        """The probability of each that it is right."""
+
+    def add(self, outcome: Outcome) -> None:
+        self.counts[outcome.state] += 1
+        self.doubtful += [outcome.name] * any(finding.serious for finding in outcome.findings)
+        if outcome.probability_right is not None:
+            self.right[outcome.name] = outcome.probability_right.value
+
+    def __len__(self) -> int:
+        return self.counts.total()
+
+    def print(self) -> None:
+        print(f"{self.counts['done']} done, {self.counts['kept']} already done, {self.counts['failed']} failed")
+        if self.doubtful:
+            print(f"{len(self.doubtful)} with serious findings: {', '.join(sorted(self.doubtful))}")
+        if self.right:
+            print(expected(self.right))
+
+
+def _work_off(plan: Plan, ledger: Ledger, out: Path, options: Options, batch: Batch, debug: bool) -> _Tally:
+    """Do the clips, printing what becomes of each."""
+    jobs = (Job(name, clip, out / name, options, batch.overwrite) for name, clip in plan)
+    few = len(plan) <= FEW
+    tally = _Tally()
+    with progress_bar() as bar:
+        pace = Pace(bar, "clips", len(plan))
+        engine = Engine(
+            work=reconstruct_one,
+            lost=_lost,
+            entry=entry_of,
+            options=asdict(options),
+            workers=min(len(plan), batch.workers or (1 if few else cores())),
+            limits=batch.limits,
+            prepare=_load,
+            in_this=partial(_shown, bar),
+        )
+        outcomes = engine.run(jobs, ledger)
+        with closing(outcomes):
+            for outcome in outcomes:
+                print_outcome(outcome, debug)
+                tally.add(outcome)
+                pace.count(outcome.state)
+                if batch.fail_fast and outcome.state == "failed":
+                    report("--fail-fast: no other clip is begun")
+                    break
+    return tally
+
+
+def _lost(job: Job, why: str) -> Outcome:
+    """The outcome of a clip that no process could do."""
+    return Outcome(job.name, "failed", why)
+
+
+def _load() -> None:
+    """Load what every clip needs, before its time counts."""
+    import getagrip.fitting.reconstruct  # noqa: F401
+
+
+def _shown(bar: Progress, job: Job) -> Outcome:
+    """Reconstruct a clip in this process, with a bar for it."""
+    stage = bar.add_task("", total=1.0)
+    try:
+        return reconstruct_one(job, partial(show_stage, bar, stage, job.name))
+    finally:
+        bar.remove_task(stage)
 
 
 def expected(right: Mapping[str, float]) -> str:
@@ -66,50 +160,6 @@ def expected(right: Mapping[str, float]) -> str:
     wrong = sorted((name for name in right if right[name] < 0.5), key=lambda name: right[name])
     named = f"; rather wrong than right, the worst first: {', '.join(wrong)}" if wrong else ""
     return f"about {sum(right.values()):.0f} of {len(right)} are right, by their probabilities{named}"
-
-
-def _outcomes(jobs: Sequence[Job], workers: int | None, bar: Progress) -> Iterator[Outcome]:
-    """What becomes of each job, while the bar shows it: first of those that need no work."""
-    clips = bar.add_task("clips", total=len(jobs), visible=len(jobs) > 1)
-    remaining = []
-    for job in jobs:
-        before = settled(job)
-        if before is None:
-            remaining.append(job)
-        else:
-            yield before
-            bar.advance(clips)
-    if workers is None:
-        workers = min(len(remaining), cores()) if len(remaining) > FEW else 1
-    elsewhere = set()
-    for outcome in _in_turn(remaining, bar) if workers == 1 else _side_by_side(remaining, workers):
-        if outcome.state == "elsewhere":
-            elsewhere.add(outcome.name)
-            continue
-        yield outcome
-        bar.advance(clips)
-    for job in remaining:  # what another run was at work on: its result, or, where it has ended early, our own
-        if job.name in elsewhere:
-            yield reconstruct_one(job)
-            bar.advance(clips)
-
-
-def _in_turn(jobs: Sequence[Job], bar: Progress) -> Iterator[Outcome]:
-    """The outcomes of jobs done in this process, with a bar for the one at work."""
-    stage = bar.add_task("", total=1.0, visible=bool(jobs))
-    for job in jobs:
-        yield reconstruct_one(job, partial(show_stage, bar, stage, job.name), wait=False)
-
-
-def _side_by_side(jobs: Sequence[Job], workers: int) -> Iterator[Outcome]:
-    """The outcomes of jobs done in processes, as they finish."""
-    for job, outcome in in_processes(_unless_elsewhere, jobs, workers):
-        yield outcome or Outcome(job.name, "failed", DIED)
-
-
-def _unless_elsewhere(job: Job) -> Outcome:
-    """In a process of its own."""
-    return reconstruct_one(job, wait=False)
 
 
 def print_outcome(outcome: Outcome, debug: bool) -> None:

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from getagrip.batch.claims import claim
-from getagrip.clip import input_sha256, read_clip, read_name
+from getagrip.clip import input_sha256, read_clip
 from getagrip.errors import GetagripError, InputError, UsageError
-from getagrip.finding import Finding, read_findings
+from getagrip.finding import Finding
 from getagrip.io import files
-from getagrip.probability import Probability, read_probability
-from getagrip.result import is_result, read_record, write_result
+from getagrip.probability import Probability
+from getagrip.result import Reconstruction, is_result, read_result, software, write_result
 
 if TYPE_CHECKING:
     from getagrip.fitting.options import Options
@@ -42,8 +41,8 @@ class Outcome:
 
     name: str
     """Empty where a path is no clip."""
-    state: Literal["done", "kept", "failed", "elsewhere"]
-    """``kept``: the result stood there already; ``elsewhere``: another run is at work on it."""
+    state: Literal["done", "kept", "failed"]
+    """``kept``: the result stood there already."""
     message: str
     trace: str = ""
     """Where the error arose, for ``--debug``."""
@@ -51,117 +50,105 @@ class Outcome:
     """What is unusual about a result."""
     probability_right: Probability | None = None
     """Of a result, where it is known."""
+    inputs: str = ""
+    """Checksum of the clip, where it could be read."""
+    status: str = ""
+    """Of a result: how it ended."""
+    iou: float | None = None
+    """Of a result: over its frames."""
+    seconds: float = 0.0
+    """Of a result: what its making took."""
 
 
 def failure(name: str, error: Exception) -> Outcome:
     """The outcome of a clip that raised an error."""
     expected = isinstance(error, GetagripError | OSError)
     message = str(error) if expected else f"unexpected {type(error).__name__}: {error}"
+    if isinstance(error, MemoryError):
+        message = f"it needs more memory than there is, or than --limit-gb allows; {error}".removesuffix("; ")
     return Outcome(name, "failed", " ".join(message.split()), "".join(traceback.format_exception(error)))
 
 
-def plan(paths: Sequence[Path], out: Path, options: Options, overwrite: bool) -> tuple[list[Job], list[Outcome]]:
-    """A job for each clip, and the outcome of those that cannot have one. Raises ``UsageError`` as ``by_name`` does."""
-    clips, failed = by_name(paths)
-    return [Job(name, clip, out / name, options, overwrite) for name, clip in clips.items()], failed
+def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
+    """Reconstruct a clip and write its result, unless a good one is there already. Raises nothing.
 
-
-def by_name(paths: Sequence[Path]) -> tuple[dict[str, Path], list[Outcome]]:
-    """The folder of each clip by its name, and the outcome of those that have none.
-
-    A path is a clip, or a folder of clips. Raises ``UsageError`` where two clips have the same name: what is made of
-    them would have the same name too.
-    """
-    found: dict[str, Path] = {}
-    failed: list[Outcome] = []
-    for path in paths:
-        try:
-            clips = clips_in(path)
-        except (InputError, OSError) as error:
-            failed.append(failure("", error))
-            continue
-        for clip in clips:
-            try:
-                name = read_name(clip)
-            except InputError as error:
-                failed.append(failure(clip.name, error))
-                continue
-            if name in found:
-                raise UsageError(f"{clip} and {found[name]} are both named {name!r}; give one at a time")
-            found[name] = clip
-    return found, failed
-
-
-def clips_in(path: Path) -> list[Path]:
-    """The clip folders that a path stands for. Raises ``InputError`` where it holds none."""
-    if path.name == "clip.json" or (path / "clip.json").exists():
-        return [path.parent if path.name == "clip.json" else path]
-    if not path.is_dir():
-        raise InputError(path, "", "no such folder", "a clip, or a folder of clips")
-    clips = sorted(found.parent for found in path.glob("*/clip.json"))
-    if not clips:
-        raise InputError(path, "", "no clip.json in it or in its folders", "a clip, or a folder of clips")
-    return clips
-
-
-def reconstruct_one(job: Job, progress: Progress | None = None, wait: bool = True) -> Outcome:
-    """Reconstruct a clip and write its result, unless that is settled already. Raises nothing.
-
-    Where another run is at work on it, it is waited for, or else left to that.
+    A good one was made from the same clip, with the same options, by the same code, and can be read. Another result is
+    replaced, and the outcome says why.
     """
     try:
-        with claim(job.out, wait) as free:
-            return _reconstructed(job, progress) if free else Outcome(job.name, "elsewhere", "another run does it")
-    except OSError as error:
-        return failure(job.name, error)
-
-
-def _reconstructed(job: Job, progress: Progress | None) -> Outcome:
-    before = settled(job)
-    if before is not None:
-        return before
-    try:
-        from getagrip.fitting.reconstruct import reconstruct
-
-        clip = read_clip(job.clip)
         checksum = input_sha256(job.clip)
-        result = reconstruct(clip, None, job.options, progress)
+        there, why = standing(job, checksum)
+        if there is not None:
+            return there
+        result, checksum = _reconstructed(job, progress)
+        meanwhile, _ = standing(job, checksum)
+        if meanwhile is not None and not job.overwrite:
+            return meanwhile
         metrics = {"iou_full": result.mean_iou}
-        write_result(result, job.out, checksum, metrics, clip_folder=job.clip, overwrite=job.overwrite)
+        write_result(result, job.out, checksum, metrics, clip_folder=job.clip, overwrite=True)
     except Exception as error:  # one clip's trouble must not end the others
-        meanwhile = settled(job)
-        return meanwhile if meanwhile is not None and meanwhile.state == "kept" else failure(job.name, error)
+        return failure(job.name, error)
     right = result.probability_right
     probably = "" if right is None else f", right with a probability of {right}"
     about = f"{probably}{', ambiguous' if result.ambiguous else ''}"
-    summary = f"IOU {metrics['iou_full']:.2f}{about}, {result.seconds['total']:.1f} s, {job.out}; {result.status}"
-    return Outcome(job.name, "done", summary, findings=result.findings, probability_right=right)
+    again = f"done again, since {why}: " if why else ""
+    summary = f"{again}IOU {result.mean_iou:.2f}{about}, {result.seconds['total']:.1f} s, {job.out}; {result.status}"
+    return _outcome(job, "done", summary, result, checksum)
 
 
-def settled(job: Job) -> Outcome | None:
-    """The outcome of a job whose result is there already, or in whose place something else is; else None."""
+def _reconstructed(job: Job, progress: Progress | None) -> tuple[Reconstruction, str]:
+    """The clip's reconstruction, and the checksum of what it was made from.
+
+    Raises ``InputError`` where the clip has changed meanwhile: some of it was read before, some after.
+    """
+    from getagrip.fitting.reconstruct import reconstruct
+
+    before = input_sha256(job.clip)
+    result = reconstruct(read_clip(job.clip), None, job.options, progress)
+    if input_sha256(job.clip) != before:
+        raise InputError(job.clip, "", "files that changed while they were read", "a clip that stays as it is")
+    return result, before
+
+
+def standing(job: Job, checksum: str) -> tuple[Outcome | None, str]:
+    """The outcome of a job whose result is there and good, else None and why one that is there is not.
+
+    ``checksum`` is that of the clip. Raises ``UsageError`` where something else is in the result's place.
+    """
+    if not job.out.exists():
+        return None, ""
+    if not is_result(job.out):
+        raise UsageError(f"{job.out}: exists and is no result; it is not overwritten")
+    if job.overwrite:
+        return None, ""
     try:
-        if not job.out.exists():
-            return None
-        if not is_result(job.out):
-            raise UsageError(f"{job.out}: exists and is no result; it is not overwritten")
-        if job.overwrite:
-            return None
-        record = read_record(job.out)
-        other = _differences(job, record)
-        if other:
-            raise UsageError(f"{job.out}: holds a result of another {' and '.join(other)}; replace it with --overwrite")
-        findings = read_findings(job.out / "result.json", record["findings"])
-        right = read_probability(job.out / "result.json", record["probability_right"])
-    except Exception as error:  # as above
-        return failure(job.name, error)
-    return Outcome(job.name, "kept", f"already done in {job.out}", findings=findings, probability_right=right)
+        result, record = read_result(job.out)
+    except InputError as error:
+        return None, f"what was there is damaged ({error})"
+    other = _difference(job, record, checksum)
+    if other:
+        return None, f"what was there is of {other}"
+    return _outcome(job, "kept", f"already done in {job.out}", result, checksum), ""
 
 
-def _differences(job: Job, record: dict[str, Any]) -> list[str]:
-    """In what the result that is there differs from the one that the job would make."""
+def _outcome(job: Job, state: Literal["done", "kept"], message: str, result: Reconstruction, checksum: str) -> Outcome:
+    """That of a job whose result is good."""
+    return Outcome(
+        job.name, state, message, findings=result.findings, probability_right=result.probability_right,
+        inputs=checksum, status=result.status, iou=result.mean_iou, seconds=float(result.seconds.get("total", 0.0)),
+    )  # fmt: skip
+
+
+def _difference(job: Job, record: dict[str, Any], checksum: str) -> str:
+    """In what the result that is there differs from the one that the job would make; empty for nothing."""
     options = json.loads(files.to_json(asdict(job.options)))
-    wanted = {"method": job.options.method, "seed": job.options.seed, "options": options}
-    if record["input_sha256"] != input_sha256(job.clip):
-        return ["clip"]
-    return [key for key, value in wanted.items() if record[key] != value][:1]
+    now, then = software(), record["software"]
+    same = {
+        "another clip": record["input_sha256"] == checksum,
+        "another method": record["method"] == job.options.method,
+        "another seed": record["seed"] == job.options.seed,
+        "other options": record["options"] == options,
+        f"version {files.shown(then.get('getagrip'))}": then.get("getagrip") == now["getagrip"],
+        "other code": then.get("code") == now["code"],
+    }
+    return next((what for what, holds in same.items() if not holds), "")

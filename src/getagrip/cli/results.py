@@ -55,9 +55,10 @@ class Reconstruct(Command):
     """Find the pose of the object in the hand, in the frames of each clip."""
 
     clips: Clips = ()
-    """Clip folders, or folders of clips."""
+    """Clip folders, folders of clips, or patterns in quotes."""
     out: Folder
-    """Where the results go: a folder for each clip, of the clip's name. Those that are there already are kept."""
+    """Where the results go: a folder for each clip, of the clip's name. Good ones that are there already are kept.
+    Several calls may share it at the same time."""
     method: Method = "soft-hinge"
     """How the object may move in the hand. soft-hinge: about one axis, with small deviations; one-dof: about one axis
     exactly; static: not at all; dynamic: freely in each frame. paper is the paper's method to the letter, slow;
@@ -84,21 +85,34 @@ class Reconstruct(Command):
     workers: Workers = None
     """Processes to share the clips between."""
     overwrite: Flag = False
-    """Make results again that are there already."""
+    """Make results again that are there already, of the same clip, options and code."""
     strict: Flag = False
     """Exit with 1 also where a check finds something serious: the result is probably worthless."""
+    limit_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="(default: none)")] = None
+    """A clip that takes longer is left behind."""
+    limit_gb: Annotated[float | None, arg(metavar="GB", help_behavior_hint="(default: none)")] = None
+    """A clip whose process wants more memory is left behind (Linux)."""
+    fail_fast: Flag = False
+    """Begin no other clip once one has failed."""
+    shard: Annotated[str | None, arg(metavar="I/N", help_behavior_hint="(default: all)")] = None
+    """Of N equal parts of the clips only the I-th, for N machines."""
 
     def run(self) -> int:
-        from getagrip.batch.clips import reconstruct_clips
+        from getagrip.batch.clips import Batch, reconstruct_clips
+        from getagrip.batch.limits import Limits
+        from getagrip.batch.plan import ALL, Shard
 
         options = Options(
             method=self.method, inits=self.inits, seed=self.seed, frames=self.frames, thorough=self.thorough,
             init=self.init, priors=_priors(self.priors, self.init), hands=_hands(self.given_hands),
             every_frame=not self.sampled_only,
         )  # fmt: skip
-        return reconstruct_clips(
-            self.clips, self.out, options, self.workers, self.overwrite, self.debug, self.strict
+        batch = Batch(
+            workers=self.workers, overwrite=self.overwrite, strict=self.strict, fail_fast=self.fail_fast,
+            limits=Limits(self.limit_seconds, self.limit_gb),
+            shard=ALL if self.shard is None else Shard.of(self.shard),
         )  # fmt: skip
+        return reconstruct_clips(self.clips, self.out, options, batch, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from getagrip.batch.clips import print_outcome
-from getagrip.batch.job import by_name, failure
+from getagrip.batch.job import failure
+from getagrip.batch.plan import by_name
 from getagrip.clip import read_clip
 from getagrip.errors import UsageError
 from getagrip.fitting import learn_priors as clusters

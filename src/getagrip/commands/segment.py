@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from getagrip.batch.clips import FEW, print_outcome
-from getagrip.batch.job import Outcome, Progress, by_name, failure
+from getagrip.batch.job import Outcome, Progress, failure
+from getagrip.batch.plan import by_name
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.clip import read_clip
 from getagrip.errors import UsageError

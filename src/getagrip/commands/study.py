@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from getagrip.batch.clips import print_outcome
-from getagrip.batch.job import Outcome, Progress, by_name, failure
+from getagrip.batch.job import Outcome, Progress, failure
+from getagrip.batch.plan import by_name
 from getagrip.clip import read_clip
 from getagrip.commands.segment import SegmentJob, outcomes, tell_missing
 from getagrip.errors import UsageError

@@ -11,7 +11,6 @@ import hashlib
 import io
 import json
 import os
-import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -23,6 +22,7 @@ import numpy as np
 from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
+from getagrip.io import leftovers
 
 LARGEST_JSON = 64 * 2**20
 LARGEST_FILE = 2**30
@@ -205,25 +205,24 @@ def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
 
     An older folder is replaced only where it holds all that ``replace`` names: what is in every folder of its kind, and
     not in one that was named by mistake. Raises ``UsageError`` for another. An ``OSError`` of the block about a file in
-    the folder names it by the path that it was to have.
+    the folder names it by the path that it was to have. What a killed process leaves, ``leftovers.sweep`` removes.
     """
     missing = [f" without {name!r} in it" for name in replace if not (target / name).exists()]
     if target.exists() and (missing or not replace):
         raise UsageError(f"{target}: exists already{''.join(missing[:1])}; it is not overwritten")
     target.parent.mkdir(parents=True, exist_ok=True)
-    beside = Path(tempfile.mkdtemp(prefix=f".{target.name[:20]}.", dir=target.parent))
-    try:
-        work = beside / "new"
-        work.mkdir()
-        with _named(work, target):
-            yield work
-        if target.exists():
-            os.rename(target, beside / "old")
-        os.rename(work, target)
-    finally:
-        if (beside / "old").exists() and not target.exists():  # interrupted between the two
-            os.rename(beside / "old", target)
-        shutil.rmtree(beside, ignore_errors=True)
+    with leftovers.workplace(target.parent) as beside:
+        work, old = beside / "new" / target.name, beside / "old" / target.name
+        work.mkdir(parents=True)
+        old.parent.mkdir()
+        try:
+            with _named(work, target):
+                yield work
+            if target.exists():
+                os.rename(target, old)
+            os.rename(work, target)
+        finally:
+            leftovers.restore(beside)  # interrupted between the two
 
 
 @contextmanager

@@ -63,15 +63,17 @@ def row(folder: str, view: View, evaluation: Mapping[str, Any], page: bool) -> I
     return replace(plain, page=page, values=values, thumbnail=jpeg(pair, QUALITY))
 
 
-def row_without_clip(folder: str, result: Reconstruction, metrics: Mapping[str, Any], problem: str) -> IndexRow:
-    """The row of a result whose clip cannot be had: with the metrics of its ``result.json``, and why there are no more.
+def row_without_clip(
+    folder: str, result: Reconstruction, metrics: Mapping[str, Any], problem: str, page: bool = False
+) -> IndexRow:
+    """The row of a result whose clip is not read: with the metrics of its ``result.json``, and why there are no more.
 
-    So it is with results of inputs that a benchmark has changed on purpose.
+    So it is with results of inputs that a benchmark has changed on purpose, and of batches.
     """
     known = {key: float(value) for key, value in metrics.items() if isinstance(value, int | float)}
     plain = _row(folder, result, known)
     worst = np.nan if np.isnan(result.iou).all() else float(np.nanmin(result.iou))
-    return replace(plain, problem=problem, values=plain.values | {"worst frame": worst})
+    return replace(plain, problem=problem, page=page, values=plain.values | {"worst frame": worst})
 
 
 def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> IndexRow:

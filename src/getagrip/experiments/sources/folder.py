@@ -38,7 +38,7 @@ class ClipFolder(ClipSource):
         return super().contact_mm if contact is None else 1e3 * lists.metres(path, "cut.contact", contact)
 
     def samples(self, clips: Path, debug: bool) -> tuple[list[Sample], list[Outcome]]:
-        from getagrip.batch.job import by_name
+        from getagrip.batch.plan import by_name
 
         found, failed = by_name([Path(self.dataset)])
         return [Sample(name, path) for name, path in sorted(found.items())], failed

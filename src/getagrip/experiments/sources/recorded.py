@@ -32,7 +32,7 @@ class Recorded(ClipSource):
 
     def samples(self, clips: Path, debug: bool) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.batch.imports import import_clips
-        from getagrip.batch.job import by_name
+        from getagrip.batch.plan import by_name
         from getagrip.datasets.tracks import subject_of
 
         if self.root is None:

@@ -1,0 +1,91 @@
+"""The processes that work off a folder together, each as a row of its ledger: which of them still live?
+
+A driver that dies gives back its claims. Clocks decide nothing, since they jump and differ between machines: a driver
+counts its heartbeats, and is dead to another one that has seen the same count for ``PATIENCE`` seconds of its own
+steady clock. On the same machine a process that is gone, or whose number another one has, is dead at once.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import sqlite3
+import threading
+import time
+from pathlib import Path
+from uuid import uuid4
+
+SCHEMA = """CREATE TABLE drivers (
+    id TEXT PRIMARY KEY, machine TEXT NOT NULL, pid INTEGER NOT NULL, born TEXT NOT NULL, beats INTEGER NOT NULL
+) WITHOUT ROWID"""
+EVERY = 2.0
+"""Seconds between heartbeats."""
+PATIENCE = 30.0
+"""Seconds without one after which a driver is dead."""
+
+
+class Drivers:
+    """The drivers of a ledger, of which this process is one from ``join`` to ``leave``."""
+
+    def __init__(self, db: sqlite3.Connection, path: Path) -> None:
+        self.id = uuid4().hex
+        self._db, self._path = db, path
+        self._machine = _machine()
+        self._seen: dict[str, tuple[int, float]] = {}
+        self._leaving = threading.Event()
+
+    def join(self) -> None:
+        """Enter this process, and let its heart beat."""
+        row = (self.id, self._machine, os.getpid(), _born(os.getpid()))
+        self._db.execute("INSERT INTO drivers VALUES (?, ?, ?, ?, 0)", row)
+        threading.Thread(target=self._beat, daemon=True).start()
+
+    def leave(self) -> None:
+        """Strike this process off."""
+        self._leaving.set()
+        self._db.execute("DELETE FROM drivers WHERE id = ?", (self.id,))
+
+    def lives(self, driver: str) -> bool:
+        """Whether a driver is at work, as far as can be known."""
+        row = self._db.execute("SELECT machine, pid, born, beats FROM drivers WHERE id = ?", (driver,)).fetchone()
+        if row is None:
+            return False
+        machine, pid, born, beats = row
+        if machine == self._machine and born and _born(pid) != born:
+            return False
+        before, since = self._seen.get(driver, (None, 0.0))
+        if before != beats:
+            self._seen[driver] = beats, time.monotonic()
+            return True
+        return time.monotonic() - since < PATIENCE
+
+    def _beat(self) -> None:
+        """Runs in a thread: count, until we leave."""
+        while not self._leaving.wait(EVERY):
+            try:
+                db = sqlite3.connect(self._path, timeout=EVERY, isolation_level=None)
+                try:
+                    db.execute("UPDATE drivers SET beats = beats + 1 WHERE id = ?", (self.id,))
+                finally:
+                    db.close()
+            except sqlite3.Error:  # busy, or the disk is full: the next beat may come through
+                continue
+
+
+def _machine() -> str:
+    """What tells this machine since it was started from others, and from containers with processes of their own."""
+    parts = [socket.gethostname()]
+    try:
+        parts.append(Path("/proc/sys/kernel/random/boot_id").read_text("utf-8").strip())
+        parts.append(os.readlink("/proc/self/ns/pid"))
+    except OSError:  # no Linux: then heartbeats alone say who lives
+        parts.append(uuid4().hex)
+    return " ".join(parts)
+
+
+def _born(pid: int) -> str:
+    """When a process has started, in ticks since the machine has; empty for none, and where that is unknown."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[19]
+    except (OSError, IndexError):
+        return ""

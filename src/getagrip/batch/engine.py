@@ -1,0 +1,110 @@
+"""The batch engine: tasks that several drivers share through a ledger, done in this process or in others.
+
+What a task is and what its work returns is the caller's: clips to reconstruct, parts of a dataset to import.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import socket
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Protocol, TypeVar
+
+from getagrip.batch.ledger import Entry, Ledger
+from getagrip.batch.limits import NONE, Limits
+from getagrip.batch.pool import Ended, in_turn, shared_out
+from getagrip.io import code, files
+
+
+class Named(Protocol):
+    """A task: a frozen dataclass that can be sent to another process."""
+
+    @property
+    def name(self) -> str:
+        """Its key in the ledger."""
+        ...
+
+
+J = TypeVar("J", bound=Named)
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Engine(Generic[J, R]):
+    """How to do the tasks of one call."""
+
+    work: Callable[[J], R]
+    """In whatever process; raises nothing."""
+    lost: Callable[[J, str], R]
+    """What becomes of a task that no process could do, and why."""
+    entry: Callable[[R], Entry]
+    """What the ledger is to say: state, why, inputs and about."""
+    options: Any
+    """What the work depends on besides its inputs and the code: anything that JSON can hold."""
+    workers: int = 1
+    """1: in this process, unless there are limits."""
+    limits: Limits = NONE
+    prepare: Callable[[], Any] | None = None
+    """Called by each other process before it does anything."""
+    in_this: Callable[[J], R] | None = None
+    """The work as it is done in this process, where that differs."""
+
+    def run(self, tasks: Iterable[J], ledger: Ledger) -> Generator[R, None, None]:
+        """What becomes of each task, as they end; one that another driver does is waited for.
+
+        Raises ``GetagripError`` where the ledger cannot be written any more. Tasks at work are finished first.
+        """
+        digest = hashlib.sha256(files.to_json({"options": self.options}).encode()).hexdigest()
+        failed_elsewhere = deque[R]()
+        claims = self._claims(tasks, ledger, digest, failed_elsewhere)
+        if self.workers == 1 and not self.limits:
+            ends = in_turn(self.in_this or self.work, claims)
+        else:
+            ends = shared_out(self.work, claims, self.workers, self.limits, self.prepare)
+        with closing(ends):
+            for ended in ends:
+                result = self._result(ended)
+                self._note(ended, result, ledger, digest)
+                yield result
+                while failed_elsewhere:
+                    yield failed_elsewhere.popleft()
+        yield from failed_elsewhere
+
+    def _claims(
+        self, tasks: Iterable[J], ledger: Ledger, digest: str, failed_elsewhere: deque[R]
+    ) -> Iterator[J | None]:
+        """The tasks that are ours to do, each claimed when it is asked for; None while all that is left is others'."""
+        waiting = deque[J]()
+        for task in tasks:
+            yield from self._claimed(task, ledger, digest, failed_elsewhere, waiting)
+        while waiting:
+            for _ in range(len(waiting)):
+                yield from self._claimed(waiting.popleft(), ledger, digest, failed_elsewhere, waiting)
+            if waiting:
+                yield None
+
+    def _claimed(
+        self, task: J, ledger: Ledger, digest: str, failed_elsewhere: deque[R], waiting: deque[J]
+    ) -> Iterator[J]:
+        """The task, if it is ours to do; else it is waited for, or has failed elsewhere."""
+        entry = ledger.claim(task.name, digest, code.fingerprint())
+        if entry is None:
+            waiting.append(task)
+        elif entry.state == "failed":
+            failed_elsewhere.append(self.lost(task, entry.why))
+        else:
+            yield task
+
+    def _result(self, ended: Ended[J, R]) -> R:
+        return self.lost(ended.job, ended.why) if ended.why or ended.result is None else ended.result
+
+    def _note(self, ended: Ended[J, R], result: R, ledger: Ledger, digest: str) -> None:
+        """Write into the ledger what has become of a task."""
+        entry = replace(self.entry(result), name=ended.job.name, options=digest, code=code.fingerprint())
+        if entry.state != "kept":
+            worker = f"{socket.gethostname()}:{ended.process}"
+            entry = replace(entry, worker=worker, attempts=ended.attempts, seconds=ended.seconds)
+        ledger.end(entry)

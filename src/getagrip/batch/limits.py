@@ -1,0 +1,52 @@
+"""How much time and memory one job may take: a clip that asks for more is named and left behind."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+
+from getagrip.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of each job. Raises ``UsageError`` for limits that are no positive numbers, or that cannot be held here."""
+
+    seconds: float | None = None
+    """Wall time; None: any. The process is ended."""
+    gigabytes: float | None = None
+    """Memory of the process, 10^9 bytes; None: any. Beyond it the kernel grants no more, and the job fails."""
+
+    def __post_init__(self) -> None:
+        for option, value in (("--limit-seconds", self.seconds), ("--limit-gb", self.gigabytes)):
+            if value is not None and not (0.0 < value < math.inf):
+                raise UsageError(f"{option}: got {value:g}, expected a number above 0")
+        if self.gigabytes is not None and sys.platform != "linux":
+            raise UsageError(f"--limit-gb: got {self.gigabytes:g}, expected none: only Linux can limit a process so")
+
+    def __bool__(self) -> bool:
+        return self.seconds is not None or self.gigabytes is not None
+
+    @property
+    def too_long(self) -> str:
+        """Why a job was ended, in words."""
+        return f"it took longer than {self.seconds:g} s (--limit-seconds)"
+
+    @property
+    def suspicion(self) -> str:
+        """Why a process may have died."""
+        return "out of memory?" if self.gigabytes is None else f"out of memory, {self.gigabytes:g} GB (--limit-gb)?"
+
+    def enforce(self) -> None:
+        """Limit the memory of this process, which is to do such jobs and nothing else."""
+        if self.gigabytes is not None:
+            import resource
+
+            most = resource.getrlimit(resource.RLIMIT_DATA)[1]
+            wanted = int(self.gigabytes * 1e9)
+            resource.setrlimit(resource.RLIMIT_DATA, (wanted if most < 0 else min(wanted, most), most))
+
+
+NONE = Limits()
+"""Any time, any memory."""
