@@ -24,8 +24,12 @@ PATIENCE = 30.0
 """Seconds without one after which a driver is dead."""
 
 
+_HERE: set[str] = set()
+"""Drivers of this process that are at work: one that rests is dead, also where a full disk keeps its row."""
+
+
 class Drivers:
-    """The drivers of a ledger, of which this process is one from ``join`` to ``leave``."""
+    """The drivers of a ledger, of which this process is one from ``join`` to ``rest``."""
 
     def __init__(self, db: sqlite3.Connection, path: Path) -> None:
         self.id = uuid4().hex
@@ -38,11 +42,16 @@ class Drivers:
         """Enter this process, and let its heart beat."""
         row = (self.id, self._machine, os.getpid(), _born(os.getpid()))
         self._db.execute("INSERT INTO drivers VALUES (?, ?, ?, ?, 0)", row)
+        _HERE.add(self.id)
         threading.Thread(target=self._beat, daemon=True).start()
+
+    def rest(self) -> None:
+        """Let the heart stop."""
+        self._leaving.set()
+        _HERE.discard(self.id)
 
     def leave(self) -> None:
         """Strike this process off."""
-        self._leaving.set()
         self._db.execute("DELETE FROM drivers WHERE id = ?", (self.id,))
 
     def lives(self, driver: str) -> bool:
@@ -51,7 +60,7 @@ class Drivers:
         if row is None:
             return False
         machine, pid, born, beats = row
-        if machine == self._machine and born and _born(pid) != born:
+        if machine == self._machine and born and (_born(pid) != born or (pid == os.getpid() and driver not in _HERE)):
             return False
         before, since = self._seen.get(driver, (None, 0.0))
         if before != beats:

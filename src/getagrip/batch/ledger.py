@@ -84,6 +84,7 @@ class Ledger:
 
     def __exit__(self, *_: object) -> None:
         """Give back what is claimed and not ended, and leave."""
+        self._drivers.rest()
         try:
             with self._transaction() as db:
                 db.execute("UPDATE tasks SET claimed_by = '' WHERE claimed_by = ?", (self._drivers.id,))

@@ -1,0 +1,19 @@
+"""The fingerprint of the code covers all that a reconstruction may import, and no more parts than that."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+from getagrip.io import code
+from helpers.paths import ROOT
+
+
+def test_parts_that_are_left_out_are_those_above_the_fit() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
+    layers = [re.findall(r"\w+", layer) for layer in contracts[0]["layers"]]
+    (fit,) = (n for n, layer in enumerate(layers) if "fitting" in layer)
+    above = {part for layer in layers[:fit] for part in layer}
+    beside = {part for part in layers[fit] if part != "fitting"}  # parts in one layer may not import each other
+    assert {*code.ABOVE} == above | beside
+    assert re.fullmatch("[0-9a-f]{16}", code.fingerprint())
