@@ -230,7 +230,7 @@ def test_a_clip_is_not_lost_while_it_is_replaced(
     before, rename = contents(tmp_path), os.rename
 
     def interrupted(source: Path, target: Path) -> None:
-        if source.name == "new":
+        if source.parent.name == "new":
             raise error
         rename(source, target)
 
