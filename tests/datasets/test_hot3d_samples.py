@@ -45,7 +45,7 @@ def test_clips_and_results(tmp_path: Path) -> None:
         three_fingertips_and_more_are_at_the_object(clip)
     for points in ("vertices", "area"):  # the one proper lifted grasp; contact is reliable at 5 mm
         assert segment(found[POT], Definition(contact=0.005, points=points))[1] == [(0, 33)]
-    quick = ("--workers", "1", "--inits", "20", "--frames", "12")
+    quick = ("--workers", "1", "--frames", "12")
     assert main(["reconstruct", str(clips), "--out", str(tmp_path / "out"), *quick]) == 0
     for name in HOLDS:
         metrics = evaluate_result(tmp_path / "out" / name, clips)["metrics"]
