@@ -15,7 +15,7 @@ import pytest
 from conftest import small_clip
 
 import getagrip
-from getagrip import Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, UsageError
+from getagrip import Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, UsageError, World
 from getagrip.hands.model import HandModel, PosedHand, ShapedHand
 from getagrip.io.array_data import ArrayData, same
 
@@ -31,11 +31,12 @@ def one_of(kind: type[ArrayData]) -> Any:
         clip="small", method="one-dof", frames=clip.frames, T_hand_obj=clip.hand.T_cam_hand, scale=1.0, iou=np.ones(3),
         axis=axis, candidates=candidates, energy={"total": 5.0}, status="converged", ambiguous=False, seconds={},
     )  # fmt: skip
-    made = [clip, clip.hand, clip.truth, clip.mesh, masks, axis, candidates, result]
+    world = World(clip.hand.T_cam_hand)
+    made = [clip, clip.hand, clip.truth, clip.mesh, masks, axis, candidates, result, world]
     return next(one for one in made if type(one) is kind)
 
 
-ARRAY_CLASSES = [Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth]
+ARRAY_CLASSES = [Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, World]
 
 
 def test_all_public_dataclasses_with_arrays_are_meant() -> None:

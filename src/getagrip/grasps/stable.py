@@ -130,7 +130,8 @@ class PairwiseIou:
         if weights is None:
             sets = contact[:, touched].astype(np.float32)
             return PairwiseIou(sets, sets, sets.sum(axis=1, dtype=float), angle)
-        whole = np.round(weights * (2.0**50 / max(weights.sum(), 1e-300)))
+        total = weights.sum()
+        whole = np.round(weights * (2.0**50 / total)) if total > 0.0 else weights
         sets = contact[:, touched].astype(float)
         weighted = sets * whole[touched]
         return PairwiseIou(sets, weighted, weighted.sum(axis=1), angle)
