@@ -1,4 +1,4 @@
-"""Clips with things wrong that no camera or person would get as wrong, in every method: ``python -m benchmarks.adversarial N``.
+"""Clips with impossible troubles, in every method: ``python -m benchmarks.adversarial N``.
 
 Each case is drawn from its number: a synthetic clip, up to three troubles, a method. It runs in a process of its own,
 within limits of time and memory. It has to end in a result that is finite, reads back and is not called converged
@@ -176,12 +176,14 @@ class Case:
 def faults(result: Reconstruction) -> list[str]:
     """What no result may be."""
     numbers = {
-        "T_hand_obj": result.T_hand_obj, "scale": np.array(result.scale), "iou": result.iou,
+        "T_hand_obj": result.T_hand_obj, "scale": np.array(result.scale),
         "candidates": result.candidates.T_hand_obj, "energy": np.array([*result.energy.values()]),
     }  # fmt: skip
     if result.axis is not None:
         numbers |= {"direction": result.axis.direction, "angle": result.axis.angle}
     found = [f"{name} is not finite" for name, values in numbers.items() if not np.isfinite(values).all()]
+    if (np.isnan(result.iou) & (np.array(result.frame_kind) != "interpolated")).any():
+        found.append("iou is not a number where the object is visible")
     if result.status.startswith("converged") and not np.nanmean(result.iou) >= LEAST_IOU:
         found.append(f"{result.status} with an IOU of {np.nanmean(result.iou):.2f}")
     with tempfile.TemporaryDirectory() as folder:

@@ -310,10 +310,13 @@ class Export(Command):
 class Doctor(Command):
     """Check the installation, and compile what the first run would have to."""
 
+    mano: OptionalFolder = None
+    """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl, to be tried."""
+
     def run(self) -> int:
         from getagrip.commands import doctor
 
-        return doctor.run()
+        return doctor.run(self.mano)
 
 
 def _priors(path: Path | None, init: Init) -> PriorsFile | None:

@@ -1,34 +1,51 @@
-"""``getagrip doctor``: is all there that a reconstruction needs, and does it work here?"""
+"""``getagrip doctor``: is all there that a reconstruction needs, and does it work here?
+
+Every line begins with ``ok``, ``without`` (something that is not needed), ``MISSING`` or ``BROKEN``; all but the first
+say what to do.
+"""
 
 from __future__ import annotations
 
 import platform
 import re
+import shutil
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 from time import perf_counter
 
 from getagrip.batch.pool import cores
+from getagrip.errors import GetagripError
 
-OPTIONAL = {"deodr": "the peer of the speed benchmark: pip install 'getagrip[bench]'"}
-_REQUIREMENT = re.compile(r"([\w.-]+)>=([\d.]+)")
+EXTRAS = {
+    "view": "serves `getagrip view`", "torch": "reads estimators' .pt files", "lerobot": "exports to LeRobot",
+    "mujoco": "exports to MuJoCo", "usd": "exports to USD", "bench": "the peer of the speed benchmark",
+}  # fmt: skip
+"""What each extra of the package is for."""
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox", "open", "xdg-open")
+LEAST_DISK, LEAST_MEMORY = 1.0, 2.0
+"""Of free disk for results, and of memory [GB]."""
+_REQUIREMENT = re.compile(r"([\w.-]+)[^;]*?[>=]=([\d.]+)")
+_EXTRA = re.compile(r"extra == ['\"](\w+)['\"]")
+
+Line = tuple[str, str]
+"""How it is, and what to say."""
 
 
-def run() -> int:
+def run(mano: Path | None = None) -> int:
     """Print what is there, what is missing and whether a small clip can be reconstructed; 1 if anything is wrong.
 
-    The first reconstruction compiles the kernels and keeps them on disk, so that later ones start at once.
+    The first reconstruction compiles the kernels and keeps them on disk, so that later ones start at once. ``mano`` is
+    a folder with MANO files to be tried.
     """
     print(f"getagrip {metadata.version('getagrip')}, Python {platform.python_version()}, {platform.platform()}")
-    print(f"{cores()} cores to use")
-    missing = _missing_libraries()
-    for line in missing:
-        print(f"MISSING  {line}")
-    for name, purpose in OPTIONAL.items():
-        version = _version(name)
-        print(f"ok       {name} {version}" if version else f"without  {name}, {purpose}")
-    if missing:
+    wrong = False
+    for check in (_libraries(), _extras(), _machine(), _mano(mano)):
+        for state, words in check:
+            print(f"{state:<8} {words}", flush=True)
+            wrong |= state in ("MISSING", "BROKEN")
+    if wrong:
         return 1
     try:
         _try_out()
@@ -38,22 +55,94 @@ def run() -> int:
     return 0
 
 
-def _missing_libraries() -> list[str]:
-    """The libraries that are needed and are not there, or too old; the others are printed."""
-    missing = []
+def _libraries() -> Iterator[Line]:
+    """The libraries that are needed."""
+    for name, least, extra in _requirements():
+        if not extra:
+            yield _library(name, least, "MISSING", f"pip install '{name}>={least}'")
+
+
+def _extras() -> Iterator[Line]:
+    """What not everybody needs."""
+    for name, least, extra in _requirements():
+        if extra in EXTRAS:
+            yield _library(name, least, "without", f"{EXTRAS[extra]}: pip install 'getagrip[{extra}]'")
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    needed = "pages of `report`, `view` and `annotate` open in one: install Chromium or Firefox, or open them elsewhere"
+    yield ("ok", f"browser {found}") if found else ("without", f"browser; {needed}")
+
+
+def _requirements() -> Iterator[tuple[str, str, str]]:
+    """Name and least version of each library, and the extra that it belongs to, if any."""
     for requirement in metadata.requires("getagrip") or ():
-        match = _REQUIREMENT.match(requirement)
-        if match is None or "extra ==" in requirement:
+        match, extra = _REQUIREMENT.match(requirement), _EXTRA.search(requirement)
+        if match is not None:
+            yield match[1], match[2], extra[1] if extra else ""
+
+
+def _library(name: str, least: str, otherwise: str, advice: str) -> Line:
+    version = _version(name)
+    if version is None:
+        return otherwise, f"{name} {least} or later; {advice}"
+    if _numbers(version) < _numbers(least):
+        return otherwise, f"{name} {least} or later, here is {version}; {advice}"
+    return "ok", f"{name} {version}"
+
+
+def _machine() -> Iterator[Line]:
+    """Cores, linear algebra, disk and memory."""
+    import scipy.linalg  # noqa: F401 - brings its own
+    from threadpoolctl import threadpool_info
+
+    yield "ok", f"{cores()} cores to use, a clip on each: --workers"
+    for blas in {str(one["filepath"]): one for one in threadpool_info() if one["user_api"] == "blas"}.values():
+        name = f"{blas['internal_api']} {blas['version']} ({Path(blas['filepath']).name})"
+        yield "ok", f"BLAS {name}, threads: {blas['num_threads']}; a reconstruction uses one, whatever is set"
+    for what, folder in (("this folder", Path.cwd()), ("temporary files", Path(gettempdir()))):
+        free = shutil.disk_usage(folder).free / 1e9
+        state = "ok" if free >= LEAST_DISK else "BROKEN"
+        yield state, f"{free:.1f} GB free for {what} ({folder})" + ("; make room" if state != "ok" else "")
+    if (memory := _free_memory()) is not None:
+        few = max(1, int(memory / 0.5))
+        advice = "" if memory >= LEAST_MEMORY else f"; end other programs, or --workers {few}"
+        yield "ok" if memory >= LEAST_MEMORY else "without", f"{memory:.1f} GB of memory free, 0.5 GB a worker{advice}"
+
+
+def _free_memory() -> float | None:
+    """In GB, what programs can have without others being moved to disk, where the system says so."""
+    try:
+        found = re.search(r"^MemAvailable:\s*([0-9]+) kB", Path("/proc/meminfo").read_text(), re.MULTILINE)
+    except OSError:
+        return None
+    return None if found is None else int(found[1]) / 1e6
+
+
+def _mano(folder: Path | None) -> Iterator[Line]:
+    """The user's own MANO files, if they are named."""
+    if folder is None:
+        yield "without", "MANO: getagrip doctor --mano DIR tries your files (https://mano.is.tue.mpg.de)"
+        return
+    import numpy as np
+
+    from getagrip.hands import mano
+    from getagrip.hands.model import Side
+
+    sides: tuple[Side, ...] = ("right", "left")
+    for side in sides:
+        path = folder / f"MANO_{side.upper()}.pkl"
+        try:
+            mean = float(np.abs(mano.load(path, side).mean).max())
+        except GetagripError as error:
+            yield "BROKEN", f"MANO: {error}; download it anew from https://mano.is.tue.mpg.de"
             continue
-        name, least = match.groups()
-        version = _version(name)
-        if version is None:
-            missing.append(f"{name} {least} or later: pip install '{name}>={least}'")
-        elif _numbers(version) < _numbers(least):
-            missing.append(f"{name} {least} or later, here is {version}: pip install '{name}>={least}'")
-        else:
-            print(f"ok       {name} {version}")
-    return missing
+        yield "ok", f"MANO, {side} hand: {path}, mean pose up to {mean:.2f} rad"
+    yield (
+        "ok",
+        (
+            "no MANO file records how poses are given: relative to the flat hand (HaMeR, HO-3D, HOI4D), or to its "
+            "mean pose (DexYCB, HOT3D, ARCTIC); `import hands --from mano` asks for it"
+        ),
+    )
 
 
 def _version(name: str) -> str | None:

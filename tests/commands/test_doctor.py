@@ -1,0 +1,56 @@
+"""Doctor says of each thing how it is, and what to do about what is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from getagrip.commands import doctor
+from helpers.command_line import Run
+from helpers.mano_files import fake_mano, python2
+
+
+@pytest.fixture(autouse=True)
+def _without_the_clip(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "_try_out", lambda: None)
+
+
+def test_every_line_says_how_it_is_and_what_to_do(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor.shutil, "which", lambda _: None)
+    versions = {"viser": None, "torch": None}
+    needs = [
+        "numpy>=2.0",
+        "viser<2,>=1.1.1; extra == 'view'",
+        "torch==2.13.0; extra == 'torch'",
+        "mujoco>=3; extra == 'mujoco'",
+    ]
+    monkeypatch.setattr(doctor.metadata, "requires", lambda _: needs)
+    monkeypatch.setattr(doctor, "_version", lambda name: versions.get(name, "99.0"))
+    status, out, _ = run("doctor")
+    assert status == 0
+    lines = out.splitlines()[1:]
+    assert {line.split()[0] for line in lines} == {"ok", "without"}
+    for words in ("pip install 'getagrip[view]'", "pip install 'getagrip[torch]'", "without  browser; ", "--mano DIR"):
+        assert words in out
+    for words in ("BLAS openblas", "cores to use", "GB free for this folder", "ok       mujoco 99.0"):
+        assert words in out
+
+
+def test_what_is_needed_and_missing_is_wrong(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "_version", lambda name: "1.0" if name == "numpy" else "99.0")
+    monkeypatch.setattr(doctor, "LEAST_DISK", 1e9)
+    status, out, _ = run("doctor")
+    assert status == 1
+    assert "MISSING  numpy 2.0 or later, here is 1.0; pip install 'numpy>=2.0'" in out
+    assert "; make room" in out
+
+
+def test_mano_files_are_tried(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "MANO_RIGHT.pkl").write_bytes(python2(fake_mano(monkeypatch)))
+    status, out, _ = run("doctor", "--mano", tmp_path)
+    assert status == 1
+    assert "ok       MANO, right hand" in out
+    assert "BROKEN   MANO: " in out
+    assert "MANO_LEFT.pkl" in out
