@@ -1,0 +1,65 @@
+"""Clips per minute of ``getagrip reconstruct``, files and all, and how much two workers gain over one.
+
+``python -m benchmarks.batch`` prints a table; ``--write`` puts it into docs/batch.md. Each run is the command in a
+process of its own, so that starting and loading count, too.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks import page
+from getagrip.clip import write_clip
+from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
+
+CLIPS = 24
+SCENE = SceneOptions(frames=30, size=(854, 480))
+RUNS = {
+    "one worker": ("--workers", "1"),
+    "two workers": ("--workers", "2"),
+    "two workers, all done before": ("--workers", "2"),
+}
+
+
+def section() -> str:
+    """Measure; the section's text."""
+    with tempfile.TemporaryDirectory() as folder:
+        clips = Path(folder) / "clips"
+        for n in range(CLIPS):
+            clip, masks = synthesise(list(CATEGORIES)[n % len(CATEGORIES)], n, SCENE)
+            write_clip(clip, masks, clips / str(n))
+        _run(clips, Path(folder) / "warm", ("--shard", f"1/{CLIPS}"))  # compiles
+        took = {}
+        for name, options in RUNS.items():
+            took[name] = _run(clips, Path(folder) / options[1], options)
+    one, two = took["one worker"], took["two workers"]
+    rows = [[name, f"{seconds:.1f}", f"{60.0 * CLIPS / seconds:.0f}"] for name, seconds in took.items()]
+    return (
+        page.table(
+            [f"{CLIPS} clips of {SCENE.frames} frames, {SCENE.size[0]} x {SCENE.size[1]}", "s", "clips/min"], rows
+        )
+        + f"\n\nEfficiency from one worker to two: {one / two / 2.0:.2f}."
+    )
+
+
+def _run(clips: Path, out: Path, options: tuple[str, ...]) -> float:
+    """Seconds that the command takes."""
+    words = [sys.executable, "-m", "getagrip", "reconstruct", str(clips), "--out", str(out), "--quiet", *options]
+    since = time.perf_counter()
+    subprocess.run(words, check=True, env=os.environ)
+    return time.perf_counter() - since
+
+
+if __name__ == "__main__":
+    before = page.circumstances()
+    text = section()
+    print(f"{before}\n\n{text}")
+    if "--write" in sys.argv[1:]:
+        page.write("batch", f"{before}\n\n{text}", "batch.md")
