@@ -23,7 +23,7 @@ from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.splits import Split, split
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_MM
-from getagrip.experiments.settings import AS_GIVEN, Noisy, ScaleFree
+from getagrip.experiments.changes import AS_GIVEN, Noisy, ScaleFree
 from getagrip.experiments.sources import source_of
 from getagrip.experiments.stamp import stamp
 from getagrip.fitting.options import Options

@@ -12,7 +12,7 @@ from getagrip.checks import INPUT_CHECKS, Evidence, examine
 from getagrip.checks.hand_side import bend
 from getagrip.clip import Clip, Masks, write_clip
 from getagrip.errors import GetagripError
-from getagrip.experiments.settings import Wrong
+from getagrip.experiments.changes import Wrong
 from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.fitting.methods import METHODS, Method, OnStage
 from getagrip.fitting.options import Options

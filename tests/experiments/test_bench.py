@@ -25,17 +25,10 @@ from getagrip.datasets.synthetic.splits import PRESETS
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.evaluation import evaluate_result
 from getagrip.experiments import trials
+from getagrip.experiments.changes import AS_GIVEN, ScaleFree, ScaleKnown, TrueHands
 from getagrip.experiments.comparison import compare, groups
 from getagrip.experiments.hand_sources import HandSource
-from getagrip.experiments.settings import (
-    ABLATIONS,
-    AS_GIVEN,
-    ScaleFree,
-    ScaleKnown,
-    TrueHands,
-    ablation_variants,
-    method_variants,
-)
+from getagrip.experiments.settings import ABLATIONS, ablation_variants, method_variants
 from getagrip.experiments.sources import SOURCES, samples, source_of
 from getagrip.experiments.sources.source import Split
 from getagrip.experiments.statistics import estimate, resamples

@@ -15,7 +15,8 @@ from getagrip.clip import Clip, HandTrack, Masks, read_clip
 from getagrip.clip.plausible import check_in_view, check_intrinsics
 from getagrip.clip.reading import read_hand
 from getagrip.errors import InputError, UsageError
-from getagrip.experiments.settings import Ablation, Change, Setting
+from getagrip.experiments.changes import Change
+from getagrip.experiments.settings import Ablation, Setting
 from getagrip.io import arrays
 from getagrip.io.files import is_plain_name, shown
 

@@ -21,8 +21,9 @@ from getagrip.batch.job import failure
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation.metric import SCA
+from getagrip.experiments.changes import AS_GIVEN
 from getagrip.experiments.other_systems import options_of, result_of
-from getagrip.experiments.settings import AS_GIVEN, Variant
+from getagrip.experiments.settings import Variant
 from getagrip.experiments.sources import Sample
 from getagrip.finding import read_findings
 from getagrip.io import files

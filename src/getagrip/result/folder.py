@@ -1,28 +1,24 @@
-"""A reconstruction: the object in the hand in every frame, and its folder (docs/formats.md)."""
+"""The folder of a reconstruction (docs/formats.md)."""
 
 from __future__ import annotations
 
 import platform
-from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Shaped
 from numpy import ndarray
 
-from getagrip.errors import InputError, UsageError
-from getagrip.finding import Finding, read_checks, read_findings
+from getagrip.errors import InputError
+from getagrip.finding import read_checks, read_findings
 from getagrip.geometry import se3
 from getagrip.io import arrays, code, files
-from getagrip.io.array_data import ArrayData
-from getagrip.probability import Probability, read_probability
+from getagrip.probability import read_probability
+from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction
 
 VERSION = 1
-FrameKind = Literal["sampled", "fitted", "interpolated"]
-"""How the pose of a frame was found: together with the other sampled ones; by its own mask, what frames share held
-still; or from its neighbours alone."""
 FILES = ("result.json", "result.npz")
 """Of a result's folder."""
 AXIS = ("axis_point", "axis_direction", "angle")
@@ -49,124 +45,6 @@ FIELDS: dict[str, tuple[type, str]] = {
     "input_sha256": (str, "a checksum"),
 }
 """Keys of ``result.json``, each with its type."""
-
-
-@dataclass(frozen=True, eq=False)
-class Axis(ArrayData):
-    """The latent axis of a 1-DoF motion, fixed in the hand frame (Eq. 3).
-
-    Attributes:
-        point: (3,) a point on the axis, in the hand frame [m].
-        direction: (3,) the axis' direction in the hand frame, of length 1.
-        angle: (T,) the object's angle about the axis in each frame, by the right-hand rule [rad].
-    """
-
-    point: Float[ndarray, "3"]
-    direction: Float[ndarray, "3"]
-    angle: Float[ndarray, "T"]
-
-
-@dataclass(frozen=True, eq=False)
-class Candidates(ArrayData):
-    """The best distinct solutions, best first; the first is the result.
-
-    Attributes:
-        T_hand_obj: (K, T, 4, 4) poses, object frame to hand frame [m].
-        scale: (K,) factors by which the mesh is scaled before it is posed.
-        energy: (K,) energies [pixels squared of the 256-pixel crop].
-    """
-
-    T_hand_obj: Float[ndarray, "K T 4 4"]
-    scale: Float[ndarray, "K"]
-    energy: Float[ndarray, "K"]
-
-
-@dataclass(frozen=True, eq=False)
-class Reconstruction(ArrayData):
-    """What a method found for one clip: ``X_cam = T_cam_hand @ T_hand_obj @ (scale * X_obj)``.
-
-    Attributes:
-        clip: name of the clip.
-        method: name of the method.
-        frames: names of the T frames, in the clip's order.
-        T_hand_obj: (T, 4, 4) pose of the object in each frame, object frame to hand frame [m].
-        scale: factor by which the mesh is scaled before it is posed; 1 where the clip's scale is known.
-        iou: (T,) intersection over union of rendered and observed mask on the full image, outside ignored pixels;
-            NaN where no mask shows the object.
-        axis: the axis in the hand that the object turns about; None for methods without one.
-        candidates: the best distinct solutions.
-        energy: ``total`` and one entry per term, weighted [pixels squared of the 256-pixel crop].
-        status: how the minimisation ended, in words.
-        ambiguous: whether another, distinct candidate explains the masks almost as well.
-        seconds: time spent [s], ``total`` and one entry per stage.
-        options: the options of the method.
-        seed: seed of the initial poses.
-        notes: frames left out and values that are guesses (scale, focal length), in words.
-        findings: what is unusual about the inputs and the result, the inputs first.
-        checks: what each check has measured, by its name; NaN where it could not.
-        signs: what is known about whether it is right, by name (``checks.signs``).
-        probability_right: how probable it is that the poses are right (ADD, up to symmetries, below 10 % of the
-            diameter); None where nothing is calibrated for such a fit.
-        T_cam_hand: (T, 4, 4) pose of the corrected hand, hand frame to camera frame [m], which ``T_hand_obj`` and the
-            axis are relative to; None where the hand is as the clip gives it.
-        frame_kind: how the pose of each frame was found; by default, all frames were sampled.
-    """
-
-    clip: str
-    method: str
-    frames: tuple[str, ...]
-    T_hand_obj: Float[ndarray, "T 4 4"]
-    scale: float
-    iou: Float[ndarray, "T"]
-    axis: Axis | None
-    candidates: Candidates
-    energy: dict[str, float]
-    status: str
-    ambiguous: bool
-    seconds: dict[str, float]
-    options: dict[str, Any] = field(default_factory=dict)
-    seed: int = 0
-    notes: tuple[str, ...] = ()
-    findings: tuple[Finding, ...] = ()
-    checks: dict[str, float] = field(default_factory=dict)
-    signs: dict[str, float] = field(default_factory=dict)
-    probability_right: Probability | None = None
-    T_cam_hand: Float[ndarray, "T 4 4"] | None = None
-    frame_kind: tuple[FrameKind, ...] = ()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.frames) != len(self.T_hand_obj):
-            given = f"got {len(self.frames)} names"
-            raise UsageError(f"Reconstruction.frames: {given}, expected {len(self.T_hand_obj)}, as many as T_hand_obj")
-        if not self.frame_kind:
-            object.__setattr__(self, "frame_kind", ("sampled",) * len(self.frames))
-        if len(self.frame_kind) != len(self.frames) or not {*self.frame_kind} <= {*get_args(FrameKind)}:
-            expected = f"one of {', '.join(get_args(FrameKind))} for each frame"
-            raise UsageError(f"Reconstruction.frame_kind: got {self.frame_kind}, expected {expected}")
-
-    def frames_of(self, *kinds: FrameKind) -> Int[ndarray, "n"]:
-        """Where the frames of some kinds are."""
-        return np.flatnonzero([kind in kinds for kind in self.frame_kind])
-
-    def take(self, index: Int[ndarray, "n"]) -> Reconstruction:
-        """The result in some of its frames, in the given order."""
-        found = self.candidates
-        return replace(
-            self,
-            frames=tuple(self.frames[n] for n in index),
-            frame_kind=tuple(self.frame_kind[n] for n in index),
-            T_hand_obj=self.T_hand_obj[index],
-            iou=self.iou[index],
-            axis=None if self.axis is None else replace(self.axis, angle=self.axis.angle[index]),
-            candidates=replace(found, T_hand_obj=found.T_hand_obj[:, index]),
-            T_cam_hand=None if self.T_cam_hand is None else self.T_cam_hand[index],
-        )
-
-    @property
-    def mean_iou(self) -> float:
-        """Mean IOU over the frames whose masks show the object."""
-        return float(np.nanmean(self.iou))
 
 
 def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:

@@ -1,0 +1,99 @@
+"""What is done to clips before a benchmark reconstructs them: nothing, noise, another size, true hands, mistakes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from getagrip.clip import Clip, Masks
+from getagrip.datasets.synthetic.noise import Noise, perturbed
+from getagrip.errors import InputError
+from getagrip.experiments.wrong_inputs import MISTAKES
+from getagrip.geometry.mesh import Mesh
+
+
+class Change(Protocol):
+    """What is done to a clip before it is reconstructed. Its ``repr`` and the ``inputs`` identify it."""
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        """The changed clip and masks, perhaps of some of its frames. Raises ``InputError`` where it cannot be done."""
+
+    def inputs(self, clip: str) -> Mapping[str, Path]:
+        """Files by name that it reads for a clip. Raises ``InputError`` where one is missing."""
+        return {}
+
+
+@dataclass(frozen=True)
+class AsGiven(Change):
+    """The clip itself."""
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        return clip, masks
+
+
+@dataclass(frozen=True)
+class Noisy(Change):
+    """Hands and masks displaced; the same seed draws the same errors, larger or smaller, in every setting."""
+
+    noise: Noise
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        return perturbed(clip, masks, self.noise, [seed, *clip.name.encode()])
+
+
+@dataclass(frozen=True)
+class ScaleKnown(Change):
+    """The mesh at its true size."""
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        if clip.scale == "known":
+            return clip, masks
+        if clip.truth is None:
+            raise InputError(clip.origin / "truth.npz", "scale", "no ground truth", "the true scale, to make it known")
+        return replace(_resized(clip, clip.truth.scale), scale="known"), masks
+
+
+@dataclass(frozen=True)
+class ScaleFree(Change):
+    """The mesh at a random size, between 1 / 1.25 and 1.25 times what it was."""
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        factor = float(np.exp(np.random.default_rng([seed, *clip.name.encode()]).uniform(-1.0, 1.0) * np.log(1.25)))
+        return replace(_resized(clip, 1.0 / factor), scale="free"), masks
+
+
+@dataclass(frozen=True)
+class TrueHands(Change):
+    """The hands of the ground truth instead of the given ones: what knowing them would be worth."""
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        if clip.truth is None:
+            raise InputError(clip.origin / "truth.npz", "T_cam_hand", "no ground truth", "the true hands")
+        hand = replace(clip.hand, vertices=clip.truth.hand_vertices, T_cam_hand=clip.truth.T_cam_hand, joints=None)
+        return replace(clip, hand=hand), masks
+
+
+def _resized(clip: Clip, factor: float) -> Clip:
+    """The clip with a mesh so many times as large; the true object is as it was."""
+    truth = clip.truth
+    if truth is not None:
+        joint = truth.joint and replace(truth.joint, point=factor * truth.joint.point)
+        truth = replace(truth, scale=truth.scale / factor, joint=joint)
+    return replace(clip, mesh=Mesh(factor * clip.mesh.vertices, clip.mesh.faces), truth=truth)
+
+
+@dataclass(frozen=True)
+class Wrong(Change):
+    """A mistake, a key of ``MISTAKES``. The ground truth goes: nothing true remains to be found."""
+
+    mistake: str
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        return MISTAKES[self.mistake](replace(clip, truth=None), masks, np.random.default_rng(seed))
+
+
+AS_GIVEN = AsGiven()

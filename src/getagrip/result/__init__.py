@@ -1,0 +1,17 @@
+"""Results: the object in the hand in every frame, and the folder that holds it."""
+
+from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction
+from getagrip.result.folder import FILES, is_result, read_record, read_result, software, write_result
+
+__all__ = [
+    "FILES",
+    "Axis",
+    "Candidates",
+    "FrameKind",
+    "Reconstruction",
+    "is_result",
+    "read_record",
+    "read_result",
+    "software",
+    "write_result",
+]
