@@ -19,6 +19,7 @@ from getagrip.commands.datasets import DATASETS
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, clips
 from getagrip.errors import InputError
+from getagrip.io import leftovers
 
 
 @pytest.mark.parametrize("name", DATASETS)
@@ -106,6 +107,7 @@ class Library(Dataset):
 
 def test_the_trouble_of_a_clip_or_a_part_ends_no_other(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     library = Library(shelves=(Shelf("torn"), Shelf("fine")))
+    (tmp_path / f"{leftovers.PREFIX}0" / "new").mkdir(parents=True)  # of a process that was killed
     assert import_clips(library, tmp_path, debug=False) == 1
     printed = capsys.readouterr()
     assert {folder.name for folder in tmp_path.iterdir()} == {"torn-0", "torn-3", "fine-0", "fine-3"}

@@ -15,6 +15,7 @@ from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.clip import write_clip
 from getagrip.datasets.dataset import Dataset, Draft, Part
 from getagrip.grasps import lists
+from getagrip.io import leftovers
 from getagrip.io.terminal import progress_bar, report
 
 
@@ -43,13 +44,14 @@ class Imported:
 def import_clips(dataset: Dataset, out: Path, debug: bool) -> int:
     """Write the clips of a dataset as ``out/<clip name>/``; 1 if something failed, else 0.
 
-    Clips that are there already are kept, unless they lack hands that are known now. Beside clips that are cut to
-    grasps stands the list of them (``grasp_list``). Raises as ``Dataset.parts`` does, and ``UsageError`` where clips in
-    the folder were cut in another way.
+    Clips that are there already are kept, unless they lack hands that are known now. What killed processes have left
+    is removed. Beside clips that are cut to grasps stands the list of them (``grasp_list``). Raises as
+    ``Dataset.parts`` does, and ``UsageError`` where clips in the folder were cut in another way.
     """
     jobs = [ImportJob(part, out) for part in dataset.parts(report)]
     cut = dataset.cut_record()
     grasp_list.claim(out, cut)
+    leftovers.sweep(out)
     counts, made, handless = Counter[str](), list[Mapping[str, Any]](), 0
     with progress_bar() as bar:
         task = bar.add_task(dataset.parts_are, total=len(jobs))

@@ -23,7 +23,7 @@ from getagrip.experiments.statistics import RESAMPLES
 from getagrip.experiments.tables import as_json, latex, markdown, terminal, write_clips_csv, write_csv
 from getagrip.experiments.trials import Scores, Trial, run
 from getagrip.fitting.options import Options
-from getagrip.io import files
+from getagrip.io import files, leftovers
 from getagrip.io.terminal import console, progress_bar
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
 from getagrip.result import software
@@ -104,6 +104,8 @@ def bench(plan: Plan, debug: bool) -> int:
     scores = []
     results = plan.out / "results"
     distinct = tuple({variant.folder: variant for variant in variants}.values())
+    for folder in (plan.out / "clips", *(results / variant.folder for variant in distinct)):
+        leftovers.sweep(folder)
     contacts = tuple(dict.fromkeys((*CONTACT_DEFINITIONS, *plan.contacts)))
     trials = [Trial(sample, distinct, results, plan.overwrite, contacts) for sample in clips]
     failures = len(bad)
