@@ -64,7 +64,7 @@ class Grasp:
 
     @property
     def name(self) -> str:
-        """What its files are called; what has to be cut or replaced for that is told apart by a checksum."""
+        """What its files are called; names that had to be cut or changed for that differ by a checksum."""
         parts = [self.mark.annotator, self.task.video, self.mark.start_number, self.mark.end_number, self.side]
         whole = "-".join(map(str, parts))
         plain = re.sub(r"[^\w.-]", "_", whole).lstrip(".")[:LONGEST_NAME]

@@ -16,11 +16,12 @@ import tyro
 from tyro.conf import OmitArgPrefixes, subcommand
 
 from getagrip import __version__
+from getagrip.cli.bench import Bench
 from getagrip.cli.command import Command
 from getagrip.cli.footage import Annotate, ClipCommand, Epic
 from getagrip.cli.labelled import Segment, Stats, Study
 from getagrip.cli.report import Report
-from getagrip.cli.results import Bench, Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct
+from getagrip.cli.results import Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct
 from getagrip.cli.view import View
 from getagrip.errors import GetagripError, UsageError, cleaned
 from getagrip.io.terminal import Silence

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from getagrip.errors import UsageError
 from getagrip.fitting.methods import METHODS
+from getagrip.fitting.options import Hands, Init, PriorsFile
 from getagrip.io.arguments import Flag, numbers, one_of
 
 Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
@@ -18,6 +20,7 @@ ClipsFolder = Annotated[
 ]
 Workers = Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core for more than 3 clips)")]
 Seed = Annotated[int, arg(metavar="S")]
+Inits = Annotated[int, arg(metavar="N")]
 if TYPE_CHECKING:
     Method = str
 else:
@@ -51,3 +54,21 @@ class Command:
             files.check_folder("--out", out)
         if (json := getattr(self, "json", None)) is not None:
             files.check_file("--json", json)
+
+
+def hands_of(given: bool) -> Hands:
+    """The option of the name."""
+    return "as-given" if given else "corrected"
+
+
+def priors_of(path: Path | None, init: Init) -> PriorsFile | None:
+    """The starting poses that the user names, identified."""
+    if init == "uniform" and path is not None:
+        raise UsageError(f"--priors: got {path}, expected none without --init clusters or priors")
+    if path is None:
+        if init != "uniform":
+            raise UsageError(f"--priors: got nothing, expected a file or folder for --init {init}")
+        return None
+    from getagrip.fitting import pose_priors as priors
+
+    return priors.given(path, init)

@@ -68,7 +68,7 @@ def the_one(results: Sequence[Given], kind: str) -> View:
 
 
 def readable(results: Sequence[Given], fail: Fail) -> list[tuple[Given, View]]:
-    """The results that can be read; ``fail`` is told of the others. Raises the error where there is only one."""
+    """The results that can be read; the others go to ``fail``. Raises the error where there is only one."""
     out: list[tuple[Given, View]] = []
     for given in results:
         try:

@@ -48,7 +48,7 @@ def entries(
 ) -> list[Entry]:
     """Results of the same clip and inputs make one entry: the serious ones first, then by mean IOU; clips follow.
 
-    ``fail`` is told of those that cannot be read.
+    Those that cannot be read go to ``fail``.
     """
     groups: dict[tuple[str, str], list[tuple[Path, Reconstruction]]] = {}
     for folder in dict.fromkeys(path.resolve() for path in results):

@@ -50,7 +50,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Question:
-    """A number by which candidates are told apart."""
+    """A number by which candidates are compared."""
 
     value: Callable[[Numbers], float]
     more_is_better: bool

@@ -121,7 +121,7 @@ class Page:
         self._panel.playing(self._player.playing)
 
     def _entry(self, n: int) -> None:
-        """Open another entry; what cannot be read is told, and the former one stays."""
+        """Open another entry; where it cannot be read, an error is shown and the former one stays."""
         try:
             columns = self._entries[n].read()
         except (GetagripError, OSError) as error:

@@ -1,0 +1,114 @@
+"""The command that compares methods on a dataset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from getagrip.cli.command import Command, Inits, Method, Seed, hands_of, priors_of
+from getagrip.experiments.sources import SOURCES, source_of
+from getagrip.fitting.options import Init, Options
+from getagrip.io.arguments import Flag, Folder, OptionalFile, OptionalFolder, one_of
+
+
+def _ablations(_: str) -> str:
+    """The names that an option takes, loaded only to show its help."""
+    from getagrip.experiments.settings import ABLATIONS
+
+    return f"(one of {', '.join(ABLATIONS)}; default: none)"
+
+
+def _presets(_: str) -> str:
+    """As ``_ablations``."""
+    from getagrip.datasets.synthetic.splits import PRESETS
+
+    return f"(one of {', '.join(PRESETS)}; default: clean)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench(Command):
+    """Compare methods on a dataset: the paper's tables, with intervals. Existing results are kept."""
+
+    dataset: Annotated[
+        Positional[str],
+        arg(metavar="DATASET", help=f"{', '.join(SOURCES)}, or a folder of clips, with ground truth or without."),
+    ]
+    out: Folder
+    """Where clips, results, tables and plots go. Called again with the same folder, it continues where it stopped."""
+    methods: Annotated[tuple[Method, ...], arg(help_behavior_hint="(default: all but paper...)")] = ()
+    """Methods to compare. Ablations compare one-dof and soft-hinge by default, departures the paper's. All but the
+    paper's, which are slow and run where they are named."""
+    ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_ablations)] = None
+    """Compare settings of each method, instead of the methods as they are."""
+    split: Annotated[
+        Literal["train", "test", "all"] | None,
+        one_of("train", "test", "all"),
+        arg(help_behavior_hint="(default: test; all of a folder)"),
+    ] = None
+    """Which part of a dataset: train is for tuning."""
+    hands: Annotated[tuple[str, ...], arg(metavar="NAME=DIR...", help_behavior_hint="")] = ()
+    """Compare hands of several estimators for the same clips, on the frames that all have: DIR holds clips of the same
+    names, or a hand file <clip>.npz for each (import hands --out)."""
+    others: Annotated[tuple[str, ...], arg(name="with", metavar="NAME=DIR...", help_behavior_hint="")] = ()
+    """Other systems' results as further rows: DIR holds poses of each clip by its name, as for evaluate --poses, or
+    result folders."""
+    contact: Annotated[
+        tuple[float, ...],
+        arg(metavar="MM...", help_behavior_hint="(default: 10; of a folder that import made, as its clips were cut)"),
+    ] = ()
+    """Points of the object within MM of the hand's surface are in contact, in SCA, SCA-ADD and SCA-IOU; rows for each
+    MM. The paper's is 0 on ARCTIC."""
+    clips: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
+    """Use N clips, evenly sampled."""
+    preset: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_presets)] = None
+    """synthetic: exact input, the noise assumed for a hand tracker, or that and a mean shape of unknown scale."""
+    root: OptionalFolder = None
+    """dexycb, artigrasp...: the dataset's folder, as for import."""
+    meshes: OptionalFolder = None
+    """dexycb: the folder of the YCB models."""
+    shortest: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2)")] = None
+    """artigrasp...: frames of the shortest grasp, as for import."""
+    init: Init = "uniform"
+    """Initial poses, as for reconstruct."""
+    priors: OptionalFile = None
+    """For clusters and priors: the file or folder, as for reconstruct."""
+    inits: Inits = 50
+    """Number of initial poses; more is slower and safer."""
+    every_frame: Flag = False
+    """Evaluate every frame of the clips, not only the 30 that all methods fit together."""
+    thorough: Flag = False
+    """Search two to three times as long, for the methods that fit all frames at once."""
+    given_hands: Flag = False
+    """Keep the hands where they are given, as of reconstruct."""
+    seed: Seed = 0
+    """Seed of all that is random."""
+    workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
+    """Processes to share the clips between."""
+    json: OptionalFile = None
+    """Write every number here, unrounded."""
+    overwrite: Flag = False
+    """Recompute results that exist already."""
+
+    def run(self) -> int:
+        from getagrip.commands.bench import Plan, bench
+        from getagrip.experiments.hand_sources import HandSource
+        from getagrip.experiments.other_systems import system_of
+
+        source = source_of(
+            self.dataset, split=self.split, preset=self.preset, root=self.root, meshes=self.meshes,
+            shortest=self.shortest,
+        )  # fmt: skip
+        options = Options(
+            inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
+            priors=priors_of(self.priors, self.init), hands=hands_of(self.given_hands), every_frame=self.every_frame,
+        )  # fmt: skip
+        hands = tuple(HandSource.of(text) for text in self.hands)
+        systems = tuple(system_of(text) for text in self.others)
+        plan = Plan(
+            source, self.out, count=self.clips, methods=self.methods, ablation=self.ablation, hands=hands,
+            systems=systems, contact_mm=self.contact, options=options, workers=self.workers, overwrite=self.overwrite,
+            json=self.json,
+        )  # fmt: skip
+        return bench(plan, self.debug)
