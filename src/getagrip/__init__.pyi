@@ -2,6 +2,7 @@
 from .clip import Clip as Clip
 from .clip import HandTrack as HandTrack
 from .clip import Masks as Masks
+from .clip import Segment as Segment
 from .clip import Truth as Truth
 from .clip import World as World
 from .clip import read_clip as read_clip

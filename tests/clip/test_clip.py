@@ -465,7 +465,28 @@ BROKEN: dict[str, tuple[Break, str, tuple[str, ...]]] = {
     "unknown key": (edit_json(colour="red"), "clip.json: colour", ("unknown key",)),
     "unknown key of many lines": (edit_json(**{"a\nb": 1}), "clip.json: a\\nb", ("unknown key",)),
     "missing key": (edit_json(fps=None), "clip.json: fps", ("no such key",)),
-    "other version": (edit_json(version=3), "clip.json: version", ("got 3", "expected 1 or 2")),
+    "other version": (edit_json(version=4), "clip.json: version", ("got 4", "expected 1 or 2 or 3")),
+    "segments in version 2": (edit_json(version=2, segments=[]), "clip.json: segments", ("unknown", "version 2")),
+    "support in version 2": (
+        edit_json(version=2, camera={"K": CAMERA, "T_world_cam": POSE, "world_up": [0, 0, 1], "world_support": 0.0}),
+        "clip.json: camera.world_support",
+        ("unknown", "version 2"),
+    ),
+    "support without up": (
+        edit_json(camera={"K": CAMERA, "T_world_cam": POSE, "world_support": 0.0}),
+        "clip.json: camera.world_support",
+        ("world_up",),
+    ),
+    "support a direction": (
+        edit_json(camera={"K": CAMERA, "T_world_cam": POSE, "world_up": [0, 0, 1], "world_support": [0.0]}),
+        "clip.json: camera.world_support",
+        ("a height [m]",),
+    ),
+    "support in mm": (
+        edit_json(camera={"K": CAMERA, "T_world_cam": POSE, "world_up": [0, 0, 1], "world_support": 1200}),
+        "clip.json: camera.world_support",
+        ("got 1200",),
+    ),
     "times in version 1": (edit_json(version=1, times=[0.0, 0.1, 0.2]), "clip.json: times", ("unknown", "version 1")),
     "poses in version 1": (
         edit_json(version=1, camera={"K": CAMERA, "T_world_cam": POSE}),

@@ -4,6 +4,7 @@ from getagrip.clip.data import FINGERS, Clip, HandTrack, Joint, Masks, Truth, Wo
 from getagrip.clip.masks import find_masks, read_masks, read_observed
 from getagrip.clip.plausible import check_clip
 from getagrip.clip.reading import input_sha256, read_clip, read_name
+from getagrip.clip.timeline import Segment, State
 from getagrip.clip.writing import write_clip
 
 __all__ = [
@@ -12,6 +13,8 @@ __all__ = [
     "HandTrack",
     "Joint",
     "Masks",
+    "Segment",
+    "State",
     "Truth",
     "World",
     "check_clip",

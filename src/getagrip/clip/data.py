@@ -1,4 +1,4 @@
-"""A clip: one stable grasp, with its hands, masks, camera and object."""
+"""A clip: one stable grasp or a timeline, with its hands, masks, camera and object."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from getagrip.clip.timeline import Segment, at_frames, check_segments
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -144,19 +145,29 @@ class World(ArrayData):
     Attributes:
         T_world_cam: (T, 4, 4) pose of the camera, camera frame to world frame [m].
         up: (3,) direction away from the ground in the world frame, of length 1; None where it is not known.
+        support: height along ``up`` of the plane on which the object lies in static segments [m]; None where it is not
+            known.
     """
 
     T_world_cam: Float[ndarray, "T 4 4"]
     up: Float[ndarray, "3"] | None = None
+    support: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.support is not None and self.up is None:
+            raise UsageError("World.support: got a height, expected none without World.up, along which it is")
 
     def take(self, index: Int[ndarray, "n"]) -> World:
         """At some of the frames, in the given order."""
-        return World(self.T_world_cam[index], self.up)
+        return replace(self, T_world_cam=self.T_world_cam[index])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Clip(ArrayData):
-    """One stable grasp: a hand in every frame, the object's mesh and the camera, but not the masks (``read_masks``).
+    """One stable grasp, or a timeline of segments: a hand in every frame, the object's mesh and the camera.
+
+    Masks are read apart from it (``read_masks``).
 
     Attributes:
         hand: the hand in each of the T frames.
@@ -172,6 +183,7 @@ class Clip(ArrayData):
         fps: frames per second of the footage, for durations.
         times: (T,) when each frame was taken [s], rising; None where it follows from ``fps`` (``time``).
         world: where the camera was; None where it is not known.
+        segments: what the object does from frame to frame, in order; empty: one stable grasp.
         truth: the ground truth; None where it is not known.
         folder: folder of the clip, with its masks and images; None for a clip that is only in memory.
         provenance: where the data comes from, as JSON values; what is a guess is kept in the result's notes.
@@ -190,6 +202,7 @@ class Clip(ArrayData):
     fps: float = 30.0
     times: Float[ndarray, "T"] | None = None
     world: World | None = None
+    segments: tuple[Segment, ...] = ()
     truth: Truth | None = None
     folder: Path | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -212,6 +225,7 @@ class Clip(ArrayData):
             raise UsageError(f"Clip.side: got {self.side!r}, expected 'left' or 'right'")
         if self.scale not in ("known", "free"):
             raise UsageError(f"Clip.scale: got {self.scale!r}, expected 'known' or 'free'")
+        check_segments(self.segments, count, self.world is not None)
 
     @property
     def time(self) -> Float[ndarray, "T"]:
@@ -272,9 +286,11 @@ class Clip(ArrayData):
         )
         frames = tuple(self.frames[i] for i in index)
         world = self.world and self.world.take(index)
+        segments = at_frames(self.segments, index)
         return replace(
-            self, frames=frames, K=self.K[index], hand=hand, truth=truth, times=self.time[index], world=world
-        )
+            self, frames=frames, K=self.K[index], hand=hand, truth=truth, times=self.time[index], world=world,
+            segments=segments,
+        )  # fmt: skip
 
 
 def check_masks(clip: Clip, masks: Masks) -> None:

@@ -11,12 +11,12 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.data import World
-from getagrip.clip.plausible import check_camera_poses, check_intrinsics, check_times
+from getagrip.clip.plausible import ROOM, check_camera_poses, check_intrinsics, check_times
 from getagrip.errors import InputError
 from getagrip.io import arrays, files
 
-CAMERA = ("K", "T_world_cam", "world_up")
-"""Keys of ``camera``; the last two since version 2."""
+CAMERA = ("K", "T_world_cam", "world_up", "world_support")
+"""Keys of ``camera``; the second and third since version 2, the last since version 3."""
 
 
 def frame_names(path: Path, names: object) -> tuple[str, ...]:
@@ -44,13 +44,21 @@ def world(path: Path, camera: dict[str, Any], frames: tuple[str, ...]) -> World 
     up = None if "world_up" not in camera else _numbers(camera["world_up"])
     if up is not None and not (up.shape == (3,) and abs(np.linalg.norm(up) - 1.0) < 1e-3):
         raise InputError(path, "camera.world_up", files.shown(camera["world_up"]), "[x, y, z], a direction of length 1")
+    support = None if "world_support" not in camera else _numbers(camera["world_support"])
+    if support is not None and not (support.shape == () and abs(support) <= ROOM):
+        given = files.shown(camera["world_support"])
+        raise InputError(
+            path, "camera.world_support", given, f"a height [m], at most {ROOM:g} m from the world's origin"
+        )
+    if support is not None and up is None:
+        raise InputError(path, "camera.world_support", "it", "none without camera.world_up, along which it is")
     if "T_world_cam" not in camera:
         if up is not None:
             raise InputError(path, "camera.world_up", "it", "none without camera.T_world_cam, whose world it is in")
         return None
     T = _matrices(path, "camera.T_world_cam", camera["T_world_cam"], 4, len(frames))
     check_camera_poses(path, T, frames)
-    return World(T, up)
+    return World(T, up, None if support is None else float(support))
 
 
 def times(path: Path, given: object, frames: tuple[str, ...]) -> Float[ndarray, "T"]:

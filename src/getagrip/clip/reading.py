@@ -14,17 +14,18 @@ from numpy import ndarray
 from getagrip.clip.data import FINGERS, Clip, HandTrack, Joint, Truth
 from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
 from getagrip.clip.plausible import check_hand, check_in_hand, check_in_view, check_poses
+from getagrip.clip.timeline import at_frames, read_segments
 from getagrip.errors import InputError
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import check_size, read_mesh
 from getagrip.io import arrays, files
 
-VERSION = 2
+VERSION = 3
 """Of clips that are written; older ones are read, too."""
 REQUIRED = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")
-OPTIONAL = {1: ("provenance",), 2: ("provenance", "times")}
+OPTIONAL = {1: ("provenance",), 2: ("provenance", "times"), 3: ("provenance", "times", "segments")}
 """Further keys of ``clip.json`` by its version."""
-CAMERA_KEYS = {1: CAMERA[:1], 2: CAMERA}
+CAMERA_KEYS = {1: CAMERA[:1], 2: CAMERA[:3], 3: CAMERA}
 """Keys of ``camera`` by the version; only the first must be there."""
 JOINT = ("joint_moves", "joint_point", "joint_direction", "joint_angle")
 """Arrays of the truth about an articulated object's joint."""
@@ -55,6 +56,7 @@ def read_clip(folder: str | Path) -> Clip:
     if when is None and len(rows) < len(frames):
         when = rows / float(fields["fps"])
     where = world(path, fields["camera"], frames)
+    segments = read_segments(path, fields.get("segments", []), frames, where is not None)
     check_in_view(folder / "hand.npz", hand, K, size)
     has_truth = (folder / "truth.npz").exists() or (folder / "truth.npz").is_symlink()
     return Clip(
@@ -72,6 +74,7 @@ def read_clip(folder: str | Path) -> Clip:
         truth=_read_truth(folder, hand, fields["scale"], mesh) if has_truth else None,
         times=when,
         world=None if where is None else where.take(rows),
+        segments=at_frames(segments, rows),
         provenance=fields["provenance"],
     )
 
@@ -95,7 +98,8 @@ def read_header(folder: str | Path) -> ClipHeader:
     frames, size = frame_names(path, fields["frames"]), _size(path, fields["size"])
     if "times" in fields:
         times(path, fields["times"], frames)
-    world(path, fields["camera"], frames)
+    where = world(path, fields["camera"], frames)
+    read_segments(path, fields.get("segments", []), frames, where is not None)
     return ClipHeader(folder, fields, frames, size, intrinsics(path, fields["camera"], len(frames), size))
 
 

@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from getagrip.clip.data import Clip, HandTrack, Masks, Truth
 from getagrip.clip.reading import VERSION
+from getagrip.clip.timeline import segment_fields
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import arrays, files
 from getagrip.io.images import write_image, write_mask
@@ -89,6 +90,7 @@ def _fields(clip: Clip) -> dict[str, object]:
     if clip.world is not None:
         camera["T_world_cam"] = _once(clip.world.T_world_cam)
         camera |= {} if clip.world.up is None else {"world_up": clip.world.up}
+        camera |= {} if clip.world.support is None else {"world_support": clip.world.support}
     return {
         "version": VERSION,
         "name": clip.name,
@@ -101,6 +103,7 @@ def _fields(clip: Clip) -> dict[str, object]:
         "camera": camera,
         "mesh": "object.obj",
         "scale": clip.scale,
+        **({"segments": segment_fields(clip.segments, clip.frames)} if clip.segments else {}),
         "provenance": clip.provenance,
     }
 

@@ -1,0 +1,151 @@
+"""Segments of a timeline: what the object of a clip does from frame to frame, from table to hand and back.
+
+In a stable grasp (Eq. 2) the object turns in the hand about one axis, nearly. Before and after it, the object lies
+still in the world, moves in an unstable contact with a hand, or moves by itself. Frames of no segment are unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from getagrip.errors import InputError, UsageError
+from getagrip.io import files
+
+State = Literal["static", "contact", "grasp", "free"]
+"""Still in the world; in unstable contact with a hand; in a stable grasp; moving without a hand."""
+STATES: tuple[State, ...] = get_args(State)
+KEYS = ("state", "first", "last", "side")
+"""Of a segment in ``clip.json``."""
+FORM = '{"state": "static", "first": "000001", "last": "000030"}, and "side" of a grasp'
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Some frames of a clip in which the object's state is the same.
+
+    Attributes:
+        state: what the object does.
+        first, last: its frames, both included, counted from 0 in the clip.
+        side: whose hand touches the object, ``left`` or ``right``: known of a grasp, perhaps of an unstable contact,
+            None in the other states.
+    """
+
+    state: State
+    first: int
+    last: int
+    side: Literal["left", "right"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.state not in STATES:
+            raise UsageError(f"Segment.state: got {self.state!r}, expected one of {', '.join(STATES)}")
+        if not 0 <= self.first <= self.last:
+            given = f"frames {self.first} to {self.last}"
+            raise UsageError(f"Segment: got {given}, expected the first, from 0 on, not after the last")
+        wrong = side_error(self.state, self.side)
+        if wrong:
+            raise UsageError(f"Segment.side: got {self.side!r}, expected {wrong}")
+
+    def __len__(self) -> int:
+        return self.last + 1 - self.first
+
+    @property
+    def rows(self) -> Int[ndarray, "n"]:
+        """Its frames."""
+        return np.arange(self.first, self.last + 1)
+
+
+def side_error(state: State, side: object) -> str | None:
+    """What should stand in place of the side of a segment; None where it is right."""
+    if state in ("static", "free"):
+        return None if side is None else f"none: no hand moves an object that is {state}"
+    if side is None and state == "contact":
+        return None
+    return None if side in ("left", "right") else "left or right, of a grasp"
+
+
+def check_segments(segments: Sequence[Segment], frames: int, has_world: bool) -> None:
+    """Raise ``UsageError`` for segments that overlap, are not in order or leave the clip, or lie in no known world."""
+    for n, segment in enumerate(segments):
+        given = f"frames {segment.first} to {segment.last}"
+        if segment.last >= frames:
+            raise UsageError(f"Clip.segments[{n}]: got {given}, expected 0 to {frames - 1}")
+        if n and segment.first <= segments[n - 1].last:
+            raise UsageError(f"Clip.segments[{n}]: got {given}, expected a start after {segments[n - 1].last}")
+        if segment.state == "static" and not has_world:
+            raise UsageError(f"Clip.segments[{n}]: got a static one, expected none without Clip.world")
+
+
+def at_frames(segments: Sequence[Segment], index: Int[ndarray, "n"]) -> tuple[Segment, ...]:
+    """The segments of a clip in some of its frames; none where these are not in the clip's order."""
+    if np.any(np.diff(index) <= 0):
+        return ()
+    bounds = [np.searchsorted(index, [s.first, s.last + 1]) for s in segments]
+    return tuple(
+        replace(segment, first=int(first), last=int(end) - 1)
+        for segment, (first, end) in zip(segments, bounds, strict=True)
+        if end > first
+    )
+
+
+def read_segments(path: Path, given: object, frames: Sequence[str], has_world: bool) -> tuple[Segment, ...]:
+    """The ``segments`` of a ``clip.json``, which name their frames. Raises ``InputError``."""
+    if not isinstance(given, list) or not all(isinstance(row, dict) for row in given):
+        raise InputError(path, "segments", files.shown(given), f"a list of {FORM}")
+    row_of = {name: row for row, name in enumerate(frames)}
+    out: list[Segment] = []
+    for n, fields in enumerate(given):
+        segment = _read_segment(path, f"segments[{n}]", fields, row_of)
+        if out and segment.first <= out[-1].last:
+            before = f"a frame after {files.shown(frames[out[-1].last])}, where the segment before it ends"
+            raise InputError(path, f"segments[{n}].first", files.shown(fields["first"]), before)
+        if segment.state == "static" and not has_world:
+            expected = "no static segment without camera.T_world_cam, by which it stands still"
+            raise InputError(path, f"segments[{n}].state", "static", expected)
+        out.append(segment)
+    return tuple(out)
+
+
+def _read_segment(path: Path, key: str, fields: dict[str, Any], row_of: dict[str, int]) -> Segment:
+    """One of them."""
+    unknown = next((name for name in fields if name not in KEYS), None)
+    if unknown is not None:
+        raise InputError(path, f"{key}.{files.plain(unknown)}", "an unknown key", f"one of {', '.join(KEYS)}")
+    missing = next((name for name in KEYS[:3] if name not in fields), None)
+    if missing is not None:
+        raise InputError(path, f"{key}.{missing}", "no such key", FORM)
+    state, side = fields["state"], fields.get("side")
+    if state not in STATES:
+        raise InputError(path, f"{key}.state", files.shown(state), f"one of {', '.join(STATES)}")
+    expected = side_error(state, side)
+    if expected:
+        raise InputError(path, f"{key}.side", files.shown(side), expected)
+    rows = []
+    for end in ("first", "last"):
+        name = fields[end]
+        if not isinstance(name, str) or name not in row_of:
+            raise InputError(path, f"{key}.{end}", files.shown(name), "the name of one of the clip's frames")
+        rows.append(row_of[name])
+    if rows[0] > rows[1]:
+        given = f"{files.shown(fields['last'])} before {files.shown(fields['first'])}"
+        raise InputError(path, f"{key}.last", given, "the first frame of the segment or a later one")
+    return Segment(state, rows[0], rows[1], side)
+
+
+def segment_fields(segments: Sequence[Segment], frames: Sequence[str]) -> list[dict[str, str]]:
+    """What ``clip.json`` says of segments."""
+    return [
+        {
+            "state": s.state,
+            "first": frames[s.first],
+            "last": frames[s.last],
+            **({} if s.side is None else {"side": s.side}),
+        }
+        for s in segments
+    ]

@@ -1,0 +1,148 @@
+"""Segments of a timeline: written and read, at some of the frames, and refused where they make no sense."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from getagrip.clip import Clip, Segment, State, World, read_clip, write_clip
+from getagrip.clip.reading import read_header
+from getagrip.clip.timeline import STATES, at_frames
+from getagrip.clip.writing import write_hand
+from getagrip.errors import InputError, UsageError
+from helpers.clips import small_clip
+
+SEGMENTS = (
+    Segment("static", 0, 1),
+    Segment("contact", 2, 2, "right"),
+    Segment("grasp", 3, 5, "right"),
+    Segment("free", 7, 7),
+)
+
+
+@pytest.fixture
+def timeline() -> Clip:
+    """Eight frames: lying, touched, held, unknown, thrown."""
+    clip, _ = small_clip(8)
+    world = World(np.tile(np.eye(4), (8, 1, 1)), np.array([0.0, -1.0, 0.0]), -0.25)
+    return replace(clip, world=world, segments=SEGMENTS, truth=None)
+
+
+@pytest.fixture
+def folder(timeline: Clip, tmp_path: Path) -> Path:
+    return write_clip(timeline, None, tmp_path / "clip")
+
+
+def test_what_is_written_is_read(timeline: Clip, folder: Path) -> None:
+    clip = read_clip(folder)
+    assert (clip.segments, clip.world) == (SEGMENTS, timeline.world)
+    assert json.loads((folder / "clip.json").read_text())["segments"][1] == {
+        "state": "contact", "first": "0002", "last": "0002", "side": "right",
+    }  # fmt: skip
+
+
+def test_older_versions_have_none(folder: Path) -> None:
+    fields = json.loads((folder / "clip.json").read_text())
+    del fields["segments"], fields["camera"]["world_support"]
+    (folder / "clip.json").write_text(json.dumps(fields | {"version": 2}))
+    clip = read_clip(folder)
+    assert clip.segments == ()
+    assert clip.world is not None
+    assert clip.world.support is None
+
+
+def test_frames_without_a_hand_leave_the_rest_of_their_segments(timeline: Clip, folder: Path) -> None:
+    rows = np.array([1, 4, 5, 7])
+    write_hand(timeline.take(rows).hand, folder / "hand.npz", {"frames": np.array([timeline.frames[n] for n in rows])})
+    assert read_clip(folder).segments == timeline.take(rows).segments
+    assert [(s.state, s.first, s.last) for s in read_clip(folder).segments] == [
+        ("static", 0, 0), ("grasp", 1, 2), ("free", 3, 3),
+    ]  # fmt: skip
+
+
+@given(st.lists(st.tuples(st.sampled_from(STATES), st.integers(0, 2), st.integers(1, 4))), st.sets(st.integers(0, 40)))
+def test_each_frame_keeps_its_state(given_segments: list[tuple[State, int, int]], chosen: set[int]) -> None:
+    segments, at = [], 0
+    for state, gap, length in given_segments:
+        first = at + gap
+        segments.append(Segment(state, first, first + length - 1, "left" if state == "grasp" else None))
+        at = first + length
+    state_of = {n: s for s in segments for n in s.rows}
+    index = np.array(sorted(chosen), dtype=int)
+    some = {n: s for s in at_frames(segments, index) for n in s.rows}
+    for row, n in enumerate(index):
+        before, after = state_of.get(int(n)), some.get(row)
+        assert (before and (before.state, before.side)) == (after and (after.state, after.side))
+
+
+def test_in_another_order_there_are_no_segments(timeline: Clip) -> None:
+    assert timeline.take(np.arange(8)[::-1]).segments == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"state": "held"}, ("segments[2].state", "'held'", "static, contact, grasp, free")),
+        ({"state": None}, ("segments[2].state", "static, contact, grasp, free")),
+        ({"side": "both"}, ("segments[2].side", "'both'", "left or right")),
+        ({"side": None}, ("segments[2].side", "left or right")),
+        ({"state": "free"}, ("segments[2].side", "'right'", "no hand moves")),
+        ({"first": "0005", "last": "0004"}, ("segments[2].last", "'0004' before '0005'")),
+        ({"first": "0002"}, ("segments[2].first", "'0002'", "a frame after '0002'")),
+        ({"first": 3}, ("segments[2].first", "got 3", "the name of one of the clip's frames")),
+        ({"last": "frame"}, ("segments[2].last", "'frame'")),
+        ({"last": ["0005"]}, ("segments[2].last", "the name")),
+        ({"colour": "red"}, ("segments[2].colour", "unknown key")),
+    ],
+)
+def test_what_is_wrong_is_named(folder: Path, change: dict[str, Any], words: tuple[str, ...]) -> None:
+    fields = json.loads((folder / "clip.json").read_text())
+    fields["segments"][2] |= change
+    (folder / "clip.json").write_text(json.dumps(fields))
+    for read in (read_clip, read_header):
+        with pytest.raises(InputError) as caught:
+            read(folder)
+        assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+@pytest.mark.parametrize("given_segments", [5, [1], {"static": [0, 1]}, "static"])
+def test_segments_are_a_list_of_objects(folder: Path, given_segments: object) -> None:
+    fields = json.loads((folder / "clip.json").read_text()) | {"segments": given_segments}
+    (folder / "clip.json").write_text(json.dumps(fields))
+    with pytest.raises(InputError, match="a list of"):
+        read_clip(folder)
+
+
+def test_what_lies_still_needs_a_world(folder: Path) -> None:
+    fields = json.loads((folder / "clip.json").read_text())
+    fields["camera"] = {"K": fields["camera"]["K"]}
+    (folder / "clip.json").write_text(json.dumps(fields))
+    with pytest.raises(InputError, match=r"segments\[0\]\.state: got static, expected .*T_world_cam"):
+        read_clip(folder)
+
+
+@pytest.mark.parametrize(
+    "segments",
+    [(Segment("free", 0, 8),), (Segment("free", 0, 3), Segment("contact", 3, 5)), (Segment("static", 0, 1),)],
+)
+def test_clips_in_memory_are_checked_alike(segments: tuple[Segment, ...]) -> None:
+    with pytest.raises(UsageError, match=r"Clip\.segments"):
+        replace(small_clip(8)[0], segments=segments)
+
+
+def test_a_segment_is_one_that_can_be() -> None:
+    for state, first, last, side in (
+        ("held", 0, 1, None), ("grasp", 0, 1, None), ("static", 0, 1, "left"), ("free", 2, 1, None),
+        ("free", -1, 1, None),
+    ):  # fmt: skip
+        with pytest.raises(UsageError, match="Segment"):
+            Segment(state, first, last, side)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=r"World\.support"):
+        World(np.eye(4)[None], None, 0.5)
