@@ -17,8 +17,9 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.clip import Clip, Masks, Truth
+from getagrip.clip import Clip, Masks, Segment, Truth
 from getagrip.clip.plausible import FARTHEST, NEAREST, check_in_view
+from getagrip.clip.timeline import at_frames
 from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
 from getagrip.datasets.tracks import MaskPair, Piece, Source, Track
 from getagrip.errors import InputError, UsageError
@@ -168,7 +169,9 @@ def _ahead(track: Track) -> Bool[ndarray, "T"]:
     return ahead
 
 
-def known_clip(track: Track, name: str = "", provenance: dict[str, Any] | None = None) -> Clip:
+def known_clip(
+    track: Track, name: str = "", provenance: dict[str, Any] | None = None, segments: tuple[Segment, ...] = ()
+) -> Clip:
     """What is known of a track, as a clip without masks. Raises ``InputError`` for an object that none can have.
 
     The mesh of an object with a joint is that at the mean angle; the ground truth has the joint as it was.
@@ -184,6 +187,7 @@ def known_clip(track: Track, name: str = "", provenance: dict[str, Any] | None =
         frames=track.frames,
         times=track.times,
         world=track.world,
+        segments=segments,
         size=track.size,
         K=np.tile(track.K, (len(track), 1, 1)),
         mesh=checked_mesh(track.file, mesh.vertices, mesh.faces),
@@ -200,18 +204,18 @@ def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] |
     Frames in which fewer than ``VISIBLE`` pixels of the object are visible are dropped. Masks show an object with a
     joint as it was.
     """
-    track, masks = piece.track, None
+    track, masks, segments = piece.track, None, piece.segments
     if piece.masks:
         rows, masks = _visible(track)
         if len(rows) < shortest:
             note(f"{piece.name}: the object is visible in fewer than {shortest} frames: skipped")
             return None
         if len(rows) < len(track):
-            track = track.take(rows)
+            track, segments = track.take(rows), at_frames(segments, rows)
     provenance = track.describe(piece) | {FIRST_FRAME: track.origin}
     if piece.grasp is not None:
         provenance["grasp"] = piece.grasp.row()
-    made = known_clip(track, piece.name, provenance)
+    made = known_clip(track, piece.name, provenance, segments)
     try:
         check_in_view(track.file, made.hand, made.K, track.size)
     except InputError:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.clip import HandTrack, Joint, World
+from getagrip.clip import HandTrack, Joint, Segment, World
 from getagrip.datasets.dataset import Note
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
@@ -159,6 +159,8 @@ class Piece:
     stable_area: str = ""
     """Of a grasp that was found: mean contact IOU over all pairs of its frames, and the contact's distance."""
     masks: bool = True
+    segments: tuple[Segment, ...] = ()
+    """What the object does, where the piece is a timeline."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ to them, with one shape over a sequence. Masks are rendered from the true poses;
 
 from __future__ import annotations
 
+from collections.abc import Sequence as AnyOf
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,15 +19,18 @@ from tyro.conf import arg
 
 from getagrip.clip import FINGERS, HandTrack, World
 from getagrip.datasets import fitted_hands, ycb
-from getagrip.datasets.cutting import TrackedDataset
-from getagrip.datasets.dataset import Note
+from getagrip.datasets.cutting import CutSource, TrackedDataset
+from getagrip.datasets.dataset import Note, Part
+from getagrip.datasets.dexycb import timelines
 from getagrip.datasets.dexycb.recording import SIZE, Recording, Sequence, find
 from getagrip.datasets.fitted_hands import describe_fit
 from getagrip.datasets.tracks import MaskPair, Piece, Source, Track
+from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.grasps.definition import FEWEST
 from getagrip.grasps.lists import BETWEEN
 from getagrip.grasps.options import GraspOptions
+from getagrip.io.arguments import Flag
 from getagrip.metrics.contact import signed_distance
 
 if TYPE_CHECKING:
@@ -46,11 +50,31 @@ class DexYcb(TrackedDataset):
     meshes: ycb.Models = None
     """Folder of the YCB models."""
 
+    timelines: Flag = False
+    """Not the grasps but whole sequences, with masks and segments (docs/formats.md)."""
+
     def sources(self) -> list[Source]:
         """The sequences of DexYCB's own folder, of a packed file, or of a folder of such files."""
         models = ycb.folder(self.root, self.meshes)
         shortest = self.grasps.shortest if self.grasps.listed is None else FEWEST
-        return [Source(s.name, partial(_tracks, s, models, self.whole, shortest)) for s in find(self.root)]
+        found = find(self.root)
+        if self.timelines:
+            found = timelines.with_table(found, models)
+        return [Source(s.name, partial(_tracks, s, models, self.whole, shortest)) for s in found]
+
+    def parts(self, note: Note) -> AnyOf[Part]:
+        """Its sequences, cut to stable grasps, or whole. Raises ``UsageError`` for options that exclude each other."""
+        if not self.timelines:
+            return super().parts(note)
+        if self.whole or self.grasps.listed is not None:
+            raise UsageError("--timelines: got --whole or --list as well, expected one of them")
+        definition = self.grasps.definition()
+        of = partial(timelines.pieces, definition=definition)
+        return [CutSource(source, of, definition.shortest) for source in self.sources()]
+
+    def cut_record(self) -> dict[str, Any] | None:
+        """How its clips are cut; None where they are whole."""
+        return None if self.timelines else super().cut_record()
 
 
 @dataclass(frozen=True)
