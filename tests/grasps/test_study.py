@@ -19,7 +19,7 @@ from getagrip.datasets.dexycb.reader import DexYcb
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.grasps.approximation import AxisRotation, _refined, mean_rotation, pose_hinge, rotation_hinge
+from getagrip.grasps.approximation import AxisRotation, _Moves, _refined, mean_rotation, pose_hinge, rotation_hinge
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.stable import PairwiseIou
 from getagrip.grasps.study import MEASURES, TIMES, Spread, fingers, kept_contact, mean_curves, study
@@ -128,6 +128,27 @@ def test_no_hinge_fits_rotations_better(seed: int, noise: float) -> None:
         )
         for hinge in (other, near):
             assert best.energy(R, c) <= hinge.energy(R, c) + 1e-9
+
+
+@pytest.mark.parametrize("free", [True, False])
+def test_the_gradient_is_that_of_finite_differences(free: bool) -> None:
+    rng = np.random.default_rng(3)
+    R, c = noisy(rng, 0.3)
+    moves = _Moves.of(exact(rng)[0], free)
+    x = 0.3 * rng.normal(size=11 if free else 8)
+
+    def energy(x: np.ndarray) -> float:
+        return moves.hinge(x).energy(R, c)
+
+    hinge = moves.hinge(x)
+    angles = hinge.angles(R, c)
+    R_found, c_found = hinge.at(angles)
+    off = np.concatenate([(R_found - R).reshape(-1, 9), (c_found - c) / SIZE], axis=1).ravel()
+    steps = 1e-6 * np.eye(len(x))
+    differences = [(energy(x + step) - energy(x - step)) / 2e-6 for step in steps]
+    np.testing.assert_allclose(
+        2.0 * moves.jacobian(x, angles).T @ off, differences, atol=1e-6 * np.abs(differences).max()
+    )
 
 
 @pytest.mark.parametrize("noise", [0.05, 0.5])

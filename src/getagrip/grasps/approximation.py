@@ -15,7 +15,7 @@ are a great circle of quaternions: the nearest one is the plane of the first two
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -166,33 +166,71 @@ def _refined(
     """The hinge to which so many steps at most lead from another; E never rises."""
     from scipy.optimize import least_squares
 
-    moved = _moves(start, free=through is None)
+    moves = _Moves.of(start, free=through is None)
 
     def residuals(x: Float[ndarray, "k"]) -> Float[ndarray, "m"]:
-        R_found, c_found = moved(x).nearest(R, c)
-        return np.concatenate([(R_found - R).ravel(), (c_found - c).ravel() / start.size])
+        R_found, c_found = moves.hinge(x).nearest(R, c)
+        return np.concatenate([(R_found - R).reshape(-1, 9), (c_found - c) / start.size], axis=1).ravel()
+
+    def jacobian(x: Float[ndarray, "k"]) -> Float[ndarray, "m k"]:
+        return moves.jacobian(x, moves.hinge(x).angles(R, c))
 
     x = np.zeros(11 if through is None else 8)
-    solution = least_squares(residuals, x, xtol=PRECISION, ftol=PRECISION, gtol=1e-14, max_nfev=steps)
-    return moved(solution.x)
+    solution = least_squares(residuals, x, jacobian, xtol=PRECISION, ftol=PRECISION, gtol=1e-14, max_nfev=steps)
+    return moves.hinge(solution.x)
 
 
-def _moves(start: AxisRotation, free: bool) -> Callable[[Float[ndarray, "k"]], AxisRotation]:
+@dataclass(frozen=True)
+class _Moves:
     """Hinges around one: rotation of R (3), tilt of the axis (2), step of the arm (3) and of the point (3 if free).
 
     Some of these move nothing (a rotation of R and arm about the axis, a step of the point along it): the solver takes
     the shortest steps.
     """
-    tilts = np.linalg.svd(start.direction[None])[2][1:]
 
-    def moved(x: Float[ndarray, "k"]) -> AxisRotation:
-        direction = start.direction + x[3:5] @ tilts
+    start: AxisRotation
+    tilts: Float[ndarray, "2 3"]
+    free: bool
+
+    @classmethod
+    def of(cls, start: AxisRotation, free: bool) -> _Moves:
+        return cls(start, np.linalg.svd(start.direction[None])[2][1:], free)
+
+    def hinge(self, x: Float[ndarray, "k"]) -> AxisRotation:
+        start = self.start
+        direction = start.direction + x[3:5] @ self.tilts
         return replace(
             start,
             R=se3.exp_so3(x[:3]) @ start.R,
             direction=direction / np.linalg.norm(direction),
             arm=start.arm + start.size * x[5:8],
-            point=start.point + start.size * x[8:11] if free else start.point,
+            point=start.point + start.size * x[8:11] if self.free else start.point,
         )
 
-    return moved
+    def jacobian(self, x: Float[ndarray, "k"], angle: Float[ndarray, "N"]) -> Float[ndarray, "m k"]:
+        """Derivatives of the poses' 9 + 3 numbers in each frame, without what a change of the frame's angle undoes.
+
+        The angles are always the best ones. That they are to first order is enough (Kaufman, "A variable projection
+        method for solving separable nonlinear least squares problems", 1975): the gradient of E is exact.
+        """
+        hinge, size = self.hinge(x), self.start.size
+        d = hinge.direction
+        rotation = se3.exp_so3(angle[:, None] * d)
+        away = rotation @ hinge.arm
+        stretched = self.start.direction + x[3:5] @ self.tilts
+        tilt = (self.tilts - np.outer(self.tilts @ d, d)).T / np.linalg.norm(stretched)
+        turn, step = np.zeros((2, len(angle), 3, len(x) + 1))  # in the hand frame, by x and, last, the angle
+        turn[..., :3] = rotation @ se3.left_jacobian(x[:3])
+        sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+        turn[..., 3:5] = sine * tilt + (1.0 - cosine) * (se3.hat(d) @ tilt)
+        turn[..., -1] = d
+        step[..., 3:] = -se3.hat(away) @ turn[..., 3:]
+        step[..., 5:8] = size * rotation
+        if self.free:
+            step[..., 8:11] = size * np.eye(3)
+        columns = np.swapaxes(rotation @ hinge.R, -1, -2)  # each moves by turn x column
+        spun = -np.swapaxes(se3.hat(columns), 1, 2).reshape(-1, 9, 3) @ turn
+        J = np.concatenate([spun, step / size], axis=1)
+        J, along = J[..., :-1], J[..., -1:]
+        J = J - along * (np.swapaxes(along, 1, 2) @ J) / np.sum(along**2, axis=1, keepdims=True)
+        return np.asarray(J.reshape(-1, len(x)))
