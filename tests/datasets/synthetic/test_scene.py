@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from getagrip.clip import Clip, read_clip, read_masks, write_clip
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.deform import aligned
-from getagrip.datasets.synthetic.grasp import SignedDistance
 from getagrip.datasets.synthetic.noise import ragged
 from getagrip.datasets.synthetic.scene import clip_name, make_scene, pictures, synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.datasets.synthetic.signed_distance import SignedDistance
 from getagrip.datasets.synthetic.splits import PRESETS, split
 from getagrip.errors import UsageError
 from getagrip.geometry import se3

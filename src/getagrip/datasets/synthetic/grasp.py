@@ -16,10 +16,10 @@ from jaxtyping import Bool, Float, Int, Real
 from numpy import ndarray
 
 from getagrip.clip import FINGERS
+from getagrip.datasets.synthetic.signed_distance import LeastDistance, SignedDistance
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh
 from getagrip.hands.generic_skeleton import rest_fingers
-from getagrip.hands.model import KNUCKLES, PosedHand, ShapedHand
+from getagrip.hands.model import KNUCKLES, PosedHand, ShapedHand, joint_transforms, skin
 
 TOUCH = 0.0005
 """A segment touches when it is this deep in the object [m]: soft flesh."""
@@ -101,25 +101,23 @@ def _frame(into: Real[ndarray, "3"], aside: Real[ndarray, "3"], at: Real[ndarray
     return se3.rigid(np.stack([x, np.cross(z, x), z], axis=-1), np.asarray(at, dtype=float))
 
 
-class SignedDistance:
-    """Signed distance to a mesh of closed parts, which may overlap, negative inside [m]."""
+class _Obstacles:
+    """Fingers that the thumb may touch, of posed hands."""
 
-    def __init__(self, mesh: Mesh) -> None:
-        import igl
+    def __init__(self, posed: PosedHand, members: Bool[ndarray, "V"]) -> None:
+        from scipy.spatial import cKDTree
 
-        self._mesh, self._box = mesh, (mesh.vertices.min(axis=0), mesh.vertices.max(axis=0))
-        self._tree, self._winding = igl.AABB(), igl.FastWindingNumberBVH()
-        self._tree.init(mesh.vertices, mesh.faces)
-        self._winding.init(mesh.vertices, mesh.faces)
+        self._trees = [cKDTree(vertices) for vertices in posed.vertices[:, members]]
+        self._points, self._normals = posed.vertices[:, members], posed.normals[:, members]
 
-    def __call__(self, X: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch"]:
-        """Distances at points in the mesh's frame."""
-        flat = np.ascontiguousarray(X.reshape(-1, 3))
-        distance = np.sqrt(self._tree.squared_distance(self._mesh.vertices, self._mesh.faces, flat)[0])
-        boxed = np.flatnonzero(np.all((flat >= self._box[0]) & (flat <= self._box[1]), axis=1))
-        inside = boxed[np.abs(self._winding.winding_number(flat[boxed])) > 0.5] if boxed.size else boxed
-        distance[inside] *= -1.0
-        return distance.reshape(X.shape[:-1])
+    def gap(self, X: Float[ndarray, "B n 3"], which: Int[ndarray, "B"]) -> Float[ndarray, "B"]:
+        """Smallest signed distance from points of the thumb to the fingers of some of the hands [m]."""
+        gap = np.empty(len(X))
+        for b, hand in enumerate(which):
+            distance, nearest = self._trees[hand].query(X[b])
+            side = np.sum((X[b] - self._points[hand, nearest]) * self._normals[hand, nearest], axis=-1)
+            gap[b] = (np.where(side < 0.0, -1.0, 1.0) * distance).min()
+        return gap
 
 
 @dataclass(frozen=True)
@@ -134,6 +132,10 @@ class Grasper:
 
     def posed(self, angles: Float[ndarray, "*batch 5 3"]) -> PosedHand:
         """The hand with its joints bent by ``angles`` [rad], thumb first, each finger from the palm to the tip."""
+        return self.hand.with_pose(self._pose(angles).reshape(*angles.shape[:-2], 45))
+
+    def _pose(self, angles: Float[ndarray, "*batch 5 3"]) -> Float[ndarray, "*batch 15 3"]:
+        """Rotation vectors of the joints [rad] in MANO's order."""
         hold = _HOLDS[self.hold]
         rest = rest_fingers()
         pose = np.zeros((*angles.shape[:-2], 15, 3))
@@ -148,7 +150,7 @@ class Grasper:
             R = opposed @ np.stack([along, -back, np.cross(along, -back)])
             first = KNUCKLES[0] - 1
             pose[..., first, :] = se3.log_so3(R @ se3.exp_so3(pose[..., first, :]))
-        return self.hand.with_pose(pose.reshape(*angles.shape[:-2], 45))
+        return pose
 
     def opened(self) -> PosedHand:
         """The hand before it closes."""
@@ -181,14 +183,15 @@ class Grasper:
         """The thumb closed, from where it is open, on the object and the other fingers."""
         angles = angles.copy()
         angles[:, 0] = np.radians(_HOLDS[self.hold].opened[0])
-        return self._sweep(angles, T_hand_obj, range(1), self.posed(angles))
+        fingers = np.any([self._members(f) for f in range(1, 5)], axis=0)
+        return self._sweep(angles, T_hand_obj, range(1), _Obstacles(self.posed(angles), fingers))
 
     def _sweep(
         self,
         angles: Float[ndarray, "A 5 3"],
         T_hand_obj: Float[ndarray, "A 4 4"],
         fingers: range,
-        obstacles: PosedHand | None = None,
+        obstacles: _Obstacles | None = None,
         steps: int = 14,
     ) -> Float[ndarray, "A 5 3"]:
         """Bend fingers, joint by joint, until they touch the object or, given other fingers as obstacles, those."""
@@ -198,26 +201,29 @@ class Grasper:
         for stage in range(3):
             goal = angles.copy()
             goal[:, list(fingers), stage:] = closed[list(fingers), stage:]
-            sweep = self.posed(angles + t * (goal - angles)).vertices
+            frames = joint_transforms(se3.exp_so3(self._pose(angles + t * (goal - angles))), self.hand.joints)
             for f in fingers:
-                reach = self._reach(sweep[:, :, self._members(f, stage)], T_obj_hand, obstacles)[:, None]
+                moving = self._members(f, stage)
+                X = skin(self.hand.vertices[moving], self.hand.model.weights[moving], frames, self.hand.joints)
+                reach = self._reach(X, T_obj_hand, obstacles)[:, None]
                 angles[:, f] += reach * (goal[:, f] - angles[:, f])
         return angles
 
     def _reach(
-        self, X: Float[ndarray, "S A n 3"], T_obj_hand: Float[ndarray, "A 4 4"], obstacles: PosedHand | None
+        self, X: Float[ndarray, "S A n 3"], T_obj_hand: Float[ndarray, "A 4 4"], obstacles: _Obstacles | None
     ) -> Float[ndarray, "A"]:
         """Where, in [0, 1] along the sweep, its points first touch; steps at which they cannot yet are passed over."""
         Y = se3.transform(T_obj_hand, X)
         stride = np.linalg.norm(np.diff(Y, axis=0), axis=-1).max(axis=(0, 2)) + 1e-9
         gap = np.full(X.shape[:2], np.inf)
         step, left = np.zeros(X.shape[1], dtype=int), np.arange(X.shape[1])
+        least = LeastDistance(self.distance, *X.shape[1:3])
         while left.size:
             at = step[left]
-            now = self.distance(Y[at, left]).min(axis=-1)
+            now = least(Y[at, left], left)
             ahead = np.maximum(np.floor(0.9 * (now + TOUCH) / stride[left]).astype(int), 1)
             if obstacles is not None:  # their distance is a rough one: look at every step
-                now, ahead = np.minimum(now, self._gap_to_fingers(X[at, left], obstacles, left)), np.ones_like(ahead)
+                now, ahead = np.minimum(now, obstacles.gap(X[at, left], left)), np.ones_like(ahead)
             gap[at, left] = now
             step[left] += ahead
             left = left[(now >= -TOUCH) & (step[left] < len(X))]
@@ -225,9 +231,21 @@ class Grasper:
 
     def gaps(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 6"]:
         """Smallest signed distance of each finger, thumb first, and of the palm to the object [m]."""
-        gap = self.distance(se3.transform(se3.inverse(T_hand_obj), self.posed(angles).vertices))
         parts = [self._members(f) for f in range(5)] + [self._members(0, wrist=True)]
-        return np.stack([gap[:, part].min(axis=1) for part in parts], axis=-1)
+        posed = self.posed(angles)
+        return np.stack([self._gap(posed, part, T_hand_obj) for part in parts], axis=-1)
+
+    def thumb_miss(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> float:
+        """How far the thumb stays from the object, or stands in it beyond what flesh gives way [m]."""
+        gap = self._gap(self.posed(angles), self._members(0), T_hand_obj)
+        return float(np.maximum(gap, -gap - SOFT).max())
+
+    def _gap(
+        self, posed: PosedHand, part: Bool[ndarray, "V"], T_hand_obj: Float[ndarray, "A 4 4"]
+    ) -> Float[ndarray, "A"]:
+        """Smallest signed distance of a part of the hand to the object [m]."""
+        X = se3.transform(se3.inverse(T_hand_obj), posed.vertices[:, part])
+        return np.asarray(self.distance(X).min(axis=1))
 
     def steered(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Grasper:
         """The same with the thumb turned as little as lets it touch the object at its first, middle and last pose.
@@ -238,7 +256,7 @@ class Grasper:
 
         def miss(grasper: Grasper) -> float:
             closed = grasper._close_thumb(angles[some], T_hand_obj[some])
-            return thumb_miss(grasper.gaps(closed, T_hand_obj[some]))
+            return grasper.thumb_miss(closed, T_hand_obj[some])
 
         best, least = self, miss(self)
         for rolls in ((0.0,), (-20.0, 20.0)):
@@ -255,31 +273,11 @@ class Grasper:
         first = KNUCKLES[finger]
         return np.asarray(weights[:, first + stage : first + 3].sum(axis=1) > 0.5)
 
-    def _gap_to_fingers(
-        self, X: Float[ndarray, "B n 3"], posed: PosedHand, which: Int[ndarray, "B"]
-    ) -> Float[ndarray, "B"]:
-        """Smallest signed distance from points of the thumb to the other fingers of some of the posed hands."""
-        from scipy.spatial import cKDTree
-
-        others = np.any([self._members(f) for f in range(1, 5)], axis=0)
-        gap = np.empty(len(X))
-        for b, hand in enumerate(which):
-            points, normals = posed.vertices[hand, others], posed.normals[hand, others]
-            distance, nearest = cKDTree(points).query(X[b])
-            side = np.sum((X[b] - points[nearest]) * normals[nearest], axis=-1)
-            gap[b] = (np.where(side < 0.0, -1.0, 1.0) * distance).min()
-        return gap
-
 
 def looseness(gaps: Float[ndarray, "6"], hold: Literal["palm", "pinch"]) -> float:
     """How badly a closed hand holds: the gaps of the parts that ought to touch, and tenfold their excess depth [m]."""
     parts = gaps if hold == "palm" else gaps[:3]
     return float(np.clip(parts, 0.0, 0.02).sum() + 10.0 * np.maximum(-gaps - SOFT, 0.0).sum())
-
-
-def thumb_miss(gaps: Float[ndarray, "A 6"]) -> float:
-    """How far the thumb stays from the object, or stands in it beyond what flesh gives way [m]."""
-    return float(np.maximum(gaps[:, 0], -gaps[:, 0] - SOFT).max())
 
 
 def _first_below(gap: Float[ndarray, "S A"], level: float) -> Float[ndarray, "A"]:

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.datasets.synthetic.egocentric import about, smooth
-from getagrip.datasets.synthetic.grasp import NEAR, Grasper, thumb_miss
+from getagrip.datasets.synthetic.grasp import NEAR, Grasper
 from getagrip.datasets.synthetic.measured import MEASURED
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.geometry import se3
@@ -198,7 +198,7 @@ def _held(
 ) -> PosedHand:
     """The hand with its fingers closed about the object in some poses, and between them in between."""
     closed = grasper.close(T_keys)
-    if thumb_miss(grasper.gaps(closed, T_keys)) > NEAR:
+    if grasper.thumb_miss(closed, T_keys) > NEAR:
         grasper = grasper.steered(closed, T_keys)
         closed = grasper.close(T_keys)
     bent = np.stack([np.interp(at, keys, joint) for joint in closed.reshape(len(keys), 15).T], axis=-1)

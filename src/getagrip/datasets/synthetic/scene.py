@@ -21,9 +21,10 @@ from getagrip.datasets.synthetic import in_hand
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.deform import aligned, drawn
 from getagrip.datasets.synthetic.egocentric import other_hand, seen_from_head
-from getagrip.datasets.synthetic.grasp import Grasper, Grip, SignedDistance, looseness, varied
+from getagrip.datasets.synthetic.grasp import Grasper, Grip, looseness, varied
 from getagrip.datasets.synthetic.noise import perturbed
 from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.datasets.synthetic.signed_distance import SignedDistance
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project

@@ -1,0 +1,53 @@
+"""Signed distances to an object, and the least of them of points on their way to it."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.geometry.mesh import Mesh
+
+
+class SignedDistance:
+    """Signed distance to a mesh of closed parts, which may overlap, negative inside [m]."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        import igl
+
+        self._mesh, self._box = mesh, (mesh.vertices.min(axis=0), mesh.vertices.max(axis=0))
+        self._tree, self._winding = igl.AABB(), igl.FastWindingNumberBVH()
+        self._tree.init(mesh.vertices, mesh.faces)
+        self._winding.init(mesh.vertices, mesh.faces)
+
+    def __call__(self, X: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch"]:
+        """Distances at points in the mesh's frame."""
+        flat = np.ascontiguousarray(X.reshape(-1, 3))
+        distance = np.sqrt(self._tree.squared_distance(self._mesh.vertices, self._mesh.faces, flat)[0])
+        boxed = np.flatnonzero(np.all((flat >= self._box[0]) & (flat <= self._box[1]), axis=1))
+        inside = boxed[np.abs(self._winding.winding_number(flat[boxed])) > 0.5] if boxed.size else boxed
+        distance[inside] *= -1.0
+        return distance.reshape(X.shape[:-1])
+
+
+class LeastDistance:
+    """The least signed distance [m] of each of some groups of moving points.
+
+    A distance changes by no more than the way of its point, so only points that may be the nearest are looked up.
+    """
+
+    def __init__(self, distance: SignedDistance, groups: int, points: int) -> None:
+        self._distance = distance
+        self._known = np.zeros((groups, points))
+        self._at = np.full((groups, points, 3), np.inf)
+
+    def __call__(self, X: Float[ndarray, "B n 3"], which: Int[ndarray, "B"]) -> Float[ndarray, "B"]:
+        """Of the groups ``which``, whose points are at X by now."""
+        way, known = np.linalg.norm(X - self._at[which], axis=-1), self._known[which]
+        group, point = np.nonzero(known - way <= (known + way).min(axis=1, keepdims=True))
+        now = X[group, point]
+        found = self._distance(now)
+        self._known[which[group], point], self._at[which[group], point] = found, now
+        least = np.full(len(X), np.inf)
+        np.minimum.at(least, group, found)
+        return least
