@@ -175,16 +175,20 @@ class Grasper:
     def close(self, T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 5 3"]:
         """Joint angles [rad] of the hand closed on the object at each of its poses."""
         angles = np.broadcast_to(np.radians(_HOLDS[self.hold].opened), (len(T_hand_obj), 5, 3))
-        return self._close_thumb(self._sweep(angles, T_hand_obj, range(1, 5)), T_hand_obj)
+        angles = self._sweep(angles, T_hand_obj, range(1, 5))
+        return self._close_thumb(angles, T_hand_obj, self._other_fingers(angles))
+
+    def _other_fingers(self, angles: Float[ndarray, "A 5 3"]) -> _Obstacles:
+        """The fingers without the thumb."""
+        return _Obstacles(self.posed(angles), np.any([self._members(f) for f in range(1, 5)], axis=0))
 
     def _close_thumb(
-        self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]
+        self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"], others: _Obstacles
     ) -> Float[ndarray, "A 5 3"]:
         """The thumb closed, from where it is open, on the object and the other fingers."""
         angles = angles.copy()
         angles[:, 0] = np.radians(_HOLDS[self.hold].opened[0])
-        fingers = np.any([self._members(f) for f in range(1, 5)], axis=0)
-        return self._sweep(angles, T_hand_obj, range(1), _Obstacles(self.posed(angles), fingers))
+        return self._sweep(angles, T_hand_obj, range(1), others)
 
     def _sweep(
         self,
@@ -217,7 +221,7 @@ class Grasper:
         stride = np.linalg.norm(np.diff(Y, axis=0), axis=-1).max(axis=(0, 2)) + 1e-9
         gap = np.full(X.shape[:2], np.inf)
         step, left = np.zeros(X.shape[1], dtype=int), np.arange(X.shape[1])
-        least = LeastDistance(self.distance, *X.shape[1:3])
+        least = LeastDistance(self.distance, X.shape[1], Y[0])
         while left.size:
             at = step[left]
             now = least(Y[at, left], left)
@@ -253,9 +257,10 @@ class Grasper:
         ``angles`` are those of the closed hand.
         """
         some = [0, len(angles) // 2, -1]
+        others = self._other_fingers(angles[some])
 
         def miss(grasper: Grasper) -> float:
-            closed = grasper._close_thumb(angles[some], T_hand_obj[some])
+            closed = grasper._close_thumb(angles[some], T_hand_obj[some], others)
             return grasper.thumb_miss(closed, T_hand_obj[some])
 
         best, least = self, miss(self)

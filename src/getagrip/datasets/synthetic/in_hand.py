@@ -19,6 +19,7 @@ from getagrip.datasets.synthetic.egocentric import about, smooth
 from getagrip.datasets.synthetic.grasp import NEAR, Grasper
 from getagrip.datasets.synthetic.measured import MEASURED
 from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.datasets.synthetic.signed_distance import LeastDistance
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.approximation import AxisRotation, nearby_hinge
@@ -222,7 +223,10 @@ def _depth(
     """How deep the object turns into the open hand about some axes [m]."""
     ends = np.array([-0.5, 0.5]) * turn
     T = se3.rotation_about_line(points[:, None], directions[:, None], ends) @ T_base
-    return np.asarray(-grasper.distance(se3.transform(se3.inverse(T), grasper.opened().vertices)).min(axis=(1, 2)))
+    opened = grasper.opened().vertices
+    least = LeastDistance(grasper.distance, T[..., 0, 0].size, se3.transform(se3.inverse(T_base), opened))
+    turned = se3.transform(se3.inverse(T), opened).reshape(-1, *opened.shape)
+    return np.asarray(-least(turned, np.arange(len(turned))).reshape(-1, 2).min(axis=1))
 
 
 def _turning_axis(

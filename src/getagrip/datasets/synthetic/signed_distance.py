@@ -36,18 +36,18 @@ class LeastDistance:
     A distance changes by no more than the way of its point, so only points that may be the nearest are looked up.
     """
 
-    def __init__(self, distance: SignedDistance, groups: int, points: int) -> None:
+    def __init__(self, distance: SignedDistance, groups: int, X: Float[ndarray, "*#groups n 3"]) -> None:
+        """``X`` is where the points are to begin with: those of each group, or of all of them."""
         self._distance = distance
-        self._known = np.zeros((groups, points))
-        self._at = np.full((groups, points, 3), np.inf)
+        self._known = np.array(np.broadcast_to(distance(X), (groups, X.shape[-2])))
+        self._at = np.array(np.broadcast_to(X, (*self._known.shape, 3)))
 
     def __call__(self, X: Float[ndarray, "B n 3"], which: Int[ndarray, "B"]) -> Float[ndarray, "B"]:
         """Of the groups ``which``, whose points are at X by now."""
         way, known = np.linalg.norm(X - self._at[which], axis=-1), self._known[which]
-        group, point = np.nonzero(known - way <= (known + way).min(axis=1, keepdims=True))
-        now = X[group, point]
-        found = self._distance(now)
-        self._known[which[group], point], self._at[which[group], point] = found, now
-        least = np.full(len(X), np.inf)
-        np.minimum.at(least, group, found)
-        return least
+        group, point = np.nonzero((known - way <= (known + way).min(axis=1, keepdims=True)) & (way > 0.0))
+        if group.size:
+            now = X[group, point]
+            known[group, point], way[group, point] = self._distance(now), 0.0
+            self._known[which[group], point], self._at[which[group], point] = known[group, point], now
+        return np.asarray((known - way).min(axis=1))
