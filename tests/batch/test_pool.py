@@ -6,16 +6,24 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from getagrip.batch.limits import Limits
+from getagrip.batch.crew import Ended
+from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.pool import in_processes, shared_out
+from getagrip.batch.processes import Processes
 from getagrip.errors import UsageError
 from helpers.jobs import dies_once, greedy, patient, work
 from helpers.paths import import_path
+
+
+def shared(work: Callable, jobs: list[Any], workers: int, limits: Limits = NONE) -> Iterator[Ended]:
+    """Jobs over processes of this machine."""
+    return shared_out(Processes(workers, work, limits, None), jobs, limits)
 
 
 @pytest.mark.slow
@@ -60,7 +68,7 @@ def _grows(file: Path) -> bool:
 
 @pytest.mark.slow
 def test_a_job_that_takes_too_long_is_ended_and_the_others_go_on() -> None:
-    ends = {ended.job: ended for ended in shared_out(patient, ["a", "slow", "b", "c"], 2, Limits(seconds=0.5))}
+    ends = {ended.job: ended for ended in shared(patient, ["a", "slow", "b", "c"], 2, Limits(seconds=0.5))}
     assert {job: ended.result for job, ended in ends.items()} == {"a": "a", "b": "b", "c": "c", "slow": None}
     assert ends["slow"].why == "it took longer than 0.5 s (--limit-seconds)"
     assert ends["slow"].attempts == 1
@@ -69,13 +77,13 @@ def test_a_job_that_takes_too_long_is_ended_and_the_others_go_on() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux can limit the memory of a process so")
 def test_a_job_gets_no_more_memory_than_it_may_have() -> None:
-    ends = shared_out(greedy, [0.1, 3.0], 1, Limits(gigabytes=1.0))
+    ends = shared(greedy, [0.1, 3.0], 1, Limits(gigabytes=1.0))
     assert {ended.job: ended.result for ended in ends} == {0.1: "granted", 3.0: "refused"}
 
 
 @pytest.mark.slow
 def test_a_killed_process_gives_its_job_to_another_one(tmp_path: Path) -> None:
-    (ended,) = shared_out(dies_once, [str(tmp_path / "mark")], 2)
+    (ended,) = shared(dies_once, [str(tmp_path / "mark")], 2)
     assert ended.attempts == 2
     assert ended.result == ended.process
 

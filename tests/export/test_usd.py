@@ -10,10 +10,11 @@ import pytest
 from numpy import ndarray
 
 from getagrip.errors import UsageError
-from getagrip.export import Scene, export, extras
+from getagrip.export import Scene, export
 from getagrip.export.stage import Stage
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
+from getagrip.io import extras
 
 Usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed: pip install 'getagrip[usd]'")
 UsdGeom = pytest.importorskip("pxr.UsdGeom", reason="usd-core is not installed: pip install 'getagrip[usd]'")

@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+from getagrip.batch.crew import Start
 from getagrip.batch.engine import Engine
 from getagrip.batch.ledger import Entry, Ledger
+from getagrip.batch.processes import Processes
 
 
 def work(job: int) -> str:
@@ -69,11 +72,13 @@ class Errand:
         return Entry(self.name, "done")
 
 
-def drive(out: Path, count: int, seconds: float, workers: int) -> list[str]:
-    """A driver of such tasks; what has become of each."""
+def drive(out: Path, count: int, seconds: float, workers: int, crew: Start[Errand, Entry] | None = None) -> list[str]:
+    """A driver of such tasks; what has become of each. ``crew`` None: processes here, or of one worker this one."""
+    if crew is None and workers > 1:
+        crew = partial(Processes, workers)
     engine = Engine(
         work=Errand.run, lost=lambda errand, why: Entry(errand.name, "failed", why), entry=lambda entry: entry,
-        options=None, workers=workers,
+        options=None, crew=crew,
     )  # fmt: skip
     errands = (Errand(f"task-{n:02d}", out, seconds) for n in range(count))
     with Ledger(out) as ledger:

@@ -9,8 +9,10 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from getagrip.batch.crew import Start
+from getagrip.batch.crews import ENGINES
 from getagrip.batch.engine import Engine
 from getagrip.batch.job import Job, Outcome, reconstruct_one
 from getagrip.batch.ledger import Ledger
@@ -37,7 +39,11 @@ class Batch:
     """How a call treats its clips."""
 
     workers: int | None = None
-    """None: one for each core, where there are more than a few clips."""
+    """None: one for each core, where there are more than a few clips; on a cluster, one for each CPU."""
+    engine: str = "local"
+    """Of ``ENGINES``."""
+    address: str | None = None
+    """Of a cluster that runs."""
     overwrite: bool = False
     """Make good results again, too."""
     strict: bool = False
@@ -50,6 +56,14 @@ class Batch:
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:
             raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
+
+    def crew(self, count: int) -> Start[Any, Any] | None:
+        """Who does so many clips; None: this process. Raises ``UsageError``."""
+        workers = self.workers
+        if self.engine == "local":
+            workers = min(count, workers or (1 if count <= FEW else cores()))
+        start = ENGINES[self.engine](workers, self.address)
+        return None if self.engine == "local" and workers == 1 and not self.limits else start
 
 
 def reconstruct_clips(paths: Sequence[Path], out: Path, options: Options, batch: Batch, debug: bool) -> int:
@@ -109,8 +123,8 @@ class _Tally:
 
 def _work_off(plan: Plan, ledger: Ledger, out: Path, options: Options, batch: Batch, debug: bool) -> _Tally:
     """Do the clips, printing what becomes of each."""
-    jobs = (Job(name, clip, out / name, options, batch.overwrite) for name, clip in plan)
-    few = len(plan) <= FEW
+    at = Path if batch.engine == "local" else Path.absolute  # workers elsewhere run in other folders
+    jobs = (Job(name, at(clip), at(out / name), options, batch.overwrite) for name, clip in plan)
     tally = _Tally()
     with progress_bar() as bar:
         pace = Pace(bar, "clips", len(plan))
@@ -119,7 +133,7 @@ def _work_off(plan: Plan, ledger: Ledger, out: Path, options: Options, batch: Ba
             lost=_lost,
             entry=entry_of,
             options=asdict(options),
-            workers=min(len(plan), batch.workers or (1 if few else cores())),
+            crew=batch.crew(len(plan)),
             limits=batch.limits,
             prepare=_load,
             in_this=partial(_shown, bar),

@@ -1,4 +1,4 @@
-"""The batch engine: tasks that several drivers share through a ledger, done in this process or in others.
+"""The batch engine: tasks that several drivers share through a ledger, done in this process or by a crew.
 
 What a task is and what its work returns is the caller's: clips to reconstruct, parts of a dataset to import.
 """
@@ -6,16 +6,16 @@ What a task is and what its work returns is the caller's: clips to reconstruct, 
 from __future__ import annotations
 
 import hashlib
-import socket
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
+from getagrip.batch.crew import Ended, Start
 from getagrip.batch.ledger import Entry, Ledger
 from getagrip.batch.limits import NONE, Limits
-from getagrip.batch.pool import Ended, in_turn, shared_out
+from getagrip.batch.pool import in_turn, shared_out
 from getagrip.io import code, files
 
 
@@ -44,11 +44,12 @@ class Engine(Generic[J, R]):
     """What the ledger is to say: state, why, inputs and about."""
     options: Any
     """What the work depends on besides its inputs and the code: anything that JSON can hold."""
-    workers: int = 1
-    """1: in this process, unless there are limits."""
+    crew: Start[J, R] | None = None
+    """Who does it; None: this process."""
     limits: Limits = NONE
+    """For a crew."""
     prepare: Callable[[], Any] | None = None
-    """Called by each other process before it does anything."""
+    """Called by each process of a crew before it does anything."""
     in_this: Callable[[J], R] | None = None
     """The work as it is done in this process, where that differs."""
 
@@ -60,10 +61,10 @@ class Engine(Generic[J, R]):
         digest = hashlib.sha256(files.to_json({"options": self.options}).encode()).hexdigest()
         failed_elsewhere = deque[R]()
         claims = self._claims(tasks, ledger, digest, failed_elsewhere)
-        if self.workers == 1 and not self.limits:
+        if self.crew is None:
             ends = in_turn(self.in_this or self.work, claims)
         else:
-            ends = shared_out(self.work, claims, self.workers, self.limits, self.prepare)
+            ends = shared_out(self.crew(self.work, self.limits, self.prepare), claims, self.limits)
         with closing(ends):
             for ended in ends:
                 result = self._result(ended)
@@ -105,6 +106,6 @@ class Engine(Generic[J, R]):
         """Write into the ledger what has become of a task."""
         entry = replace(self.entry(result), name=ended.job.name, options=digest, code=code.fingerprint())
         if entry.state != "kept":
-            worker = f"{socket.gethostname()}:{ended.process}"
+            worker = f"{ended.machine}:{ended.process}"
             entry = replace(entry, worker=worker, attempts=ended.attempts, seconds=ended.seconds)
         ledger.end(entry)

@@ -72,7 +72,14 @@ class Reconstruct(Command):
     """Leave it at these frames. Otherwise the others follow: each is fitted to its own mask, what all frames share held
     still, or interpolated where no mask shows the object."""
     workers: Workers = None
-    """Processes to share the clips between."""
+    """Processes to share the clips between; on a cluster, as many as it has CPUs."""
+    engine: Literal["local", "ray"] = "local"
+    """Where they run: on this machine, or on a Ray cluster, whose machines must see clips and results under the same
+    paths."""
+    address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS, else one here)")] = (
+        None
+    )
+    """Ray cluster that runs: HOST:PORT, ray://HOST:PORT, or auto."""
     overwrite: Flag = False
     """Make results again that are there already, of the same clip, options and code."""
     strict: Flag = False
@@ -97,7 +104,8 @@ class Reconstruct(Command):
             every_frame=not self.sampled_only,
         )  # fmt: skip
         batch = Batch(
-            workers=self.workers, overwrite=self.overwrite, strict=self.strict, fail_fast=self.fail_fast,
+            workers=self.workers, engine=self.engine, address=self.address,
+            overwrite=self.overwrite, strict=self.strict, fail_fast=self.fail_fast,
             limits=Limits(self.limit_seconds, self.limit_gb),
             shard=ALL if self.shard is None else Shard.of(self.shard),
         )  # fmt: skip

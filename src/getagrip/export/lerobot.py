@@ -20,13 +20,12 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 from numpy import ndarray
 
-from getagrip.export import extras
 from getagrip.export.bones import JOINTS
 from getagrip.export.lerobot_stats import image_stats, statistics
 from getagrip.export.palm import joints_on_stage, pose7
 from getagrip.export.scene import Scene
 from getagrip.export.stage import Stage
-from getagrip.io import files
+from getagrip.io import extras, files
 from getagrip.io.images import read_image
 from getagrip.io.videos import write_video
 

@@ -16,14 +16,13 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.errors import UsageError
-from getagrip.export import extras
 from getagrip.export.bones import ENDS, JOINTS, Bones
 from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, Scene, word
 from getagrip.export.stage import Stage
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import write_mesh
-from getagrip.io import files
+from getagrip.io import extras, files
 
 FILE = "scene.xml"
 MOST_PIECES = 32

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.export import extras
 from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, Scene
 from getagrip.export.stage import Stage
+from getagrip.io import extras
 
 FILE = "scene.usdc"
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])

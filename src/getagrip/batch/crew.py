@@ -1,0 +1,65 @@
+"""What a crew is: whoever does jobs, processes here or those of a cluster; ``pool`` gives it jobs."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Generic, Protocol, TypeVar
+
+from getagrip.batch.limits import Limits
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+DIES = "its process died"
+
+
+@dataclass(frozen=True)
+class Ended(Generic[J, R]):
+    """A job that needs no more work."""
+
+    job: J
+    result: R | None
+    """What the work returned; None where its process died or was ended."""
+    why: str = ""
+    """Why there is none."""
+    seconds: float = 0.0
+    """Wall time of the last attempt."""
+    attempts: int = 1
+    process: int = 0
+    machine: str = field(default_factory=socket.gethostname)
+    """Of the process."""
+
+
+class Crew(Protocol[J, R]):
+    """Does jobs, several at once. What the work raises, ``wait`` raises."""
+
+    @property
+    def room(self) -> int:
+        """How many more jobs it can begin now."""
+        ...
+
+    @property
+    def busy(self) -> int:
+        """How many jobs are at work."""
+        ...
+
+    def give(self, job: J, attempt: int) -> None:
+        """Begin a job, for the so-manieth time; only where there is room."""
+        ...
+
+    def wait(self, nap: float | None) -> list[Ended[J, R]]:
+        """The jobs that end next; maybe none, when the ``nap`` is over [s] or nobody is at work.
+
+        ``DIES`` is why a job has ended whose process was lost, maybe by the job's own fault.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let all finish their jobs and go."""
+        ...
+
+
+Start = Callable[[Callable[[J], R], Limits, Callable[[], Any] | None], Crew[J, R]]
+"""From the work, the limits of a job and what each process calls first to a crew."""

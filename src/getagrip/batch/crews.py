@@ -1,0 +1,28 @@
+"""The crews that a call can choose by ``--engine``, each from its own file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from getagrip.batch.crew import Start
+from getagrip.batch.pool import cores
+from getagrip.batch.processes import Processes
+from getagrip.errors import UsageError
+
+
+def _local(workers: int | None, address: str | None) -> Start[Any, Any]:
+    if address is not None:
+        raise UsageError(f"--address: got {address}, expected none without --engine ray")
+    return partial(Processes, workers or cores())
+
+
+def _ray(workers: int | None, address: str | None) -> Start[Any, Any]:
+    from getagrip.batch.on_ray import RayCrew
+
+    return partial(RayCrew, workers, address)
+
+
+ENGINES: dict[str, Callable[[int | None, str | None], Start[Any, Any]]] = {"local": _local, "ray": _ray}
+"""By name: from the number of workers and the cluster's address, each None if not said, to the start of a crew."""

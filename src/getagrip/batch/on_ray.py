@@ -1,0 +1,190 @@
+"""A crew on a Ray cluster: each job is a Ray task, done by a process of ours that the Ray worker keeps for the next.
+
+So limits of time and memory, and what becomes of a job whose process dies, are as on one machine. Jobs of a node that
+is lost are given to others.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Generic, TypeVar
+
+from getagrip.batch.crew import DIES, Ended
+from getagrip.batch.limits import Limits
+from getagrip.batch.pool import cores
+from getagrip.batch.processes import Processes
+from getagrip.errors import GetagripError, UsageError
+from getagrip.io import code, extras
+from getagrip.io.terminal import report
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+TRIES = 4
+"""Nodes and Ray workers that a job may lose before it counts as one whose process dies."""
+PATIENCE = 5.0
+"""Seconds in which an address must answer."""
+LOOK_EVERY = 2.0
+"""Seconds after which we ask again how large the cluster is."""
+STORE = 100 * 2**20
+"""Bytes of a local cluster's object store: clips and results do not pass through it."""
+
+
+@dataclass(frozen=True)
+class _Given(Generic[J]):
+    """A job at work."""
+
+    job: J
+    attempt: int
+    tries: int = 1
+
+
+class RayCrew(Generic[J, R]):
+    """Workers of a cluster that runs, or of one on this machine that ends with the crew."""
+
+    def __init__(
+        self,
+        workers: int | None,
+        address: str | None,
+        work: Callable[[J], R],
+        limits: Limits,
+        prepare: Callable[[], Any] | None,
+    ) -> None:
+        """``workers`` None: as many as the cluster has CPUs, now and later.
+
+        ``address`` is Ray's; None: that of ``RAY_ADDRESS``, else this machine. Raises ``UsageError`` where Ray is not
+        installed or does not answer.
+        """
+        self._ray: Any = extras.load("ray", "ray", "--engine ray")
+        self._ours = not self._ray.is_initialized()
+        if self._ours:
+            _connect(self._ray, workers, address or os.environ.get("RAY_ADDRESS"))
+        self._workers = workers
+        task = self._ray.remote(num_cpus=1, max_retries=0)(_do)
+        how = self._ray.put((work, limits, prepare, code.fingerprint()))
+        self._start: Callable[[J], Any] = lambda job: task.remote(how, job)
+        self._at_work: dict[Any, _Given[J]] = {}
+        self._cpus, self._looked = 0, -LOOK_EVERY
+
+    @property
+    def room(self) -> int:
+        """For how many more jobs; there is always room for one, which waits for a cluster that grows."""
+        if self._workers is None and time.monotonic() - self._looked >= LOOK_EVERY:
+            self._cpus, self._looked = int(self._ray.cluster_resources().get("CPU", 0)), time.monotonic()
+        return (self._workers or max(1, self._cpus)) - self.busy
+
+    @property
+    def busy(self) -> int:
+        """Jobs at work."""
+        return len(self._at_work)
+
+    def give(self, job: J, attempt: int) -> None:
+        """Send a job to the cluster."""
+        self._at_work[self._start(job)] = _Given(job, attempt)
+
+    def wait(self, nap: float | None) -> list[Ended[J, R]]:
+        """The jobs that end next; maybe none, when the ``nap`` is over [s] or nobody is at work."""
+        if not self._at_work:
+            time.sleep(nap or 0.0)
+            return []
+        refs = [*self._at_work]
+        if not self._ray.wait(refs, num_returns=1, timeout=nap)[0]:
+            return []
+        ready, _ = self._ray.wait(refs, num_returns=len(refs), timeout=0)  # all that have ended meanwhile, at once
+        ends = [self._ended(ref, self._at_work.pop(ref)) for ref in ready]
+        lost = sum(ended is None for ended in ends)
+        if lost:
+            report(f"Ray has lost a node or a worker; its jobs are given to others ({lost})")
+        return [ended for ended in ends if ended is not None]
+
+    def close(self) -> None:
+        """Let all finish their jobs; a cluster that runs without us stays."""
+        refs = [*self._at_work]
+        if refs:
+            self._ray.wait(refs, num_returns=len(refs))
+        if self._ours:
+            self._ray.shutdown()
+
+    def _ended(self, ref: Any, given: _Given[J]) -> Ended[J, R] | None:
+        """What has become of a job; None where its worker was lost and it has been sent again."""
+        try:
+            ended = self._ray.get(ref)
+        except self._ray.exceptions.OutOfMemoryError:  # Ray has ended the worker, to save its node
+            return Ended(given.job, None, DIES, attempts=given.attempt)
+        except self._ray.exceptions.RayError:
+            if given.tries == TRIES:
+                return Ended(given.job, None, DIES, attempts=given.attempt)
+            self._at_work[self._start(given.job)] = replace(given, tries=given.tries + 1)
+            return None
+        if isinstance(ended, Exception):
+            raise ended
+        return replace(ended, attempts=given.attempt)
+
+
+def _connect(ray: Any, workers: int | None, address: str | None) -> None:
+    """Connect to a cluster, or start one on this machine. Raises ``UsageError``."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nobody is told that we run
+    quiet = {"log_to_driver": False, "logging_level": "error"}
+    if address in (None, "local"):
+        ray.init("local", num_cpus=workers or cores(), include_dashboard=False, object_store_memory=STORE, **quiet)
+        return
+    try:
+        check_answer(address)
+        ray.init(address, **quiet)
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        expected = "the address of a Ray cluster that runs: HOST:PORT, ray://HOST:PORT, auto"
+        raise UsageError(f"--address: got {address}, expected {expected} ({reason})") from error
+
+
+def check_answer(address: str) -> None:
+    """Raise ``OSError`` where nobody listens at an address: Ray itself would try for a minute, then end the process."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if colon:
+        if not port.isdecimal():
+            raise ValueError(f"{port!r} is no port")
+        socket.create_connection((host, int(port)), PATIENCE).close()
+
+
+def _do(how: tuple[Callable[[J], R], Limits, Callable[[], Any] | None, str], job: J) -> Ended[J, R] | Exception:
+    """Runs in a Ray worker: do a job; an exception is to be raised by the driver."""
+    work, limits, prepare, expected = how
+    if code.fingerprint() != expected:
+        here = f"{code.PACKAGE} on {socket.gethostname()}"
+        return GetagripError(
+            f"{here}: got getagrip of other code ({code.fingerprint()}), expected the same on every node ({expected})"
+        )
+    crew = _crew(work, limits, prepare)
+    try:
+        with _without_main():
+            crew.give(job, 1)
+        while True:
+            for ended in crew.wait(None):
+                return ended
+    except Exception as error:
+        return error
+
+
+@lru_cache(maxsize=1)  # what comes later is of another call: the process of the one before ends when it is forgotten
+def _crew(work: Callable[[J], R], limits: Limits, prepare: Callable[[], Any] | None) -> Processes[J, R]:
+    """This Ray worker's one process, kept for its next job."""
+    return Processes(1, work, limits, prepare)
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Processes that start meanwhile do not load the main file of a Ray worker, and with it Ray."""
+    main = sys.modules["__main__"]
+    file = main.__dict__.pop("__file__", None)
+    try:
+        yield
+    finally:
+        if file is not None:
+            main.__file__ = file

@@ -1,0 +1,184 @@
+"""Processes on this machine that do jobs, one thread in each; one that dies, hangs or grows takes no other along."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection, wait
+from typing import Any, Generic, TypeVar
+
+from getagrip.batch.crew import DIES, Ended
+from getagrip.batch.limits import Limits
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+JOBS_EACH = 500
+"""A process is replaced after so many jobs: whatever libraries hold on to goes with it."""
+
+
+class Processes(Generic[J, R]):
+    """A crew of processes on this machine: each starts when there is a job for it."""
+
+    def __init__(self, workers: int, work: Callable[[J], R], limits: Limits, prepare: Callable[[], Any] | None) -> None:
+        """Of at most so many ``workers``. Each calls ``prepare`` first; that counts for no limit."""
+        self.workers = workers
+        self._start: Callable[[], _Process[J, R]] = lambda: _Process(work, limits, prepare)
+        self._there: list[_Process[J, R]] = []
+
+    @property
+    def room(self) -> int:
+        """For how many more jobs."""
+        return self.workers - self.busy
+
+    @property
+    def busy(self) -> int:
+        """Jobs at work."""
+        return len(self._at_work())
+
+    def give(self, job: J, attempt: int) -> None:
+        """Give a job to an idle process, or to a new one."""
+        idle = next((process for process in self._there if not process.busy), None)
+        if idle is None:
+            idle = self._start()
+            self._there.append(idle)
+        idle.give(job, attempt)
+
+    def wait(self, nap: float | None) -> list[Ended[J, R]]:
+        """The jobs that end next; maybe none, when the ``nap`` is over [s] or nobody is at work."""
+        busy = self._at_work()
+        until = [left for process in busy if (left := process.time_left()) is not None]
+        if busy or nap:
+            wait([process.pipe for process in busy], min([*until, *([nap] if nap else [])], default=None))
+        ends = [process.ended() for process in busy]
+        self._there = [process for process in self._there if not process.gone]
+        return [ended for ended in ends if ended is not None]
+
+    def close(self) -> None:
+        """Let all finish their jobs and end."""
+        for process in self._there:
+            process.close()
+
+    def _at_work(self) -> list[_Process[J, R]]:
+        return [process for process in self._there if process.busy]
+
+
+class _Process(Generic[J, R]):
+    """A process that does one job after the other."""
+
+    def __init__(self, work: Callable[[J], R], limits: Limits, prepare: Callable[[], Any] | None) -> None:
+        spawn = get_context("spawn")  # forked threads and locks of numerical libraries hang
+        self.pipe, theirs = spawn.Pipe()
+        self.process = spawn.Process(target=_serve, args=(theirs, work, limits, prepare))
+        with _one_thread_each():
+            self.process.start()
+        theirs.close()
+        self.pid = self.process.pid or 0
+        self.limits, self.done = limits, 0
+        self.busy = self.ready = self.gone = False
+        self.attempt, self.since = 0, 0.0
+
+    def give(self, job: J, attempt: int) -> None:
+        """Have it do a job."""
+        self.job, self.attempt, self.since, self.busy = job, attempt, time.monotonic(), True
+        with suppress(OSError):  # it has died; ``ended`` will notice
+            self.pipe.send(job)
+
+    def time_left(self) -> float | None:
+        """Seconds until its job has taken too long; None: any."""
+        if self.limits.seconds is None or not self.ready:
+            return None
+        return max(0.0, self.since + self.limits.seconds - time.monotonic())
+
+    def ended(self) -> Ended[J, R] | None:
+        """What has become of its job; None while it is at work. ``gone`` where the process is not there any more."""
+        try:
+            while self.pipe.poll():
+                answer = self.pipe.recv()
+                if answer is None:
+                    self.ready, self.since = True, time.monotonic()
+                    continue
+                return self._answered(*answer)
+        except (EOFError, OSError):
+            self._end()
+            return self._lost(DIES)
+        if self.time_left() == 0.0:
+            self._end()
+            return self._lost(self.limits.too_long)
+        return None
+
+    def _answered(self, good: bool, value: Any) -> Ended[J, R]:
+        """The job's end, as the process has said it."""
+        self.busy, self.done = False, self.done + 1
+        if not good:
+            raise value
+        if self.done == JOBS_EACH:
+            self.close()
+        took = time.monotonic() - self.since
+        return Ended(self.job, value, "", took, self.attempt, self.pid)
+
+    def _lost(self, why: str) -> Ended[J, R]:
+        """The job's end, where the process is gone."""
+        self.busy = False
+        return Ended(self.job, None, why, time.monotonic() - self.since, self.attempt, self.pid)
+
+    def _end(self) -> None:
+        """End it at once."""
+        self.process.kill()
+        self.close()
+
+    def close(self) -> None:
+        """Let it finish its job and end."""
+        self.pipe.close()
+        self.process.join()
+        self.process.close()
+        self.gone = True
+
+
+def _serve(pipe: Connection, work: Callable[[J], R], limits: Limits, prepare: Callable[[], Any] | None) -> None:
+    """Runs in the process: do the jobs that come through the pipe, until it closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is left to the parent, which hands out no more jobs
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if prepare is not None:
+        prepare()
+    limits.enforce()
+    try:
+        pipe.send(None)
+        while True:
+            job = pipe.recv()
+            try:
+                answer: tuple[bool, Any] = True, work(job)
+            except Exception as error:
+                answer = False, error
+            pipe.send(answer)
+    except (EOFError, ConnectionError):  # the parent has closed it
+        return
+
+
+def _end_with_parent() -> None:
+    """A parent that closes the pipe ends its processes, but only between jobs: one that is killed ends them at once."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Have processes that start meanwhile run numba and BLAS on one thread: they read it when they load."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

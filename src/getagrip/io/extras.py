@@ -1,0 +1,22 @@
+"""Libraries that not everybody has: each belongs to an extra of the package."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from getagrip.errors import UsageError
+
+
+def load(module: str, extra: str, option: str = "") -> Any:
+    """A module of an extra of this package. Raises ``UsageError`` that says how to install it.
+
+    ``option`` is what asks for it; empty: ``--to`` and the extra's name.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise UsageError(
+            f"{option or f'--to {extra}'}: got no module {module!r} ({error}), expected it: "
+            f"pip install 'getagrip[{extra}]'"
+        ) from error

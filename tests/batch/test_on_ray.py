@@ -1,0 +1,122 @@
+"""A batch on a Ray cluster: whoever is killed, each task is done once, and results are those of one machine."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from getagrip.clip import write_clip
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
+from helpers.command_line import Run
+from helpers.folders import results_in
+from helpers.paths import import_path
+from helpers.ray_cluster import RayCluster, ray_cluster
+
+COUNT = 40
+needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray: pip install 'getagrip[ray]'")
+
+
+def start(out: Path, address: str) -> subprocess.Popen[str]:
+    """A driver as a process, which prints what has become of the tasks."""
+    code = (
+        "from functools import partial; from pathlib import Path\n"
+        "from getagrip.batch.on_ray import RayCrew; from helpers.jobs import drive\n"
+        f"crew = partial(RayCrew, None, {address!r})\n"
+        f"print(*drive(Path({str(out)!r}), {COUNT}, 0.4, 1, crew), sep='\\n')"
+    )
+    words = [sys.executable, "-c", code]
+    return subprocess.Popen(words, env=import_path(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(out: Path, count: int) -> None:
+    """Wait until so many tasks are done."""
+    end = time.monotonic() + 120.0
+    while len(list(out.glob("task-??"))) < count:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+@needs_ray
+@pytest.mark.slow
+def test_whoever_is_killed_each_task_is_done_once_and_results_are_those_of_one_machine(tmp_path: Path) -> None:
+    with ray_cluster(nodes=2) as cluster:
+        _a_node_and_then_the_driver_are_killed(cluster, tmp_path)
+        _results_are_the_same(cluster, tmp_path)  # on the node that is left
+
+
+def _a_node_and_then_the_driver_are_killed(cluster: RayCluster, tmp_path: Path) -> None:
+    driver = start(tmp_path, cluster.address)
+    wait_for(tmp_path, 6)
+    cluster.kill_node()
+    wait_for(tmp_path, 18)
+    driver.send_signal(signal.SIGKILL)
+    driver.communicate()
+    before = {path.name for path in tmp_path.glob("task-??")}
+    assert len(before) < COUNT
+    out, err = start(tmp_path, cluster.address).communicate(timeout=120)
+    states = dict(line.split() for line in out.splitlines())
+    assert len(states) == COUNT, err
+    assert set(states.values()) <= {"done", "kept"}
+    assert {name for name, state in states.items() if state == "kept"} >= before
+    runs = Counter((tmp_path / "runs").read_text().splitlines())
+    assert len(runs) == COUNT
+    again = {name for name, count in runs.items() if count > 1}
+    assert len(again) <= 1 + 2  # what was at work on the node, and what the driver had given out
+
+
+def _results_are_the_same(cluster: RayCluster, tmp_path: Path) -> None:
+    for n, category in enumerate(("can", "mug")):
+        write_clip(*synthesise(category, n, SceneOptions(frames=4)), tmp_path / "clips" / category)
+    words = [sys.executable, "-m", "getagrip", "reconstruct", "clips", "--inits", "6"]
+    for out, engine in (("here", ()), ("there", ("--engine", "ray", "--address", cluster.address))):
+        call = [*words, "--out", out, *engine]
+        subprocess.run(call, check=True, cwd=tmp_path, env=import_path(), capture_output=True)
+    pairs = list(zip(results_in(tmp_path / "here"), results_in(tmp_path / "there"), strict=True))
+    assert len(pairs) == 2
+    for here, there in pairs:
+        assert here.name == there.name
+        assert (here / "result.npz").read_bytes() == (there / "result.npz").read_bytes()
+        records = [json.loads((folder / "result.json").read_text()) for folder in (here, there)]
+        for record in records:
+            del record["seconds"]  # what they took
+        assert records[0] == records[1]
+
+
+def test_without_ray_the_call_says_how_to_get_it(
+    clip_folder: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    status, _, err = run("reconstruct", clip_folder, "--out", tmp_path / "out", "--engine", "ray")
+    assert status == 2
+    assert err.startswith("getagrip: --engine ray: got no module 'ray' (")
+    assert err.endswith("expected it: pip install 'getagrip[ray]'\n")
+
+
+@needs_ray
+@pytest.mark.slow
+@pytest.mark.parametrize("address", ["127.0.0.1:{}", "ray://127.0.0.1:{}", "localhost:x", "nonsense"])
+def test_an_address_that_does_not_answer_is_named(clip_folder: Path, tmp_path: Path, run: Run, address: str) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = address.format(free.getsockname()[1])
+    call = ("reconstruct", clip_folder, "--out", tmp_path / "out", "--engine", "ray", "--address", address)
+    status, _, err = run(*call)
+    assert status == 2
+    assert err.startswith(f"getagrip: --address: got {address}, expected the address of a Ray cluster")
+    assert err.count("\n") == 1
+
+
+def test_an_address_belongs_to_ray(clip_folder: Path, tmp_path: Path, run: Run) -> None:
+    status, _, err = run("reconstruct", clip_folder, "--out", tmp_path / "out", "--address", "auto")
+    assert status == 2
+    assert err == "getagrip: --address: got auto, expected none without --engine ray\n"
