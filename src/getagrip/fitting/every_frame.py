@@ -65,7 +65,7 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
     ``masks`` are those of the whole clip; without them, they are read from its folder, a few at a time.
     """
     sampled = clip.index_of(problem.clip.frames)
-    clip = clip.with_hand_at(_hand(clip, problem, sampled))
+    clip = clip.with_hand_at(hand_everywhere(clip, problem, sampled))
     T, K, scale = len(clip), len(track.T_hand_obj), float(found.poses.scale[0])
     kind: list[FrameKind] = ["interpolated"] * T
     iou, angle, known = np.full(T, np.nan), np.full(T, np.nan), np.zeros(T, dtype=bool)
@@ -126,7 +126,7 @@ def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "K
     return se3.rigid(R, poses.centre - scale * (R @ centre))
 
 
-def _hand(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Float[ndarray, "T 4 4"] | None:
+def hand_everywhere(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Float[ndarray, "T 4 4"] | None:
     """The hand of every frame: where it was corrected, by corrections between those of the sampled frames."""
     if not problem.hand_corrected:
         return None

@@ -1,0 +1,136 @@
+"""The segments of an uncut clip, from its masks, hands and camera alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from threadpoolctl import threadpool_limits
+
+from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_masks
+from getagrip.clip.timeline import State
+from getagrip.errors import GetagripError
+from getagrip.fitting.options import Options
+from getagrip.grasps.definition import Definition
+from getagrip.segmentation.contacts import reconstructed, stable_in
+from getagrip.segmentation.held import Held, held_in, pieces
+from getagrip.segmentation.image_motion import image_motion
+from getagrip.segmentation.semi_markov import Division, cheapest, margins
+from getagrip.segmentation.window_costs import MOTIONS, Motion, chosen, window_costs
+
+OTHERWISE: dict[Motion, State] = {"static": "static", "held": "contact", "free": "free"}
+"""What a segment is called where no grasp is stable."""
+LAG = 0.13
+"""Masks are compared over so many seconds."""
+LONGEST, LEAST = 60, 6
+"""Frames of a fit, at most and at least."""
+INTO, AROUND = 30, 150
+"""A fit is tried in the pauses beside it and so many frames beyond them, at most in so many on either side."""
+WITHIN_10_MM = Definition(contact=0.010)
+
+
+@dataclass(frozen=True)
+class FoundSegment:
+    """A segment, and how sure it is.
+
+    Attributes:
+        segment: frames, state and side.
+        margin: how much more the next best division costs, in which these frames are in another state; that of a grasp
+            is the held segment's (``semi_markov.margins``) [nats].
+    """
+
+    segment: Segment
+    margin: float
+
+
+@dataclass(frozen=True)
+class Found:
+    """All segments of a clip, which follow each other, and what was assumed."""
+
+    segments: tuple[FoundSegment, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def grasps(self) -> list[tuple[int, int]]:
+        """First and last frame of each stable grasp, both included."""
+        return [(s.segment.first, s.segment.last) for s in self.segments if s.segment.state == "grasp"]
+
+
+def find_segments(
+    clip: Clip,
+    masks: Masks | None = None,
+    definition: Definition = WITHIN_10_MM,
+    options: Options | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Found:
+    """What the object does from frame to frame; ``masks`` are read from the clip's folder where none are given.
+
+    Without ``clip.world`` the camera is taken to stand still. The clip's own segments and truth are not read. Raises
+    ``UsageError`` for masks of another clip, and ``InputError`` for what no clip can be.
+    """
+    check_clip(clip)
+    masks = read_masks(clip) if masks is None else masks
+    check_masks(clip, masks)
+    clip, options = replace(clip, segments=(), truth=None), options or Options()
+    lags = max(1, round(LAG * clip.fps))
+    moved = image_motion(clip, masks, min(lags, len(clip) - 1))
+    with threadpool_limits(1, user_api="blas"):
+        held = _fits(clip, masks, cheapest(window_costs(moved, [])), options, progress)
+    cost = window_costs(moved, held)
+    division = cheapest(cost)
+    notes = () if clip.world is not None else ("the camera is taken to stand still: a guess",)
+    return Found(tuple(_segments(clip, division, margins(cost, division), held, definition)), notes)
+
+
+def _fits(
+    clip: Clip, masks: Masks, division: Division, options: Options, progress: Callable[[float], None]
+) -> list[Held]:
+    """A fit wherever the object does not lie still; none where nothing can be fitted."""
+    lies = np.zeros(len(clip), dtype=bool)
+    for (first, last), state in zip(division.spans, division.states, strict=True):
+        lies[first : last + 1] = MOTIONS[state] == "static"
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], lies, [True]])))
+    runs = [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
+    parts, fits = list(pieces(runs, LONGEST, LEAST)), []
+    for k, frames in enumerate(parts):
+        before = parts[k - 1][-1] + 1 - INTO if k else 0
+        after = parts[k + 1][0] + INTO if k + 1 < len(parts) else len(clip)
+        around = np.arange(max(0, before, frames[0] - AROUND), min(len(clip), after, frames[-1] + 1 + AROUND))
+        with suppress(GetagripError):  # the object is hidden there, or leaves the image
+            fits.append(held_in(clip, masks, frames, around, options))
+        progress((k + 1) / len(parts))
+    return fits
+
+
+def _segments(
+    clip: Clip, division: Division, margin: Float[ndarray, "n"], held: Sequence[Held], definition: Definition
+) -> Iterator[FoundSegment]:
+    """The segments of a division, the held ones divided by Eq. 2.
+
+    A hand may hold an object steadily before it lifts it, and after it has set it down: then the grasp takes frames
+    from the static segments beside it.
+    """
+    spans, motions = division.spans, [MOTIONS[state] for state in division.states]
+    lengths = spans[:, 1] + 1 - spans[:, 0]
+    owner = np.repeat(np.arange(len(spans)), lengths)
+    stable = np.full(len(clip), -1)
+    lying = np.where(np.array(motions) == "static", lengths, 0)
+    for k in np.flatnonzero(np.array(motions) == "held"):
+        first, last = (int(n) for n in spans[k])
+        before, after = (int(lying[n]) if 0 <= n < len(spans) else 0 for n in (k - 1, k + 1))
+        found = reconstructed(clip, chosen(held, first, last), first, last, before, after)
+        for n, (a, b) in enumerate(stable_in(clip, found, definition)):
+            taken = np.arange(a, b + 1)
+            taken = taken[stable[a : b + 1] < 0]
+            owner[taken], stable[taken] = k, n
+    key = np.stack([owner, stable], axis=1)
+    breaks = np.flatnonzero(np.any(np.diff(key, axis=0), axis=1)) + 1
+    for rows in np.split(np.arange(len(clip)), breaks):
+        k = owner[rows[0]]
+        state = "grasp" if stable[rows[0]] >= 0 else OTHERWISE[motions[k]]
+        side = clip.side if state in ("grasp", "contact") else None
+        yield FoundSegment(Segment(state, int(rows[0]), int(rows[-1]), side), float(margin[k]))

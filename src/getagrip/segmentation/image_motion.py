@@ -1,0 +1,130 @@
+"""How far the object moves in the image beyond what the camera's own motion explains.
+
+Masks of two frames are compared where neither is hidden. Pixels that differ, over the length of the visible contour,
+are the mean displacement of the contour. Where the camera moves, the earlier mask is first taken to the later camera as
+if it lay on a plane that faces the camera. Its depth is not known: of several, the one that leaves least counts, for an
+object is still if at any depth the camera's motion explains how its mask moves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks
+from getagrip.geometry import se3
+from getagrip.geometry.camera import bounding_boxes
+
+DEPTHS = (0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0)
+"""Depths that are tried, as shares of the hand's."""
+SHORTEST = 12.0
+"""Pixels of visible contour below which a pair of frames says nothing."""
+Window = tuple[int, int, int, int]
+"""Left, top, right and bottom [px], the last two exclusive."""
+STILL = 1e-4
+"""Cameras less far apart than this are one [m, and radians times 1]."""
+
+
+@dataclass(frozen=True)
+class ImageMotion:
+    """Displacements of the contour between frames that are close.
+
+    Attributes:
+        moved: (L, T) mean displacement from the frame l + 1 before to frame t [px]; NaN where it is not known.
+        by_camera: (L, T) displacement of the object's centre by the camera's motion [px]. What that does to the outline
+            is explained only in part.
+    """
+
+    moved: Float[ndarray, "L T"]
+    by_camera: Float[ndarray, "L T"]
+
+    @property
+    def lags(self) -> int:
+        """The most frames that two compared ones are apart."""
+        return len(self.moved)
+
+
+def image_motion(clip: Clip, masks: Masks, lags: int) -> ImageMotion:
+    """The object's motion in the image over 1 to ``lags`` frames.
+
+    Without ``clip.world`` the camera is taken to stand still.
+    """
+    T = len(clip)
+    moved, by_camera = np.full((lags, T), np.nan), np.zeros((lags, T))
+    contour = [visible_contour(o, i) for o, i in zip(masks.object, masks.ignore, strict=True)]
+    boxes = bounding_boxes(masks.object)
+    depth = float(np.median(se3.transform(clip.hand.T_cam_hand, clip.hand.vertices.mean(axis=1)[:, None])[:, 0, 2]))
+    for t in range(1, T):
+        for lag in range(1, min(lags, t) + 1):
+            s = t - lag
+            length = (contour[s] + contour[t]) / 2.0
+            if min(contour[s], contour[t]) < SHORTEST:
+                continue
+            window = _around(boxes[[s, t]], clip.size)
+            ways = _homographies(clip, s, t, depth)
+            moved[lag - 1, t] = min(_differ(masks, s, t, H, window) / length for H in ways)
+            by_camera[lag - 1, t] = _displacement(ways[len(ways) // 2], (boxes[s, :2] + boxes[s, 2:]) / 2.0)
+    return ImageMotion(moved, by_camera)
+
+
+def visible_contour(object_: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"]) -> float:
+    """Length of a mask's border with visible background [px]."""
+    rows, cols = np.flatnonzero(object_.any(axis=1)), np.flatnonzero(object_.any(axis=0))
+    if not rows.size:
+        return 0.0
+    box = slice(max(rows[0] - 1, 0), rows[-1] + 2), slice(max(cols[0] - 1, 0), cols[-1] + 2)
+    mask, outside = object_[box], ~(object_[box] | ignore[box])
+    across = (mask[:, 1:] & outside[:, :-1]) | (mask[:, :-1] & outside[:, 1:])
+    down = (mask[1:] & outside[:-1]) | (mask[:-1] & outside[1:])
+    # A line at any angle crosses 4 / pi as many borders of pixels as it is long, on average.
+    return float(across.sum() + down.sum()) * np.pi / 4.0
+
+
+def _around(boxes: Int[ndarray, "n 4"], size: tuple[int, int]) -> Window:
+    """A window around boxes, half as large again on each side."""
+    low, high = boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)
+    edge = (high - low) // 2
+    (left, top), (right, bottom) = np.maximum(low - edge, 0), np.minimum(high + edge, size)
+    return int(left), int(top), int(right), int(bottom)
+
+
+def _homographies(clip: Clip, s: int, t: int, depth: float) -> list[Float[ndarray, "3 3"] | None]:
+    """How the image of a still, flat thing moves from frame s to frame t, at each depth; None: not at all."""
+    same = np.array_equal(clip.K[s], clip.K[t])
+    if clip.world is None:
+        return [None] if same else [clip.K[t] @ np.linalg.inv(clip.K[s])]
+    T_ts = se3.inverse(clip.world.T_world_cam[t]) @ clip.world.T_world_cam[s]
+    R, shift = T_ts[:3, :3], T_ts[:3, 3]
+    if same and np.abs(R - np.eye(3)).max() < STILL and np.abs(shift).max() < STILL:
+        return [None]
+    K_s = np.linalg.inv(clip.K[s])
+    return [clip.K[t] @ (R + np.outer(shift, [0.0, 0.0, 1.0 / (d * depth)])) @ K_s for d in DEPTHS]
+
+
+def _displacement(H: Float[ndarray, "3 3"] | None, uv: Float[ndarray, "2"]) -> float:
+    """How far a homography moves a point [px]."""
+    if H is None:
+        return 0.0
+    x, y, w = H @ [*uv, 1.0]
+    return float(np.hypot(x / w - uv[0], y / w - uv[1]))
+
+
+def _differ(masks: Masks, s: int, t: int, H: Float[ndarray, "3 3"] | None, window: Window) -> float:
+    """Pixels of a window in which two masks differ and neither is hidden, the first one moved by a homography."""
+    left, top, right, bottom = window
+    box = slice(top, bottom), slice(left, right)
+    if H is None:
+        earlier, hidden = masks.object[s][box], masks.ignore[s][box]
+    else:
+        labels = (masks.ignore[s] * np.uint8(2)) | masks.object[s].astype(np.uint8)
+        # OpenCV counts from the centre of the first pixel, this package from its corner.
+        into = np.array([[1.0, 0.0, -0.5 - left], [0.0, 1.0, -0.5 - top], [0.0, 0.0, 1.0]])
+        from_centre = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+        size = right - left, bottom - top
+        moved = cv2.warpPerspective(labels, into @ H @ from_centre, size, flags=cv2.INTER_NEAREST)
+        earlier, hidden = (moved & 1) > 0, moved == 2
+    return float(np.count_nonzero((earlier ^ masks.object[t][box]) & ~(hidden | masks.ignore[t][box])))

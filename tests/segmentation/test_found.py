@@ -1,0 +1,60 @@
+"""Segments of a clip that is not cut, found without its truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from getagrip.clip import Masks
+from getagrip.errors import UsageError
+from getagrip.fitting.options import Options
+from getagrip.grasps.definition import Definition
+from getagrip.segmentation.found import Found, find_segments
+from helpers.table_scene import HOLDING, LYING, from_table
+
+DEFINITION = Definition(contact=0.010, shortest=10)
+QUICK = Options(inits=12, frames=12)
+
+
+@cache
+def found() -> Found:
+    clip, masks = from_table()
+    return find_segments(replace(clip, truth=None), masks, DEFINITION, QUICK)
+
+
+@pytest.mark.slow
+def test_a_grasp_is_found_within_a_few_frames_under_a_moving_head() -> None:
+    states = [(s.segment.state, s.segment.first, s.segment.last) for s in found().segments]
+    assert states[0][0] == "static"
+    assert states[-1] == ("grasp", states[-1][1], LYING + HOLDING - 1)
+    assert abs(states[-1][1] - LYING) <= 3
+    assert found().grasps == [states[-1][1:]]
+
+
+@pytest.mark.slow
+def test_segments_cover_the_clip_and_are_better_than_the_next_best() -> None:
+    segments = [s.segment for s in found().segments]
+    assert segments[0].first == 0
+    assert all(b.first == a.last + 1 for a, b in pairwise(segments))
+    assert all(s.margin > 0.0 for s in found().segments)
+    assert {s.side for s in segments if s.state == "grasp"} == {"right"}
+    assert not found().notes
+
+
+def test_an_object_that_never_moves_is_static_and_no_fit_is_needed() -> None:
+    clip, masks = from_table()
+    lying = np.zeros(12, dtype=int)
+    still = replace(clip.take(np.arange(12)), world=None)
+    alone = find_segments(still, masks.take(lying), DEFINITION)
+    assert [(s.segment.state, s.segment.first, s.segment.last) for s in alone.segments] == [("static", 0, 11)]
+    assert alone.notes == ("the camera is taken to stand still: a guess",)
+
+
+def test_masks_of_another_clip_are_refused() -> None:
+    clip, masks = from_table()
+    with pytest.raises(UsageError, match="masks"):
+        find_segments(clip, Masks(masks.object[1:], masks.ignore[1:]))
