@@ -15,11 +15,14 @@ from getagrip.clip import Clip, Masks, input_sha256, write_clip
 from getagrip.datasets.synthetic import shapes
 from getagrip.errors import InputError
 from getagrip.evaluation.metric import ADD_MM, IOU, METRICS
+from getagrip.geometry import mesh as meshes
 from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, SIDES
 from getagrip.result import write_result
+from getagrip.view.tiles import View
 from helpers.egg_and_mug import FRAMES, perfect, same, written
 
 
@@ -60,6 +63,24 @@ def test_only_what_is_wanted_is_computed(scene: tuple[Clip, Masks]) -> None:
     some = ev.evaluate(perfect(clip), clip, masks, wanted=[IOU, ADD_MM])
     for part in ("metrics", "per_frame"):
         assert some[part] == {key: every[part][key] for key in ("iou", "add_mm")}
+
+
+def test_very_large_meshes_are_measured_with_fewer_faces(
+    scene: tuple[Clip, Masks], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clip, masks = scene
+    faces = len(clip.mesh.faces)
+    monkeypatch.setattr(meshes, "MOST_FACES", faces)
+    assert "notes" not in ev.evaluate(perfect(clip), clip, masks, wanted=[])
+    monkeypatch.setattr(meshes, "MOST_FACES", faces // 2)
+    heavy = replace(clip, mesh=Mesh(clip.mesh.vertices, clip.mesh.faces))
+    out = ev.evaluate(perfect(clip), heavy, masks, wanted=[IOU, ADD_MM])
+    (note,) = out["notes"]
+    assert note == f"the mesh of {faces} faces was measured with {len(heavy.mesh.light.faces)}"
+    assert len(heavy.mesh.light.faces) < faces
+    assert View.of(perfect(clip), heavy, masks).clip.mesh is heavy.mesh.light
+    assert out["metrics"]["add_mm"] == pytest.approx(0.0, abs=1e-9)
+    assert out["metrics"]["iou"] > 0.85
 
 
 def test_nothing_but_masks_depends_on_where_the_camera_stands(scene: tuple[Clip, Masks]) -> None:

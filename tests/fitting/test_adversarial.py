@@ -15,9 +15,9 @@ sys.path.append(str(Path(__file__).resolve().parents[2]))
 
 from benchmarks.adversarial import Case, attempt, main, quartered
 from getagrip.datasets.synthetic.categories import CATEGORIES
-from getagrip.fitting import reconstruct as reconstruction
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
+from getagrip.geometry import mesh as meshes
 from getagrip.geometry.mesh import clustered
 from helpers.clips import box
 from helpers.scenes import SHORT, scene
@@ -51,7 +51,7 @@ def test_cases_are_drawn_from_their_numbers_and_failures_counted(capsys: pytest.
 def test_large_meshes_are_fitted_with_fewer_faces(monkeypatch: pytest.MonkeyPatch) -> None:
     clip, masks = scene("mug", 0, SHORT)
     fine = replace(clip, mesh=quartered(quartered(clip.mesh)))
-    monkeypatch.setattr(reconstruction, "MOST_FACES", len(clip.mesh.faces))
+    monkeypatch.setattr(meshes, "MOST_FACES", len(clip.mesh.faces))
     result = reconstruct(fine, masks, Options(method="static", inits=6))
     assert f"the mesh of {len(fine.mesh.faces)} faces was fitted with" in " ".join(result.notes)
     assert result.mean_iou > 0.8

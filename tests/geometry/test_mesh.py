@@ -185,6 +185,15 @@ def test_decimating_keeps_size_and_shape() -> None:
     assert decimate(small, 400 + len(small.faces)) is small
 
 
+def test_a_soup_is_decimated_too() -> None:
+    corners = np.random.default_rng(0).uniform(0.0, 0.2, (3000, 1, 3))
+    corners = corners + np.random.default_rng(1).normal(scale=0.02, size=(3000, 3, 3))
+    soup = Mesh(corners.reshape(-1, 3), np.arange(9000).reshape(-1, 3))
+    few = decimate(soup, 500)
+    assert 0 < len(few.faces) <= 1000
+    np.testing.assert_allclose(np.ptp(few.vertices, axis=0), np.ptp(soup.vertices, axis=0), rtol=0.2)
+
+
 # Files that are broken, or that only look it.
 
 TRIANGLE = "v 0 0 0\nv .1 0 0\nv 0 .1 0\n"

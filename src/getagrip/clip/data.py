@@ -269,6 +269,10 @@ class Clip(ArrayData):
         """The clip with its hand elsewhere, as where a result has it; where that is None, the clip itself."""
         return self if T_cam_hand is None else replace(self, hand=replace(self.hand, T_cam_hand=T_cam_hand))
 
+    def light(self) -> Clip:
+        """The clip with a mesh that is not too large to fit, measure and draw (``Mesh.light``)."""
+        return self if self.mesh.light is self.mesh else replace(self, mesh=self.mesh.light)
+
     def take(self, index: Int[ndarray, "n"]) -> Clip:
         """The clip at some of its frames, in the given order."""
         hand = replace(

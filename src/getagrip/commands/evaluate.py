@@ -79,8 +79,8 @@ def evaluate_results(
 
 
 def _print_doubts(made: dict[str, Any]) -> None:
-    """What speaks against an evaluated result, on stderr."""
-    doubts = list(made.get("findings", ()))
+    """What speaks against an evaluated result, and what is to be known about its metrics, on stderr."""
+    doubts = [*made.get("findings", ()), *made.get("notes", ())]
     if missing := int(made["metrics"].get("frames_without_mesh", 0)):
         doubts.append(f"no mesh of {missing} of {len(made['frames'])} frames: IOU 0, no contact")
     for doubt in doubts:

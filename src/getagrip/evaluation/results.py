@@ -54,17 +54,19 @@ def evaluate(
     ``metrics`` has one number each, ``per_frame`` a list each; names end in their units. Where poses of some frames are
     interpolated, ``metrics_of_fitted`` leaves these out. What needs masks or ground truth is left out without them.
     ``contacts`` are the definitions of contact by which it is measured; of the table of metrics only those ``wanted``
-    are computed. Raises ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for
-    masks of another clip.
+    are computed. Of a very large mesh ``notes`` say with how many faces it was measured (``Mesh.light``). Raises
+    ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for masks of another clip.
     """
     if masks is not None:
         check_masks(clip, masks)
-    index = clip.index_of(result.frames)
+    index, whole_mesh, clip = clip.index_of(result.frames), clip.mesh, clip.light()
     clip, masks = clip.take(index).with_hand_at(result.T_cam_hand), None if masks is None else masks.take(index)
     it = _ResultComparison(clip, masks, ObjectTrack(result.T_hand_obj, result.scale), contacts=tuple(contacts))
     symmetry = None if clip.truth is None else it.symmetries.describe()
     made = evaluation(it, result.method, symmetry, wanted)
     made |= {"frame_kind": list(result.frame_kind), "findings": [str(finding) for finding in result.findings]}
+    if notes := clip.mesh.stands_for(whole_mesh, "measured"):
+        made["notes"] = notes
     fitted = result.frames_of("sampled", "fitted")
     if 0 < len(fitted) < len(clip):
         made["metrics_of_fitted"] = measure(it.take(fitted), wanted)[0]

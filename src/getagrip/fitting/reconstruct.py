@@ -18,7 +18,6 @@ from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frame
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare
-from getagrip.geometry.mesh import clustered
 from getagrip.probability import Probability
 from getagrip.result import Candidates, Reconstruction
 
@@ -27,9 +26,6 @@ AMBIGUOUS = 1.05
 
 CHOICES = ("method", "inits", "init", "priors", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
-
-MOST_FACES = 100_000
-"""Of a mesh as it is fitted: of a can, faces of a millimetre. Larger ones only take time and memory."""
 
 UNEXPLAINED = "failed: the best pose meets the masks with a mean IOU of {:.2f} only; nothing is known of the object"
 """The status of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
@@ -59,7 +55,7 @@ def reconstruct(
         check_masks(clip, masks)
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress)
-        clip, simplified = _light(clip)
+        whole_mesh, clip = clip.mesh, clip.light()
         problem = prepare(clip, masks, options)
         clock("prepare")
         sampled = clip.take(clip.index_of(problem.clip.frames))
@@ -82,21 +78,12 @@ def reconstruct(
     result = _reconstruction(problem, found, whole, clock.seconds())
     return replace(
         result,
-        notes=(*result.notes, *simplified),
+        notes=(*result.notes, *clip.mesh.stands_for(whole_mesh, "fitted")),
         findings=(*findings, *more),
         checks=measured | of_result,
         signs=signs,
         probability_right=probability_right(options, signs, findings),
     )
-
-
-def _light(clip: Clip) -> tuple[Clip, tuple[str, ...]]:
-    """The clip with a mesh of about ``MOST_FACES`` at most, and what to say about it."""
-    faces = len(clip.mesh.faces)
-    if faces <= MOST_FACES:
-        return clip, ()
-    mesh = clustered(clip.mesh, MOST_FACES)
-    return replace(clip, mesh=mesh), (f"the mesh of {faces} faces was fitted with {len(mesh.faces)}",)
 
 
 def probability_right(options: Options, signs: Mapping[str, float], findings: Sequence[Finding]) -> Probability | None:

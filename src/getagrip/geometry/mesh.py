@@ -14,6 +14,10 @@ from getagrip.io.array_data import ArrayData, check_ids
 
 PAIRS = 50_000
 """So many distances are computed at once."""
+LEFT = 2
+"""Times the faces that were asked for: when edge collapse leaves more, it has not worked."""
+MOST_FACES = 100_000
+"""Of a mesh as it is fitted, measured and drawn: of a can, faces of a millimetre. More only take time and memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +79,16 @@ class Mesh(ArrayData):
         corners = self.vertices[self.faces]
         areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         return np.bincount(self.faces.ravel(), np.repeat(areas / 3.0, 3), minlength=len(self.vertices))
+
+    @cached_property
+    def light(self) -> Mesh:
+        """The mesh with about ``MOST_FACES`` at most."""
+        return clustered(self, MOST_FACES)
+
+    def stands_for(self, whole: Mesh, done: str) -> list[str]:
+        """What to say where this mesh was fitted or measured (``done``) in place of the whole one."""
+        faces = len(whole.faces), len(self.faces)
+        return [] if self is whole else [f"the mesh of {faces[0]} faces was {done} with {faces[1]}"]
 
     @cached_property
     def volume(self) -> float:
@@ -166,9 +180,10 @@ def clustered(mesh: Mesh, faces: int) -> Mesh:
     """A mesh of about ``faces`` faces with nearly the same shape, or the mesh itself: fast, for very large ones.
 
     Vertices in the same cell of a grid become their mean, and faces with two corners in one cell vanish: no vertex
-    moves farther than a cell, on smooth surfaces much less. A closed mesh stays closed.
+    moves farther than a cell, on smooth surfaces much less. A closed mesh stays closed. The mesh itself is returned
+    where it has no more faces, nor vertices: a triangle soup has three for each face.
     """
-    if len(mesh.faces) <= faces:
+    if len(mesh.faces) <= faces and len(mesh.vertices) <= faces:
         return mesh
     cell = np.sqrt(2.0 * mesh.vertex_areas.sum() / faces)
     group = same_rows(np.floor(mesh.vertices / cell))
@@ -180,7 +195,10 @@ def clustered(mesh: Mesh, faces: int) -> Mesh:
 
 
 def decimate(mesh: Mesh, faces: int) -> Mesh:
-    """A mesh of about ``faces`` faces with nearly the same shape (quadric edge collapse), or the mesh itself."""
+    """A mesh of about ``faces`` faces with nearly the same shape (quadric edge collapse), or the mesh itself.
+
+    Where faces share no edges that could collapse (triangle soups), vertices are clustered instead.
+    """
     if len(mesh.faces) <= faces:
         return mesh
     import fast_simplification
@@ -188,4 +206,5 @@ def decimate(mesh: Mesh, faces: int) -> Mesh:
     v, f = fast_simplification.simplify(
         mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), target_count=faces
     )
-    return Mesh(np.asarray(v, dtype=float), np.asarray(f, dtype=np.int64))
+    few = Mesh(np.asarray(v, dtype=float), np.asarray(f, dtype=np.int64))
+    return few if len(f) <= LEFT * faces else clustered(few, faces)

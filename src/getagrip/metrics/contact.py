@@ -197,7 +197,11 @@ def close_holes(
     V = vertices.shape[-2]
     linked = coo_array((np.ones(len(border)), (border[:, 0], border[:, 1])), shape=(V, V))
     _, hole = np.unique(connected_components(linked, directed=False)[1][border[:, 0]], return_inverse=True)
-    tips = np.stack([vertices[..., border[hole == h, 0], :].mean(axis=-2) for h in range(hole.max() + 1)], axis=-2)
+    # A mean over each hole's border, of all holes at once: a triangle soup has as many holes as faces.
+    around = coo_array((np.ones(len(border)), (hole, border[:, 0])), shape=(int(hole.max()) + 1, V)).tocsr()
+    flat = np.moveaxis(vertices, -2, 0).reshape(V, -1)
+    tips = (around @ flat / around.sum(axis=1)[:, None]).reshape(-1, *vertices.shape[:-2], 3)
+    tips = np.moveaxis(tips, 0, -2)
     fan = np.stack([border[:, 1], border[:, 0], V + hole], axis=1)
     return np.concatenate([vertices, tips], axis=-2), np.concatenate([faces, fan])
 

@@ -70,8 +70,8 @@ class View:
 
     @staticmethod
     def of(result: Reconstruction, clip: Clip, masks: Masks | None) -> View:
-        """A result with a clip and masks at its frames, the hand as the clip gives it."""
-        return View(clip.with_hand_at(result.T_cam_hand), masks, result)
+        """A result with a clip and masks at its frames, its hand and mesh as they are to be drawn."""
+        return View(clip.light().with_hand_at(result.T_cam_hand), masks, result)
 
     def image_file(self, n: int) -> Path | None:
         """The frame's image, where the clip has one."""

@@ -45,7 +45,7 @@ class Column:
             clip=clip.name, method="", frames=clip.frames, T_hand_obj=still, scale=1.0, iou=np.full(T, np.nan),
             axis=None, candidates=one, energy={}, status="", ambiguous=False, seconds={},
         )  # fmt: skip
-        view = View(clip, masks, nothing)
+        view = View(clip.light(), masks, nothing)
         true = view.true()
         if truth is None or true is None:
             return Column(clip.name, view, posed=False)
