@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from getagrip.cli.command import Clips, Command, Workers
+from getagrip.errors import UsageError
 from getagrip.grasps.options import GraspOptions
-from getagrip.io.arguments import Folder, OptionalFile, OptionalFolder, one_of
+from getagrip.io.arguments import Flag, Folder, OptionalFile, OptionalFolder, one_of
 from getagrip.io.terminal import report
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ class GraspCommand(Command):
 
     clips: Clips = ()
     """Clip folders, or folders of clips: whole sequences, not cut to grasps already. No masks are needed."""
-    grasps: Annotated[GraspOptions, arg(name="")] = field(default_factory=GraspOptions)
+    grasps: Annotated[GraspOptions, arg(name="")] = field(default_factory=lambda: GraspOptions(contact_mm=0.0))
     """What counts as a stable grasp."""
     json: OptionalFile = None
     """Write every number here, unrounded."""
@@ -37,12 +38,25 @@ class GraspCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Segment(GraspCommand):
-    """Find the stable grasps in clips with true poses."""
+    """Find the stable grasps in clips with true poses; or, in masks, all that the object does."""
 
+    grasps: Annotated[GraspOptions, arg(name="")] = field(default_factory=GraspOptions)
+    """What counts as a stable grasp."""
+    from_masks: Flag = False
+    """Read no true pose: find when the object lies still, moves in an unstable contact or is held in a stable grasp, by
+    fits to masks and hand (docs/grasps.md)."""
     out: OptionalFolder = None
-    """Write the list of grasps (grasps.json, segments.csv) and a picture of each clip here."""
+    """Write the list of grasps (grasps.json, segments.csv) and a picture of each clip here; with --from-masks all
+    segments (segments.json) instead of pictures."""
 
     def run(self) -> int:
+        if self.from_masks:
+            from getagrip.commands.segment_masks import find_in_clips
+
+            if self.grasps.listed is not None:
+                raise UsageError("--list: got a list, expected none with --from-masks")
+            definition = self.grasps.definition(contact_mm=10.0)
+            return find_in_clips(self.clips, definition, self.out, self.json, self.workers, self.debug)
         from getagrip.commands.segment import segment_clips
 
         return segment_clips(self.clips, self.cut(), self.out, self.json, self.workers, self.debug)

@@ -80,6 +80,9 @@ class Reconstruct(Command):
         None
     )
     """Ray cluster that runs: HOST:PORT, ray://HOST:PORT, or auto."""
+    find_grasps: Flag = False
+    """Clips are not cut: find their stable grasps in masks and hands first, as segment --from-masks does, and
+    reconstruct each. Their own clips go to DIR/clips, results to DIR/<clip>--1, --2 and so on."""
     overwrite: Flag = False
     """Make results again that are there already, of the same clip, options and code."""
     strict: Flag = False
@@ -109,6 +112,10 @@ class Reconstruct(Command):
             limits=Limits(self.limit_seconds, self.limit_gb),
             shard=ALL if self.shard is None else Shard.of(self.shard),
         )  # fmt: skip
+        if self.find_grasps:
+            from getagrip.commands.reconstruct_found import reconstruct_found
+
+            return reconstruct_found(self.clips, self.out, options, batch, self.debug)
         return reconstruct_clips(self.clips, self.out, options, batch, self.debug)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from getagrip.batch.clips import FEW, print_outcome
 from getagrip.batch.job import Outcome, Progress, failure
@@ -24,6 +24,15 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
     from rich.table import Table
 
+
+class ClipJob(Protocol):
+    """Something to do with a clip."""
+
+    @property
+    def clip(self) -> Path: ...
+
+
+J = TypeVar("J", bound=ClipJob)
 R = TypeVar("R")
 
 COLUMNS = ("sequence", "side", "object", "start", "end", "duration", "first", "last")
@@ -124,8 +133,8 @@ def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> Segmen
 
 
 def outcomes(
-    work: Callable[..., R | Outcome], jobs: Sequence[SegmentJob], workers: int | None, bar: Bar
-) -> Iterator[tuple[SegmentJob, R | Outcome]]:
+    work: Callable[..., R | Outcome], jobs: Sequence[J], workers: int | None, bar: Bar
+) -> Iterator[tuple[J, R | Outcome]]:
     """What becomes of each job, as they finish, while the bar shows it.
 
     ``work`` takes a job and, where it is done in this process, a function to call with its progress.

@@ -15,13 +15,18 @@ if TYPE_CHECKING:
     from getagrip.grasps.cut import Cut
 
 
+def _distance(given: str) -> str:
+    """What help says of a distance that was not given."""
+    return f"(default: {'0, or 10 with --from-masks' if given == 'None' else given})"
+
+
 @dataclass(frozen=True, kw_only=True)
 class GraspOptions:
     """What a stable grasp is; or a list of the grasps."""
 
     tau: float = 0.5
     """In a stable grasp, the contacts of any two frames have an intersection over union (IOU) above this."""
-    contact_mm: Annotated[float, arg(metavar="MM")] = 0.0
+    contact_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint=_distance)] = None
     """Points of the object at most this far from the hand's surface, or inside it, are in contact."""
     points: Points = "vertices"
     """Contact is a set of vertices, of points sampled evenly over the object's surface, or of patches."""
@@ -34,9 +39,10 @@ class GraspOptions:
     """Take the grasps of this list, whatever tau, rule and shortest are: one that import, segment, study or annotate
     wrote, or anybody's (docs/formats.md); also the authors' hot3d_hit.json."""
 
-    def definition(self) -> Definition:
-        """What counts as stable. Raises ``UsageError``."""
-        return Definition(self.tau, self.contact_mm / 1e3, self.points, self.rule, self.shortest)
+    def definition(self, contact_mm: float = 0.0) -> Definition:
+        """What counts as stable, within ``contact_mm`` where nothing is said. Raises ``UsageError``."""
+        within = contact_mm if self.contact_mm is None else self.contact_mm
+        return Definition(self.tau, within / 1e3, self.points, self.rule, self.shortest)
 
     def cut(self, note: Callable[[str], None]) -> Cut:
         """How sequences are cut; the list is read. Raises ``UsageError`` and ``InputError``."""

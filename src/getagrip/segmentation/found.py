@@ -13,11 +13,11 @@ from threadpoolctl import threadpool_limits
 
 from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_masks
 from getagrip.clip.timeline import State
-from getagrip.errors import GetagripError
+from getagrip.errors import InputError
 from getagrip.fitting.options import Options
 from getagrip.grasps.definition import Definition
 from getagrip.segmentation.contacts import reconstructed, stable_in
-from getagrip.segmentation.held import Held, held_in, pieces
+from getagrip.segmentation.held import METHOD, Held, NothingToFitError, held_in, pieces
 from getagrip.segmentation.image_motion import image_motion
 from getagrip.segmentation.semi_markov import Division, cheapest, margins
 from getagrip.segmentation.window_costs import MOTIONS, Motion, chosen, window_costs
@@ -30,6 +30,8 @@ LONGEST, LEAST = 60, 6
 """Frames of a fit, at most and at least."""
 INTO, AROUND = 30, 150
 """A fit is tried in the pauses beside it and so many frames beyond them, at most in so many on either side."""
+MOST_FRAMES = 3000
+"""Of a clip: every window of frames has a cost."""
 WITHIN_10_MM = Definition(contact=0.010)
 
 
@@ -69,13 +71,17 @@ def find_segments(
 ) -> Found:
     """What the object does from frame to frame; ``masks`` are read from the clip's folder where none are given.
 
-    Without ``clip.world`` the camera is taken to stand still. The clip's own segments and truth are not read. Raises
-    ``UsageError`` for masks of another clip, and ``InputError`` for what no clip can be.
+    Without ``clip.world`` the camera is taken to stand still. The clip's own segments and truth are not read. Of
+    ``options`` the method and the frames that follow from others do not matter. Raises ``UsageError`` for masks of
+    another clip, and ``InputError`` for what no clip can be, and for more than ``MOST_FRAMES`` frames.
     """
     check_clip(clip)
+    if len(clip) > MOST_FRAMES:
+        raise InputError(clip.origin, "frames", f"{len(clip)} frames", f"at most {MOST_FRAMES}: cut the clip")
     masks = read_masks(clip) if masks is None else masks
     check_masks(clip, masks)
-    clip, options = replace(clip, segments=(), truth=None), options or Options()
+    clip = replace(clip, segments=(), truth=None)
+    options = replace(options or Options(), method=METHOD)
     lags = max(1, round(LAG * clip.fps))
     moved = image_motion(clip, masks, min(lags, len(clip) - 1))
     with threadpool_limits(1, user_api="blas"):
@@ -100,7 +106,7 @@ def _fits(
         before = parts[k - 1][-1] + 1 - INTO if k else 0
         after = parts[k + 1][0] + INTO if k + 1 < len(parts) else len(clip)
         around = np.arange(max(0, before, frames[0] - AROUND), min(len(clip), after, frames[-1] + 1 + AROUND))
-        with suppress(GetagripError):  # the object is hidden there, or leaves the image
+        with suppress(NothingToFitError):
             fits.append(held_in(clip, masks, frames, around, options))
         progress((k + 1) / len(parts))
     return fits

@@ -23,8 +23,13 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare
 from getagrip.fitting.solve import in_camera
 
+METHOD = "soft-hinge"
 CHUNK = 30
 """So many frames are tried at once."""
+
+
+class NothingToFitError(GetagripError):
+    """Frames in which nothing of the object is seen."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +55,17 @@ class Held:
 def held_in(clip: Clip, masks: Masks, frames: Int[ndarray, "n"], around: Int[ndarray, "m"], options: Options) -> Held:
     """The best fit in some frames, tried in those ``around``, which are to include them.
 
-    Raises ``GetagripError`` where nothing can be rendered, ``InputError`` where fewer than two masks show the object.
+    Raises ``NothingToFitError`` where fewer than two masks show the object, or where it cannot be rendered, and
+    ``InputError`` for initial poses as ``prepare`` does.
     """
+    if masks.observed[frames].sum() < 2:
+        raise NothingToFitError("fewer than two masks show the object")
     problem = prepare(clip.take(frames), masks.take(frames), options)
-    found = METHODS[options.method].fit(problem, lambda _: None)
-    if found.motion is None or found.energy_of is None:
-        raise GetagripError(f"the method {options.method} has no motion that could be tried in other frames")
+    try:
+        found = METHODS[METHOD].fit(problem, lambda _: None)
+    except GetagripError as error:
+        raise NothingToFitError(str(error)) from error
+    assert found.motion is not None
     found = replace(found, motion=found.motion.take(np.zeros(1, int)))
     part, part_masks = clip.take(around), masks.take(around)
     sampled = part.index_of(problem.clip.frames)

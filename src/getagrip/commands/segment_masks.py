@@ -1,0 +1,162 @@
+"""``getagrip segment --from-masks``: what the object of uncut clips does, found without any 3D label of it."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from getagrip.batch.clips import print_outcome
+from getagrip.batch.job import Outcome, Progress, failure
+from getagrip.batch.plan import by_name
+from getagrip.clip import read_clip
+from getagrip.clip.timeline import segment_fields
+from getagrip.commands.segment import outcomes
+from getagrip.errors import UsageError
+from getagrip.grasps import lists
+from getagrip.grasps.cut import as_listed
+from getagrip.grasps.definition import Definition
+from getagrip.grasps.lists import ListedGrasp
+from getagrip.io import files
+from getagrip.io.terminal import console, plain_table, progress_bar, report
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from getagrip.clip import Clip
+    from getagrip.segmentation.found import Found
+
+SEGMENTS = "segments.json"
+COLUMNS = ("sequence", "side", "object", "state", "start", "end", "duration", "first", "last", "margin")
+"""Of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames; nats."""
+
+
+@dataclass(frozen=True)
+class FindJob:
+    """A clip to find segments in."""
+
+    clip: Path
+    definition: Definition
+
+
+@dataclass(frozen=True)
+class FoundClip:
+    """What was found in a clip."""
+
+    clip: str
+    rows: tuple[dict[str, Any], ...]
+    """One for each segment, by ``COLUMNS``."""
+    fields: dict[str, Any]
+    """As ``segments.json`` has it."""
+    grasps: tuple[ListedGrasp, ...]
+
+
+def find_in_clips(
+    paths: Sequence[Path], definition: Definition, out: Path | None, json: Path | None, workers: int | None, debug: bool
+) -> int:
+    """Print the segments of clips, found in their masks, and write them to files; 1 if any clip failed, else 0.
+
+    A path is a clip, or a folder of clips. ``out`` gets the grasps as a list, all segments as ``segments.csv``, and as
+    ``clip.json`` has them, with margins, as ``segments.json``; ``json`` the list. Raises ``UsageError`` where there is
+    nothing to do, and where two clips have the same name.
+    """
+    if not paths:
+        raise UsageError("CLIP: name at least one clip")
+    if workers is not None and workers < 1:
+        raise UsageError(f"--workers: got {workers}, expected 1 or more")
+    clips, failed = by_name(paths)
+    for outcome in failed:
+        print_outcome(outcome, debug)
+    jobs = [FindJob(folder, definition) for folder in clips.values()]
+    done: dict[Path, FoundClip] = {}
+    failures = len(failed)
+    with progress_bar() as bar:
+        for job, result in outcomes(find_one, jobs, workers, bar):
+            if isinstance(result, FoundClip):
+                done[job.clip] = result
+            else:
+                print_outcome(result, debug)
+                failures += 1
+    found = [done[job.clip] for job in jobs if job.clip in done]
+    if found:
+        console().print(_table(found))
+    for one in found:
+        for note in one.fields["notes"]:
+            report(f"{one.clip}: {note}")
+    grasps = [grasp for one in found for grasp in one.grasps]
+    print(f"{len(grasps)} stable grasps in {sum(bool(one.grasps) for one in found)} of {len(found)} clips")
+    if out is not None:
+        _write(found, out)
+    for path in filter(None, (json, out and out / lists.FILE)):
+        lists.write(path, grasps, {"found in": "masks", **asdict(definition)})
+    return 1 if failures else 0
+
+
+def find_one(job: FindJob, progress: Progress = lambda *_: None) -> FoundClip | Outcome:
+    """The segments of one clip, or how it failed. Raises nothing."""
+    from getagrip.segmentation.found import find_segments
+
+    try:
+        clip = read_clip(job.clip)
+        found = find_segments(clip, None, job.definition, progress=lambda part: progress("fits", part))
+    except Exception as error:  # one clip's trouble must not end the others
+        return failure(job.clip.name, error)
+    grasps = tuple(as_listed(clip, first, last) for first, last in found.grasps)
+    return FoundClip(clip.name, tuple(_rows(clip, found)), _fields(clip, found), grasps)
+
+
+def _rows(clip: Clip, found: Found) -> list[dict[str, Any]]:
+    """The segments, by ``COLUMNS``."""
+    return [
+        {
+            "sequence": clip.name,
+            "side": one.segment.side or "",
+            "object": clip.category,
+            "state": one.segment.state,
+            "start": one.segment.first,
+            "end": one.segment.last,
+            "duration": len(one.segment) / clip.fps,
+            "first": clip.frames[one.segment.first],
+            "last": clip.frames[one.segment.last],
+            "margin": one.margin,
+        }
+        for one in found.segments
+    ]
+
+
+def _fields(clip: Clip, found: Found) -> dict[str, Any]:
+    """The segments as ``clip.json`` has them, and beside them the margins and what was assumed."""
+    return {
+        "segments": segment_fields([one.segment for one in found.segments], clip.frames),
+        "margins": [one.margin for one in found.segments],
+        "notes": list(found.notes),
+    }
+
+
+def _table(found: Sequence[FoundClip]) -> Table:
+    from rich.text import Text
+
+    table = plain_table()
+    table.add_column("clip", overflow="fold")
+    for heading in ("state", "hand"):
+        table.add_column(heading)
+    for heading in ("start", "end", "seconds", "margin"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for one in found:
+        for row in one.rows:
+            numbers = str(row["start"]), str(row["end"]), f"{row['duration']:.2f}", f"{row['margin']:.0f}"
+            table.add_row(Text(one.clip), row["state"], row["side"], *numbers)  # no markup: names may hold brackets
+    return table
+
+
+def _write(found: Sequence[FoundClip], out: Path) -> None:
+    """All segments, into the folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    with (out / "segments.csv").open("w", encoding="utf-8", newline="") as stream:
+        table = csv.writer(stream)
+        table.writerow(COLUMNS)
+        table.writerows(row.values() for one in found for row in one.rows)
+    files.write_json(out / SEGMENTS, {one.clip: one.fields for one in found})
+    print(out / "segments.csv", out / SEGMENTS, sep="\n")
