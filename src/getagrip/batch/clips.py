@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -16,13 +16,16 @@ from getagrip.batch.crews import ENGINES
 from getagrip.batch.engine import Engine
 from getagrip.batch.job import Job, Outcome, reconstruct_one
 from getagrip.batch.ledger import Ledger
+from getagrip.batch.ledger_place import ledger_folder
 from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.plan import ALL, Plan, Shard
 from getagrip.batch.pool import cores
 from getagrip.batch.progress import Pace
+from getagrip.batch.streamed import StreamedJob, reconstruct_streamed
 from getagrip.batch.summary import entry_of, write_summary
 from getagrip.errors import UsageError
 from getagrip.io import leftovers
+from getagrip.io.storage import Place, Remote
 from getagrip.io.terminal import progress_bar, report, show_stage
 
 if TYPE_CHECKING:
@@ -52,6 +55,8 @@ class Batch:
     """Begin no other clip once one has failed."""
     limits: Limits = NONE
     shard: Shard = ALL
+    ledger: Path | None = None
+    """Folder of the ledger; None: that of the results, or where that is in an object store, one on this machine."""
 
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:
@@ -66,7 +71,7 @@ class Batch:
         return None if self.engine == "local" and workers == 1 and not self.limits else start
 
 
-def reconstruct_clips(paths: Sequence[Path], out: Path, options: Options, batch: Batch, debug: bool) -> int:
+def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batch: Batch, debug: bool) -> int:
     """Reconstruct clips into ``out/<clip name>/`` and print the outcome of each; 1 if any failed, else 0.
 
     Several calls may share a folder, at the same time or one after another: its ledger says who does what. Of more
@@ -81,8 +86,10 @@ def reconstruct_clips(paths: Sequence[Path], out: Path, options: Options, batch:
             print_outcome(outcome, debug)
         if not len(plan) or (batch.fail_fast and plan.failed):
             return 1 if plan.failed else 0
-        with Ledger(out) as ledger:
-            for folder in leftovers.sweep(out):
+        with Ledger(ledger_folder(out, batch.ledger)) as ledger:
+            if ledger.path.parent != out:
+                report(f"{out}: its ledger is {ledger.path}")
+            for folder in leftovers.sweep(out) if isinstance(out, Path) else ():
                 report(f"{folder}: removed, left behind by a process that has died")
             tally = _work_off(plan, ledger, out, options, batch, debug)
             if len(plan) + len(plan.failed) > 1:
@@ -121,22 +128,28 @@ class _Tally:
             print(expected(self.right))
 
 
-def _work_off(plan: Plan, ledger: Ledger, out: Path, options: Options, batch: Batch, debug: bool) -> _Tally:
+def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: Batch, debug: bool) -> _Tally:
     """Do the clips, printing what becomes of each."""
-    at = Path if batch.engine == "local" else Path.absolute  # workers elsewhere run in other folders
-    jobs = (Job(name, at(clip), at(out / name), options, batch.overwrite) for name, clip in plan)
+    streamed = isinstance(out, Remote) or plan.remote
+    make: Callable[..., Any] = StreamedJob if streamed else Job
+    work: Callable[..., Outcome] = reconstruct_streamed if streamed else reconstruct_one
+
+    def at(place: Place) -> Place:  # workers elsewhere run in other folders
+        return place.absolute() if isinstance(place, Path) and batch.engine != "local" else place
+
+    jobs = (make(name, at(clip), at(out / name), options, batch.overwrite) for name, clip in plan)
     tally = _Tally()
     with progress_bar() as bar:
         pace = Pace(bar, "clips", len(plan))
         engine = Engine(
-            work=reconstruct_one,
+            work=work,
             lost=_lost,
             entry=entry_of,
             options=asdict(options),
             crew=batch.crew(len(plan)),
             limits=batch.limits,
             prepare=_load,
-            in_this=partial(_shown, bar),
+            in_this=partial(_shown, bar, work),
         )
         outcomes = engine.run(jobs, ledger)
         with closing(outcomes):
@@ -150,7 +163,7 @@ def _work_off(plan: Plan, ledger: Ledger, out: Path, options: Options, batch: Ba
     return tally
 
 
-def _lost(job: Job, why: str) -> Outcome:
+def _lost(job: Job | StreamedJob, why: str) -> Outcome:
     """The outcome of a clip that no process could do."""
     return Outcome(job.name, "failed", why)
 
@@ -160,11 +173,11 @@ def _load() -> None:
     import getagrip.fitting.reconstruct  # noqa: F401
 
 
-def _shown(bar: Progress, job: Job) -> Outcome:
+def _shown(bar: Progress, work: Callable[..., Outcome], job: Job | StreamedJob) -> Outcome:
     """Reconstruct a clip in this process, with a bar for it."""
     stage = bar.add_task("", total=1.0)
     try:
-        return reconstruct_one(job, partial(show_stage, bar, stage, job.name))
+        return work(job, partial(show_stage, bar, stage, job.name))
     finally:
         bar.remove_task(stage)
 

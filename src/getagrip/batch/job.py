@@ -33,6 +33,8 @@ class Job:
     """The result's own folder."""
     options: Options
     overwrite: bool
+    origin: str = ""
+    """Of a clip that is a copy: the address of the original."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         if meanwhile is not None and not job.overwrite:
             return meanwhile
         metrics = {"iou_full": result.mean_iou}
-        write_result(result, job.out, checksum, metrics, clip_folder=job.clip, overwrite=True)
+        write_result(result, job.out, checksum, metrics, clip_folder=job.origin or job.clip, overwrite=True)
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.name, error)
     right = result.probability_right

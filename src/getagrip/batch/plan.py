@@ -12,7 +12,9 @@ from zlib import crc32
 
 from getagrip.batch.job import Outcome, failure
 from getagrip.clip import read_name
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.io import files
+from getagrip.io.storage import Place, Remote, place
 
 
 @dataclass(frozen=True)
@@ -42,17 +44,19 @@ ALL = Shard()
 class Plan:
     """The clips of a call in the order in which they were found: on disk, since there may be millions."""
 
-    def __init__(self, paths: Sequence[Path], shard: Shard = ALL) -> None:
+    def __init__(self, paths: Sequence[Place], shard: Shard = ALL) -> None:
         """Find them. Raises ``UsageError`` where two clips have the same name: their results would have, too."""
         self.failed: list[Outcome] = []
         """Paths that are no clips."""
+        self.remote = any(isinstance(path, Remote) for path in paths)
+        """Whether some lie in an object store."""
         self._db = sqlite3.connect("")  # a temporary file, and that only where it does not fit into the cache
         self._db.execute("CREATE TABLE clips (place INTEGER PRIMARY KEY, name TEXT UNIQUE, folder BLOB)")
         for name, clip in _named_clips(paths, self.failed):
             if name not in shard:
                 continue
             try:
-                self._db.execute("INSERT INTO clips (name, folder) VALUES (?, ?)", (name, os.fsencode(clip)))
+                self._db.execute("INSERT INTO clips (name, folder) VALUES (?, ?)", (name, os.fsencode(str(clip))))
             except sqlite3.IntegrityError:
                 (other,) = self._db.execute("SELECT folder FROM clips WHERE name = ?", (name,)).fetchone()
                 self._db.close()
@@ -64,10 +68,10 @@ class Plan:
         (count,) = self._db.execute("SELECT count(*) FROM clips").fetchone()
         return int(count)
 
-    def __iter__(self) -> Iterator[tuple[str, Path]]:
+    def __iter__(self) -> Iterator[tuple[str, Place]]:
         """The name and the folder of each."""
         for name, folder in self._db.execute("SELECT name, folder FROM clips ORDER BY place"):
-            yield name, Path(os.fsdecode(folder))
+            yield name, place(os.fsdecode(folder))
 
     def __enter__(self) -> Plan:
         return self
@@ -82,13 +86,16 @@ def by_name(paths: Sequence[Path]) -> tuple[dict[str, Path], list[Outcome]]:
     A path is a clip, a folder of clips, or a pattern. Raises ``UsageError`` as ``Plan`` does.
     """
     with Plan(paths) as plan:
-        return dict(plan), plan.failed
+        return {name: clip for name, clip in plan if isinstance(clip, Path)}, plan.failed
 
 
-def _named_clips(paths: Sequence[Path], failed: list[Outcome]) -> Iterator[tuple[str, Path]]:
+def _named_clips(paths: Sequence[Place], failed: list[Outcome]) -> Iterator[tuple[str, Place]]:
     """The name and the folder of each clip; paths that are none go to ``failed``."""
     for path in paths:
         try:
+            if isinstance(path, Remote):
+                yield from _in_store(path, failed)
+                continue
             for clip in clips_in(path):
                 try:
                     yield read_name(clip), clip
@@ -116,6 +123,39 @@ def clips_in(path: Path) -> Iterator[Path]:
             found = True
     if not found:
         raise InputError(path, "", lack, "a clip, or a folder of clips")
+
+
+def _in_store(path: Remote, failed: list[Outcome]) -> Iterator[tuple[str, Remote]]:
+    """The clips that an address stands for: one, the folders in it, or those that match it. No clip is read yet.
+
+    A clip has its folder's name there, since to read so many names takes long.
+    """
+    try:
+        found = _folders_in_store(path)
+    except UsageError:
+        raise
+    except GetagripError as error:  # the whole store is out of reach
+        raise UsageError(f"CLIP: {error}") from error
+    if not found:
+        raise InputError(path.url, "", "no folder in it", "a clip, a folder of clips, or a pattern")
+    for clip in found:
+        if files.is_plain_name(clip.name):
+            yield clip.name, clip
+        else:
+            wrong = InputError(clip.url, "", f"the name {files.shown(clip.name)}", "a name that can name a folder")
+            failed.append(failure("", wrong))
+
+
+def _folders_in_store(path: Remote) -> list[Remote]:
+    """The folders that may be clips."""
+    if glob.has_magic(path.url):
+        return path.matches()
+    if path.name == "clip.json":
+        return [path.parent]
+    there = path.children()
+    if ("clip.json", False) in there:
+        return [path]
+    return [path / name for name, is_folder in there if is_folder]
 
 
 def _in_folder(path: Path) -> Iterator[Path]:

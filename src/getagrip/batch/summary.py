@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import csv
 import heapq
+import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from getagrip.batch.job import Outcome
 from getagrip.batch.ledger import Entry, Ledger
+from getagrip.batch.streamed import readable
 from getagrip.errors import InputError
 from getagrip.io import files
+from getagrip.io.storage import Place, Remote
 from getagrip.result import is_result, read_result
 
 TABLE, PAGE = "summary.csv", "index.html"
@@ -36,15 +39,25 @@ def entry_of(outcome: Outcome) -> Entry:
     )
 
 
-def write_summary(ledger: Ledger, out: Path, nameless: Iterable[Outcome]) -> list[Path]:
-    """Write table and index page of the ledger of a folder, and return their paths.
+def write_summary(ledger: Ledger, out: Place, nameless: Iterable[Outcome]) -> list[Place]:
+    """Write table and index page of the ledger of a folder of results, and return where they are.
 
     ``nameless`` are failures of what has no entry: folders that are no clips.
     """
+    if isinstance(out, Path):
+        return [*_write_here(ledger, out, out, nameless)]
+    with tempfile.TemporaryDirectory(prefix="getagrip.") as folder:
+        for path in _write_here(ledger, out, Path(folder), nameless):
+            (out / path.name).write(path.read_bytes())
+    return [out / TABLE, out / PAGE]
+
+
+def _write_here(ledger: Ledger, results: Place, out: Path, nameless: Iterable[Outcome]) -> list[Path]:
+    """Write them into a folder on this machine."""
     with files.new_file(out / TABLE) as part, part.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file)
         table.writerow(HEAD)
-        for entry in _entries(ledger, out):
+        for entry in _entries(ledger, results):
             about = entry.about
             numbers = (about.get("iou"), about.get("probability_right"))
             cells = ("" if value is None else f"{float(value):.4f}" for value in numbers)
@@ -52,33 +65,36 @@ def write_summary(ledger: Ledger, out: Path, nameless: Iterable[Outcome]) -> lis
             table.writerow([*row, "; ".join(map(str, about.get("findings", ())))])
         for outcome in nameless:
             table.writerow([outcome.name, outcome.state, outcome.message, "", "", "", ""])
-    return [out / TABLE, _write_index(ledger, out)]
+    return [out / TABLE, _write_index(ledger, results, out)]
 
 
-def _write_index(ledger: Ledger, out: Path) -> Path:
+def _write_index(ledger: Ledger, results: Place, out: Path) -> Path:
     """The index page of the worst clips; pictures are ``getagrip report``'s, which takes as long as the clips."""
     from getagrip.pages import IndexRow, row_without_clip, write_index
 
-    worst = heapq.nsmallest(WORST, _entries(ledger, out), key=_goodness)
+    worst = heapq.nsmallest(WORST, _entries(ledger, results), key=_goodness)
     rows = []
-    for entry in worst:
-        folder = out / entry.name
-        try:
-            if entry.state != "done":
-                rows.append(IndexRow(entry.name, problem=entry.why))
-                continue
-            result, record = read_result(folder)
-            page = (folder / "report.html").is_file()
-            rows.append(row_without_clip(entry.name, result, record["metrics"], "", page))
-        except InputError as error:
-            rows.append(IndexRow(entry.name, problem=str(error)))
-    return write_index(rows, out.resolve().name, [TABLE], out / PAGE)
+    with readable(results, [entry.name for entry in worst if entry.state == "done"]) as there:
+        for entry in worst:
+            folder = there / entry.name
+            try:
+                if entry.state != "done":
+                    rows.append(IndexRow(entry.name, problem=entry.why))
+                    continue
+                result, record = read_result(folder)
+                page = (folder / "report.html").is_file()
+                rows.append(row_without_clip(entry.name, result, record["metrics"], "", page))
+            except InputError as error:
+                rows.append(IndexRow(entry.name, problem=str(error)))
+    title = results.name if isinstance(results, Remote) else results.resolve().name
+    return write_index(rows, title, [TABLE], out / PAGE)
 
 
-def _entries(ledger: Ledger, out: Path) -> Iterator[Entry]:
-    """The entries, those whose results are gone marked so."""
+def _entries(ledger: Ledger, out: Place) -> Iterator[Entry]:
+    """The entries, those whose results are gone marked so; in an object store that is not looked up."""
     for entry in ledger.entries():
-        gone = entry.state == "done" and not (files.is_plain_name(entry.name) and is_result(out / entry.name))
+        gone = entry.state == "done" and not files.is_plain_name(entry.name)
+        gone = gone or (entry.state == "done" and isinstance(out, Path) and not is_result(out / entry.name))
         yield Entry(entry.name, "open", "its result is not there any more") if gone else entry
 
 

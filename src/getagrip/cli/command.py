@@ -11,9 +11,13 @@ from tyro.conf import Positional, arg
 from getagrip.errors import UsageError
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Hands, Init, PriorsFile
-from getagrip.io.arguments import Flag, numbers, one_of
+from getagrip.io.arguments import Flag, numbers, one_of, placed
+from getagrip.io.storage import Place, Remote
 
 Clips = Annotated[Positional[tuple[Path, ...]], arg(metavar="CLIP...", help_behavior_hint="")]
+Sources = Annotated[
+    Positional[tuple[Annotated[Place, placed("CLIP")], ...]], arg(metavar="CLIP...", help_behavior_hint="")
+]
 Results = Annotated[Positional[tuple[Path, ...]], arg(metavar="RESULT...", help_behavior_hint="")]
 ClipsFolder = Annotated[
     Path | None, arg(metavar="DIR", help_behavior_hint="(default: where the results were made from)")
@@ -50,7 +54,9 @@ class Command:
         """Raise ``UsageError`` where what it writes has no place, before any work is done."""
         from getagrip.io import files
 
-        if (out := getattr(self, "out", None)) is not None:
+        if isinstance(out := getattr(self, "out", None), Remote):
+            out.check_writable("--out")
+        elif out is not None:
             files.check_folder("--out", out)
         if (json := getattr(self, "json", None)) is not None:
             files.check_file("--json", json)

@@ -16,13 +16,15 @@ from getagrip.cli.command import (
     Method,
     Results,
     Seed,
+    Sources,
     Workers,
     hands_of,
     priors_of,
 )  # fmt: skip
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Init, Options
-from getagrip.io.arguments import File, Flag, Folder, OptionalFile, OptionalFolder, one_of
+from getagrip.io.arguments import File, Flag, Folder, OptionalFile, OptionalFolder, one_of, placed
+from getagrip.io.storage import Place, on_disk
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,11 +45,11 @@ class Demo(Command):
 class Reconstruct(Command):
     """Find the pose of the object in the hand, in the frames of each clip."""
 
-    clips: Clips = ()
-    """Clip folders, folders of clips, or patterns in quotes."""
-    out: Folder
+    clips: Sources = ()
+    """Clip folders, folders of clips, or patterns in quotes; also in object stores: s3://BUCKET/FOLDER, gs://..."""
+    out: Annotated[Place, placed("DIR"), arg(metavar="DIR")]
     """Where the results go: a folder for each clip, of the clip's name. Good ones that are there already are kept.
-    Several calls may share it at the same time."""
+    Several calls may share it at the same time. It may be in an object store, too."""
     method: Method = "soft-hinge"
     """How the object may move in the hand. soft-hinge: about one axis, with small deviations; one-dof: about one axis
     exactly; static: not at all; dynamic: freely in each frame. paper is the paper's method to the letter, slow;
@@ -95,6 +97,8 @@ class Reconstruct(Command):
     """Begin no other clip once one has failed."""
     shard: Annotated[str | None, arg(metavar="I/N", help_behavior_hint="(default: all)")] = None
     """Of N equal parts of the clips only the I-th, for N machines."""
+    ledger: OptionalFolder = None
+    """Local folder for the ledger, where --out is on a network file system."""
 
     def run(self) -> int:
         from getagrip.batch.clips import Batch, reconstruct_clips
@@ -110,12 +114,13 @@ class Reconstruct(Command):
             workers=self.workers, engine=self.engine, address=self.address,
             overwrite=self.overwrite, strict=self.strict, fail_fast=self.fail_fast,
             limits=Limits(self.limit_seconds, self.limit_gb),
-            shard=ALL if self.shard is None else Shard.of(self.shard),
+            shard=ALL if self.shard is None else Shard.of(self.shard), ledger=self.ledger,
         )  # fmt: skip
         if self.find_grasps:
             from getagrip.commands.reconstruct_found import reconstruct_found
 
-            return reconstruct_found(self.clips, self.out, options, batch, self.debug)
+            clips, out = [on_disk("--find-grasps", clip) for clip in self.clips], on_disk("--find-grasps", self.out)
+            return reconstruct_found(clips, out, options, batch, self.debug)
         return reconstruct_clips(self.clips, self.out, options, batch, self.debug)
 
 

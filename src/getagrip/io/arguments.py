@@ -11,11 +11,24 @@ from typing import Annotated
 from tyro.conf import FlagCreatePairsOff, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
+from getagrip.io.storage import Place, Remote, place
+
 Folder = Annotated[Path, arg(metavar="DIR")]
 OptionalFolder = Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")]
 File = Annotated[Path, arg(metavar="FILE")]
 OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 Flag = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
+
+
+def placed(metavar: str) -> PrimitiveConstructorSpec[Place]:
+    """A path, or an address in an object store."""
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda words: place(words[0]),
+        is_instance=lambda value: isinstance(value, Path | Remote),
+        str_from_instance=lambda value: [str(value)],
+    )
 
 
 def one_of(*choices: str) -> PrimitiveConstructorSpec[str | None]:

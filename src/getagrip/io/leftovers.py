@@ -48,12 +48,14 @@ def restore(folder: Path) -> None:
 
 
 def sweep(parent: Path) -> list[Path]:
-    """Remove the workplaces of writers that no longer live, and return them. A replaced folder returns to its place."""
+    """Remove this user's workplaces whose writers no longer live, and return them. A replaced folder returns."""
     swept = []
     for folder in parent.glob(f"{PREFIX}*") if fcntl is not None else ():
         if folder.is_symlink() or not folder.is_dir():
             continue
         try:
+            if folder.stat().st_uid != os.geteuid():
+                continue
             lock = _locked(folder, wait=False)
         except OSError:  # it lives, or is another user's, or gone
             continue

@@ -172,7 +172,7 @@ def _fields(
     return {
         "version": VERSION,
         "clip": result.clip,
-        "clip_folder": None if clip_folder is None else str(Path(clip_folder).resolve()),
+        "clip_folder": None if clip_folder is None else _resolved(str(clip_folder)),
         "method": result.method,
         "options": result.options,
         "seed": result.seed,
@@ -189,6 +189,11 @@ def _fields(
         "software": software(),
         "input_sha256": input_sha256,
     }
+
+
+def _resolved(folder: str) -> str:
+    """An absolute path; an address in an object store stays as it is."""
+    return folder if "://" in folder else str(Path(folder).resolve())
 
 
 def software() -> dict[str, str]:

@@ -1,0 +1,22 @@
+"""Where the ledger of a folder of results lies: in it, or where that is in an object store, on this machine."""
+
+from __future__ import annotations
+
+import os
+from hashlib import sha256
+from pathlib import Path
+
+from getagrip.io.storage import Place
+
+
+def ledger_folder(out: Place, given: Path | None) -> Path:
+    """The ledger's folder: what the user has ``given``, else the results' own, else one in the user's state folder.
+
+    SQLite needs a local disk. Calls on the same results on one machine share the ledger.
+    """
+    if given is not None:
+        return given
+    if isinstance(out, Path):
+        return out
+    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    return state / "getagrip" / f"{out.name[:40]}-{sha256(out.url.encode()).hexdigest()[:12]}"

@@ -1,0 +1,125 @@
+"""One clip in an object store: copied to this machine, reconstructed, and its result copied back.
+
+A result is written with its ``result.json`` last, and without that it is none: half of one is never taken for done.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from getagrip.batch.job import Job, Outcome, Progress, failure, reconstruct_one
+from getagrip.clip import read_name
+from getagrip.errors import InputError
+from getagrip.io import files, leftovers
+from getagrip.io.storage import Place, Remote
+
+if TYPE_CHECKING:
+    from getagrip.fitting.options import Options
+
+LEFT_OUT = ("images", "truth.npz")
+"""Of a clip: what no reconstruction reads (``clip.input_sha256``)."""
+RECORD, POSES = "result.json", "result.npz"
+"""Of a result; the first says that it is one."""
+
+
+@dataclass(frozen=True)
+class StreamedJob:
+    """A clip to reconstruct that, or whose result, lies in an object store."""
+
+    name: str
+    clip: Place
+    out: Place
+    """The result's own folder."""
+    options: Options
+    overwrite: bool
+
+
+def reconstruct_streamed(job: StreamedJob, progress: Progress | None = None) -> Outcome:
+    """As ``reconstruct_one``; what is in a store is copied to a temporary folder before, and back after."""
+    try:
+        with leftovers.workplace(_temporary()) as folder:
+            outcome = _reconstructed(job, folder, progress)
+            message = outcome.message
+            for here, there in (("clip", job.clip), ("result", job.out)):
+                message = message.replace(str(folder / here / job.name), str(there))
+            return replace(outcome, message=message)
+    except Exception as error:  # a full disk
+        return failure(job.name, error)
+
+
+@cache
+def _temporary() -> Path:
+    """The folder of temporary files, freed of what killed processes have left there."""
+    folder = Path(tempfile.gettempdir())
+    leftovers.sweep(folder)
+    return folder
+
+
+def _reconstructed(job: StreamedJob, folder: Path, progress: Progress | None) -> Outcome:
+    """The outcome, whose message has names in the temporary folder."""
+    try:
+        clip, out = _clip(job, folder), _result(job, folder)
+        there = out.exists()
+        local = Job(job.name, clip, out, job.options, job.overwrite, str(job.clip))
+        outcome = reconstruct_one(local, progress)
+        if outcome.state == "done" and isinstance(job.out, Remote):
+            _send(out, job.out, replaces=there)
+        return outcome
+    except Exception as error:  # one clip's trouble must not end the others
+        return failure(job.name, error)
+
+
+def _clip(job: StreamedJob, folder: Path) -> Path:
+    """The clip on this machine. Raises ``InputError`` where it has another name than its folder in the store."""
+    if isinstance(job.clip, Path):
+        return job.clip
+    clip = folder / "clip" / job.name
+    clip.mkdir(parents=True)
+    job.clip.copy_to(clip, LEFT_OUT)
+    name = read_name(clip)
+    if name != job.name:
+        raise InputError(
+            clip / "clip.json", "name", f"the name {files.shown(name)}", f"{job.name}, as its folder is named"
+        )
+    return clip
+
+
+def _result(job: StreamedJob, folder: Path) -> Path:
+    """Where the result goes on this machine, with what there is of one already."""
+    if isinstance(job.out, Path):
+        return job.out
+    out = folder / "result" / job.name
+    out.parent.mkdir()
+    record = (job.out / RECORD).read(files.LARGEST_JSON)
+    if record is not None:
+        poses = (job.out / POSES).read(files.LARGEST_FILE)
+        out.mkdir()
+        (out / RECORD).write_bytes(record)
+        (out / POSES).write_bytes(poses or b"")
+    return out
+
+
+def _send(result: Path, out: Remote, replaces: bool) -> None:
+    """Copy a result into the store. What is there is no result from the first step to the last."""
+    if replaces:
+        (out / RECORD).remove()
+    for name in (POSES, RECORD):
+        (out / name).write((result / name).read_bytes())
+
+
+@contextmanager
+def readable(out: Place, names: Sequence[str]) -> Iterator[Path]:
+    """A folder on this machine in which these results of a folder can be read."""
+    if isinstance(out, Path):
+        yield out
+        return
+    with tempfile.TemporaryDirectory(prefix="getagrip.") as folder:
+        for name in (RECORD, POSES):
+            out.fetch([f"{result}/{name}" for result in names], files.LARGEST_JSON, Path(folder))
+        yield Path(folder)

@@ -1,0 +1,220 @@
+"""Folders in object stores, by fsspec: ``s3://bucket/folder``, ``gs://...`` and whatever else it can reach.
+
+What lies there is untrusted, as files are: sizes are bounded before memory is taken, names lead nowhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.io import extras, files
+
+EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs"}
+"""The extra of this package that reads a kind of address."""
+MOST_FILES, MOST_BYTES, DEEPEST = 20_000, files.LARGEST_FILE, 8
+"""Of a folder that is copied: files, bytes in all, and levels."""
+TRIAL = ".getagrip.trial"
+"""Name of an object that is written, and removed, to see whether that can be done."""
+
+
+@dataclass(frozen=True)
+class Remote:
+    """A folder in an object store, or an object. Every method raises ``GetagripError`` where the store cannot do it."""
+
+    url: str
+    """Without a slash at its end."""
+
+    def __truediv__(self, name: str) -> Remote:
+        return Remote(f"{self.url}/{name}")
+
+    def __str__(self) -> str:
+        return self.url
+
+    @property
+    def name(self) -> str:
+        """The last part of the address."""
+        return self.url.rpartition("/")[2]
+
+    @property
+    def parent(self) -> Remote:
+        """The folder that it is in."""
+        return Remote(self.url.rpartition("/")[0])
+
+    def children(self) -> list[tuple[str, bool]]:
+        """The names in the folder, sorted, and whether each is a folder. Raises ``UsageError`` where there is none."""
+        with self._named():
+            fs, path = self._opened()
+            try:
+                entries = fs.ls(path, detail=True)
+            except FileNotFoundError as error:
+                raise UsageError(f"{self}: got no such folder or bucket, expected one that can be read") from error
+            there = ((_name(entry), entry["type"] == "directory") for entry in entries)
+            return sorted((name, is_folder) for name, is_folder in there if name and name != self.name)
+
+    def matches(self) -> list[Remote]:
+        """What the address stands for as a pattern, sorted."""
+        with self._named():
+            fs, path = self._opened()
+            return sorted((Remote(fs.unstrip_protocol(found)) for found in fs.glob(path)), key=str)
+
+    def read(self, limit: int) -> bytes | None:
+        """The bytes of an object of at most ``limit`` bytes; None where there is none."""
+        with self._named():
+            fs, path = self._opened()
+            try:
+                content = fs.cat_file(path, start=0, end=limit + 1)
+            except FileNotFoundError:
+                return None
+        if len(content) > limit:
+            raise InputError(self.url, "", f"more than {limit} bytes", "at most that")
+        return bytes(content)
+
+    def write(self, content: bytes) -> None:
+        """Make an object, or replace it, whole."""
+        with self._named():
+            fs, path = self._opened()
+            fs.pipe_file(path, content)
+
+    def remove(self) -> None:
+        """Remove an object."""
+        with self._named():
+            fs, path = self._opened()
+            fs.rm_file(path)
+
+    def copy_to(self, folder: Path, leave_out: Sequence[str] = ()) -> None:
+        """Copy all below it into a new folder, but what lies in folders or has names that are to be left out.
+
+        Raises ``InputError`` where names lead out, where it is too large, and where it changes meanwhile.
+        """
+        with self._named():
+            fs, root = self._opened()
+            before = self._listed(fs, root, leave_out)
+            contents = self._contents(fs, {name: (entry["name"], entry["size"]) for name, entry in before.items()})
+            if self._listed(fs, root, leave_out) != before:
+                raise InputError(
+                    self.url, "", "files that changed while they were read", "a folder that stays as it is"
+                )
+        for name, content in contents.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            files.write_bytes(path, content)
+
+    def fetch(self, names: Sequence[str], limit: int, folder: Path) -> None:
+        """Copy objects below it by name, at once, each of at most ``limit`` bytes; those that are not there are not."""
+        with self._named():
+            fs, root = self._opened()
+            paths = [f"{root}/{name}" for name in names]
+            contents = fs.cat_ranges(paths, [0] * len(paths), [limit + 1] * len(paths), on_error="return")
+        for name, content in zip(names, contents, strict=True):
+            if not isinstance(content, Exception) and len(content) <= limit:
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                files.write_bytes(folder / name, bytes(content))
+
+    def check_writable(self, option: str) -> None:
+        """Raise ``UsageError``, in the name of an option, where nothing can be written into the folder."""
+        trial = self / TRIAL
+        try:
+            trial.write(b"")
+            trial.remove()
+        except UsageError:
+            raise
+        except GetagripError as error:
+            raise UsageError(f"{option}: got {self}, expected a folder that can be written ({error})") from error
+
+    def _listed(self, fs: Any, root: str, leave_out: Sequence[str]) -> dict[str, Mapping[str, Any]]:
+        """What the store says of each file below it, by name, checked."""
+        found = fs.find(root, detail=True).items()
+        there = {name.removeprefix(f"{root}/"): entry for name, entry in found if name.startswith(f"{root}/")}
+        wanted = {}
+        for name, entry in there.items():
+            parts = name.split("/")
+            is_file = entry["type"] == "file" and parts[-1]  # some stores have objects that stand for folders
+            if not is_file or parts[0] in leave_out or any(map(_is_hidden, parts)):
+                continue
+            if len(parts) > DEEPEST or not all(map(files.is_plain_name, parts)):
+                raise InputError(self.url, "", f"the name {files.shown(name)}", "names of files inside the folder")
+            wanted[name] = entry
+        total = sum(entry["size"] for entry in wanted.values())
+        if len(wanted) > MOST_FILES or total > MOST_BYTES:
+            given = f"{len(wanted)} files of {total} bytes"
+            raise InputError(self.url, "", given, f"at most {MOST_FILES} files of {MOST_BYTES} bytes")
+        return wanted
+
+    def _contents(self, fs: Any, wanted: Mapping[str, tuple[str, int]]) -> dict[str, bytes]:
+        """The bytes of files by name, each of its size, several at once."""
+        full = {name: place for name, place in wanted.items() if place[1]}  # of nothing no range can be read
+        paths, sizes = [path for path, _ in full.values()], [size for _, size in full.values()]
+        contents = fs.cat_ranges(paths, [0] * len(paths), [size + 1 for size in sizes], on_error="raise")
+        for size, content in zip(sizes, contents, strict=True):
+            if len(content) != size:
+                raise InputError(
+                    self.url, "", "files that changed while they were read", "a folder that stays as it is"
+                )
+        return dict.fromkeys(wanted, b"") | dict(zip(full, map(bytes, contents), strict=True))
+
+    def _opened(self) -> tuple[Any, str]:
+        """The file system, and the path in it. Raises ``UsageError`` where a library for it is missing."""
+        kind = self.url.split(":", 1)[0]
+        extra = EXTRAS.get(kind, "s3")  # any of them brings fsspec
+        core = extras.load("fsspec.core", extra, self.url)
+        try:
+            fs, path = core.url_to_fs(self.url, use_listings_cache=False)
+        except ImportError as error:
+            advice = f"pip install 'getagrip[{extra}]'" if kind in EXTRAS else "install fsspec's library for it"
+            raise UsageError(f"{self}: got no library for {kind}:// ({error}), expected one: {advice}") from error
+        except ValueError as error:
+            expected = "one that fsspec knows, such as s3:// and gs://"
+            raise UsageError(f"{self}: got an address of kind {kind}, expected {expected}") from error
+        return fs, str(path).rstrip("/")
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Whatever libraries raise, in words and with the address."""
+        try:
+            yield
+        except GetagripError:
+            raise
+        except FileNotFoundError as error:
+            raise GetagripError(f"{self}: no such file, folder or bucket ({_brief(error)})") from error
+        except Exception as error:
+            raise GetagripError(f"{self}: it cannot be reached ({type(error).__name__}: {_brief(error)})") from error
+
+
+Place = Path | Remote
+"""A folder: on a disk, or in an object store."""
+
+
+def place(text: str) -> Place:
+    """What a user means: ``file://`` and plain paths are on a disk."""
+    kind, mark, rest = text.partition("://")
+    if not mark:
+        return Path(text)
+    if kind == "file":
+        return Path(unquote(urlsplit(text).path))
+    return Remote(f"{kind}://{rest.rstrip('/')}")
+
+
+def on_disk(option: str, given: Place) -> Path:
+    """A path, of an option that takes no other. Raises ``UsageError``."""
+    if isinstance(given, Remote):
+        raise UsageError(f"{option}: got {given}, expected only folders on a disk with it")
+    return given
+
+
+def _name(entry: Mapping[str, Any]) -> str:
+    """The last part of what a listing names."""
+    return str(entry["name"]).rstrip("/").rpartition("/")[2]
+
+
+def _is_hidden(part: str) -> bool:
+    return part.startswith(".") and part not in (".", "..")
+
+
+def _brief(error: Exception) -> str:
+    return " ".join(str(error).split())[:300]

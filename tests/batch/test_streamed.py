@@ -1,0 +1,207 @@
+"""Clips and results in an object store: half a result is none, and all else is as on a disk."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from getagrip.clip import Clip, write_clip
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.errors import GetagripError
+from getagrip.io.files import to_json
+from getagrip.io.storage import Remote
+from getagrip.result import Reconstruction, read_result
+from helpers.clips import small_clip
+from helpers.command_line import Run
+from helpers.egg_and_mug import perfect
+from helpers.folders import contents
+from helpers.object_store import BUCKET, s3_server
+
+needs_s3 = pytest.mark.skipif(
+    not (find_spec("s3fs") and find_spec("moto")), reason="needs s3fs and a server: pip install s3fs 'moto[server]'"
+)
+
+
+@pytest.fixture
+def store(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[str]:
+    """The address of an empty store in this process."""
+    memory = pytest.importorskip("fsspec", reason="needs fsspec: pip install 'getagrip[s3]'").filesystem("memory")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    memory.store.clear()
+    memory.pseudo_dirs[:] = [""]
+    yield "memory://bucket"
+    memory.store.clear()
+
+
+@pytest.fixture
+def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Instead of the method, the truth, or what stands for it; the names of the clips that were fitted."""
+    names: list[str] = []
+
+    def fit(clip: Clip, masks: object, options: Any, progress: object) -> Reconstruction:
+        names.append(clip.name)
+        assert clip.truth is None  # it is not copied
+        given = json.loads(to_json(asdict(options)))
+        whole = replace(clip, truth=small_clip()[0].truth)
+        return replace(perfect(whole), clip=clip.name, options=given, method=options.method, seed=options.seed)
+
+    monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", fit)
+    return names
+
+
+def put(folder: Path, there: Remote) -> None:
+    """Copy a folder into a store."""
+    for name, content in contents(folder).items():
+        (there / name).write(content)
+
+
+def put_clips(store: str, tmp_path: Path, names: tuple[str, ...] = ("a", "b")) -> str:
+    """Put small clips into a store; the address of their folder."""
+    clip, masks = small_clip()
+    for name in names:
+        put(write_clip(replace(clip, name=name), masks, tmp_path / "clips" / name), Remote(f"{store}/clips/{name}"))
+    return f"{store}/clips"
+
+
+def test_clips_and_results_in_a_store(store: str, tmp_path: Path, run: Run, fitted: list[str]) -> None:
+    clips = put_clips(store, tmp_path)
+    call = ("reconstruct", clips, "--out", f"{store}/out")
+    status, printed, err = run(*call)
+    assert status == 0, err
+    assert f"a: IOU 1.00, 0.0 s, {store}/out/a; " in printed
+    assert f"{store}/out: its ledger is {tmp_path / 'state' / 'getagrip' / 'out-'}" in err
+    out = Remote(f"{store}/out")
+    assert [name for name, _ in out.children()] == ["a", "b", "index.html", "summary.csv"]
+    out.copy_to(tmp_path / "copy")
+    record = read_result(tmp_path / "copy" / "a")[1]
+    assert record["clip_folder"] == f"{clips}/a"
+    assert (tmp_path / "copy" / "summary.csv").read_text().count(",done,") == 2
+    assert '"folder":"a"' in (tmp_path / "copy" / "index.html").read_text()
+    assert "0 done, 2 already done, 0 failed" in run(*call)[1]
+    assert "0 done, 1 already done, 0 failed" not in run(*call, "--shard", "1/2")[1]
+    assert fitted == ["a", "b"]
+    assert "a: done again, since what was there is of another seed" in run(*call, "--seed", 1)[1]
+
+
+@pytest.mark.parametrize("clips_there", [True, False])
+def test_either_may_be_on_a_disk(
+    store: str, tmp_path: Path, run: Run, fitted: list[str], clips_there: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clips = put_clips(store, tmp_path, ("a",))
+    if clips_there:
+        assert run("reconstruct", f"{clips}/a", "--out", tmp_path / "out")[0] == 0
+        assert read_result(tmp_path / "out" / "a")[1]["clip_folder"] == f"{clips}/a"
+    else:
+        monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", lambda clip, *_: perfect(clip, clip.name))
+        assert run("reconstruct", f"file://{tmp_path}/clips/a", "--out", f"{store}/out")[0] == 0
+        assert (Remote(f"{store}/out/a") / "result.json").read(10_000) is not None
+
+
+@pytest.mark.parametrize("which", ["result.npz", "result.json"])
+@pytest.mark.parametrize("replaces", [False, True])
+def test_half_a_result_is_none(
+    store: str, tmp_path: Path, run: Run, fitted: list[str], monkeypatch: pytest.MonkeyPatch, which: str, replaces: bool
+) -> None:
+    clips = put_clips(store, tmp_path, ("a",))
+    call = ("reconstruct", f"{clips}/a", "--out", f"{store}/out")
+    if replaces:
+        assert run(*call, "--seed", 1)[0] == 0
+    write = Remote.write
+
+    def torn(self: Remote, content: bytes) -> None:
+        if self.name == which:
+            raise GetagripError(f"{self}: the network is gone")
+        write(self, content)
+
+    with monkeypatch.context() as gone:
+        gone.setattr(Remote, "write", torn)
+        status, _, err = run(*call)
+    assert status == 1
+    assert f"{which}: the network is gone" in err
+    assert (Remote(f"{store}/out/a") / "result.json").read(10_000) is None
+    status, printed, _ = run(*call)
+    assert status == 0
+    assert "a: IOU 1.00" in printed
+    assert len(fitted) == 2 + replaces
+
+
+def test_a_damaged_result_is_made_again(store: str, tmp_path: Path, run: Run, fitted: list[str]) -> None:
+    clips = put_clips(store, tmp_path, ("a",))
+    call = ("reconstruct", f"{clips}/a", "--out", f"{store}/out")
+    run(*call)
+    (Remote(f"{store}/out/a") / "result.npz").remove()
+    assert "a: done again, since what was there is damaged (" in run(*call)[1]
+
+
+def test_what_is_no_clip_is_named_and_the_others_are_done(
+    store: str, tmp_path: Path, run: Run, fitted: list[str]
+) -> None:
+    clips = put_clips(store, tmp_path)
+    (Remote(clips) / "notes" / "hello.txt").write(b"hello")
+    (Remote(clips) / "wrong" / "clip.json").write((tmp_path / "clips" / "a" / "clip.json").read_bytes())
+    status, printed, err = run("reconstruct", clips, "--out", f"{store}/out", "--workers", 1)
+    assert status == 1
+    assert "2 done, 0 already done, 2 failed" in printed
+    assert f"failed: notes: {clips}/notes/clip.json: got no such file, expected" in err
+    assert f"failed: wrong: {clips}/wrong/clip.json: name: got the name 'a', expected wrong, as its folder" in err
+
+
+def test_a_pattern_stands_for_the_clips_that_it_matches(
+    store: str, tmp_path: Path, run: Run, fitted: list[str]
+) -> None:
+    clips = put_clips(store, tmp_path, ("a1", "a2", "b"))
+    assert run("reconstruct", f"{clips}/a*", "--out", f"{store}/out")[0] == 0
+    assert fitted == ["a1", "a2"]
+
+
+def test_grasps_are_found_on_a_disk_only(store: str, clip_folder: Path, run: Run) -> None:
+    status, _, err = run("reconstruct", clip_folder, "--out", f"{store}/out", "--find-grasps")
+    assert status == 2
+    assert err == f"getagrip: --find-grasps: got {store}/out, expected only folders on a disk with it\n"
+
+
+@pytest.mark.parametrize("missing", ["s3fs", "fsspec.core"])
+def test_a_missing_library_is_named(clip_folder: Path, run: Run, monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
+    if missing == "s3fs":
+        pytest.importorskip("fsspec")
+    monkeypatch.setitem(__import__("sys").modules, missing, None)
+    status, _, err = run("reconstruct", clip_folder, "--out", "s3a://bucket/out")
+    assert status == 2
+    assert err.endswith("pip install 'getagrip[s3]'\n")
+    assert err.count("\n") == 1
+
+
+@needs_s3
+@pytest.mark.slow
+def test_a_server_of_s3_serves_as_well(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same bits as on a disk; a bucket that is not there is named."""
+    import s3fs
+
+    clip, masks = synthesise("can", 0, SceneOptions(frames=4))
+    write_clip(replace(clip, name="can"), masks, tmp_path / "clips" / "can")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    with s3_server() as env:
+        for name, value in env.items():
+            monkeypatch.setitem(os.environ, name, value)
+        s3fs.S3FileSystem().mkdir(BUCKET)
+        put(tmp_path / "clips" / "can", Remote(f"s3://{BUCKET}/clips/can"))
+        clips, out = f"s3://{BUCKET}/clips", f"s3://{BUCKET}/out"
+        status, _, err = run("reconstruct", clips, "--out", out, "--inits", 6)
+        assert status == 0, err
+        assert run("reconstruct", tmp_path / "clips", "--out", tmp_path / "out", "--inits", 6)[0] == 0
+        Remote(out).copy_to(tmp_path / "copy")
+        assert (tmp_path / "copy/can/result.npz").read_bytes() == (tmp_path / "out/can/result.npz").read_bytes()
+        assert "already done" in run("reconstruct", clips, "--out", out, "--inits", 6)[1]
+        for call in ((clips, "--out", "s3://nowhere/out"), ("s3://nowhere/clips", "--out", out)):
+            status, _, err = run("reconstruct", *call)
+            assert status == 2
+            assert "s3://nowhere" in err
+            assert err.count("\n") == 1

@@ -1,0 +1,84 @@
+"""What lies in object stores is untrusted: its names lead nowhere else, its size is bounded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from getagrip.errors import InputError
+from getagrip.io import storage
+from getagrip.io.storage import Remote, place
+from helpers.folders import contents
+
+FOLDER = Remote("memory://bucket/folder")
+
+
+@pytest.fixture
+def memory() -> Iterator[Any]:
+    """A store in this process."""
+    fs = pytest.importorskip("fsspec", reason="needs fsspec: pip install 'getagrip[s3]'").filesystem("memory")
+    fs.store.clear()
+    yield fs
+    fs.store.clear()
+
+
+def test_addresses() -> None:
+    assert place("clips/a") == Path("clips/a")
+    assert place("file:///clips/a%20b") == Path("/clips/a b")
+    there = place("s3://bucket/clips/")
+    assert there == Remote("s3://bucket/clips")
+    assert (there / "a").name == "a"
+    assert (there / "a").parent == there
+
+
+def test_a_copy_is_the_same_but_for_what_is_left_out(memory: Any, tmp_path: Path) -> None:
+    there = {"a": b"1", "b/c/d.png": b"22", "empty": b"", "images/x.png": b"3", "truth.npz": b"4", ".hidden": b"5"}
+    for name, content in there.items():
+        (FOLDER / name).write(content)
+    (Remote(f"{FOLDER}2") / "a").write(b"of another folder")
+    FOLDER.copy_to(tmp_path / "copy", ("images", "truth.npz"))
+    assert contents(tmp_path / "copy") == {"a": b"1", "b/c/d.png": b"22", "empty": b""}
+
+
+@pytest.mark.parametrize("name", ["../up", "a/../../up", "a//b", "a\\b", "~/x", "/".join("abcdefghij"), "a\nb"])
+def test_a_name_that_leads_out_is_refused(memory: Any, tmp_path: Path, name: str) -> None:
+    memory.pipe_file("/bucket/folder/a", b"")
+    memory.store[f"/bucket/folder/{name}"] = memory.store["/bucket/folder/a"]
+    with pytest.raises(InputError, match="expected names of files inside the folder"):
+        FOLDER.copy_to(tmp_path / "copy")
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("limit", ["MOST_FILES", "MOST_BYTES"])
+def test_a_folder_that_is_too_large_is_refused_before_it_is_read(
+    memory: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str
+) -> None:
+    for n in range(3):
+        (FOLDER / str(n)).write(b"123")
+    monkeypatch.setattr(storage, limit, 2)
+    monkeypatch.setattr(Remote, "_contents", None)
+    with pytest.raises(InputError, match="got 3 files of 9 bytes, expected at most"):
+        FOLDER.copy_to(tmp_path)
+    with pytest.raises(InputError, match="got more than 2 bytes"):
+        (FOLDER / "0").read(2)
+    assert (FOLDER / "0").read(3) == b"123"
+    assert (FOLDER / "no").read(3) is None
+
+
+@pytest.mark.parametrize("content", [b"12", b"1234", b"abc"])
+def test_a_folder_that_changes_while_it_is_copied_is_refused(
+    memory: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes
+) -> None:
+    (FOLDER / "a").write(b"123")
+    contents_of = Remote._contents
+
+    def meanwhile(self: Remote, *args: Any) -> dict[str, bytes]:
+        (FOLDER / "a").write(content)
+        return contents_of(self, *args)
+
+    monkeypatch.setattr(Remote, "_contents", meanwhile)
+    with pytest.raises(InputError, match="files that changed while they were read"):
+        FOLDER.copy_to(tmp_path / "copy")
