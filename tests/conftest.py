@@ -28,9 +28,13 @@ from helpers.folders import FullDisk  # noqa: E402
 
 
 def pytest_collection_finish() -> None:
-    """What is there by now stays until the end: the garbage collector need not look at it again and again."""
+    """What is there by now stays until the end: the garbage collector need not look at it again and again.
+
+    For the rest it comes more seldom than usual, after so many new objects.
+    """
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
 
 
 @pytest.fixture(autouse=True)

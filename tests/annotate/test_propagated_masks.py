@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import cv2
@@ -42,8 +43,9 @@ def pose(n: int) -> ndarray:
 SHAPE = 256 + np.array([[-45, -30], [5, -48], [50, -10], [30, 45], [-10, 20], [-40, 40]], np.float32)
 
 
+@cache
 def drawn(n: int, offset: float = 0.0, bar: bool = False) -> tuple[ndarray, ndarray]:
-    """An image and its label map."""
+    """An image and its label map; nothing may be changed in them."""
     T = pose(n)
     T[0, 2] += offset
     ground = GROUND[20 + n : 20 + n + SIZE[1], 30 : 30 + SIZE[0]]

@@ -1,13 +1,12 @@
 """Shapes and kinds of arrays in type hints, checked while the tests run. All other types are mypy's to check.
 
-Every function is checked in its first calls of every test. Checking all of them takes as long as the tests themselves.
+Every function is checked in its first call of every test. Checking all calls takes as long as the tests themselves.
 """
 
 from __future__ import annotations
 
 import re
 import sys
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import is_dataclass
 from functools import cache, wraps
@@ -17,8 +16,7 @@ import jaxtyping
 from beartype import beartype
 from jaxtyping import AbstractArray, AbstractDtype, install_import_hook, jaxtyped
 
-FIRST_CALLS = 2
-_calls: Counter[Any] = Counter()
+_called: set[Any] = set()
 
 
 def check_package() -> None:
@@ -29,27 +27,35 @@ def check_package() -> None:
 
     def where_there_are_arrays(typechecker: Callable[..., Any]) -> Callable[..., Any]:
         check = jaxtyped(typechecker=typechecker)
-        return lambda it: in_first_calls(it, check(it)) if mentions_arrays(it) else it
+        return lambda it: in_first_call(it, check) if mentions_arrays(it) else it
 
     jaxtyping.jaxtyped = where_there_are_arrays  # the import hook puts it before every function and class
     install_import_hook("getagrip", f"{__name__}.arrays_only")
 
 
 def next_test() -> None:
-    """Check the first calls again."""
-    _calls.clear()
+    """Check first calls again."""
+    _called.clear()
 
 
-def in_first_calls(it: Any, checked: Any) -> Any:
-    """A function that is checked in its first calls of every test; a class is checked whenever it is made."""
+def in_first_call(it: Any, check: Callable[[Any], Any]) -> Any:
+    """A function that is checked in its first call of every test, or a dataclass whose first instance is."""
     if isinstance(it, type):
-        return checked
+        plain = it.__init__  # type: ignore[misc]
+        check(it)
+        it.__init__ = first_call(plain, it.__init__)  # type: ignore[misc]
+        return it
+    return first_call(it, check(it))
 
-    @wraps(it)
+
+def first_call(function: Callable[..., Any], checked: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that is replaced by a checked one in its first call of every test."""
+
+    @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        if _calls[it] == FIRST_CALLS:
-            return it(*args, **kwargs)
-        _calls[it] += 1
+        if function in _called:
+            return function(*args, **kwargs)
+        _called.add(function)
         return checked(*args, **kwargs)
 
     return call

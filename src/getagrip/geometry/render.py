@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
-from getagrip.geometry.depth import barycentric, depth_and_face
+from getagrip.geometry.depth import barycentric, covered, depth_and_face
 from getagrip.geometry.mesh import vertex_normals
 
 Surface = tuple[Float[ndarray, "_V 3"], Int[ndarray, "_F 3"]]
@@ -28,8 +28,9 @@ def nearest_surface(
     surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> Int[ndarray, "H W"]:
     """Which of the surfaces is nearest in each pixel; -1 where there is none."""
-    vertices, faces, first = _joined(surfaces)
-    return np.asarray(np.searchsorted(first, depth_and_face(vertices, faces, K, size)[1], side="right") - 1)
+    vertices, faces, _ = _joined(surfaces)
+    owner = np.repeat(np.arange(len(surfaces)), [len(f) for _, f in surfaces])
+    return np.append(owner, -1)[depth_and_face(vertices, faces, K, size)[1]]  # no face, -1, is the last entry
 
 
 def true_masks(
@@ -42,12 +43,12 @@ def true_masks(
     a whole, so that the ignored area does not betray the silhouette of what it hides.
     """
     part = nearest_surface([held, *hands, *others], K, size)  # 0: held, then hands, then others
-    silhouette = depth_and_face(*held, K, size)[1] >= 0
     ignore = (part > 0) & (part <= len(hands))
-    for k in range(1 + len(hands), 1 + len(hands) + len(others)):
-        covers = part == k
-        if np.count_nonzero(covers & silhouette) > HIDES * np.count_nonzero(silhouette):
-            ignore |= covers
+    if others:
+        shown = np.bincount(part[covered(*held, K, size)], minlength=1 + len(hands) + len(others))
+        for k in range(1 + len(hands), len(shown)):
+            if shown[k] > HIDES * shown.sum():
+                ignore |= part == k
     return part == 0, ignore
 
 
@@ -75,11 +76,11 @@ def render_rgb(
         colours = np.concatenate([np.broadcast_to(np.asarray(colour), v.shape) for v, _, colour in meshes])
         K2 = np.diag([2.0, 2.0, 1.0]) @ K
         _, face = depth_and_face(vertices, faces, K2, (2 * width, 2 * height))
-        covered = face >= 0
+        drawn = face >= 0
         weights = barycentric(vertices, faces, K2, face)
-        corners = faces[face[covered]]
+        corners = faces[face[drawn]]
         light = np.sum(weights * brightness[corners], axis=1)
-        picture[covered] = np.clip(light[:, None] * np.einsum("nk,nkc->nc", weights, colours[corners]), 0.0, 1.0)
+        picture[drawn] = np.clip(light[:, None] * np.einsum("nk,nkc->nc", weights, colours[corners]), 0.0, 1.0)
     mean = (picture[::2, ::2] + picture[::2, 1::2] + picture[1::2, ::2] + picture[1::2, 1::2]) / 4.0
     return np.asarray(np.round(255.0 * mean), dtype=np.uint8)
 

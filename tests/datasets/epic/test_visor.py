@@ -168,14 +168,15 @@ def test_text_that_is_no_annotation_is_refused(
 
 
 @pytest.mark.slow
-def test_a_file_is_read_in_little_memory(tmp_path: Path) -> None:
-    one = json.dumps(sparse(V, 7, thing("b", "cup", 13, box(0, 0, 5, 5) * 250)))
+def test_a_file_is_read_in_little_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(json_stream, "CHUNK", 2**12)
+    one = json.dumps(sparse(V, 7, thing("b", "cup", 13, box(0, 0, 5, 5) * 50)))
     path = tmp_path / f"{V}.json"
     path.write_text('{"video_annotations": [' + ", ".join([one] * 250) + "]}")
-    assert path.stat().st_size > 1.5e6
+    assert path.stat().st_size > 4.5e5
     tracemalloc.start()
     assert sum(1 for _ in visor.read_frames(path)) == 250
-    assert tracemalloc.get_traced_memory()[1] < 1.2e6
+    assert tracemalloc.get_traced_memory()[1] < 3e5
     tracemalloc.stop()
 
 
