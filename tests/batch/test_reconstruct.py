@@ -47,7 +47,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Instead of the method, the truth; the names of the clips that were fitted."""
     names: list[str] = []
 
-    def fit(clip: Clip, masks: object, options: Options, progress: object) -> Reconstruction:
+    def fit(clip: Clip, masks: object, options: Options, progress: object, threads: int) -> Reconstruction:
         names.append(clip.name)
         given = json.loads(to_json(asdict(options)))
         return replace(perfect(clip), clip=clip.name, options=given, method=options.method, seed=options.seed)

@@ -46,7 +46,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Instead of the method, the truth, or what stands for it; the names of the clips that were fitted."""
     names: list[str] = []
 
-    def fit(clip: Clip, masks: object, options: Any, progress: object) -> Reconstruction:
+    def fit(clip: Clip, masks: object, options: Any, progress: object, threads: int) -> Reconstruction:
         names.append(clip.name)
         assert clip.truth is None  # it is not copied
         given = json.loads(to_json(asdict(options)))

@@ -23,7 +23,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.result import Reconstruction
 from helpers.clips import small_clip
-from helpers.scenes import SMALL, scene
+from helpers.scenes import SHORT, SMALL, scene
 
 STILL = replace(SMALL, turn_deg=(0.0, 0.0), residual_deg=0.0, residual_mm=0.0)
 
@@ -186,6 +186,20 @@ def test_the_same_seed_gives_the_same_result_to_the_bit() -> None:
     np.testing.assert_array_equal(a.T_hand_obj, b.T_hand_obj)
     np.testing.assert_array_equal(a.candidates.energy, b.candidates.energy)
     assert a.energy == b.energy
+
+
+@pytest.mark.slow
+def test_threads_share_the_work_and_find_the_same_to_the_bit() -> None:
+    options = Options(inits=5)  # not to be shared out evenly
+    one, more = (reconstruct(*scene("spoon", 1, SHORT), options, threads=threads) for threads in (1, 3))
+    np.testing.assert_array_equal(one.candidates.T_hand_obj, more.candidates.T_hand_obj)
+    np.testing.assert_array_equal(one.candidates.energy, more.candidates.energy)
+    assert (one.energy, one.status, one.options) == (more.energy, more.status, more.options)
+
+
+def test_no_threads_are_too_few() -> None:
+    with pytest.raises(UsageError, match=r"threads: got 0, expected 1 or more"):
+        reconstruct(*scene("spoon", 1, SHORT), threads=0)
 
 
 @pytest.mark.slow

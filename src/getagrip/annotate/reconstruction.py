@@ -66,7 +66,7 @@ def reconstruct(new_clip: Sequence[str], shape: Shape, out: Path, name: str, job
     clip, result = out / CLIPS / name, result_folder(out, name)
     steps = (
         ("making the clip", [*new_clip, *shape.options, "--out", str(clip), "--overwrite"]),
-        ("reconstructing", ["reconstruct", str(clip), "--out", str(result.parent), "--overwrite"]),
+        ("reconstructing", ["reconstruct", str(clip), "--out", str(result.parent), "--overwrite", "--threads", "2"]),
         ("drawing the report", ["report", str(result)]),
     )
     said = []

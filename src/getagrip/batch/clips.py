@@ -43,6 +43,8 @@ class Batch:
 
     workers: int | None = None
     """None: one for each core, where there are more than a few clips; on a cluster, one for each CPU."""
+    threads: int = 1
+    """For each clip."""
     engine: str = "local"
     """Of ``ENGINES``."""
     address: str | None = None
@@ -61,6 +63,8 @@ class Batch:
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:
             raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
+        if self.threads < 1:
+            raise UsageError(f"--threads: got {self.threads}, expected 1 or more")
 
     def crew(self, count: int) -> Start[Any, Any] | None:
         """Who does so many clips; None: this process. Raises ``UsageError``."""
@@ -137,7 +141,8 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
     def at(place: Place) -> Place:  # workers elsewhere run in other folders
         return place.absolute() if isinstance(place, Path) and batch.engine != "local" else place
 
-    jobs = (make(name, at(clip), at(out / name), options, batch.overwrite) for name, clip in plan)
+    per_clip = {"options": options, "overwrite": batch.overwrite, "threads": batch.threads}
+    jobs = (make(name, at(clip), at(out / name), **per_clip) for name, clip in plan)
     tally = _Tally()
     with progress_bar() as bar:
         pace = Pace(bar, "clips", len(plan))

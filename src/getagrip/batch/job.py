@@ -35,6 +35,8 @@ class Job:
     overwrite: bool
     origin: str = ""
     """Of a clip that is a copy: the address of the original."""
+    threads: int = 1
+    """That share the hypotheses."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ def _reconstructed(job: Job, progress: Progress | None) -> tuple[Reconstruction,
     from getagrip.fitting.reconstruct import reconstruct
 
     before = input_sha256(job.clip)
-    result = reconstruct(read_clip(job.clip), None, job.options, progress)
+    result = reconstruct(read_clip(job.clip), None, job.options, progress, job.threads)
     if input_sha256(job.clip) != before:
         raise InputError(job.clip, "", "files that changed while they were read", "a clip that stays as it is")
     return result, before

@@ -38,6 +38,8 @@ class StreamedJob:
     """The result's own folder."""
     options: Options
     overwrite: bool
+    threads: int = 1
+    """That share the hypotheses."""
 
 
 def reconstruct_streamed(job: StreamedJob, progress: Progress | None = None) -> Outcome:
@@ -66,7 +68,7 @@ def _reconstructed(job: StreamedJob, folder: Path, progress: Progress | None) ->
     try:
         clip, out = _clip(job, folder), _result(job, folder)
         there = out.exists()
-        local = Job(job.name, clip, out, job.options, job.overwrite, str(job.clip))
+        local = Job(job.name, clip, out, job.options, job.overwrite, str(job.clip), job.threads)
         outcome = reconstruct_one(local, progress)
         if outcome.state == "done" and isinstance(job.out, Remote):
             _send(out, job.out, replaces=there)

@@ -75,6 +75,9 @@ class Reconstruct(Command):
     still, or interpolated where no mask shows the object."""
     workers: Workers = None
     """Processes to share the clips between; on a cluster, as many as it has CPUs."""
+    threads: Annotated[int, arg(metavar="N")] = 1
+    """Threads for each clip, for one that is waited for; many clips are done sooner by --workers. Results are the same
+    to the last bit."""
     engine: Literal["local", "ray"] = "local"
     """Where they run: on this machine, or on a Ray cluster, whose machines must see clips and results under the same
     paths."""
@@ -111,7 +114,7 @@ class Reconstruct(Command):
             every_frame=not self.sampled_only,
         )  # fmt: skip
         batch = Batch(
-            workers=self.workers, engine=self.engine, address=self.address,
+            workers=self.workers, threads=self.threads, engine=self.engine, address=self.address,
             overwrite=self.overwrite, strict=self.strict, fail_fast=self.fail_fast,
             limits=Limits(self.limit_seconds, self.limit_gb),
             shard=ALL if self.shard is None else Shard.of(self.shard), ledger=self.ledger,

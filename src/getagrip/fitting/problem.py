@@ -38,6 +38,7 @@ class Problem:
         prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations.
         hand_corrected: whether the clip's hand is no longer as it was given.
         notes: dropped frames, guesses, initial poses, what stands in for missing masks.
+        threads: so many share the hypotheses of a fit.
     """
 
     clip: Clip
@@ -50,6 +51,7 @@ class Problem:
     hand_corrected: bool
     notes: tuple[str, ...]
     hand_drawn: bool
+    threads: int = 1
 
     def at(self, clip: Clip, masks: Masks) -> Problem:
         """The same problem in other frames of its clip, with the masks that are given for them."""
@@ -86,7 +88,7 @@ class MethodResult:
     energy_of: EnergyOf | None = None
 
 
-def prepare(clip: Clip, masks: Masks | None, options: Options) -> Problem:
+def prepare(clip: Clip, masks: Masks | None, options: Options, threads: int = 1) -> Problem:
     """Leave out frames without an object, sample the rest linearly, crop.
 
     Without ``masks``, those of the frames that are used are read from the clip's folder. Raises ``InputError`` for
@@ -112,7 +114,9 @@ def prepare(clip: Clip, masks: Masks | None, options: Options) -> Problem:
     notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
     observation = observe(masks, clip.K, options.occlusion)
     surface, corrected = ObjectSurface.of(clip.mesh), correction is not None
-    return Problem(clip, masks, given, observation, surface, options, poses, corrected, tuple(notes), hand_drawn)
+    return Problem(
+        clip, masks, given, observation, surface, options, poses, corrected, tuple(notes), hand_drawn, threads
+    )
 
 
 def _sampled(clip: Clip, masks: Masks | None, frames: int) -> tuple[Clip, Masks]:

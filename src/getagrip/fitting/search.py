@@ -46,15 +46,18 @@ class Search:
     schedule: Schedule
     on_stage: Callable[[str], None]
     """Called with the name of each stage when it ends."""
+    threads: int = 1
+    """So many share the hypotheses."""
 
     def relax(self, initial: Fixed, energy: Energy) -> Soft[Fixed]:
         """A static fit from each initial pose, then one in which each frame may deviate a little."""
         stage = self.schedule.coarse[0]
         index = self._frames(stage)
         terms, T = energy(stage.level, index), self.T_cam_hand[index]
-        static = minimise(replace(initial, frames=len(index)), terms, T, self.schedule.static_iterations).motion
+        fixed, schedule, threads = replace(initial, frames=len(index)), self.schedule, self.threads
+        static = minimise(fixed, terms, T, schedule.static_iterations, threads=threads).motion
         relaxed = Soft(static, np.zeros((len(static.R), len(index), 6)), RIDGE)
-        return minimise(relaxed, terms, T, self.schedule.relaxed_iterations).motion
+        return minimise(relaxed, terms, T, schedule.relaxed_iterations, threads=threads).motion
 
     def run(self, motion: M, energy: Energy) -> Solution[M]:
         """All stages, by one motion model and one energy, from a motion at the frames of the first."""
@@ -87,7 +90,8 @@ class Search:
                 before, index = index, self._frames(stage)
                 motion = motion.resampled(before, index)
             terms, T = energy(stage.level, index), self.T_cam_hand[index]
-            solution = explored(minimise(motion, terms, T, stage.iterations), terms, T, self.surface, stage)
+            solution = minimise(motion, terms, T, stage.iterations, threads=self.threads)
+            solution = explored(solution, terms, T, self.surface, stage, self.threads)
             best = suppress_duplicates(solution.motion.poses(), solution.energy, self.surface, stage.keep)
             if not len(best):
                 raise GetagripError(str(Status.INVISIBLE))
@@ -103,6 +107,7 @@ def explored(
     T_cam_hand: Float[ndarray, "N 4 4"],
     surface: ObjectSurface,
     stage: Stage,
+    threads: int = 1,
 ) -> Solution[M]:
     """The solutions of a stage, and those found from the best of them rotated, in several rounds."""
     rng = np.random.default_rng(0)
@@ -112,7 +117,7 @@ def explored(
             break
         children = solution.motion.take(np.tile(parents, 2))
         children = children.rotated(drawn_rotations(surface.axes, stage.rotations, len(parents), rng))
-        solution = solution.concatenate(minimise(children, terms, T_cam_hand, stage.iterations))
+        solution = solution.concatenate(minimise(children, terms, T_cam_hand, stage.iterations, threads=threads))
     return solution
 
 

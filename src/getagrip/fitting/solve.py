@@ -8,8 +8,10 @@ frame's local 7-vector, the motion model its Jacobian; here they are summed and 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import reduce
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -148,9 +150,30 @@ def evaluate(
 
 
 def minimise(
-    motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], iterations: int, rules: Rules = DEFAULT
+    motion: M,
+    terms: Sequence[Term],
+    T_cam_hand: Float[ndarray, "N 4 4"],
+    iterations: int,
+    rules: Rules = DEFAULT,
+    threads: int = 1,
 ) -> Solution[M]:
-    """Minimise the sum of terms from each of B hypotheses; the rules say when one stops."""
+    """Minimise the sum of terms from each of B hypotheses; the rules say when one stops.
+
+    Hypotheses know nothing of each other, so ``threads`` share them out; what is found is the same to the last bit.
+    """
+    shares = np.array_split(np.arange(len(motion.poses().scale)), threads)
+    some = [motion.take(share) for share in shares if len(share)]
+    if len(some) < 2:
+        return _minimised(motion, terms, T_cam_hand, iterations, rules)
+    with ThreadPoolExecutor(len(some)) as pool:
+        found = pool.map(lambda part: _minimised(part, terms, T_cam_hand, iterations, rules), some)
+        return reduce(lambda first, then: first.concatenate(then), found)
+
+
+def _minimised(
+    motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], iterations: int, rules: Rules
+) -> Solution[M]:
+    """``minimise``, all hypotheses side by side."""
     B, N = len(motion.poses().scale), len(T_cam_hand)
     start = evaluate(motion, terms, T_cam_hand, np.full(B, np.inf))
     found = least_squares.minimise(start, iterations, rules)

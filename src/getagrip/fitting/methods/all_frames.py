@@ -103,7 +103,7 @@ def steady(problem: Problem, energy: Energy) -> Energy:
 def search_of(problem: Problem, on_stage: OnStage) -> Search:
     """The search on a clip, as long as the options say."""
     schedule = THOROUGH if problem.options.thorough else USUAL
-    return Search(problem.clip.hand.T_cam_hand, problem.surface, schedule, on_stage)
+    return Search(problem.clip.hand.T_cam_hand, problem.surface, schedule, on_stage, problem.threads)
 
 
 def initial_of(problem: Problem) -> Fixed:

@@ -144,7 +144,7 @@ def every_start(problem: Problem, motion: M, energy: Energy, on_stage: OnStage) 
         if len(rows):
             some = motion.take(rows)
             if problem.options.departures.optimiser:
-                parts.append(solve.minimise(some, terms, T, ITERATIONS))
+                parts.append(solve.minimise(some, terms, T, ITERATIONS, threads=problem.threads))
             else:
                 parts.append(adam.descend(some, terms, T, ITERATIONS, RATE))
         on_stage(name)

@@ -69,7 +69,7 @@ def _best_of_frame(problem: Problem, n: int, energy: Energy) -> Solution[Fixed]:
 
     masks = Masks(problem.masks.object[here], problem.masks.ignore[here])
     initial = initial_poses(clip.take(here), masks, options.inits, options.seed, problem.prior_poses)
-    search = Search(clip.hand.T_cam_hand[here], problem.surface, SCHEDULE, lambda _: None)
+    search = Search(clip.hand.T_cam_hand[here], problem.surface, SCHEDULE, lambda _: None, problem.threads)
     try:
         motion = search.relax(initial, of_frame).core
         return search.run(motion, of_frame)
