@@ -53,6 +53,15 @@ def dies_once(mark: str) -> int:
     return os.getpid()
 
 
+def loses_its_task(mark: str) -> str:
+    """Runs in a process of an array's task: the first time the task is killed, as with its node."""
+    if not Path(mark).exists():
+        Path(mark).touch()
+        os.kill(os.getppid(), 9)
+        time.sleep(60.0)
+    return "done"
+
+
 @dataclass(frozen=True)
 class Errand:
     """A task: takes its time, notes that it was run, and leaves a file, unless that is there."""

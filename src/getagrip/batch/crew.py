@@ -8,11 +8,15 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, Protocol, TypeVar
 
 from getagrip.batch.limits import Limits
+from getagrip.errors import GetagripError
+from getagrip.io import code
 
 J = TypeVar("J")
 R = TypeVar("R")
 
 DIES = "its process died"
+TRIES = 4
+"""Machines that a cluster may lose under a job before it counts as one whose process dies."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,14 @@ class Crew(Protocol[J, R]):
     def close(self) -> None:
         """Let all finish their jobs and go."""
         ...
+
+
+def check_code(expected: str) -> None:
+    """Raise ``GetagripError`` where this machine has another getagrip than the one that gave out the jobs."""
+    if code.fingerprint() != expected:
+        here = f"{code.PACKAGE} on {socket.gethostname()}"
+        given = f"getagrip of other code ({code.fingerprint()})"
+        raise GetagripError(f"{here}: got {given}, expected the same on every machine ({expected})")
 
 
 Start = Callable[[Callable[[J], R], Limits, Callable[[], Any] | None], Crew[J, R]]

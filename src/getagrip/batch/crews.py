@@ -13,8 +13,7 @@ from getagrip.errors import UsageError
 
 
 def _local(workers: int | None, address: str | None) -> Start[Any, Any]:
-    if address is not None:
-        raise UsageError(f"--address: got {address}, expected none without --engine ray")
+    _without(address)
     return partial(Processes, workers or cores())
 
 
@@ -24,5 +23,19 @@ def _ray(workers: int | None, address: str | None) -> Start[Any, Any]:
     return partial(RayCrew, workers, address)
 
 
-ENGINES: dict[str, Callable[[int | None, str | None], Start[Any, Any]]] = {"local": _local, "ray": _ray}
+def _slurm(workers: int | None, address: str | None) -> Start[Any, Any]:
+    from getagrip.batch.on_slurm import SlurmCrew
+
+    _without(address)
+    return partial(SlurmCrew, workers)
+
+
+def _without(address: str | None) -> None:
+    if address is not None:
+        raise UsageError(f"--address: got {address}, expected none without --engine ray")
+
+
+ENGINES: dict[str, Callable[[int | None, str | None], Start[Any, Any]]] = {
+    "local": _local, "ray": _ray, "slurm": _slurm,
+}  # fmt: skip
 """By name: from the number of workers and the cluster's address, each None if not said, to the start of a crew."""

@@ -1,4 +1,4 @@
-"""Where the ledger of a folder of results lies: in it, or where that is in an object store, on this machine."""
+"""Where the ledger of results lies: beside them, or where they are in an object store, in the user's state folder."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from hashlib import sha256
 from pathlib import Path
 
 from getagrip.io.storage import Place
+
+
+def state_folder() -> Path:
+    """The user's own folder for what is neither input nor result."""
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "getagrip"
 
 
 def ledger_folder(out: Place, given: Path | None) -> Path:
@@ -18,5 +23,4 @@ def ledger_folder(out: Place, given: Path | None) -> Path:
         return given
     if isinstance(out, Path):
         return out
-    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
-    return state / "getagrip" / f"{out.name[:40]}-{sha256(out.url.encode()).hexdigest()[:12]}"
+    return state_folder() / f"{out.name[:40]}-{sha256(out.url.encode()).hexdigest()[:12]}"

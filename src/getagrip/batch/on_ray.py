@@ -16,19 +16,17 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
-from getagrip.batch.crew import DIES, Ended
+from getagrip.batch.crew import DIES, TRIES, Ended, check_code
 from getagrip.batch.limits import Limits
 from getagrip.batch.pool import cores
 from getagrip.batch.processes import Processes
-from getagrip.errors import GetagripError, UsageError
+from getagrip.errors import UsageError
 from getagrip.io import code, extras
 from getagrip.io.terminal import report
 
 J = TypeVar("J")
 R = TypeVar("R")
 
-TRIES = 4
-"""Nodes and Ray workers that a job may lose before it counts as one whose process dies."""
 PATIENCE = 5.0
 """Seconds in which an address must answer."""
 LOOK_EVERY = 2.0
@@ -156,13 +154,9 @@ def check_answer(address: str) -> None:
 def _do(how: tuple[Callable[[J], R], Limits, Callable[[], Any] | None, str], job: J) -> Ended[J, R] | Exception:
     """Runs in a Ray worker: do a job; an exception is to be raised by the driver."""
     work, limits, prepare, expected = how
-    if code.fingerprint() != expected:
-        here = f"{code.PACKAGE} on {socket.gethostname()}"
-        return GetagripError(
-            f"{here}: got getagrip of other code ({code.fingerprint()}), expected the same on every node ({expected})"
-        )
-    crew = _crew(work, limits, prepare)
     try:
+        check_code(expected)
+        crew = _crew(work, limits, prepare)
         with _without_main():
             crew.give(job, 1)
         while True:

@@ -74,13 +74,13 @@ class Reconstruct(Command):
     """Leave it at these frames. Otherwise the others follow: each is fitted to its own mask, what all frames share held
     still, or interpolated where no mask shows the object."""
     workers: Workers = None
-    """Processes to share the clips between; on a cluster, as many as it has CPUs."""
+    """Processes to share the clips between; on a Ray cluster, as many as it has CPUs; tasks of a Slurm array, 64."""
     threads: Annotated[int, arg(metavar="N")] = 1
     """Threads for each clip, for one that is waited for; many clips are done sooner by --workers. Results are the same
     to the last bit."""
-    engine: Literal["local", "ray"] = "local"
-    """Where they run: on this machine, or on a Ray cluster, whose machines must see clips and results under the same
-    paths."""
+    engine: Literal["local", "ray", "slurm"] = "local"
+    """Where they run: on this machine, on a Ray cluster, or in Slurm's array jobs. All machines must see clips and
+    results under the same paths."""
     address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS, else one here)")] = (
         None
     )

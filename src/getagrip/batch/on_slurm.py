@@ -1,0 +1,157 @@
+"""A crew of Slurm's array jobs, by submitit: each task of an array does a bundle of jobs, one after the other.
+
+In it they are done as on one machine, by a process of its own with limits of time and memory. Bundles that are lost, by
+Slurm's time limit or with their node, are given out again. submitit keeps functions and results as pickles in a folder
+that all machines see: it is the user's own, nobody else may write there.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
+from uuid import uuid4
+
+from getagrip.batch.crew import DIES, TRIES, Ended, check_code
+from getagrip.batch.ledger_place import state_folder
+from getagrip.batch.limits import Limits
+from getagrip.batch.pool import shared_out
+from getagrip.batch.processes import Processes
+from getagrip.errors import UsageError
+from getagrip.io import code, extras
+from getagrip.io.terminal import report
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+CLUSTER = "slurm"
+"""submitit's name of it; tests run on "local"."""
+TASKS = 64
+"""Of all arrays at once, if the user does not say."""
+BUNDLE = 100
+"""Jobs of a task, at most: a task takes minutes, and Slurm some seconds for it."""
+HOURS = 4.0
+"""Time limit of a task where jobs have none."""
+MEMORY = 3.0
+"""GB for a job where it has no limit; a task gets one more."""
+LOOK_EVERY = 1.0
+"""Seconds between looks at what has ended."""
+
+
+@dataclass(frozen=True)
+class _Given(Generic[J]):
+    """A job that is to be done, or at work."""
+
+    job: J
+    attempt: int
+    tries: int = 1
+
+
+class SlurmCrew(Generic[J, R]):
+    """Tasks of array jobs, so many at once; new ones are submitted when half of them have ended."""
+
+    def __init__(
+        self, workers: int | None, work: Callable[[J], R], limits: Limits, prepare: Callable[[], Any] | None
+    ) -> None:
+        """``workers``: tasks at once. Raises ``UsageError`` where submitit or Slurm is not there."""
+        submitit = extras.load("submitit", "slurm", "--engine slurm")
+        if CLUSTER == "slurm" and shutil.which("sbatch") is None:
+            raise UsageError("--engine slurm: got no command sbatch here, expected a machine that can submit to Slurm")
+        self._workers = workers or TASKS
+        self._how = work, limits, prepare, code.fingerprint()
+        self._errors = submitit.core.utils.UncompletedJobError, submitit.core.utils.FailedJobError
+        self._folder = state_folder() / "slurm" / uuid4().hex[:12]
+        self._folder.mkdir(parents=True, mode=0o700)
+        seconds = BUNDLE * limits.seconds + 600.0 if limits.seconds else HOURS * 3600.0
+        self._executor = submitit.AutoExecutor(folder=self._folder, cluster=CLUSTER)
+        self._executor.update_parameters(
+            name="getagrip", cpus_per_task=1, timeout_min=math.ceil(seconds / 60.0),
+            mem_gb=math.ceil((limits.gigabytes or MEMORY) + 1.0),
+        )  # fmt: skip
+        self._collected: list[_Given[J]] = []
+        self._at_work: dict[Any, list[_Given[J]]] = {}
+        self._lost = 0
+
+    @property
+    def room(self) -> int:
+        """For how many more jobs; none while more than half of the tasks are at work, so that arrays are not small."""
+        if len(self._at_work) > self._workers // 2:
+            return 0
+        return (self._workers - len(self._at_work)) * BUNDLE - len(self._collected)
+
+    @property
+    def busy(self) -> int:
+        """Jobs at work."""
+        return len(self._collected) + sum(map(len, self._at_work.values()))
+
+    def give(self, job: J, attempt: int) -> None:
+        """Put a job into the next array."""
+        self._collected.append(_Given(job, attempt))
+
+    def wait(self, nap: float | None) -> list[Ended[J, R]]:
+        """The jobs that end next; maybe none, when the ``nap`` is over [s] or nobody is at work."""
+        self._submit()
+        if not self._at_work:
+            time.sleep(nap or 0.0)
+        until = time.monotonic() + (math.inf if nap is None else nap)
+        while not (done := [task for task in self._at_work if task.done()]):
+            left = until - time.monotonic()
+            if left <= 0.0 or not self._at_work:
+                return []
+            time.sleep(min(LOOK_EVERY, left))
+        return [ended for task in done for ended in self._ended(task, self._at_work.pop(task))]
+
+    def close(self) -> None:
+        """Cancel what waits in Slurm's queue, and let the rest finish."""
+        for task in self._at_work:
+            if task.state == "PENDING":
+                task.cancel()
+        for task in self._at_work:
+            task.wait()
+        if self._lost:
+            report(f"{self._folder}: logs of the tasks that were lost ({self._lost})")
+        else:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _submit(self) -> None:
+        """Submit what is collected as one array, in equal bundles."""
+        jobs, self._collected = self._collected, []
+        if not jobs:
+            return
+        free = max(1, self._workers - len(self._at_work))
+        size = min(BUNDLE, math.ceil(len(jobs) / free))
+        bundles = [jobs[first : first + size] for first in range(0, len(jobs), size)]
+        if CLUSTER == "slurm":
+            self._executor.update_parameters(slurm_array_parallelism=free)
+        tasks = self._executor.map_array(
+            _do, [self._how] * len(bundles), [[given.job for given in bundle] for bundle in bundles]
+        )
+        self._at_work |= dict(zip(tasks, bundles, strict=True))
+
+    def _ended(self, task: Any, bundle: list[_Given[J]]) -> list[Ended[J, R]]:
+        """What has become of the jobs of a task that has ended; those of a lost one are collected again."""
+        try:
+            ends = task.result()
+        except self._errors:
+            self._lost += 1
+            report(f"Slurm has lost a task ({task.job_id}); its jobs are given out again ({len(bundle)})")
+            self._collected += [replace(given, tries=given.tries + 1) for given in bundle if given.tries < TRIES]
+            return [Ended(given.job, None, DIES, attempts=given.attempt) for given in bundle if given.tries == TRIES]
+        if isinstance(ends, Exception):
+            raise ends
+        return [replace(ended, attempts=max(ended.attempts, bundle[0].attempt)) for ended in ends]
+
+
+def _do(
+    how: tuple[Callable[[J], R], Limits, Callable[[], Any] | None, str], jobs: list[J]
+) -> list[Ended[J, R]] | Exception:
+    """Runs in a task of an array: do its jobs; an exception is to be raised by the driver."""
+    work, limits, prepare, expected = how
+    try:
+        check_code(expected)
+        return list(shared_out(Processes(1, work, limits, prepare), jobs, limits))
+    except Exception as error:
+        return error

@@ -1,0 +1,90 @@
+"""A batch in array jobs: here on submitit's own processes, which take the place of Slurm."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections import Counter
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from getagrip.batch import on_slurm
+from getagrip.batch.limits import NONE, Limits
+from getagrip.batch.on_slurm import SlurmCrew
+from getagrip.batch.pool import shared_out
+from getagrip.errors import GetagripError
+from getagrip.io import code
+from helpers.command_line import Run
+from helpers.jobs import dies_once, drive, loses_its_task, patient
+from helpers.paths import import_path
+
+needs_submitit = pytest.mark.skipif(
+    find_spec("submitit") is None, reason="needs submitit: pip install 'getagrip[slurm]'"
+)
+
+
+@pytest.fixture
+def local(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Tasks are processes of this machine."""
+    monkeypatch.setattr(on_slurm, "CLUSTER", "local")
+    monkeypatch.setattr(on_slurm, "LOOK_EVERY", 0.05)
+    submitit = pytest.importorskip("submitit")
+    monkeypatch.setattr(submitit.Job, "_results_timeout_s", 0.2)  # patience with slow file systems
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("PYTHONPATH", import_path()["PYTHONPATH"])
+
+
+@needs_submitit
+@pytest.mark.slow
+def test_each_task_of_the_ledger_is_done_once(local: None, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    states = [line.split()[1] for line in drive(out, 7, 0.0, 1, partial(SlurmCrew, 2))]
+    assert states == ["done"] * 7
+    assert Counter((out / "runs").read_text().splitlines()) == {f"task-{n:02d}": 1 for n in range(7)}
+    assert list((tmp_path / "state" / "getagrip" / "slurm").iterdir()) == []
+
+
+@needs_submitit
+@pytest.mark.slow
+def test_a_lost_task_is_given_out_again_and_a_process_that_dies_is_its_own_matter(local: None, tmp_path: Path) -> None:
+    crew = SlurmCrew(1, loses_its_task, NONE, None)
+    (ended,) = shared_out(crew, [str(tmp_path / "lost")])
+    assert (ended.result, ended.attempts) == ("done", 1)
+    (ended,) = shared_out(SlurmCrew(1, dies_once, NONE, None), [str(tmp_path / "dies")])
+    assert (ended.result, ended.attempts) == (ended.process, 2)
+
+
+@needs_submitit
+@pytest.mark.slow
+def test_limits_hold_there_as_well(local: None) -> None:
+    limits = Limits(seconds=0.5)
+    ends = {ended.job: ended for ended in shared_out(SlurmCrew(1, patient, limits, None), ["a", "slow"], limits)}
+    assert ends["a"].result == "a"
+    assert ends["slow"].why == "it took longer than 0.5 s (--limit-seconds)"
+
+
+@needs_submitit
+@pytest.mark.slow
+def test_a_machine_with_other_code_is_named(local: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(code, "fingerprint", lambda: "0123456789abcdef")
+    with pytest.raises(GetagripError, match=r"got getagrip of other code .* expected the same on every machine"):
+        list(shared_out(SlurmCrew(1, patient, NONE, None), ["a"]))
+
+
+@pytest.mark.parametrize("missing", ["submitit", "sbatch"])
+def test_what_is_missing_is_named(
+    clip_folder: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch, missing: str
+) -> None:
+    if missing == "submitit":
+        monkeypatch.setitem(sys.modules, "submitit", None)
+    else:
+        pytest.importorskip("submitit", reason="needs submitit: pip install 'getagrip[slurm]'")
+        monkeypatch.setattr(shutil, "which", lambda _: None)
+    status, _, err = run("reconstruct", clip_folder, "--out", tmp_path / "out", "--engine", "slurm")
+    assert status == 2
+    assert err.startswith("getagrip: --engine slurm: got no ")
+    assert missing in err
+    assert err.count("\n") == 1
