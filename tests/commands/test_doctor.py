@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,24 @@ def test_every_line_says_how_it_is_and_what_to_do(run: Run, monkeypatch: pytest.
         assert words in out
     for words in ("BLAS openblas", "cores to use", "GB free for this folder", "ok       mujoco 99.0"):
         assert words in out
+
+
+@pytest.mark.parametrize("prefix", ["", "ray://"])
+def test_a_cluster_is_tried(run: Run, monkeypatch: pytest.MonkeyPatch, prefix: str) -> None:
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    assert "without  Ray cluster; name one by --address HOST:PORT or RAY_ADDRESS" in run("doctor")[1]
+    with socket.socket() as there:
+        there.bind(("127.0.0.1", 0))
+        address = f"{prefix}127.0.0.1:{there.getsockname()[1]}"
+        monkeypatch.setenv("RAY_ADDRESS", address)
+        status, out, _ = run("doctor")
+        assert status == 1
+        assert f"BROKEN   Ray cluster {address} does not answer (" in out
+        there.listen()
+        monkeypatch.delenv("RAY_ADDRESS")
+        status, out, _ = run("doctor", "--address", address)
+        assert status == 0
+        assert f"ok       Ray cluster {address} answers" in out
 
 
 def test_what_is_needed_and_missing_is_wrong(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

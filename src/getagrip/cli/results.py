@@ -237,8 +237,10 @@ class Doctor(Command):
 
     mano: OptionalFolder = None
     """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl, to be tried."""
+    address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS)")] = None
+    """Ray cluster to be tried."""
 
     def run(self) -> int:
         from getagrip.commands import doctor
 
-        return doctor.run(self.mano)
+        return doctor.run(self.mano, self.address)

@@ -6,6 +6,7 @@ say what to do.
 
 from __future__ import annotations
 
+import os
 import platform
 import re
 import shutil
@@ -15,12 +16,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 from time import perf_counter
 
+from getagrip.batch.on_ray import check_answer
 from getagrip.batch.pool import cores
 from getagrip.errors import GetagripError
 
 EXTRAS = {
     "view": "serves `getagrip view`", "torch": "reads estimators' .pt files", "lerobot": "exports to LeRobot",
-    "mujoco": "exports to MuJoCo", "usd": "exports to USD", "bench": "the peer of the speed benchmark",
+    "mujoco": "exports to MuJoCo", "usd": "exports to USD", "ray": "`reconstruct --engine ray`",
+    "slurm": "`reconstruct --engine slurm`", "s3": "clips and results at s3:// addresses", "gs": "at gs:// addresses",
+    "bench": "the peer of the speed benchmark",
 }  # fmt: skip
 """What each extra of the package is for."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "firefox", "open", "xdg-open")
@@ -33,15 +37,15 @@ Line = tuple[str, str]
 """How it is, and what to say."""
 
 
-def run(mano: Path | None = None) -> int:
+def run(mano: Path | None = None, address: str | None = None) -> int:
     """Print what is there, what is missing and whether a small clip can be reconstructed; 1 if anything is wrong.
 
     The first reconstruction compiles the kernels and keeps them on disk, so that later ones start at once. ``mano`` is
-    a folder with MANO files to be tried.
+    a folder with MANO files to be tried, ``address`` that of a Ray cluster.
     """
     print(f"getagrip {metadata.version('getagrip')}, Python {platform.python_version()}, {platform.platform()}")
     wrong = False
-    for check in (_libraries(), _extras(), _machine(), _mano(mano)):
+    for check in (_libraries(), _extras(), _clusters(address), _machine(), _mano(mano)):
         for state, words in check:
             print(f"{state:<8} {words}", flush=True)
             wrong |= state in ("MISSING", "BROKEN")
@@ -70,6 +74,27 @@ def _extras() -> Iterator[Line]:
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     needed = "pages of `report`, `view` and `annotate` open in one: install Chromium or Firefox, or open them elsewhere"
     yield ("ok", f"browser {found}") if found else ("without", f"browser; {needed}")
+
+
+def _clusters(address: str | None) -> Iterator[Line]:
+    """Whether Ray and Slurm can be reached from here."""
+    address = address or os.environ.get("RAY_ADDRESS")
+    if address is None or ":" not in address:
+        yield (
+            "without",
+            "Ray cluster; name one by --address HOST:PORT or RAY_ADDRESS, else `--engine ray` starts its own here",
+        )
+    else:
+        try:
+            check_answer(address)
+        except (OSError, ValueError) as error:
+            advice = "is `ray start --head` running there, is the port open?"
+            yield "BROKEN", f"Ray cluster {address} does not answer ({error}); {advice}"
+        else:
+            yield "ok", f"Ray cluster {address} answers"
+    sbatch = shutil.which("sbatch")
+    slurm = f"Slurm: {sbatch}" if sbatch else "Slurm; `--engine slurm` needs a machine that has the command sbatch"
+    yield "ok" if sbatch else "without", slurm
 
 
 def _requirements() -> Iterator[tuple[str, str, str]]:
