@@ -26,6 +26,7 @@ def test_what_the_page_says_of_the_mesh() -> None:
             shape_of(content)
 
 
+@pytest.mark.slow
 def test_a_command_that_fails_ends_it_with_its_words(tmp_path: Path) -> None:
     job = Job("reconstruct")
     with pytest.raises(GetagripError, match=r"^.*nothing.mp4.*no such file"):

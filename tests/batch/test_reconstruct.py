@@ -62,6 +62,7 @@ def rows(out: Path) -> dict[str, dict[str, str]]:
         return {row["clip"]: row for row in csv.DictReader(file)}
 
 
+@pytest.mark.slow
 def test_what_is_done_is_done_again_only_where_something_differs_and_that_is_said(
     clips: Path, tmp_path: Path, run: Run, fitted: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

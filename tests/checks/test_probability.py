@@ -54,6 +54,7 @@ def test_a_sign_counts_in_its_direction(sign, a: float, b: float) -> None:
     assert 0.0 < less.value < 1.0
 
 
+@pytest.mark.slow
 def test_more_energy_elsewhere_is_a_larger_gap() -> None:
     gaps = [gap_of(energy) for energy in (100.0, 101.0, 120.0, 150.0, 190.0)]
     assert gaps == sorted(gaps)

@@ -35,6 +35,7 @@ def faults(clip: Clip, masks: Masks) -> set[str]:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.slow
 def test_right_inputs_raise_no_finding(side: str) -> None:
     assert examine(INPUT_CHECKS, Evidence(*mug(side)))[1] == ()
 

@@ -17,6 +17,7 @@ from helpers.command_line import Run
 from helpers.egg_and_mug import egg_and_mug, perfect, written
 
 
+@pytest.mark.slow
 def test_the_clip_of_a_report_may_have_moved(run: Run, tmp_path: Path) -> None:
     clip, result = written(egg_and_mug(), tmp_path)
     moved = clip.rename(tmp_path / "elsewhere")
@@ -27,6 +28,7 @@ def test_the_clip_of_a_report_may_have_moved(run: Run, tmp_path: Path) -> None:
     assert (result / "report.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_findings_are_evaluated_and_drawn(run: Run, tmp_path: Path) -> None:
     clip, masks = egg_and_mug()
     folder, _ = written((clip, masks), tmp_path)

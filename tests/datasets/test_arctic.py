@@ -49,8 +49,8 @@ K_EGO = np.array([[1720.0, 0.0, 1399.5], [0.0, 1710.0, 999.5], [0.0, 0.0, 1.0]])
 
 
 @pytest.fixture(autouse=True)
-def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+def _cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))  # names are checksums
 
 
 @pytest.fixture

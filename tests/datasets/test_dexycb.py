@@ -478,6 +478,7 @@ def test_real_labels_and_intrinsics_are_read():
 
 
 @needs(DATA / "dexycb")
+@pytest.mark.slow
 def test_real_sequences():
     sequences = find(DATA / "dexycb")
     recordings = [sequence.read() for sequence in sequences]

@@ -28,8 +28,8 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 
 
 @pytest.fixture(autouse=True)
-def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+def _cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))  # names are checksums
 
 
 @pytest.fixture
@@ -129,7 +129,6 @@ def test_a_grasp_ends_where_nothing_is_known(root: Path) -> None:
     assert masks.object.any(axis=(1, 2)).all()
 
 
-@pytest.mark.slow
 def test_hands_of_the_evaluation_split_are_not_known(root: Path) -> None:
     notes: list[str] = []
     for source in Ho3d(root=root).sources():

@@ -292,7 +292,6 @@ def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: 
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_results_of_other_systems_are_rows(made: Path, tmp_path: Path, run: Run) -> None:
     """Poses by clip, evaluated in the frames of ours; again where they change, and failed where they are missing."""
     theirs, out = tmp_path / "theirs", tmp_path / "out"
@@ -323,6 +322,7 @@ def test_results_of_other_systems_are_rows(made: Path, tmp_path: Path, run: Run)
     assert float(rows[first, "theirs"]["add_mm"]) == pytest.approx(10.0, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_an_ablation_changes_clips_and_draws_a_plot(made: Path, tmp_path: Path, run: Run) -> None:
     call = ("bench", made, "--out", tmp_path, "--workers", "1", "--inits", "8", "--clips", "1")
     status, _, _ = run(*call, "--ablation", "mask-noise", "--methods", "static")
@@ -542,6 +542,7 @@ def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
     assert part == {"train": list("036"), "test": list("1245"), "all": list("0123456")}
 
 
+@pytest.mark.slow
 def test_true_hands_replace_given_ones() -> None:
     noisy, masks = synthesise("can", 0, SceneOptions(frames=3, size=(64, 48), focal=60.0, hand_bias_mm=10.0))
     clip, _ = TrueHands()(noisy, masks, 0)
@@ -552,6 +553,7 @@ def test_true_hands_replace_given_ones() -> None:
         TrueHands()(replace(noisy, truth=None), masks, 0)
 
 
+@pytest.mark.slow
 def test_subjects_of_arctic_are_split_whichever_are_there(tmp_path: Path) -> None:
     folder = tmp_path / "clips"
     clip, masks = synthesise("can", 0, SceneOptions(frames=2, size=(64, 48), focal=60.0))

@@ -45,6 +45,7 @@ def apart(clip: Clip, T_cam_hand: ndarray) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("number", range(22))
+@pytest.mark.slow
 def test_points_move_as_the_jacobian_says(made: tuple[Clip, Masks], number: int) -> None:
     errors = HandErrors.of(made[0].hand).take(np.arange(2))
     rng = np.random.default_rng(number)

@@ -38,6 +38,7 @@ def test_of_a_hinge_nothing_is_left() -> None:
     np.testing.assert_allclose(np.abs(residual.hinge.direction), [0.0, 0.0, 1.0], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_numbers_do_not_depend_on_the_frame_of_the_hand() -> None:
     T = wandering(0)
     moved = se3.rigid(se3.exp_so3(np.array([0.4, -1.0, 0.7])), np.array([0.1, 0.2, -0.3]))
@@ -73,6 +74,7 @@ def test_a_cosine_is_one_line_of_the_spectrum_and_the_last_has_what_is_faster(mo
     assert shares[min(mode, MODES) - 1] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_statistics_are_numbers_over_all_grasps() -> None:
     grasps = [measure(wandering(seed), CENTRE, SIZE, TOUCHED, FPS) for seed in range(3)]
     found = MotionStatistics.of(grasps)

@@ -162,6 +162,7 @@ def test_bad_joints_are_refused(change, message) -> None:  # type: ignore[no-unt
 
 
 @needs(DEXYCB)
+@pytest.mark.slow
 def test_real_joints_are_met_within_millimetres() -> None:
     with np.load(DEXYCB, allow_pickle=False) as data:
         joints, valid, offset = data["joints"].astype(float), data["hand_valid"], data["offset"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,16 @@ FRAMES, TAKEN = 32, 5
 """The ball is taken in frame 5."""
 AT = np.array([0.01, -0.045, 0.005])
 """Where its centre is in a right hand."""
+SIDES: tuple[Side, ...] = ("left", "right")
 BETAS = np.linspace(-1.0, 1.0, 10)
 
 
+@cache
 def synthetic_mano(side: Side) -> dict[str, Any]:
-    """The generic hand with fewer vertices, and a synthetic shape space: that of the left hand has MANO's fault."""
+    """The generic hand with fewer vertices, and a synthetic shape space: that of the left hand has MANO's fault.
+
+    Nothing may be changed in it.
+    """
     rng = np.random.default_rng(0)
     hand = generic.load("right")
     v, f = fast_simplification.simplify(
@@ -51,9 +57,14 @@ def synthetic_mano(side: Side) -> dict[str, Any]:
 def write_mano(folder: Path) -> Path:
     """A folder of both files."""
     folder.mkdir(parents=True)
-    for side in ("left", "right"):
-        (folder / f"MANO_{side.upper()}.pkl").write_bytes(pickle.dumps(synthetic_mano(side), protocol=2))
+    for side in SIDES:
+        (folder / f"MANO_{side.upper()}.pkl").write_bytes(_file(side))
     return folder
+
+
+@cache
+def _file(side: Side) -> bytes:
+    return pickle.dumps(synthetic_mano(side), protocol=2)
 
 
 def bent(side: Side = "right") -> np.ndarray:

@@ -55,6 +55,7 @@ def test_one_long_text_among_numbers_takes_no_memory_for_all(refused: Callable[.
         assert arrays.from_lists(values) is None
 
 
+@pytest.mark.slow
 def test_a_list_of_one_array_many_times_is_counted_in_full(refused: Callable[..., str]) -> None:
     values = [np.zeros(100_000)] * 5000
     with memory(200):
@@ -119,6 +120,7 @@ def test_yaml_that_takes_long_is_refused_by_its_size(tmp_path: Path, refused: Ca
 
 
 @pytest.mark.parametrize("faces", ["f" + " 1" * 3_000_000 + "\n", ("f " + "1 " * 250_000 + "\n") * 20])
+@pytest.mark.slow
 def test_meshes_beyond_bounds_are_refused(refused: Callable[..., str], faces: str) -> None:
     content = ("v 0 0 0\n" * 3 + faces).encode()
     with memory(400):
@@ -154,6 +156,7 @@ def test_messages_move_no_cursor_and_are_short() -> None:
     assert len(message) < 700
 
 
+@pytest.mark.slow
 def test_a_small_zip_of_much_json_ends_soon(tmp_path: Path, refused: Callable[..., str]) -> None:
     path = tmp_path / "a.zip"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:

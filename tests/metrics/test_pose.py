@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 import trimesh
@@ -13,10 +15,15 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.contact import signed_distance
 from getagrip.metrics.pose import SUCCESS, ObjectTrack, best_symmetry, pose_errors
-from getagrip.metrics.symmetry import find_symmetries, surface_points
+from getagrip.metrics.symmetry import Symmetries, find_symmetries, surface_points
 
 seeds = st.integers(0, 2**32 - 1)
 MUG, BOTTLE, CAN, BOX = shapes.mug(), shapes.bottle(), shapes.can(), shapes.box()
+
+
+@cache
+def can_symmetries() -> Symmetries:
+    return find_symmetries(CAN)
 
 
 def poses(rng: np.random.Generator, frames: int = 4) -> np.ndarray:
@@ -142,7 +149,7 @@ def test_symmetries_map_the_surface_onto_itself() -> None:
 @given(seeds, st.floats(0.3, 2.8), st.floats(0.8, 1.2))
 @pytest.mark.slow
 def test_an_invisible_rotation_is_no_error(seed: int, angle: float, scale: float) -> None:
-    symmetries = find_symmetries(CAN)
+    symmetries = can_symmetries()
     T = poses(np.random.default_rng(seed))
     turn = symmetries.about(np.array([angle])) @ symmetries.elements[-1]
     turn[:3, 3] *= scale

@@ -1,4 +1,4 @@
-"""The report is drawn for every kind of result, and the demo goes the whole way."""
+"""The report is drawn for every kind of result."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.clip import Clip, Masks, read_clip
-from getagrip.commands import demo
+from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.scene import make_scene, synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError, UsageError
-from getagrip.result import Axis, read_result
+from getagrip.result import Axis
 from getagrip.view.report import TILES, report_figure, write_report
 from getagrip.view.style import AXIS, FOUND, TRUE
 from helpers.pictures import panel, pixels, pixels_of, read_picture, texts
@@ -94,17 +93,3 @@ def test_a_result_of_another_clip_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="x0"):
         write_report(result, clip, masks, tmp_path / "report.png")
     assert not (tmp_path / "report.png").exists()
-
-
-@pytest.mark.slow
-def test_the_demo_finds_the_mug_and_can_be_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(demo, "CLIP", replace(demo.CLIP, frames=10))
-    for _ in range(2):
-        demo.run(tmp_path)
-    name = demo.clip_name(demo.CATEGORY, demo.SEED, demo.CLIP)
-    clip = read_clip(tmp_path / "clips" / name)
-    result, record = read_result(tmp_path / name)
-    assert result.clip == clip.name
-    assert record["metrics"]["add_success"] == 1.0
-    assert pixels_of(read_picture(tmp_path / "report.png"), AXIS) > 500
-    assert f'"name":"{name}"' in (tmp_path / "report.html").read_text("utf-8")

@@ -141,6 +141,7 @@ def test_ragged_masks_keep_to_the_object_and_an_empty_one_stays_empty(made: tupl
     assert not ragged(empty, 2.0, np.random.default_rng(0)).any()
 
 
+@pytest.mark.slow
 def test_clips_differ_in_how_far_they_are_off_and_the_usual_one_is_off_by_the_bias(made: tuple[Clip, Masks]) -> None:
     noise = Noise(hand_bias_deg=10.0, spread=0.6)
     turns = np.array([displaced(made[0], noise, seed)[0] for seed in range(200)])
@@ -150,6 +151,7 @@ def test_clips_differ_in_how_far_they_are_off_and_the_usual_one_is_off_by_the_bi
     assert logs.std() == pytest.approx(0.6, rel=0.2)
 
 
+@pytest.mark.slow
 def test_outliers_have_their_share_their_duration_and_one_error_each(made: tuple[Clip, Masks]) -> None:
     noise = Noise(hand_jitter_mm=1.0, outlier_share=0.2, outlier_times=1000.0, outlier_s=0.2)
     shifts = np.stack([displaced(made[0], noise, seed)[1] for seed in range(40)])
@@ -171,6 +173,7 @@ def test_spread_and_outliers_leave_the_other_draws_as_they_are(made: tuple[Clip,
     np.testing.assert_array_equal(a[1].object, b[1].object)
 
 
+@pytest.mark.slow
 def test_measures_of_drawn_errors_are_those_that_were_drawn() -> None:
     rng = np.random.default_rng(0)
     noise = Noise(
@@ -188,6 +191,7 @@ def test_measures_of_drawn_errors_are_those_that_were_drawn() -> None:
     assert found["outlier_share"] < 0.01
 
 
+@pytest.mark.slow
 def test_errors_drawn_as_estimated_have_the_measures_of_the_estimates() -> None:
     rng = np.random.default_rng(0)
     clips = [draw(NOISE["estimated"], int(n), 30.0, rng).curves for n in rng.choice(LENGTHS, 300)]

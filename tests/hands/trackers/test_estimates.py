@@ -49,13 +49,21 @@ SCRIPTS = ROOT / "scripts" / "estimators"
 SIDES: list[Side] = ["right", "left"]
 
 
-@pytest.fixture
-def mano_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+@pytest.fixture(scope="module")
+def mano_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """MANO files of the published layout, the left hand the right one's mirror image, its fault included."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    folder = tmp_path / "mano"
-    folder.mkdir()
-    right = fake_mano(monkeypatch)
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        return write_mano(tmp_path_factory.mktemp("mano"), fake_mano(monkeypatch))
+
+
+@pytest.fixture
+def mano_folder(mano_files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Nothing may be changed in it."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(mano_files / "cache"))
+    return mano_files
+
+
+def write_mano(folder: Path, right: dict[str, Any]) -> Path:
     right["f"] = np.stack([np.arange(1538) % 700, np.arange(1538) % 700 + 1, np.arange(1538) % 700 + 3], axis=1)
     for values in (right["v_template"], right["weights"], right["posedirs"], right["shapedirs"].a.x):
         values[445] = values[444]  # the tip of a left middle finger, and of a right one
@@ -439,6 +447,7 @@ def demo_files(folder: Path, known: Known, n: int, joints: bool = True, mesh: bo
 
 
 @pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
 def test_what_hamers_demo_saves(tmp_path: Path, mano_folder: Path, side: Side) -> None:
     """Meshes come back as they were, their wrist and joints nearly: what these rest on changes with shape."""
     known, folder = Known(side, mano_folder), tmp_path / "out_demo"

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from getagrip.geometry import se3
 from getagrip.view.live.column import TRUTH, Column, hinge, named
 from helpers.two_candidates import column, two_candidates
 
 
+@pytest.mark.slow
 def test_a_candidate_takes_the_results_place() -> None:
     it = column()
     other = it.candidate(1)
