@@ -287,6 +287,19 @@ def test_distance_fields(seed: int) -> None:
     )
 
 
+@given(SEEDS)
+def test_distances_are_rounded_correctly(seed: int) -> None:
+    """Else the same clip would give other bits in other processes."""
+    from scipy.ndimage import distance_transform_edt
+
+    rng = np.random.default_rng(seed)
+    for size in (32, 64, 250):
+        target = rng.random((size, size)) < 0.3 / size
+        np.testing.assert_array_equal(
+            observation.distance_to(target), distance_transform_edt(~target).astype(np.float32)
+        )
+
+
 def test_a_distance_field_of_nothing_is_far_away() -> None:
     nothing, everything = np.zeros((16, 16), bool), np.ones((16, 16), bool)
     for seen, valid in ((nothing, everything), (everything, everything), (nothing, nothing)):

@@ -109,16 +109,16 @@ def _sampled(masks: Masks, crops: Crops, use_ignore: bool) -> tuple[Bool[ndarray
 def signed_distance(observed: Bool[ndarray, "s s"], valid: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
     """Distance to the visible contour [px]: to the object outside of it, minus that to visible background inside."""
     background = valid & ~observed
-    far = np.float32(2 * len(observed))
-    distances = []
-    for target in (observed, background):
-        zero_at_target = np.where(target, 0, 255).astype(np.uint8)
-        if target.any():
-            distances.append(cv2.distanceTransform(zero_at_target, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
-        else:
-            distances.append(np.full(observed.shape, far, np.float32))
-    to_object, to_background = distances
+    to_object, to_background = distance_to(observed), distance_to(background)
     return np.where(observed, 0.5 - to_background, np.where(background, to_object - 0.5, to_object - to_background))
+
+
+def distance_to(target: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
+    """Distance of each pixel's centre to the nearest of the target [px], correctly rounded; 2 s where there is none."""
+    if not target.any():
+        return np.full(target.shape, np.float32(2 * len(target)))
+    rounded = cv2.distanceTransform((~target).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.sqrt(np.rint(rounded * rounded))  # OpenCV's last bits differ from process to process
 
 
 @njit(**OPTIONS)
