@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.geometry import se3
-from getagrip.geometry.depth import NEAR, barycentric, depth_and_face
+from getagrip.geometry.depth import NEAR, depth_and_face, interpolated
 from getagrip.geometry.render import render_rgb, true_masks
 
 SIZE = (48, 36)
@@ -84,13 +84,12 @@ def test_behind_the_camera_or_edge_on_draws_nothing():
     assert np.all(depth_and_face(edge_on, np.array([[0, 1, 2]]), centred, SIZE)[1] == -1)
 
 
-def test_barycentric_weights_give_back_depth():
+def test_depth_interpolated_between_vertices_is_the_depth():
     vertices, faces = cube([0.05, 0.0, 0.5])
     depth, face = depth_and_face(vertices, faces, K, SIZE)
-    weights = barycentric(vertices, faces, K, face)
-    z = np.einsum("nk,nk->n", weights, vertices[faces[face[face >= 0]], 2])
-    assert np.all(weights > -1e-9)
+    z, one = interpolated(vertices, faces, K, face, np.stack([vertices[:, 2], np.ones(len(vertices))], axis=1)).T
     np.testing.assert_allclose(z, depth[face >= 0], rtol=1e-6)
+    np.testing.assert_allclose(one, 1.0)
 
 
 def test_masks_separate_visible_from_hidden_pixels():

@@ -12,7 +12,7 @@ import pytest
 
 from getagrip.result import Axis
 from getagrip.view.film import SIDE, STRIP, write_film
-from getagrip.view.stills import overlay, steady_windows, turned
+from getagrip.view.stills import overlay, smoothed, steady_windows, turned
 from getagrip.view.style import AXIS, FOUND, HAND_LINE
 from getagrip.view.tiles import View
 from helpers.egg_and_mug import FRAMES, egg_and_mug, perfect
@@ -65,3 +65,13 @@ def test_windows_hold_hand_and_masks_and_move_less_than_they() -> None:
     middles = [crops.corner + crops.side / 2.0 for crops in (still, moved)]
     steps = [np.linalg.norm(np.diff(middle, axis=0), axis=1).max() for middle in middles]
     assert steps[1] < 0.5 * 0.05 * 400.0 / 0.5  # half of the hand's own jump
+
+
+@pytest.mark.parametrize("over", [0.1, 2.0, 40.0])
+def test_tracks_are_smoothed_as_scipy_does(over: float) -> None:
+    from scipy.ndimage import gaussian_filter1d
+
+    track = np.random.default_rng(0).normal(size=(12, 2))
+    np.testing.assert_allclose(
+        smoothed(track, over), gaussian_filter1d(track, over, axis=0, mode="nearest"), atol=1e-12
+    )

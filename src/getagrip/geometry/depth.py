@@ -45,19 +45,36 @@ def covered(
     return mask
 
 
-def barycentric(
+def interpolated(
     vertices_cam: Float[ndarray, "V 3"],
     faces: Int[ndarray, "F 3"],
     K: Float[ndarray, "3 3"],
-    face: Int[ndarray, "H W"],
-) -> Float[ndarray, "n 3"]:
-    """Weights of the corners of the visible face, for every pixel with ``face >= 0`` in row-major order."""
-    rows, cols = np.nonzero(face >= 0)
-    q = np.stack([cols + 0.5, rows + 0.5, np.ones(len(rows))], axis=-1)
-    p = (vertices_cam @ K.T)[faces]
-    edges = np.cross(np.roll(p, -1, axis=1), np.roll(p, -2, axis=1))  # rows of the adjugate of [p_0 p_1 p_2]
-    a = np.einsum("nij,nj->ni", edges[face[rows, cols]], q)
-    return np.asarray(a / a.sum(axis=1, keepdims=True))
+    face: Int32[ndarray, "H W"],
+    values: Float[ndarray, "V C"],
+) -> Float[ndarray, "n C"]:
+    """Values of the vertices on the visible face, for every pixel with ``face >= 0`` in row-major order."""
+    corners = np.ascontiguousarray(vertices_cam @ K.T, dtype=np.float64)
+    out = np.empty((np.count_nonzero(face >= 0), values.shape[1]))
+    _interpolate(corners, np.ascontiguousarray(faces, dtype=np.int64), face, np.ascontiguousarray(values), out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _interpolate(p: ndarray, faces: ndarray, face: ndarray, values: ndarray, out: ndarray) -> None:
+    n = 0
+    for i in range(face.shape[0]):
+        for j in range(face.shape[1]):
+            f = face[i, j]
+            if f < 0:
+                continue
+            c0, c1, c2 = faces[f, 0], faces[f, 1], faces[f, 2]
+            a0, a1, a2, _ = _edges(p[c0], p[c1], p[c2])
+            u, v = j + 0.5, i + 0.5
+            b0, b1, b2 = a0[0] * u + a0[1] * v + a0[2], a1[0] * u + a1[1] * v + a1[2], a2[0] * u + a2[1] * v + a2[2]
+            total = b0 + b1 + b2
+            for c in range(values.shape[1]):
+                out[n, c] = (b0 * values[c0, c] + b1 * values[c1, c] + b2 * values[c2, c]) / total
+            n += 1
 
 
 @njit(cache=True, nogil=True)

@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh, merged
-from getagrip.geometry.obj import parse_obj
+from getagrip.geometry.obj import obj_content, parse_obj
 from getagrip.io import files
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
@@ -149,11 +149,14 @@ def check_size(path: Path, key: str, extent: float, what: str) -> None:
 
 def write_mesh(mesh: Mesh, path: str | Path) -> Path:
     """Write a mesh as .obj, .ply, .stl or .glb, and return its path. Raises ``UsageError`` for other suffixes."""
-    import trimesh
-
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: got the suffix {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
+    if path.suffix.lower() == ".obj":
+        files.write_bytes(path, obj_content(mesh.vertices, mesh.faces))
+        return path
+    import trimesh
+
     stream = io.BytesIO()
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(stream, file_type=path.suffix[1:].lower())
     files.write_bytes(path, stream.getvalue())

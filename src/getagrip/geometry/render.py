@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
-from getagrip.geometry.depth import barycentric, covered, depth_and_face
+from getagrip.geometry.depth import covered, depth_and_face, interpolated
 from getagrip.geometry.mesh import vertex_normals
 
 Surface = tuple[Float[ndarray, "_V 3"], Int[ndarray, "_F 3"]]
@@ -76,11 +76,8 @@ def render_rgb(
         colours = np.concatenate([np.broadcast_to(np.asarray(colour), v.shape) for v, _, colour in meshes])
         K2 = np.diag([2.0, 2.0, 1.0]) @ K
         _, face = depth_and_face(vertices, faces, K2, (2 * width, 2 * height))
-        drawn = face >= 0
-        weights = barycentric(vertices, faces, K2, face)
-        corners = faces[face[drawn]]
-        light = np.sum(weights * brightness[corners], axis=1)
-        picture[drawn] = np.clip(light[:, None] * np.einsum("nk,nkc->nc", weights, colours[corners]), 0.0, 1.0)
+        lit = interpolated(vertices, faces, K2, face, np.concatenate([brightness[:, None], colours], axis=1))
+        picture[face >= 0] = np.clip(lit[:, :1] * lit[:, 1:], 0.0, 1.0)
     mean = (picture[::2, ::2] + picture[::2, 1::2] + picture[1::2, ::2] + picture[1::2, 1::2]) / 4.0
     return np.asarray(np.round(255.0 * mean), dtype=np.uint8)
 

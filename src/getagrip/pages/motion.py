@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from scipy.ndimage import gaussian_filter1d
 
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import decimate
 from getagrip.metrics.contact import close_holes, moving_distance
+from getagrip.view.stills import smoothed
 from getagrip.view.tiles import View, axis_points
 from getagrip.view.touched import touched
 
@@ -39,7 +39,7 @@ def arrays(view: View) -> dict[str, ndarray]:
     result, hand = view.result, view.clip.hand
     on_object, on_hand = touched(view, CONTACT)
     middles = [(view.hand(n).mean(axis=0) + _middle(view.object(n))) / 2.0 for n in range(len(view.clip))]
-    focus = gaussian_filter1d(np.array(middles), FOLLOWED * view.clip.fps, axis=0, mode="nearest")
+    focus = smoothed(np.array(middles), FOLLOWED * view.clip.fps)
     out: dict[str, ndarray] = {
         "object_vertices": on_object.vertices[0] / result.scale,
         "object_faces": on_object.faces,

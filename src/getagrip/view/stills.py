@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
-from scipy.ndimage import gaussian_filter1d
 
 from getagrip.geometry.camera import Crops
 from getagrip.view.style import AXIS, FOUND, HAND_LINE, HIDDEN
@@ -27,9 +26,17 @@ def steady_windows(view: View, size: int) -> Crops:
     """A square window around hand and masks in each frame, of one size, that moves smoothly."""
     crops = input_windows([view], np.arange(len(view.result.frames)), size)
     middle = crops.corner + crops.side / 2.0
-    smooth = gaussian_filter1d(middle, STEADY * view.clip.fps, axis=0, mode="nearest")
+    smooth = smoothed(middle, STEADY * view.clip.fps)
     side = max(ROOM * crops.side, float(crops.side + 2.0 * np.abs(smooth - middle).max()))
     return replace(crops, corner=smooth - side / 2.0, side=side)
+
+
+def smoothed(track: Float[ndarray, "T k"], over: float) -> Float[ndarray, "T k"]:
+    """A track after a Gaussian filter, whose standard deviation is so many frames; its ends are repeated beyond it."""
+    reach = int(4.0 * over + 0.5)
+    weight = np.exp(-0.5 * (np.arange(-reach, reach + 1) / over) ** 2)
+    padded = np.pad(track, ((reach, reach), (0, 0)), mode="edge")
+    return np.stack([np.convolve(column, weight / weight.sum(), mode="valid") for column in padded.T], axis=1)
 
 
 def overlay(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
