@@ -13,27 +13,14 @@ from getagrip.datasets import cutting
 from getagrip.datasets.taco import Taco
 from getagrip.datasets.tracks import Track
 from getagrip.errors import InputError
-from getagrip.geometry import se3
-from getagrip.hands import generic
-from helpers.held_ball import FRAMES, TAKEN, Hostile, ball, motion, synthetic_mano
+from helpers.held_ball import TAKEN, Hostile, motion, synthetic_mano
 from helpers.paths import folder_of
+from helpers.taco_files import write_taco
 
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """A folder with one sequence: MANO's number of vertices, the translation is the wrist joint."""
-    T_cam_hand, T_cam_obj = motion()
-    model = synthetic_mano("right")
-    content = {
-        "hand_pose": np.concatenate([se3.log_so3(T_cam_hand[:, :3, :3]), np.zeros((FRAMES, 45))], axis=1),
-        "hand_trans": se3.transform(T_cam_hand, generic.load("right").joints[:1])[:, 0],
-        "hand_verts": se3.transform(T_cam_hand, model["v_template"]),
-        "hand_faces": model["f"].astype(np.int64),
-        "obj_pose": T_cam_obj,
-    }
-    (tmp_path / "a_1.pkl").write_bytes(pickle.dumps(content))
-    ball(0.04).export(tmp_path / "a_1.obj")
-    return tmp_path
+    return write_taco(tmp_path)
 
 
 def read(root: Path) -> Track:

@@ -9,7 +9,6 @@ import re
 import struct
 import sys
 import types
-from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,23 +27,31 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic, mano
 from getagrip.hands.fit import ORDERS
-from getagrip.hands.model import MIRROR, PALM_REGIONS, Side, mirrored, mirrored_pose
+from getagrip.hands.model import MIRROR, PALM_REGIONS, Side, mirrored_pose
 from getagrip.hands.trackers import TRACKERS, Hands, Request, choose, read
-from getagrip.hands.trackers.estimates import Camera, mirror_rotation
+from getagrip.hands.trackers.estimates import Camera
 from getagrip.hands.trackers.frankmocap import FrankMocap
 from getagrip.hands.trackers.hamer import HaMeR
 from getagrip.hands.trackers.hawor import HaWoR
 from getagrip.hands.trackers.joints import Joints
 from getagrip.hands.trackers.mano_parameters import ManoParameters
-from getagrip.hands.trackers.weak_perspective import WeakPerspective, vitdet_side
+from getagrip.hands.trackers.weak_perspective import WeakPerspective
 from getagrip.hands.trackers.wilor import WiLoR
 from getagrip.io import arrays
-from helpers.mano_files import fake_mano, python2
+from helpers.estimator_files import (
+    FRAMES,
+    SIZE,
+    K,
+    Known,
+    cam_crop_to_full,
+    demo_files,
+    frankmocap_record,
+    hamer_record,
+    write_mano_files,
+    write_npz,
+)
 from helpers.paths import ROOT
 
-SIZE = (640, 480)
-K = np.array([[612.0, 0.0, 311.0], [0.0, 612.0, 247.0], [0.0, 0.0, 1.0]])
-FRAMES = ("000007", "000008", "000009")
 SCRIPTS = ROOT / "scripts" / "estimators"
 SIDES: list[Side] = ["right", "left"]
 
@@ -53,7 +60,7 @@ SIDES: list[Side] = ["right", "left"]
 def mano_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """MANO files of the published layout, the left hand the right one's mirror image, its fault included."""
     with pytest.MonkeyPatch.context() as monkeypatch:
-        return write_mano(tmp_path_factory.mktemp("mano"), fake_mano(monkeypatch))
+        return write_mano_files(tmp_path_factory.mktemp("mano"), monkeypatch)
 
 
 @pytest.fixture
@@ -63,90 +70,8 @@ def mano_folder(mano_files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return mano_files
 
 
-def write_mano(folder: Path, right: dict[str, Any]) -> Path:
-    right["f"] = np.stack([np.arange(1538) % 700, np.arange(1538) % 700 + 1, np.arange(1538) % 700 + 3], axis=1)
-    for values in (right["v_template"], right["weights"], right["posedirs"], right["shapedirs"].a.x):
-        values[445] = values[444]  # the tip of a left middle finger, and of a right one
-    (folder / "MANO_RIGHT.pkl").write_bytes(python2(right))
-    left = dict(right) | {"v_template": mirrored(right["v_template"]), "J": mirrored(right["J"])}
-    m = np.tile(np.outer(MIRROR, MIRROR).ravel(), 15)
-    left["posedirs"] = right["posedirs"] * MIRROR[:, None] * m
-    left["hands_mean"], left["hands_components"] = (mirrored_pose(right[k]) for k in ("hands_mean", "hands_components"))
-    left["shapedirs"] = right["shapedirs"]  # of the published left hand, y and z are right, and x is not mirrored
-    (folder / "MANO_LEFT.pkl").write_bytes(python2(left))
-    return folder
-
-
-class Known:
-    """A hand in a few frames, by MANO's equations: what an estimator that makes no mistake sees."""
-
-    def __init__(self, side: Side, folder: Path | None, frames: int = 3, seed: int = 0) -> None:
-        rng = np.random.default_rng(seed)
-        self.side = side
-        self.R = se3.exp_so3(rng.normal(scale=0.8, size=(frames, 3)))
-        self.pose = rng.normal(scale=0.25, size=(frames, 45))
-        self.betas = rng.normal(scale=0.5, size=(frames, 10)) if folder else np.zeros((frames, 10))
-        self.t = np.array([0.03, -0.02, 0.55]) + rng.normal(scale=0.02, size=(frames, 3))
-        model = generic.load(side)
-        if folder:
-            model = mano.load(folder / f"MANO_{side.upper()}.pkl", side).model
-        shaped = model.with_shape(self.betas if folder else None)
-        root = shaped.joints[..., 0, :]
-        T = se3.rigid(self.R, root - (self.R @ root[..., None])[..., 0] + self.t)
-        posed = shaped.with_pose(self.pose)
-        self.joints, self.vertices = se3.transform(T, posed.joints), se3.transform(T, posed.vertices)
-
-    def raw(self, n: int) -> tuple[ndarray, ndarray]:
-        """Rotations as a network has them that sees left hands mirrored: of the whole hand, of the fingers."""
-        R, fingers = self.R[n], se3.exp_so3(self.pose[n].reshape(15, 3))
-        return (mirror_rotation(R), mirror_rotation(fingers)) if self.side == "left" else (R, fingers)
-
-
-def cam_crop_to_full(cam: ndarray, centre: ndarray, side: float, size: tuple[int, int], focal: float) -> ndarray:
-    """HaMeR's own function, for one hand (renderer.py)."""
-    bs = side * cam[0] + 1e-9
-    tx, ty = (2.0 * (centre - np.array(size) / 2.0) / bs) + cam[1:]
-    return np.array([tx, ty, 2.0 * focal / bs])
-
-
-def crop_camera(t: ndarray, centre: ndarray, side: float) -> ndarray:
-    """The (s, tx, ty) with which a crop shows a translation before the true camera."""
-    s = 2.0 * K[0, 0] / (side * t[2])
-    u = K[:2, 2] + K[0, 0] * t[:2] / t[2]
-    return np.array([s, *(2.0 * (u - centre) / (side * s))])
-
-
-def hamer_record(known: Known, n: int, kind: str) -> dict[str, Any]:
-    """What HaMeR's demo holds of one hand."""
-    R, fingers = known.raw(n)
-    centre, side = np.array([300.0 + 9 * n, 220.0]), 210.0
-    cam = crop_camera(known.t[n], centre, side)
-    record: dict[str, Any] = {
-        "global_orient": R[None], "hand_pose": fingers, "betas": known.betas[n], "right": float(known.side == "right"),
-        "img_size": np.array(SIZE, float),
-    }  # fmt: skip
-    if kind == "crop":
-        return record | {"pred_cam": cam, "box_center": centre, "box_size": side}
-    if kind == "full":
-        focal = 5000.0 / 256.0 * max(SIZE)
-        full = cam_crop_to_full(cam, centre, side, SIZE, focal)
-        return record | {"pred_cam_t_full": full, "scaled_focal_length": focal}
-    if kind == "assumed":
-        return record | {"pred_cam_t_full": cam_crop_to_full(cam, centre, side, SIZE, 12500.0)}
-    width, height = 70.0, 105.0
-    half = np.array([width, height]) / 2.0
-    box = np.concatenate([centre - half, centre + half])
-    assert vitdet_side(np.array([width, height]), 2.0) == side
-    return record | {"pred_cam": cam, "box_xyxy": box}
-
-
 def request(side: Side, folder: Path | None = None) -> Request:
     return Request(side, FRAMES, np.tile(K, (3, 1, 1)), SIZE, folder)
-
-
-def write_npz(path: Path, content: dict[str, Any]) -> Path:
-    arrays.write(path, {key: np.asarray(value) for key, value in content.items()})
-    return path
 
 
 def joints_of(hands: Hands) -> ndarray:
@@ -266,29 +191,6 @@ def test_hawor(tmp_path: Path, mano_folder: Path, side: Side) -> None:
         np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
     with pytest.raises(UsageError, match="--estimator-focal"):
         read([path], HaWoR(first=7), request(side, mano_folder))
-
-
-def frankmocap_record(known: Known, n: int, mean: ndarray | float = 0.0) -> dict[str, Any]:
-    """What FrankMocap's ``save_pred_to_pkl`` writes: fingers relative to a mean pose, vertices about an origin of its
-    own, in a crop whose pixels the image's are scaled to, an empty dictionary for the hand that was not seen."""
-    origin = known.t[n] + [0.08, 0.01, 0.0]
-    ratio, corner = 0.9, np.array([180.0, 110.0])
-    s = K[0, 0] / origin[2] * ratio / 112.0
-    u = K[:2, 2] + K[0, 0] * origin[:2] / origin[2]
-    shift = ((u - corner) * ratio / 112.0 - 1.0) / s
-    hand = {
-        "pred_camera": np.array([s, *shift]),
-        "bbox_scale_ratio": np.float64(ratio),
-        "bbox_top_left": tuple(np.int64(corner)),
-        "pred_hand_pose": np.array([[*se3.log_so3(known.R[n]), *(known.pose[n] - mean)]]),
-        "pred_hand_betas": np.ones((1, 10)),
-        "pred_vertices_smpl": (known.vertices[n] - origin).astype(np.float64),
-    }
-    seen = corner + 112.0 / ratio * (1.0 + s * shift)  # convert_smpl_to_bbox, convert_bbox_to_oriIm at X = 0
-    np.testing.assert_allclose(seen, u)
-    hands = {"left_hand": {}, "right_hand": {}} | {f"{known.side}_hand": hand}
-    boxes = [{"left_hand": None, "right_hand": np.zeros(4)}, None]
-    return OrderedDict(image_path="x.jpg", demo_type="hand", hand_bbox_list=boxes, pred_output_list=[hands, None])
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -427,23 +329,6 @@ def test_several_hands_in_one_record(tmp_path: Path) -> None:
     write_npz(path, both | {"right": np.ones(2)})
     with pytest.raises(InputError, match="2 right hands"):
         read([path], HaMeR(), request("right"))
-
-
-def demo_files(folder: Path, known: Known, n: int, joints: bool = True, mesh: bool = True) -> None:
-    """What HaMeR's demo saves of a hand with ``--save_mesh --save_keypoints``, by its own formulas (demo.py)."""
-    centre, side = np.array([300.0, 220.0]), 210.0
-    t = cam_crop_to_full(crop_camera(known.t[n], centre, side), centre, side, SIZE, 5000.0 / 256.0 * max(SIZE))
-    flip = MIRROR if known.side == "left" else 1.0
-    if mesh:
-        vertices = (known.vertices[n] - known.t[n] + t) * [1.0, -1.0, -1.0]
-        corners = [[3, 4, 5], [92, 38, 234]]
-        lines = [f"v {x:.8f} {y:.8f} {z:.8f} 0.6 0.7 0.8" for x, y, z in vertices]
-        faces = [c if known.side == "right" else [c[0], c[2], c[1]] for c in corners]
-        lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
-        (folder / f"{FRAMES[n]}_0.obj").write_text("\n".join(lines))
-    if joints:
-        rows = np.stack([(known.joints[n] - known.t[n]) * flip + t, known.joints[n]])  # another person's follow
-        np.save(folder / f"{FRAMES[n]}_0_3dkeypoints.npy", rows.astype(np.float32))
 
 
 @pytest.mark.parametrize("side", SIDES)
