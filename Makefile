@@ -9,13 +9,14 @@ KERNELS := $(shell grep -rl --include='*.py' '^@njit' src)
 # A process for each core, so one thread of BLAS in each.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
-.PHONY: help demo test quick check lint imports types docs bench lock clean
+.PHONY: help demo test quick check lint imports types fuzz docs bench lock clean
 
 help:
 	@echo "make demo    install, then reconstruct and evaluate a synthetic clip into out/demo"
 	@echo "make test    install, then run all tests, on every core"
 	@echo "make quick   those that are quick and need no browser"
 	@echo "make check   lint, layering and types"
+	@echo "make fuzz    change valid inputs of every reader for MINUTES=5, and keep what goes wrong as a test"
 	@echo "make docs    build the documentation as a site: site/index.html"
 	@echo "make bench   measure speed against a peer, which it installs, and write docs/benchmarks.md"
 	@echo "make lock    recompile requirements.lock from pyproject.toml"
@@ -41,6 +42,10 @@ imports: $(VENV)/installed
 
 types: $(VENV)/installed
 	$(BIN)/mypy
+
+MINUTES ?= 5
+fuzz: $(VENV)/warm
+	PYTHONPATH=tests $(BIN)/python -m fuzz --minutes $(MINUTES)
 
 # Anew each time, since commands and docstrings are in it. A link that leads nowhere is an error.
 docs: $(VENV)/installed

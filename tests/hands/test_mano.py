@@ -218,5 +218,5 @@ def test_sparse_indices_outside_the_matrix_are_refused(right: tuple[Path, dict[s
 
 
 def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="no such file"):
         mano.load(tmp_path / "MANO_RIGHT.pkl", "right")

@@ -213,11 +213,11 @@ def read_template(folder: Path) -> Template:
     vertices, faces = MM * vertices, with_area(MM * vertices, faces)
     checked_mesh(file, vertices, faces)
     try:
-        top = np.array(json.loads(read_bytes(parts, LARGEST_JSON)))
+        top = arrays.from_lists(json.loads(read_bytes(parts, LARGEST_JSON)))
     except (ValueError, RecursionError) as error:
         raise InputError(parts, "", f"text that is no JSON ({error})", "a JSON list") from error
-    if top.shape != (len(vertices),) or not np.isin(top, (0, 1)).all():
-        given = f"{top.shape[0]} numbers" if top.ndim == 1 else "something else"
+    if top is None or top.shape != (len(vertices),) or not np.isin(top, (0, 1)).all():
+        given = f"{len(top)} numbers" if top is not None and top.ndim == 1 else "something else"
         raise InputError(parts, "", given, f"0 or 1 for each of the {len(vertices)} vertices of mesh.obj")
     return in_neutral_frame(Mesh(vertices, faces), top == 1)
 

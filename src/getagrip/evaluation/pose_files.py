@@ -122,15 +122,15 @@ def _record(path: Path, given: Mapping[str, Any]) -> PoseFile:
     T = _matrices(path, key, given[key])
     names, scale = None, None
     if "frames" in given:
-        values = np.asarray(given["frames"])
-        if values.dtype.kind not in "Uiu" or values.shape != (len(T),):
+        values = arrays.names(given["frames"])
+        if values is None or len(values) != len(T):
             raise InputError(path, "frames", files.shown(given["frames"]), f"{len(T)} names or numbers of frames")
         names = tuple(str(value) for value in values)
     if "scale" in given:
-        value = np.asarray(given["scale"])
-        if value.dtype.kind not in "fiu" or value.size != 1 or not 0 < float(value.reshape(())) < np.inf:
+        value = arrays.from_lists(given["scale"])
+        if value is None or value.dtype.kind not in "fiu" or value.size != 1 or not 0 < float(value.item()) < np.inf:
             raise InputError(path, "scale", files.shown(given["scale"]), "one number above 0 for all frames")
-        scale = float(value.reshape(()))
+        scale = float(value.item())
     return PoseFile(path, T, names, key == "T_hand_obj", scale)
 
 
@@ -172,8 +172,8 @@ def _bop_truth(path: Path, content: Mapping[str, Any]) -> PoseFile:
         if len(objects) > 1:
             raise InputError(path, files.plain(image), f"{len(objects)} objects", "that of the clip alone")
         for key, count in (("cam_R_m2c", 9), ("cam_t_m2c", 3)):
-            values = np.asarray(objects[0].get(key, ()))
-            if values.dtype.kind not in "fiu" or values.size != count:
+            values = arrays.from_lists(objects[0].get(key))
+            if values is None or values.dtype.kind not in "fiu" or values.size != count:
                 raise InputError(
                     path, f"{files.plain(image)}.{key}", files.shown(objects[0].get(key)), f"{count} numbers"
                 )
@@ -196,10 +196,8 @@ def _numbers(path: Path, where: str, text: str | None, count: int) -> Float[ndar
 
 def _matrices(path: Path, key: str, given: object) -> Float[ndarray, "n 4 4"]:
     """Finite matrices of four rows and columns; a last row that a file leaves out is added."""
-    try:
-        values = np.asarray(given)
-    except ValueError:  # rows of different lengths
-        values = np.asarray(None)
+    found = arrays.from_lists(given)
+    values = np.array("") if found is None else found
     if values.dtype.kind in "fiu" and values.shape[-1:] == (16,):
         values = values.reshape(*values.shape[:-1], 4, 4)
     if values.dtype.kind in "fiu" and values.shape[-2:] == (3, 4):

@@ -168,8 +168,7 @@ def _parts(path: Path, init: Init) -> dict[str, Path]:
 
 def _check_poses(path: Path, key: str, T: Float[ndarray, "N 4 4"]) -> None:
     """Raise ``InputError`` for what is no rigid motion in metres."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        rigid = se3.is_rigid(T)
+    rigid = se3.is_rigid(T)
     if not rigid.all():
         given = f"a matrix that is no rigid motion ({int(np.argmin(rigid))})"
         raise InputError(path, key, given, "rotations and translations [m]")

@@ -131,10 +131,11 @@ def with_area(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> In
 
     All are returned where they are no triangles of these vertices: ``checked_mesh`` says what is wrong with them.
     """
-    if vertices.ndim != 2 or faces.ndim != 2 or not faces.size or faces.min() < 0 or faces.max() >= len(vertices):
+    are_triangles = vertices.shape[1:] == (3,) and faces.shape[1:] == (3,) and faces.size
+    if not are_triangles or faces.min() < 0 or faces.max() >= len(vertices):
         return faces
     with np.errstate(invalid="ignore", over="ignore"):
-        a, b, c = np.moveaxis(vertices[faces[:, :3]], 1, 0)
+        a, b, c = np.moveaxis(vertices[faces], 1, 0)
         doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
         return faces[doubled > 1e-11 * np.ptp(vertices, axis=0).max(initial=0.0) ** 2]
 

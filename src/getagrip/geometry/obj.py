@@ -53,17 +53,20 @@ def _plain(content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]] 
     points, corners = _VERTEX.findall(content), _TRIANGLE.findall(content)
     if (len(points), len(corners)) != tuple(sum(1 for _ in found.finditer(content)) for found in _ANY.values()):
         return None
-    vertices = _numbers(b"".join(points), float)
-    faces = _numbers(re.sub(rb"/[\d/]*", b"", b"".join(corners)), np.int64)
+    try:
+        vertices = _numbers(b"".join(points), float)
+        faces = _numbers(re.sub(rb"/[\d/]*", b"", b"".join(corners)), np.int64)
+    except (ValueError, DeprecationWarning):  # text that is no number
+        return None
     if len(vertices) != 3 * len(points) or len(faces) != 3 * len(corners) or faces.min(initial=1) < 1:
         return None
     return vertices.reshape(-1, 3), faces.reshape(-1, 3) - 1
 
 
 def _numbers(text: bytes, kind: type) -> Shaped[ndarray, "n"]:
-    """Numbers with spaces between, up to the first that is none."""
+    """Numbers with spaces between. For text that is no number, numpy raises ``ValueError`` or, before 2.3, warns."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of text that is no number
+        warnings.simplefilter("error", DeprecationWarning)
         return np.fromstring(text, dtype=kind, sep=" ")
 
 

@@ -145,9 +145,10 @@ def rotation_about_line(
 def is_rigid(T: Float[ndarray, "*batch 4 4"], tolerance: float = 1e-3) -> Bool[ndarray, "*batch"]:
     """Whether each 4x4 matrix is a rotation and a translation (no scale, no mirror), within ``tolerance``."""
     R = T[..., :3, :3]
-    orthogonal = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-1, -2)) < tolerance
-    bottom = np.abs(T[..., 3, :] - np.array([0.0, 0.0, 0.0, 1.0])).max(axis=-1) < tolerance
-    return np.asarray(orthogonal & bottom & (np.linalg.det(R) > 0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        orthogonal = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-1, -2)) < tolerance
+        bottom = np.abs(T[..., 3, :] - np.array([0.0, 0.0, 0.0, 1.0])).max(axis=-1) < tolerance
+        return np.asarray(orthogonal & bottom & (np.linalg.det(R) > 0))
 
 
 def nearest_rotation(M: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3 3"]:

@@ -24,7 +24,7 @@ from getagrip.geometry.mesh import vertex_normals
 from getagrip.hands.mano_pickle import read_pickle
 from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, Side
 from getagrip.hands.regions import contact_regions, position_on_palm
-from getagrip.io import arrays
+from getagrip.io import arrays, files, pickles
 
 ARRAYS = {
     "v_template": (778, 3),
@@ -85,10 +85,7 @@ def load(path: str | Path, side: Side) -> Mano:
     a missing, hostile or malformed file, and for one that holds the other hand.
     """
     path = Path(path)
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(path, "", f"an unreadable file ({error.strerror})", "a MANO file") from error
+    content = files.read_bytes(path, pickles.LARGEST)
     cache = _cache_folder() / f"mano-{hashlib.sha256(content).hexdigest()}.npz"
     values = _read_cache(cache)
     if values is None:

@@ -19,6 +19,8 @@ LARGEST = 2**29
 """Limit in bytes of the arrays of one file, unpacked, and of each once its numbers are floats of 8 bytes."""
 DEEPEST = 8
 """Lists within lists of numbers."""
+LONGEST_NAME = 1000
+"""Characters of a name in a list: as an array, all take as much as the longest."""
 
 
 def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray, "..."]]:
@@ -89,6 +91,23 @@ def from_lists(value: object) -> Shaped[ndarray, "..."] | None:
         return np.array(value)
     except (ValueError, OverflowError):  # rows of different lengths
         return None
+
+
+def names(value: object) -> Shaped[ndarray, "n"] | None:
+    """Names or whole numbers in a list, none of them long, as an array, or in an array. None for anything else."""
+    if isinstance(value, list):
+        value = np.array(value) if all(map(_is_name, value)) else None
+    if not isinstance(value, ndarray) or value.ndim != 1 or value.dtype.kind not in "Uiu":
+        return None
+    try:
+        value.tolist()
+    except ValueError:  # code points that do not exist
+        return None
+    return value
+
+
+def _is_name(value: object) -> bool:
+    return type(value) is int or (isinstance(value, str) and len(value) <= LONGEST_NAME)
 
 
 def floats(

@@ -63,6 +63,8 @@ def member(path: Path, key: str) -> dict[str, Any]:
 def _opened(path: Path) -> Iterator[IO[bytes]]:
     """The bytes of a file, unpacked while they are read where it is a ``.zip``."""
     try:
+        if not path.is_file():  # a pipe would be waited for
+            raise InputError(path, "", "no such file", "a JSON file")
         if path.suffix != ".zip":
             with path.open("rb") as stream:
                 yield stream

@@ -237,9 +237,8 @@ def _iou(path: Path, given: dict[str, ndarray], kind: tuple[FrameKind, ...]) -> 
 def _rigid(path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "*batch 4 4"]:
     """An array of rigid motions."""
     T = arrays.floats(path, given, key, shape)
-    with np.errstate(over="ignore", invalid="ignore"):
-        if not se3.is_rigid(T).all():
-            raise InputError(path, key, "a matrix that is no rigid motion", "rotations and translations [m]")
+    if not se3.is_rigid(T).all():
+        raise InputError(path, key, "a matrix that is no rigid motion", "rotations and translations [m]")
     return T
 
 

@@ -10,16 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
-
 from getagrip.clip.naming import frame_of, number_of
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.trackers import records
 from getagrip.hands.trackers.estimates import Estimates, Request
-from getagrip.io import files
+from getagrip.io import arrays, files
 
-LONGEST_NAME = 1000
-"""Characters of the name of a frame."""
 KEYED = (".pkl", ".pickle", ".json", ".pt", ".pth")
 """Files that may hold many images."""
 
@@ -80,10 +76,8 @@ def frames_of_rows(path: Path, record: records.Record, count: int, request: Requ
     ``frames`` in the file names them; without it, the rows are the clip's frames. Raises ``InputError``.
     """
     if "frames" in record:
-        given = record["frames"]
-        short = not isinstance(given, list) or all(isinstance(x, int) or len(str(x)) < LONGEST_NAME for x in given)
-        names = np.asarray(given if short else None)
-        if names.dtype.kind not in "Uiu" or names.shape != (count,):
+        names = arrays.names(record["frames"])
+        if names is None or len(names) != count:
             raise InputError(path, "frames", files.shown(record["frames"]), f"{count} names or numbers of frames")
         return [frame_of(str(name), request.frames) for name in names]
     if count != len(request.frames):

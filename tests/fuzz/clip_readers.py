@@ -1,0 +1,215 @@
+"""What a project holds: clips, results, meshes, poses, lists, databases."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from fuzz.reader import Reader
+from getagrip.annotate import labels, tasks
+from getagrip.annotate.store import Store
+from getagrip.batch.ledger import Entry, Ledger
+from getagrip.clip import Joint, find_masks, input_sha256, read_clip, read_masks, write_clip
+from getagrip.clip.data import World
+from getagrip.clip.masks import read_observed
+from getagrip.clip.reading import read_header
+from getagrip.commands import own_mesh
+from getagrip.evaluation.meshes import read_meshes
+from getagrip.evaluation.pose_files import read_pose_file
+from getagrip.fitting.pose_priors import read_folder, read_learnt
+from getagrip.geometry.mesh_files import parse_mesh, read_mesh
+from getagrip.grasps import lists
+from getagrip.io import arrays
+from getagrip.result import read_result, write_result
+from helpers.clips import box, small_clip
+from helpers.true_result import true_result
+
+
+def whole_clip(folder: Path) -> None:
+    """A clip with all that a clip can have."""
+    clip, masks = small_clip()
+    assert clip.truth is not None
+    moves = np.arange(8) < 4
+    joint = Joint(moves, np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.5)
+    truth = replace(clip.truth, articulation=np.zeros(3), joint=joint)
+    world = World(np.tile(np.eye(4), (3, 1, 1)), np.array([0.0, 0.0, 1.0]))
+    write_clip(replace(clip, truth=truth, world=world, times=np.arange(3) / 30.0), masks, folder / "clip")
+
+
+def read_whole_clip(folder: Path) -> None:
+    """All that is read of a clip anywhere."""
+    read_header(folder / "clip")
+    input_sha256(folder / "clip")
+    clip = read_clip(folder / "clip")
+    read_observed(clip)
+    find_masks(clip)
+    read_masks(clip)
+
+
+def a_result(folder: Path) -> None:
+    """A result of the small clip."""
+    write_result(true_result(small_clip()[0], None), folder / "result")
+
+
+def mesh(suffix: str) -> Reader:
+    """A file of meshes."""
+
+    def write(folder: Path) -> None:
+        shape = box(0.05, 0.07, 0.11)
+        trimesh.Trimesh(shape.vertices, shape.faces).export(folder / f"a{suffix}")
+
+    def read(folder: Path) -> None:
+        own_mesh.own_mesh(own_mesh.Wanted(folder / f"a{suffix}", 100.0, None, False))
+        parse_mesh(folder / f"a{suffix}")
+        read_mesh(folder / f"a{suffix}")
+
+    return Reader(write, read)
+
+
+def frame_meshes(folder: Path) -> None:
+    """A mesh for each frame of the small clip."""
+    for n in range(3):
+        (folder / f"{n:04d}.obj").write_text("v 0 0 0\nv 0.1 0 0\nv 0 0.1 0 1 0 0\nvn 0 0 1\nf 1/1/1 2//1 -1\n")
+
+
+def a_ledger(folder: Path) -> None:
+    """A ledger of three tasks."""
+    with Ledger(folder) as ledger:
+        for name in "abc":
+            entry = ledger.claim(name, "options", "code")
+            assert entry is not None
+            ledger.end(replace(entry, state="failed" if name == "b" else "done", about={"iou": 0.5}))
+
+
+def use_ledger(folder: Path) -> None:
+    """What a driver does with a ledger."""
+    with Ledger(folder) as ledger:
+        ledger.claim("a", "options", "code")
+        ledger.end(Entry("a", "done", about={"iou": 0.9}))
+        list(ledger.entries())
+
+
+def marks(folder: Path) -> None:
+    """A database of a mark and a key frame."""
+    store = Store(folder / "marks.sqlite")
+    with store.database.transaction() as db:
+        db.execute(
+            "INSERT INTO versions (change, tab, at, mark, task, annotator, start, deleted) "
+            "VALUES ('c', 't', 'now', 'm', 'v', 'ann', 3, 0)"
+        )
+        db.execute(
+            "INSERT INTO keyframe_versions (change, tab, at, keyframe, task, annotator, grasp, frame, joints, "
+            """outlines, hidden, deleted) VALUES ('c', 't', 'now', 'k', 'v', 'ann', 'm', 3, '{"0": [1, 2]}', """
+            """'{"o": {"of": "object", "closed": true, "points": [[1, 1], [1, 5], [5, 5]]}}', 0, 0)"""
+        )
+    store.close()
+
+
+def use_marks(folder: Path) -> None:
+    """What the page asks for."""
+    store = Store(folder / "marks.sqlite")
+    store.marks.standing()
+    store.marks.history("m")
+    for keyframe in store.keyframes.standing():
+        keyframe.labels()
+    store.keyframes.history("k")
+    store.close()
+
+
+def clicked(folder: Path) -> None:
+    """Labels of two frames."""
+    joints = [None, [12.5, 7.5], *[None] * 19]
+    frames = {"3": {"joints": joints, "object": [[[1, 1], [9, 1], [9, 9]]], "front": []}, "5": {"object": []}}
+    content = {"video": "a.mp4", "size": [64, 48], "side": "left", "fps": 30.0, "first": 3, "last": 9, "frames": frames}
+    (folder / "labels.json").write_text(json.dumps(content))
+
+
+GRASP = {"sequence": "s01--box--left", "side": "left", "object": "box", "start": 3, "end": 9, "duration": 1.5}
+
+
+TIMELINE = {
+    "seq_name": "P0001_a", "cat": "box", "total_start": 0, "total_end": 90,
+    "segments": [{"st": 1, "ed": 30, "ref": "inhand", "side": "left"}, {"st": 31, "ed": 40, "ref": "static"}],
+}  # fmt: skip
+
+
+def grasp_lists(folder: Path) -> None:
+    """Lists of grasps in each format."""
+    lists.write(folder / "a.json", [lists.ListedGrasp("s01--box--left", "left", "box", "3", "9", 1.5)], {"tau": 0.5})
+    (folder / "b.json").write_text(json.dumps([GRASP]))
+    (folder / "c.csv").write_text(f"{','.join(GRASP)}\n{','.join(map(str, GRASP.values()))}\n")
+    (folder / "d.json").write_text(json.dumps([TIMELINE]))
+
+
+def each(read: Callable[[Path], object]) -> Callable[[Path], None]:
+    """A reader of each file in a folder, the others read though one is refused."""
+    from getagrip.errors import GetagripError
+
+    def read_each(folder: Path) -> None:
+        refused = None
+        for path in sorted(folder.iterdir()):
+            try:
+                read(path)
+            except GetagripError as error:
+                refused = error
+        if refused is not None:
+            raise refused
+
+    return read_each
+
+
+def poses(folder: Path) -> None:
+    """Poses of three frames in each format."""
+    T = np.tile(np.eye(4), (3, 1, 1))
+    arrays.write(folder / "a.npz", {"T_cam_obj": T, "frames": np.arange(3), "scale": np.array(1.0)})
+    np.save(folder / "b.npy", T)
+    np.savetxt(folder / "c.txt", T.reshape(-1, 4))
+    (folder / "d.json").write_text(json.dumps(T.tolist()))
+    (folder / "e.json").write_text(json.dumps({f"{n}": T[n].tolist() for n in range(3)}))
+    (folder / "f.json").write_text(json.dumps({"T_hand_obj": T[:, :3].tolist(), "frames": ["0", "1", "2"], "scale": 1}))
+    gt = {str(n): [{"cam_R_m2c": np.eye(3).ravel().tolist(), "cam_t_m2c": [0.0, 0.0, 500.0]}] for n in range(3)}
+    (folder / "g.json").write_text(json.dumps(gt))
+    (folder / "h.csv").write_text("scene_id,im_id,obj_id,score,R,t,time\n1,0,1,0.9,1 0 0 0 1 0 0 0 1,0 0 500,-1\n")
+
+
+def learnt(folder: Path) -> None:
+    """Learnt poses, and a folder of the authors'."""
+    from getagrip.fitting.learn_priors import LearntGrasps, hold
+
+    clips = [replace(small_clip(seed=n)[0], name=f"c{n}", provenance={"subject": "ann"}) for n in range(2)]
+    LearntGrasps(tuple(hold(clip) for clip in clips), k=10).write(folder / "poses.npz")
+    (folder / "box").mkdir()
+    np.save(folder / "box" / "left_1.npy", 1.1 * np.eye(4))
+
+
+def use_learnt(folder: Path) -> None:
+    """Both."""
+    read_learnt(folder / "poses.npz")
+    read_folder(folder)
+
+
+def candidates(folder: Path) -> None:
+    rows = [{"video": "P01_01", "start": 10, "end": 90, "side": "left", "category": "cup", "entity": "red cup"}]
+    (folder / "a.json").write_text(json.dumps(rows))
+    (folder / "b.csv").write_text(f"{','.join(rows[0])}\n{','.join(map(str, rows[0].values()))}\n")
+
+
+READERS: dict[str, Reader] = {
+    "clip": Reader(whole_clip, read_whole_clip),
+    "result": Reader(a_result, lambda folder: read_result(folder / "result")),
+    **{f"mesh {suffix[1:]}": mesh(suffix) for suffix in (".obj", ".ply", ".off", ".stl", ".glb")},
+    "meshes of frames": Reader(frame_meshes, lambda folder: read_meshes(folder, small_clip()[0], "hand")),
+    "ledger": Reader(a_ledger, use_ledger),
+    "marks": Reader(marks, use_marks),
+    "labels": Reader(clicked, lambda folder: labels.read(folder / "labels.json")),
+    "grasp lists": Reader(grasp_lists, each(lists.read)),
+    "candidates": Reader(candidates, each(tasks.read_tasks)),
+    "poses": Reader(poses, each(read_pose_file)),
+    "initial poses": Reader(learnt, use_learnt),
+}
+"""By name."""

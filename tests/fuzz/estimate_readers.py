@@ -1,0 +1,144 @@
+"""What estimators of hands and masks write, and MANO's files."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fuzz.reader import Reader, mano_folder
+from getagrip.clip.mask_sources import open_masks
+from getagrip.clip.wanted_masks import Wanted
+from getagrip.hands import mano
+from getagrip.hands.trackers import Request, Tracker
+from getagrip.hands.trackers import read as read_hands
+from getagrip.hands.trackers.frankmocap import FrankMocap
+from getagrip.hands.trackers.hamer import HaMeR
+from getagrip.hands.trackers.hawor import HaWoR
+from getagrip.hands.trackers.joints import Joints
+from getagrip.hands.trackers.mano_parameters import ManoParameters
+from getagrip.hands.trackers.wilor import WiLoR
+from getagrip.io import arrays
+from helpers import estimator_files, mask_files
+from helpers.estimator_files import Known, hamer_record, write_npz
+
+WANTED = Wanted(mask_files.FRAMES, mask_files.SIZE, ("1",), ("2", "3"))
+
+
+def masks(name: str, write: Callable[[Path], object], wanted: Wanted = WANTED) -> Reader:
+    """Masks by another program."""
+
+    def read(folder: Path) -> None:
+        reader = open_masks(folder / name, wanted)
+        for n in range(2):
+            reader(n)
+
+    return Reader(lambda folder: write(folder / name), read)
+
+
+def mask_arrays(path: Path) -> None:
+    arrays.write(path, {"labels": mask_files.labels()[::-1].astype(np.uint8), "frames": np.array([4, 3])})
+
+
+def thing_folders(folder: Path) -> None:
+    for thing in ("object", "ignore"):
+        (folder / thing).mkdir(parents=True)
+        for name, values in zip(mask_files.FRAMES, mask_files.labels(), strict=True):
+            mask_files.write_png(folder / thing / f"{name}.png", values == 1, 1, 0)
+
+
+def segments(path: Path) -> None:
+    path.write_bytes(pickle.dumps(mask_files.segments_of(2)))
+
+
+def hands(tracker: Tracker, write: Callable[[Path, Known], object], with_mano: bool = False) -> Reader:
+    """An estimator's files of three frames."""
+
+    def read(folder: Path) -> None:
+        K = np.tile(estimator_files.K, (3, 1, 1))
+        given = Request("right", estimator_files.FRAMES, K, estimator_files.SIZE, mano_folder() if with_mano else None)
+        read_hands([folder], tracker, given)
+
+    return Reader(lambda folder: write(folder, known_hand(with_mano)), read)
+
+
+def known_hand(with_mano: bool) -> Known:
+    return Known("right", mano_folder() if with_mano else None)
+
+
+def hamer(folder: Path, known: Known) -> None:
+    for n, name in enumerate(estimator_files.FRAMES):
+        write_npz(folder / f"{name}.npz", hamer_record(known, n, ("crop", "full", "box")[n]))
+
+
+def hamer_demo(folder: Path, known: Known) -> None:
+    for n in range(3):
+        estimator_files.demo_files(folder, known, n)
+
+
+def hamer_pickles(folder: Path, known: Known) -> None:
+    record = hamer_record(known, 0, "full")
+    inner = {key: record[key] for key in ("global_orient", "hand_pose", "betas", "pred_cam_t_full")}
+    inner["scaled_focal_length"] = np.float64(record["scaled_focal_length"])
+    for name in estimator_files.FRAMES:
+        (folder / f"{name}.pkl").write_bytes(pickle.dumps({"is_right": 1.0, "wilor_preds": inner}))
+
+
+def hawor(folder: Path, known: Known) -> None:
+    record = {
+        "init_root_orient": known.R,
+        "init_hand_pose": known.pose,
+        "init_betas": known.betas,
+        "init_trans": known.t,
+    }
+    (folder / "6_8.json").write_text(json.dumps({key: value.tolist() for key, value in record.items()}))
+
+
+def frankmocap(folder: Path, known: Known) -> None:
+    known.vertices = known.vertices[:, :778]
+    for n, name in enumerate(estimator_files.FRAMES):
+        (folder / f"{name}_prediction_result.pkl").write_bytes(
+            pickle.dumps(estimator_files.frankmocap_record(known, n))
+        )
+
+
+def mano_parameters(folder: Path, known: Known) -> None:
+    orient = np.zeros((3, 3))
+    write_npz(
+        folder / "h.npz", {"global_orient": orient, "hand_pose": known.pose, "betas": known.betas, "transl": known.t}
+    )
+
+
+def joint_arrays(folder: Path, known: Known) -> None:
+    write_npz(folder / "j.npz", {"joints": known.joints, "frames": np.array(estimator_files.FRAMES)})
+
+
+def mano_files(folder: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", os.environ["XDG_CACHE_HOME"])
+        estimator_files.write_mano_files(folder, patch)
+
+
+READERS: dict[str, Reader] = {
+    "masks labels": masks("labels", mask_files.label_folder),
+    "masks things": masks("things", thing_folders, replace(WANTED, object=(), ignore=())),
+    "masks coco": masks("a.json", mask_files.coco, replace(WANTED, object=("cup",), ignore=("hand", "3"))),
+    "masks coco lists": masks("a.json", lambda path: mask_files.coco(path, False), replace(WANTED, object=("cup",))),
+    "masks arrays": masks("a.npz", mask_arrays),
+    "masks sam2": masks("a.pkl", segments, replace(WANTED, frames=("000000", "000001"))),
+    "hands hamer": hands(HaMeR(), hamer),
+    "hands hamer demo": hands(HaMeR(), hamer_demo, with_mano=True),
+    "hands wilor": hands(WiLoR(), hamer_pickles),
+    "hands hawor": hands(HaWoR(600.0), hawor),
+    "hands frankmocap": hands(FrankMocap(), frankmocap, with_mano=True),
+    "hands mano": hands(ManoParameters(), mano_parameters, with_mano=True),
+    "hands joints": hands(Joints("openpose"), joint_arrays),
+    "MANO": Reader(mano_files, lambda folder: mano.load(folder / "mano" / "MANO_RIGHT.pkl", "right")),
+}
+"""By name."""
