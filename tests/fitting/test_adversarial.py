@@ -1,11 +1,15 @@
 """Clips with impossible troubles end in a sound result or in one line, whatever the method.
 
-``python -m benchmarks.adversarial N`` tries many more, within limits of time and memory.
+``python -m benchmarks.adversarial`` tries many more, within limits of time and memory.
 """
 
 from __future__ import annotations
 
+import os
 import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +17,11 @@ import pytest
 
 sys.path.append(str(Path(__file__).resolve().parents[2]))
 
-from benchmarks.adversarial import Case, attempt, main, quartered
+from benchmarks import adversarial
+from benchmarks.adversarial import Case, attempts, limited, main
+from benchmarks.troubles import quartered
 from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import mesh as meshes
@@ -35,16 +42,41 @@ CASES = [
 @pytest.mark.slow
 def test_troubles_end_in_a_sound_result_or_in_one_line(troubles: tuple[str, ...], method: str) -> None:
     frames = 2 if len(troubles[0]) % 2 else 4
-    fine, how = attempt(Case(len(troubles[0]), "mug", frames, "known", troubles, method))
+    ((_, fine, how),) = attempts(Case(len(troubles[0]), "mug", frames, "known", troubles, (method,)))
     assert fine, how
 
 
 def test_cases_are_drawn_from_their_numbers_and_failures_counted(capsys: pytest.CaptureFixture[str]) -> None:
-    assert Case.draw(7) == Case.draw(7) != Case.draw(8)
-    assert main(["3", "--from", "5"], lambda case: (case.number != 6, "how")) == 1
+    assert Case.draw(7) == Case.draw(7) != Case.draw(7, seed=1) != Case.draw(8)
+    assert {*Case.draw(7).methods} == {*METHODS}
+    in_turn = [method for number in range(5) for method in Case.draw(number, methods=4).methods]
+    assert Counter(in_turn) == dict.fromkeys(METHODS, 2)
+
+    def trial(case: Case) -> Iterator[tuple[str, bool, str]]:
+        yield from ((method, (case.number, method) != (6, "homan"), "how: it ended") for method in case.methods)
+
+    assert main(["--clips", "3", "--from", "5"], trial) == 1
     out = capsys.readouterr().out
-    assert f"FAIL {Case.draw(6)}" in out
-    assert "3 cases, 1 failed" in out
+    assert f"FAIL 6 ({Case.draw(6).category}" in out
+    assert "3 clips, 30 reconstructions, 1 failed" in out
+    assert "how 29, FAIL 1" in out
+
+
+def test_a_method_that_dies_or_hangs_ends_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    def some_end_badly(case: Case) -> Iterator[tuple[str, bool, str]]:
+        for method in case.methods:
+            if method == "static":
+                os._exit(3)
+            if method == "homan":
+                time.sleep(60.0)
+            yield method, True, "how"
+
+    monkeypatch.setattr(adversarial, "attempts", some_end_badly)
+    ended = list(limited(Case.draw(0), seconds=0.5))
+    assert [method for method, _, _ in ended] == [*METHODS]
+    assert {method: how for method, fine, how in ended if not fine} == {
+        "static": "the process died (3)", "homan": "not done after 0.5 s",
+    }  # fmt: skip
 
 
 @pytest.mark.slow
