@@ -89,6 +89,7 @@ def main(arguments: list[str]) -> int:
         for name in tried:
             seeds[name] = Seed.write(name, Path(folder))
             wrong = seeds[name].attempt({})
+            seeds[name].child.close()
             if wrong is not None:
                 print(f"{name}: not even the valid input is read: {wrong.what}\n{wrong.details}", flush=True)
                 return 1
