@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
@@ -121,8 +120,8 @@ def joint_arrays(folder: Path, known: Known) -> None:
 
 def mano_files(folder: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", os.environ["XDG_CACHE_HOME"])
-        estimator_files.write_mano_files(folder, patch)
+        (folder / "mano").mkdir()
+        estimator_files.write_mano_files(folder / "mano", patch)
 
 
 READERS: dict[str, Reader] = {
