@@ -9,7 +9,7 @@ import pytest
 
 from getagrip.clip import Clip, Masks, World
 from getagrip.geometry import camera, se3
-from getagrip.segmentation.image_motion import image_motion, visible_contour
+from getagrip.segmentation.image_motion import ImageMotion, image_motion, visible_contour
 from helpers.clips import small_clip
 
 FRAMES = 6
@@ -80,6 +80,23 @@ def test_a_moving_camera_does_not_move_what_lies_still() -> None:
     assert np.nanmin(shaken.moved[3]) > 4.0
     assert still.by_camera[3, 5] > 4.0
     assert np.all(shaken.by_camera == 0.0)
+
+
+def test_jitter_is_told_from_motion() -> None:
+    t = np.arange(80)
+    rng = np.random.default_rng(0)
+    speed = np.where(t < 30, 0.0, 1.5)
+
+    def moved(jitter: float) -> ImageMotion:
+        at, out = np.cumsum(speed), np.full((4, len(t)), np.nan)
+        for lag in range(1, 5):
+            shift = at[lag:] - at[:-lag]
+            out[lag - 1, lag:] = np.hypot(shift, jitter * rng.uniform(0.9, 1.1, len(shift)))
+        return ImageMotion(out, np.zeros_like(out))
+
+    assert moved(0.0).jitter == pytest.approx(0.0, abs=1e-6)
+    assert moved(0.8).jitter == pytest.approx(0.8, abs=0.15)
+    assert ImageMotion(np.full((4, 5), np.nan), np.zeros((4, 5))).jitter == 0.0
 
 
 def drawn(clip: Clip, T_cam_world: np.ndarray, corners: np.ndarray) -> Masks:

@@ -29,7 +29,7 @@ def fit(first: int, last: int, right: slice, frames: np.ndarray | None = None) -
     misfit = np.full(T, 30.0)
     misfit[right] = 0.8
     eye = np.tile(np.eye(4), (len(frames), 1, 1))
-    return Held(frames, eye, eye, misfit[frames], 1.0)
+    return Held(frames, eye, eye, misfit[frames], np.ones(len(frames)), 1.0)
 
 
 def states(held: list[Held], motion: ImageMotion | None = None) -> list[tuple[int, int, int]]:
@@ -54,8 +54,8 @@ def test_a_pause_in_the_air_does_not_end_a_hold() -> None:
 def test_two_ways_to_hold_are_two_segments() -> None:
     fits = [fit(0, T - 1, slice(ONSET, 29)), fit(0, T - 1, slice(29, None))]
     assert states(fits)[1:] == [(ONSET, 28, HELD), (29, T - 1, HELD)]
-    assert chosen(fits, ONSET, 28) is fits[0]
-    assert chosen(fits, 29, T - 1) is fits[1]
+    assert chosen(fits, ONSET, 28, 0.0) is fits[0]
+    assert chosen(fits, 29, T - 1, 0.0) is fits[1]
 
 
 def test_a_fit_says_nothing_where_it_was_not_tried() -> None:

@@ -8,7 +8,9 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from getagrip.cli.command import Command, Inits, Method, Seed, hands_of, priors_of
+from getagrip.errors import UsageError
 from getagrip.experiments.sources import SOURCES, source_of
+from getagrip.experiments.sources.dexycb import DexYcbSequences
 from getagrip.fitting.options import Init, Options
 from getagrip.io.arguments import Flag, Folder, OptionalFile, OptionalFolder, one_of
 
@@ -63,7 +65,8 @@ class Bench(Command):
     clips: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """Use N clips, evenly sampled."""
     preset: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_presets)] = None
-    """synthetic: exact input, the noise assumed for a hand tracker, or that and a mean shape of unknown scale."""
+    """synthetic: exact input, the noise assumed for a hand tracker, or that and a mean shape of unknown scale.
+    dexycb-segments: noise of hands and masks: none (the default), moderate, strong or estimated."""
     root: OptionalFolder = None
     """dexycb, artigrasp...: the dataset's folder, as for import."""
     meshes: OptionalFolder = None
@@ -104,6 +107,8 @@ class Bench(Command):
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
             priors=priors_of(self.priors, self.init), hands=hands_of(self.given_hands), every_frame=self.every_frame,
         )  # fmt: skip
+        if isinstance(source, DexYcbSequences):
+            return self._segments(source, options)
         hands = tuple(HandSource.of(text) for text in self.hands)
         systems = tuple(system_of(text) for text in self.others)
         plan = Plan(
@@ -112,3 +117,17 @@ class Bench(Command):
             json=self.json,
         )  # fmt: skip
         return bench(plan, self.debug)
+
+    def _segments(self, source: DexYcbSequences, options: Options) -> int:
+        """The benchmark of grasps that are found: one method, and the definition of a grasp that the truth has."""
+        from getagrip.commands.bench_segments import Plan, bench_segments
+
+        given = {
+            "methods": self.methods, "ablation": self.ablation, "hands": self.hands, "with": self.others,
+            "contact": self.contact,
+        }  # fmt: skip
+        for name, value in given.items():
+            if value:
+                raise UsageError(f"--{name}: got {value}, expected none with {self.dataset}")
+        plan = Plan(source, self.out, options, self.clips, self.workers, self.overwrite, self.json)
+        return bench_segments(plan, self.debug)

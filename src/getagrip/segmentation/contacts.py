@@ -5,14 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
+from scipy.ndimage import gaussian_filter1d
 
 from getagrip.clip import Clip, Truth
 from getagrip.geometry import se3
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.stable import segment
 from getagrip.segmentation.held import Held
+
+STEADIED = 0.067
+"""Fingers are smoothed in time by a Gaussian of this standard deviation [s]: those of trackers tremble, and with them
+what they touch."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,7 @@ class Reconstructed:
     """
 
     frames: Int[ndarray, "n"]
-    held: ndarray
+    held: Bool[ndarray, "n"]
     T_cam_obj: Float[ndarray, "n 4 4"]
     T_cam_hand: Float[ndarray, "n 4 4"]
     scale: float
@@ -54,7 +59,8 @@ def reconstructed(clip: Clip, fit: Held, first: int, last: int, still_before: in
 def stable_in(clip: Clip, found: Reconstructed, definition: Definition) -> list[tuple[int, int]]:
     """First and last frame of each stable grasp (Eq. 2) that has a frame in which the object is held."""
     part = clip.take(found.frames)
-    posed = Truth(found.T_cam_obj, found.scale, found.T_cam_hand, part.hand.vertices)
+    fingers = gaussian_filter1d(part.hand.vertices, STEADIED * clip.fps, axis=0, mode="nearest")
+    posed = Truth(found.T_cam_obj, found.scale, found.T_cam_hand, fingers)
     _, grasps = segment(replace(part, truth=posed), definition)
     return [
         (int(found.frames[first]), int(found.frames[last]))

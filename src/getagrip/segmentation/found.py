@@ -18,7 +18,7 @@ from getagrip.fitting.options import Options
 from getagrip.grasps.definition import Definition
 from getagrip.segmentation.contacts import reconstructed, stable_in
 from getagrip.segmentation.held import METHOD, Held, NothingToFitError, held_in, pieces
-from getagrip.segmentation.image_motion import image_motion
+from getagrip.segmentation.image_motion import ImageMotion, image_motion
 from getagrip.segmentation.semi_markov import Division, cheapest, margins
 from getagrip.segmentation.window_costs import MOTIONS, Motion, chosen, window_costs
 
@@ -82,25 +82,43 @@ def find_segments(
     check_masks(clip, masks)
     clip = replace(clip, segments=(), truth=None)
     options = replace(options or Options(), method=METHOD)
-    lags = max(1, round(LAG * clip.fps))
-    moved = image_motion(clip, masks, min(lags, len(clip) - 1))
+    moved = _moved(clip, masks)
     with threadpool_limits(1, user_api="blas"):
-        held = _fits(clip, masks, cheapest(window_costs(moved, [])), options, progress)
+        held = _fits(clip, masks, _runs(moved), options, progress)
     cost = window_costs(moved, held)
     division = cheapest(cost)
     notes = () if clip.world is not None else ("the camera is taken to stand still: a guess",)
-    return Found(tuple(_segments(clip, division, margins(cost, division), held, definition)), notes)
+    margin = margins(cost, division)
+    return Found(tuple(_segments(clip, division, margin, held, moved.jitter, definition)), notes)
 
 
-def _fits(
-    clip: Clip, masks: Masks, division: Division, options: Options, progress: Callable[[float], None]
-) -> list[Held]:
-    """A fit wherever the object does not lie still; none where nothing can be fitted."""
-    lies = np.zeros(len(clip), dtype=bool)
+def moving_runs(clip: Clip, masks: Masks) -> list[tuple[int, int]]:
+    """First and last frame of each run of frames in which the object does not lie still, by its image motion alone."""
+    return _runs(_moved(clip, masks))
+
+
+def _moved(clip: Clip, masks: Masks) -> ImageMotion:
+    return image_motion(clip, masks, min(max(1, round(LAG * clip.fps)), len(clip) - 1))
+
+
+def _runs(moved: ImageMotion) -> list[tuple[int, int]]:
+    """The runs between the static segments of the cheapest division into static and free."""
+    division = cheapest(window_costs(moved, []))
+    lies = np.zeros(moved.moved.shape[1], dtype=bool)
     for (first, last), state in zip(division.spans, division.states, strict=True):
         lies[first : last + 1] = MOTIONS[state] == "static"
     edges = np.flatnonzero(np.diff(np.concatenate([[True], lies, [True]])))
-    runs = [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
+    return [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
+
+
+def _fits(
+    clip: Clip,
+    masks: Masks,
+    runs: Sequence[tuple[int, int]],
+    options: Options,
+    progress: Callable[[float], None],
+) -> list[Held]:
+    """A fit wherever the object does not lie still; none where nothing can be fitted."""
     parts, fits = list(pieces(runs, LONGEST, LEAST)), []
     for k, frames in enumerate(parts):
         before = parts[k - 1][-1] + 1 - INTO if k else 0
@@ -113,7 +131,12 @@ def _fits(
 
 
 def _segments(
-    clip: Clip, division: Division, margin: Float[ndarray, "n"], held: Sequence[Held], definition: Definition
+    clip: Clip,
+    division: Division,
+    margin: Float[ndarray, "n"],
+    held: Sequence[Held],
+    jitter: float,
+    definition: Definition,
 ) -> Iterator[FoundSegment]:
     """The segments of a division, the held ones divided by Eq. 2.
 
@@ -128,7 +151,7 @@ def _segments(
     for k in np.flatnonzero(np.array(motions) == "held"):
         first, last = (int(n) for n in spans[k])
         before, after = (int(lying[n]) if 0 <= n < len(spans) else 0 for n in (k - 1, k + 1))
-        found = reconstructed(clip, chosen(held, first, last), first, last, before, after)
+        found = reconstructed(clip, chosen(held, first, last, jitter), first, last, before, after)
         for n, (a, b) in enumerate(stable_in(clip, found, definition)):
             taken = np.arange(a, b + 1)
             taken = taken[stable[a : b + 1] < 0]

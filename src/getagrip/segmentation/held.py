@@ -40,8 +40,9 @@ class Held:
         frames: (n,) the frames in which it was tried, rising: those of the fit, and around them.
         T_cam_obj: (n, 4, 4) where it has the object in them.
         T_cam_hand: (n, 4, 4) where it has the hand.
-        misfit: (n,) mean distance of its contour from the mask's, deviations from its own motion included, in those
-            that a right fit leaves; NaN where no mask shows the object.
+        misfit: (n,) mean distance of its contour from the mask's [px of the image], deviations from its own motion
+            included; NaN where no mask shows the object.
+        expected: (n,) what a right fit leaves of that in perfect masks (``fitting.misfit``) [px].
         scale: of the object.
     """
 
@@ -49,6 +50,7 @@ class Held:
     T_cam_obj: Float[ndarray, "n 4 4"]
     T_cam_hand: Float[ndarray, "n 4 4"]
     misfit: Float[ndarray, "n"]
+    expected: Float[ndarray, "n"]
     scale: float
 
 
@@ -71,21 +73,22 @@ def held_in(clip: Clip, masks: Masks, frames: Int[ndarray, "n"], around: Int[nda
     sampled = part.index_of(problem.clip.frames)
     part = part.with_hand_at(hand_everywhere(part, problem, sampled))
     n = len(around)
-    T_hand_obj, misfit = np.tile(np.eye(4), (n, 1, 1)), np.full(n, np.nan)
+    T_hand_obj, misfit, expected = np.tile(np.eye(4), (n, 1, 1)), np.full(n, np.nan), np.full(n, PIXEL)
     seen = np.flatnonzero(part_masks.observed)
     for index in np.array_split(seen, -(-len(seen) // CHUNK)):
         at = problem.at(part.take(index), part_masks.take(index))
         T_hand_obj[index], misfit[index] = _tried(at, found, sampled, index)
+        expected[index] = PIXEL + CROP_PIXEL / at.observation.crops.zoom
     for t in np.setdiff1d(np.arange(n), seen):
         T_hand_obj[t] = T_hand_obj[seen[np.argmin(np.abs(seen - t))]]
     T_cam_hand = part.hand.T_cam_hand
-    return Held(around, T_cam_hand @ T_hand_obj, T_cam_hand, misfit, float(found.poses.scale[0]))
+    return Held(around, T_cam_hand @ T_hand_obj, T_cam_hand, misfit, expected, float(found.poses.scale[0]))
 
 
 def _tried(
     problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], index: Int[ndarray, "m"]
 ) -> tuple[Float[ndarray, "m 4 4"], Float[ndarray, "m"]]:
-    """Poses in the hand in the problem's frames, and their misfit."""
+    """Poses in the hand in the problem's frames, and their misfit [px of the image]."""
     motion = own_fit(problem, found, sampled, index)
     assert found.energy_of is not None
     mask, *_ = found.energy_of(problem)(256, np.arange(len(index)))
@@ -94,8 +97,7 @@ def _tried(
     energy = energy + [motion.resampled(here, here[t : t + 1]).prior().value[0] for t in here]
     observation = problem.observation
     length = observation.targets[..., 4].sum(axis=1)
-    expected = PIXEL * observation.crops.zoom + CROP_PIXEL
-    misfit = np.divide(energy, length * expected, out=np.full(len(index), np.nan), where=length > 0.0)
+    misfit = np.divide(energy, length * observation.crops.zoom, out=np.full(len(index), np.nan), where=length > 0.0)
     return placed(motion.poses(), problem.clip.mesh.centre)[0], misfit
 
 

@@ -43,6 +43,19 @@ class ImageMotion:
     by_camera: Float[ndarray, "L T"]
 
     @property
+    def jitter(self) -> float:
+        """How far contours of two masks are apart that no motion explains [px], from the data themselves.
+
+        Motion grows with the time between two frames, jitter of masks does not: ``m_1^2 = j^2 + v^2`` and
+        ``m_L^2 = j^2 + (L v)^2`` in the median frame. 0 where it is not known.
+        """
+        L = self.lags
+        if L < 2 or np.isnan(self.moved[L - 1]).all():
+            return 0.0
+        square = (L**2 * self.moved[0] ** 2 - self.moved[L - 1] ** 2) / (L**2 - 1.0)
+        return float(np.sqrt(max(np.nanmedian(square), 0.0)))
+
+    @property
     def lags(self) -> int:
         """The most frames that two compared ones are apart."""
         return len(self.moved)

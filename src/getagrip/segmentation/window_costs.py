@@ -46,7 +46,7 @@ def window_costs(moved: ImageMotion, held: Sequence[Held]) -> Float[ndarray, "3 
     length = frames[None] - frames[:, None] + 1.0
     known = np.log(SAMPLES * np.maximum(length, 1.0))
     free = length * POSE / 2.0 * np.log(SAMPLES)
-    cost = np.stack([_static(moved) + POSE / 2.0 * known, _held(held, T) + HINGE / 2.0 * known, free])
+    cost = np.stack([_static(moved) + POSE / 2.0 * known, _held(held, T, moved.jitter) + HINGE / 2.0 * known, free])
     cost += np.log(T)
     shortest = np.array([SHORTEST[motion] for motion in MOTIONS])
     return np.where(length >= shortest[:, None, None], cost, np.inf)
@@ -54,7 +54,7 @@ def window_costs(moved: ImageMotion, held: Sequence[Held]) -> Float[ndarray, "3 
 
 def _static(moved: ImageMotion) -> Float[ndarray, "T T"]:
     """Misfit of a still object: each frame against the one ``lags`` before it, or the window's first."""
-    each = residual(moved.moved / (STILL + UNEXPLAINED * moved.by_camera))
+    each = residual(moved.moved / (np.hypot(STILL, moved.jitter) + UNEXPLAINED * moved.by_camera))
     L, T = each.shape
     out = np.zeros((T, T))
     for i in range(T):
@@ -63,15 +63,20 @@ def _static(moved: ImageMotion) -> Float[ndarray, "T T"]:
     return out
 
 
-def _held(held: Sequence[Held], T: int) -> Float[ndarray, "T T"]:
+def _held(held: Sequence[Held], T: int, jitter: float) -> Float[ndarray, "T T"]:
     """Misfit of the fit to the hand that is best in each window."""
     out = np.full((T, T), np.inf)
     for one in held:
         each = np.full(T, NOT_TRIED)
-        each[one.frames] = residual(one.misfit)
+        each[one.frames] = _misfit(one, jitter)
         total = np.concatenate([[0.0], np.cumsum(each)])
         out = np.minimum(out, total[None, 1:] - total[:-1, None])
     return out
+
+
+def _misfit(one: Held, jitter: float) -> Float[ndarray, "n"]:
+    """Cost of each frame in which a fit was tried. Of two masks' jitter, one has its share."""
+    return residual(one.misfit / np.hypot(one.expected, jitter / np.sqrt(2.0)))
 
 
 def residual(distance: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
@@ -80,10 +85,10 @@ def residual(distance: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
     return np.asarray(np.minimum(0.5 * SAMPLES * excess**2, MOST))
 
 
-def chosen(held: Sequence[Held], first: int, last: int) -> Held:
+def chosen(held: Sequence[Held], first: int, last: int, jitter: float) -> Held:
     """The fit that is best in a window, of those tried in all of it."""
     costs = []
     for one in held:
         inside = (one.frames >= first) & (one.frames <= last)
-        costs.append(residual(one.misfit[inside]).sum() + NOT_TRIED * (last + 1 - first - inside.sum()))
+        costs.append(_misfit(one, jitter)[inside].sum() + NOT_TRIED * (last + 1 - first - inside.sum()))
     return held[int(np.argmin(costs))]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from getagrip.errors import UsageError
 from getagrip.experiments.sources.artigrasp import ArtiGrasp, EstimatedArtiGrasp
-from getagrip.experiments.sources.dexycb import DexYcb
+from getagrip.experiments.sources.dexycb import DexYcb, DexYcbSequences
 from getagrip.experiments.sources.folder import ClipFolder
 from getagrip.experiments.sources.source import ClipSource, Sample
 from getagrip.experiments.sources.synthetic import Synthetic
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 SOURCES: dict[str, type[ClipSource]] = {
     "synthetic": Synthetic,
     "dexycb": DexYcb,
+    "dexycb-segments": DexYcbSequences,
     "artigrasp": ArtiGrasp,
     "artigrasp-estimated": EstimatedArtiGrasp,
 }

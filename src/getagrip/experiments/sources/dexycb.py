@@ -1,11 +1,12 @@
-"""DexYCB: its visible stable grasps; of every three subjects the first is for training."""
+"""DexYCB: its visible stable grasps, or whole sequences; of every three subjects the first is for training."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from getagrip.errors import UsageError
 from getagrip.experiments.sources.recorded import Recorded
 
 if TYPE_CHECKING:
@@ -23,3 +24,25 @@ class DexYcb(Recorded):
         from getagrip.datasets.dexycb import reader
 
         return reader.DexYcb(root=root, meshes=self.meshes)
+
+
+@dataclass(frozen=True)
+class DexYcbSequences(DexYcb):
+    """DexYCB's sequences, not cut, with their true segments."""
+
+    preset: str = "none"
+    """Noise of hands and masks, of ``NOISE``: it is added when a sequence is read, the clips are without."""
+
+    def __post_init__(self) -> None:
+        from getagrip.datasets.synthetic.noise import NOISE
+
+        if self.preset not in NOISE:
+            raise UsageError(f"--preset: got {self.preset!r}, expected one of {', '.join(NOISE)}")
+
+    def claim(self, clips: Path) -> None:
+        super(DexYcbSequences, replace(self, preset="none")).claim(clips)
+
+    def reader(self, root: Path) -> Dataset:
+        from getagrip.datasets.dexycb import reader
+
+        return reader.DexYcb(root=root, meshes=self.meshes, timelines=True)

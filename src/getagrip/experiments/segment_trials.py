@@ -1,0 +1,129 @@
+"""One sequence of a benchmark of segments: its grasps found without its truth, forwards and in reverse."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from getagrip.batch.job import failure
+from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
+from getagrip.datasets.synthetic.noise import NOISE, perturbed
+from getagrip.experiments.segment_scores import Matched, Span, matched
+from getagrip.experiments.sources import Sample
+from getagrip.fitting.options import Options
+from getagrip.grasps.definition import Definition
+from getagrip.io import files
+from getagrip.result import software
+
+DIRECTIONS = ("forwards", "in reverse")
+DEFINITION = Definition(contact=0.010)
+"""Of a stable grasp, as that of the truth (``datasets.dexycb.reader``)."""
+WAYS = {"fits": "fits and Eq. 2", "motion": "first to last motion"}
+"""How grasps are found: ours; and what the image motion alone says, with no fit."""
+
+
+@dataclass(frozen=True)
+class SequenceTrial:
+    """A sequence to find the grasps of."""
+
+    sample: Sample
+    noise: str
+    """Of ``NOISE``: of hands and masks."""
+    options: Options
+    results: Path
+    """A file for each sequence and direction goes here."""
+    overwrite: bool
+
+
+@dataclass(frozen=True)
+class SequenceScores:
+    """What was found in a sequence."""
+
+    name: str
+    by: dict[tuple[str, str], Matched]
+    """By direction and way; empty where it failed."""
+    seconds: float = 0.0
+    """Of the process, for one direction; the mean of both."""
+    failure: str = ""
+    trace: str = ""
+
+
+def reversed_in_time(clip: Clip, masks: Masks) -> tuple[Clip, Masks]:
+    """The clip as if it had been filmed backwards; its truth goes with it, its segments do not."""
+    index = np.arange(len(clip))[::-1]
+    back = clip.take(index)
+    return replace(back, frames=clip.frames, times=None, segments=(), name=f"{clip.name}--reversed"), masks.take(index)
+
+
+def mirrored(spans: list[Span], frames: int) -> list[Span]:
+    """Intervals of a sequence, in its reverse."""
+    return [(frames - 1 - last, frames - 1 - first) for first, last in reversed(spans)]
+
+
+def run_sequence(trial: SequenceTrial) -> SequenceScores:
+    """Find the grasps of one sequence, unless that has been done by the same code. Raises nothing."""
+    try:
+        return _run(trial)
+    except Exception as error:  # one sequence's trouble must not end the others
+        outcome = failure(trial.sample.name, error)
+        return SequenceScores(trial.sample.name, {}, failure=outcome.message, trace=outcome.trace)
+
+
+def _run(trial: SequenceTrial) -> SequenceScores:
+    sample, by, seconds = trial.sample, {}, []
+    if not sample.folder.exists() and sample.make is not None:
+        sample.make(sample.folder)
+    path = trial.results / f"{sample.name}.json"
+    of = {
+        "inputs": input_sha256(sample.folder),
+        "software": software(),
+        "options": json.loads(files.to_json(asdict(trial.options))),
+    }
+    record = files.read_json(path) if path.exists() and not trial.overwrite else None
+    if not isinstance(record, dict) or {key: record.get(key) for key in of} != of:
+        record = {**of, **_found(trial)}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with files.new_file(path) as new:
+            files.write_json(new, record)
+    for direction in DIRECTIONS:
+        here = record[direction]
+        seconds.append(float(here["seconds"]))
+        for way in WAYS:
+            by[direction, way] = matched(_spans(here["true"]), _spans(here[way]))
+    return SequenceScores(sample.name, by, float(np.mean(seconds)))
+
+
+def _found(trial: SequenceTrial) -> dict[str, Any]:
+    """What is true and what is found, by direction."""
+    from getagrip.segmentation.found import find_segments, moving_runs
+
+    clip = read_clip(trial.sample.folder)
+    masks = read_masks(clip)
+    true = [(s.first, s.last) for s in clip.segments if s.state == "grasp"]
+    clip, masks = perturbed(clip, masks, NOISE[trial.noise], [0, *clip.name.encode()])
+    out = {}
+    for direction in DIRECTIONS:
+        if direction == "in reverse":
+            (clip, masks), true = reversed_in_time(clip, masks), mirrored(true, len(clip))
+        since = time.process_time()
+        found = find_segments(clip, masks, DEFINITION, trial.options)
+        seconds = time.process_time() - since
+        runs = [run for run in moving_runs(clip, masks) if run[1] + 1 - run[0] >= DEFINITION.shortest]
+        whole = [(min(first for first, _ in runs), max(last for _, last in runs))] if runs else []
+        out[direction] = {
+            "true": true,
+            "fits": found.grasps,
+            "motion": whole,
+            "segments": [asdict(one) for one in found.segments],
+            "seconds": seconds,
+        }
+    return out
+
+
+def _spans(given: list[list[int]]) -> list[Span]:
+    return [(first, last) for first, last in given]
