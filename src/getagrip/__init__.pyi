@@ -16,7 +16,6 @@ from .errors import UsageError as UsageError
 from .evaluation import evaluate as evaluate
 from .finding import Finding as Finding
 from .fitting.options import Options as Options
-from .fitting.reconstruct import reconstruct as reconstruct
 from .geometry.mesh import Mesh as Mesh
 from .geometry.mesh_files import read_mesh as read_mesh
 from .geometry.mesh_files import write_mesh as write_mesh
@@ -25,6 +24,7 @@ from .result import Candidates as Candidates
 from .result import Reconstruction as Reconstruction
 from .result import read_result as read_result
 from .result import write_result as write_result
+from .timelines.reconstruct import reconstruct as reconstruct
 from .view.report import write_report as write_report
 
 __version__: str

@@ -105,7 +105,7 @@ def _reconstructed(job: Job, progress: Progress | None) -> tuple[Reconstruction,
 
     Raises ``InputError`` where the clip has changed meanwhile: some of it was read before, some after.
     """
-    from getagrip.fitting.reconstruct import reconstruct
+    from getagrip.timelines.reconstruct import reconstruct
 
     before = input_sha256(job.clip)
     result = reconstruct(read_clip(job.clip), None, job.options, progress, job.threads)

@@ -78,6 +78,7 @@ class Reconstruction(ArrayData):
         T_cam_hand: (T, 4, 4) pose of the corrected hand, hand frame to camera frame [m], which ``T_hand_obj`` and the
             axis are relative to; None where the hand is as the clip gives it.
         frame_kind: how the pose of each frame was found; by default, all frames were sampled.
+        segments: of a timeline, what the object does and what was found, as JSON values (docs/formats.md); else none.
     """
 
     clip: str
@@ -101,6 +102,7 @@ class Reconstruction(ArrayData):
     probability_right: Probability | None = None
     T_cam_hand: Float[ndarray, "T 4 4"] | None = None
     frame_kind: tuple[FrameKind, ...] = ()
+    segments: tuple[dict[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()

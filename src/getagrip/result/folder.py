@@ -41,6 +41,7 @@ FIELDS: dict[str, tuple[type, str]] = {
     "energy": (dict, "an object"),
     "metrics": (dict, "an object"),
     "seconds": (dict, "an object"),
+    "segments": (list, "a list of segments"),
     "software": (dict, "an object"),
     "input_sha256": (str, "a checksum"),
 }
@@ -90,6 +91,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
         signs=read_checks(folder / "result.json", fields["signs"], "signs"),
         probability_right=read_probability(folder / "result.json", fields["probability_right"]),
         T_cam_hand=_rigid(path, given, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in given else None,
+        segments=_segments(folder / "result.json", fields["segments"]),
     )
     return result, fields
 
@@ -109,6 +111,7 @@ def read_record(folder: str | Path) -> dict[str, Any]:
     fields.setdefault("checks", {})
     fields.setdefault("signs", {})
     fields.setdefault("probability_right", None)
+    fields.setdefault("segments", [])
     for key, (kind, expected) in FIELDS.items():
         if key not in fields:
             raise InputError(path, key, "no such key", expected)
@@ -186,6 +189,7 @@ def _fields(
         "energy": result.energy,
         "metrics": metrics or {},
         "seconds": result.seconds,
+        **({"segments": result.segments} if result.segments else {}),
         "software": software(),
         "input_sha256": input_sha256,
     }
@@ -201,6 +205,16 @@ def software() -> dict[str, str]:
     packages = ("getagrip", "numpy", "scipy", "numba", "trimesh", "opencv-python-headless")
     versions = {package: metadata.version(package) for package in packages}
     return {"python": platform.python_version(), **versions, "code": code.fingerprint()}
+
+
+def _segments(path: Path, given: list[Any]) -> tuple[dict[str, Any], ...]:
+    """What a timeline's result says of its segments: each an object with a state and its frames."""
+    for n, segment in enumerate(given):
+        if not isinstance(segment, dict) or not all(
+            isinstance(segment.get(k), str) for k in ("state", "first", "last")
+        ):
+            raise InputError(path, f"segments[{n}]", files.shown(segment), "an object with state, first and last")
+    return tuple(given)
 
 
 def _texts(path: Path, given: dict[str, ndarray], key: str) -> tuple[str, ...]:

@@ -51,7 +51,7 @@ class DexYcb(TrackedDataset):
     """Folder of the YCB models."""
 
     timelines: Flag = False
-    """Not the grasps but whole sequences, with masks and segments (docs/formats.md)."""
+    """Not the grasps but whole sequences, with masks and segments (docs/timelines.md)."""
 
     def sources(self) -> list[Source]:
         """The sequences of DexYCB's own folder, of a packed file, or of a folder of such files."""

@@ -32,7 +32,15 @@ ALONE = 4.0
 
 
 def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> MethodResult:
-    """A hinge, and a small deviation from it in each frame; ``more`` terms count in all stages.
+    """A hinge, and a small deviation from it in each frame; ``more`` terms count in all stages."""
+    found = soft_hinges(problem, on_stage, more)
+    if more is not NOTHING:  # terms of these frames only
+        return result_of(found, found.motion.core)
+    return result_of(found, found.motion.core, soft_energy)
+
+
+def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> Solution[Soft[Hinge]]:
+    """The distinct soft hinges that the search ends with, best first.
 
     There is no axis in the coarse stages: held to one too early, right poses lose whose motion is not quite a hinge.
     How well they explain the masks says how far the deviations may be believed afterwards (``misfit``).
@@ -44,10 +52,12 @@ def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> M
     frames = rough.motion.deviation.shape[1]
     ridge = stiffened(SOFT_RIDGE, misfit(problem.observation, float(rough.terms["mask"][0]) / frames))
     soft = Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
-    found = search.fine(soft, steady(problem, coarse))
-    if more is not NOTHING:  # terms of these frames only
-        return result_of(found, found.motion.core)
-    return result_of(found, found.motion.core, lambda other: steady(other, coarse_energy(other)))
+    return search.fine(soft, steady(problem, coarse))
+
+
+def soft_energy(problem: Problem) -> Energy:
+    """The soft hinge's energy at all frames."""
+    return steady(problem, coarse_energy(problem))
 
 
 def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:

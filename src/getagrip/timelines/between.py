@@ -1,0 +1,66 @@
+"""The object between two segments: followed from both of them, blended, and fitted to each frame's mask."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
+from getagrip.fitting.motion import Free, Frozen, Soft
+from getagrip.fitting.objective import mask_of
+from getagrip.fitting.solve import minimise
+from getagrip.geometry import se3
+from getagrip.timelines.following import follow
+from getagrip.timelines.footage import Footage
+from getagrip.timelines.hypotheses import Hypotheses
+
+RIDGE = (5e4, 300.0)
+"""Stiffness of a frame's deviation from the blended motion [px^2 per m^2, per rad^2]."""
+SMOOTH = 2e5
+"""Energy of a surface that moves from one frame to the next [px^2 / m^2]: 20 for a centimetre."""
+STAGES = ((128, 6), (256, 4))
+"""Resolution [px] and iterations."""
+
+
+def between(
+    footage: Footage, rows: Int[ndarray, "n"], before: Hypotheses | None, after: Hypotheses | None
+) -> Hypotheses:
+    """The object in frames that lie between two known poses, or beyond one: each of one hypothesis in one frame."""
+    ahead = None if before is None else follow(footage, rows, before)
+    behind = None if after is None else follow(footage, rows[::-1], after).at(np.arange(len(rows))[::-1])
+    if ahead is None or behind is None:
+        blended = ahead or behind
+        assert blended is not None
+    else:
+        blended = _blended(ahead, behind)
+    return _fitted(footage, rows, blended)
+
+
+def _blended(ahead: Hypotheses, behind: Hypotheses) -> Hypotheses:
+    """From the one to the other, evenly in time: rotations along the shortest path, centres on a line."""
+    n = ahead.R.shape[1]
+    share = (np.arange(n) + 1.0)[:, None] / (n + 1)
+    turn = se3.log_so3(behind.R @ np.swapaxes(ahead.R, -1, -2))
+    R = se3.exp_so3(share * turn) @ ahead.R
+    return Hypotheses(R, ahead.centre + share * (behind.centre - ahead.centre), ahead.scale, ahead.energy)
+
+
+def _fitted(footage: Footage, rows: Int[ndarray, "n"], start: Hypotheses) -> Hypotheses:
+    """A smooth motion near the given one that meets the masks of the frames that show the object."""
+    seen = footage.observed(rows)
+    if len(seen) < 2:
+        return start
+    at = np.searchsorted(rows, seen)
+    problem = footage.problem(seen)
+    about = footage.clip.mesh.vertices - footage.clip.mesh.centre
+    free = Free(start.R[:, at], start.centre[:, at], np.log(start.scale))
+    motion = Frozen(Soft(free, np.zeros((1, len(at), 6)), RIDGE))
+    energy, smooth = mask_of(problem), SmoothnessTerm(moments(about), SMOOTH)
+    everywhere, T_cam_world = np.arange(len(at)), footage.T_cam_world[seen]
+    for level, iterations in STAGES:
+        motion = minimise(motion, [*energy(level, everywhere), smooth], T_cam_world, iterations).motion
+    poses = motion.poses()
+    R, centre = start.R.copy(), start.centre.copy()
+    R[:, at], centre[:, at] = poses.R, poses.centre
+    return Hypotheses(R, centre, start.scale, start.energy)

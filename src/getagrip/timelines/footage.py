@@ -1,0 +1,62 @@
+"""A clip and its masks, and problems at any of its frames that show the object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks, World
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import Problem, prepare
+from getagrip.geometry import se3
+
+
+@dataclass(frozen=True)
+class Footage:
+    """What a timeline is reconstructed from. The clip's scale is known; its hand is as it was given."""
+
+    clip: Clip
+    masks: Masks
+    options: Options
+    some: Problem
+    """At a few of the frames; others are made from it."""
+
+    @staticmethod
+    def of(clip: Clip, masks: Masks, options: Options) -> Footage:
+        """Without a world, the camera's own frame stands for one.
+
+        Raises ``InputError`` where the object is visible in fewer than two frames.
+        """
+        if clip.world is None:
+            clip = replace(clip, world=World(np.tile(np.eye(4), (len(clip), 1, 1))))
+        return Footage(clip, masks, options, prepare(clip, masks, replace(options, frames=2, hands="as-given")))
+
+    def __len__(self) -> int:
+        return len(self.clip)
+
+    @property
+    def T_world_cam(self) -> Float[ndarray, "T 4 4"]:
+        """Where the camera was."""
+        assert self.clip.world is not None
+        return self.clip.world.T_world_cam
+
+    @property
+    def T_cam_world(self) -> Float[ndarray, "T 4 4"]:
+        """The world before the camera."""
+        return se3.inverse(self.T_world_cam)
+
+    @property
+    def T_world_hand(self) -> Float[ndarray, "T 4 4"]:
+        """The given hand in the world."""
+        return self.T_world_cam @ self.clip.hand.T_cam_hand
+
+    def observed(self, rows: Int[ndarray, "n"]) -> Int[ndarray, "m"]:
+        """Those of some frames whose masks show the object."""
+        return rows[self.masks.take(rows).observed]
+
+    def problem(self, rows: Int[ndarray, "n"]) -> Problem:
+        """At frames that show the object, in the given order, with the hand as it was given."""
+        return self.some.at(self.clip.take(rows), self.masks.take(rows))

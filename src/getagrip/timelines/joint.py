@@ -1,0 +1,171 @@
+"""All segments of a timeline together: each one's hypotheses, the chain of them with the least energy, all frames.
+
+Static segments come first: the hand's errors do not touch them, and they show what it will hide. Followed into the
+neighbouring grasps, their poses are starts and links of the search there. Then the chain is chosen by the energies of
+all segments and of their links, and the frames between are filled in.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.clip import Segment
+from getagrip.errors import InputError
+from getagrip.geometry import se3
+from getagrip.result import Axis, FrameKind
+from getagrip.timelines.between import between
+from getagrip.timelines.chain import best_chain, second_best
+from getagrip.timelines.footage import Footage
+from getagrip.timelines.held import Held, Neighbour, in_all_frames, most, prepared, solved
+from getagrip.timelines.hypotheses import Hypotheses
+from getagrip.timelines.links import followed_into, link_cost
+from getagrip.timelines.static_pose import static_hypotheses
+
+REACH = 6
+"""Frames of a grasp's problem that a link to it holds in."""
+
+
+@dataclass
+class Motion:
+    """An object's motion over a clip, as it is filled in; frames that are not yet known are NaN.
+
+    Attributes:
+        T_cam_obj: (T, 4, 4) poses of the mesh's own frame in the camera frame.
+        T_cam_hand: (T, 4, 4) poses of the hand, corrected in grasps.
+        kind: how each frame's pose was found.
+        axes: axis of each grasp, by its segment's first frame.
+        energy: of the chosen chain, and of the next best.
+        notes: what is to be known about it.
+    """
+
+    T_cam_obj: Float[ndarray, "T 4 4"]
+    T_cam_hand: Float[ndarray, "T 4 4"]
+    kind: list[FrameKind]
+    axes: dict[int, Axis] = field(default_factory=dict)
+    energy: tuple[float, float] = (0.0, float("inf"))
+    notes: list[str] = field(default_factory=list)
+
+    @staticmethod
+    def of(footage: Footage) -> Motion:
+        """Nothing known yet."""
+        T = len(footage)
+        hand = footage.clip.hand.T_cam_hand.copy()
+        return Motion(np.full((T, 4, 4), np.nan), hand, ["interpolated"] * T)
+
+    def put(self, footage: Footage, rows: Int[ndarray, "n"], found: Hypotheses, kind: FrameKind) -> None:
+        """The first hypothesis, in some frames; of ``kind`` where the object is seen."""
+        poses = found.T_world_obj(footage.clip.mesh.centre)[0]
+        self.T_cam_obj[rows] = footage.T_cam_world[rows] @ poses
+        for row in footage.observed(rows):
+            self.kind[row] = kind
+
+    def at(self, footage: Footage, row: int) -> Hypotheses:
+        """The pose of one frame, in the world."""
+        T = footage.T_world_cam[row] @ self.T_cam_obj[row]
+        centre = se3.transform(T, footage.clip.mesh.centre[None])
+        return Hypotheses(T[None, None, :3, :3], centre[None], np.ones(1), np.zeros(1))
+
+
+Anchor = tuple[Segment, Hypotheses, Held | None]
+"""A segment whose pose is found by itself; what is known of it at its frames, or at those of a grasp's problem."""
+
+
+def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None] = lambda _: None) -> Motion:
+    """The timeline of least energy. Raises ``InputError`` where no segment shows the object, as static or held."""
+    static = _static(footage, support)
+    on_stage("static")
+    anchors, neighbours = _with_grasps(footage, static)
+    on_stage("grasps")
+    if not anchors:
+        given = "no static segment and no grasp of the clip's hand that shows the object in two frames"
+        raise InputError(footage.clip.origin, "segments", given, "one at least")
+    links = [_link(footage, one, other) for one, other in itertools.pairwise(anchors)]
+    energies = [hypotheses.energy for _, hypotheses, _ in anchors]
+    chosen, energy = best_chain(energies, links)
+    on_stage("links")
+    motion = Motion.of(footage)
+    motion.energy = energy, second_best(energies, links, chosen)
+    for (segment, hypotheses, held), k, near in zip(anchors, chosen, neighbours, strict=True):
+        if held is None:
+            motion.put(footage, segment.rows, hypotheses.take(np.array([k])), "sampled")
+        else:
+            put_grasp(motion, footage, held, k, near)
+    on_stage("all frames")
+    fill(motion, footage, [segment for segment, _, _ in anchors])
+    on_stage("between")
+    return motion
+
+
+def put_grasp(motion: Motion, footage: Footage, held: Held, k: int, neighbours: list[Neighbour]) -> None:
+    """A solution of a grasp, in all of its frames."""
+    rows, track = held.segment.rows, in_all_frames(footage, held, k, neighbours)
+    motion.T_cam_obj[rows], motion.T_cam_hand[rows] = track.T_cam_hand @ track.T_hand_obj, track.T_cam_hand
+    for row, kind in zip(rows, track.kind, strict=True):
+        motion.kind[row] = kind
+    motion.notes += [f"grasp from {footage.clip.frames[rows[0]]}: {note}" for note in track.notes]
+    if track.axis is not None:
+        motion.axes[held.segment.first] = track.axis
+
+
+def fill(motion: Motion, footage: Footage, known: list[Segment]) -> None:
+    """The frames between segments that are known, and before and after them."""
+    edges = [(None, known[0]), *itertools.pairwise(known), (known[-1], None)]
+    for one, other in edges:
+        begin, end = 0 if one is None else one.last + 1, len(footage) if other is None else other.first
+        if end > begin:
+            before = None if one is None else motion.at(footage, one.last)
+            after = None if other is None else motion.at(footage, other.first)
+            rows = np.arange(begin, end)
+            motion.put(footage, rows, between(footage, rows, before, after), "fitted")
+
+
+def _static(footage: Footage, support: bool) -> dict[Segment, Hypotheses]:
+    """The hypotheses of the static segments."""
+    found = {s: static_hypotheses(footage, s, support) for s in footage.clip.segments if s.state == "static"}
+    return {segment: hypotheses for segment, hypotheses in found.items() if hypotheses is not None}
+
+
+def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> tuple[list[Anchor], list[list[Neighbour]]]:
+    """Static segments and grasps in their order, and the links that each grasp was searched with."""
+    problems = {
+        s: prepared(footage, s) for s in footage.clip.segments if s.state == "grasp" and s.side == footage.clip.side
+    }
+    order = [s for s in footage.clip.segments if s in static or problems.get(s) is not None]
+    anchors: list[Anchor] = []
+    neighbours: list[list[Neighbour]] = []
+    for n, segment in enumerate(order):
+        problem, near = problems.get(segment), list[Neighbour]()
+        if problem is None:
+            anchors.append((segment, static[segment], None))
+            neighbours.append(near)
+            continue
+        rows = footage.clip.index_of(problem.clip.frames)
+        m = min(REACH, len(rows))
+        if n and order[n - 1] in static:
+            gap = np.arange(order[n - 1].last + 1, rows[0])
+            near.append(Neighbour(followed_into(footage, static[order[n - 1]], gap, rows[:m]), np.arange(m)))
+        if n + 1 < len(order) and order[n + 1] in static:
+            gap = np.arange(order[n + 1].first - 1, rows[-1], -1)
+            found = followed_into(footage, static[order[n + 1]], gap, rows[::-1][:m])
+            near.append(Neighbour(found.at(np.arange(m)[::-1]), np.arange(len(rows) - m, len(rows))))
+        held = solved(footage, segment, problem, near)
+        anchors.append((segment, held.hypotheses, held))
+        neighbours.append(near)
+    return anchors, neighbours
+
+
+def _link(footage: Footage, one: Anchor, other: Anchor) -> Float[ndarray, "K L"]:
+    """What each pair of hypotheses of two neighbouring segments costs."""
+    ends = []
+    for (segment, hypotheses, held), side in ((one, -1), (other, 0)):
+        row = int(held.rows[side]) if held else segment.last if side else segment.first
+        ends.append((hypotheses.at(np.array([side])), row))
+    problems = [held.problem for _, _, held in (one, other) if held is not None]
+    weight = most(problems[0]) if problems else float(min(one[1].energy.min(), other[1].energy.min()))
+    return link_cost(footage, ends[0], ends[1], weight)

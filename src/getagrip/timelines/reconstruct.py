@@ -1,0 +1,126 @@
+"""From a clip to the object in every frame: timelines by all of their segments, other clips as one stable grasp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from threadpoolctl import threadpool_limits
+
+from getagrip.checks import LEAST_IOU
+from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_masks
+from getagrip.errors import UsageError
+from getagrip.fitting import reconstruct as grasp
+from getagrip.fitting.image_iou import image_iou
+from getagrip.fitting.methods.all_frames import soft_hinges
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import prepare
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.result import Candidates, Reconstruction
+from getagrip.timelines.footage import Footage
+from getagrip.timelines.joint import Motion, joint
+
+METHOD = "soft-hinge"
+"""How objects move in the grasps of a timeline."""
+UNCHECKED = "a timeline: inputs and result were not checked, and no probability of being right is known"
+
+
+def reconstruct(
+    clip: Clip,
+    masks: Masks | None = None,
+    options: Options | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    threads: int = 1,
+) -> Reconstruction:
+    """The object in every frame: of a clip without segments as ``fitting.reconstruct`` finds it.
+
+    Of a timeline, all segments are solved together (``timelines.joint``), by one scale. Arguments and errors are as
+    there; also raises ``UsageError`` for a timeline and another method than the soft hinge, and ``InputError`` where no
+    segment of it can be solved.
+    """
+    options = options or Options()
+    if not clip.segments:
+        return grasp.reconstruct(clip, masks, options, progress, threads)
+    if options.method != METHOD:
+        raise UsageError(f"method: got {options.method!r}, expected {METHOD!r} for a clip with segments")
+    check_clip(clip)
+    if masks is None:
+        masks = read_masks(clip)
+    check_masks(clip, masks)
+    with threadpool_limits(1, user_api="blas"):
+        clock = grasp.Clock(progress)
+        light, scale = clip.light(), 1.0
+        if clip.scale == "free":
+            scale = scale_of(light, masks, options)
+            light = replace(light, mesh=Mesh(scale * light.mesh.vertices, light.mesh.faces), scale="known", truth=None)
+        footage = Footage.of(light, masks, options)
+        clock("prepare")
+        motion = joint(footage, on_stage=clock)
+    return result_of(clip, footage, motion, scale, clock.seconds())
+
+
+def scale_of(clip: Clip, masks: Masks, options: Options) -> float:
+    """The object's scale: that of the longest grasp, where hand and camera tell it. Raises ``InputError``."""
+    held = [s for s in clip.segments if s.state == "grasp" and s.side == clip.side]
+    rows = max(held, key=len).rows if held else np.arange(len(clip))
+    problem = prepare(clip.take(rows), masks.take(rows), options)
+    return float(soft_hinges(problem, lambda _: None).motion.poses().scale[0])
+
+
+def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, seconds: dict[str, float]) -> Reconstruction:
+    """The motion as a result; the mesh of ``footage`` is the clip's at its scale."""
+    T_hand_obj = se3.inverse(motion.T_cam_hand) @ motion.T_cam_obj
+    posed = footage.clip.with_hand_at(motion.T_cam_hand)
+    iou = np.where(footage.masks.observed, image_iou(posed, footage.masks, T_hand_obj, 1.0), np.nan)
+    moved = not np.array_equal(motion.T_cam_hand, clip.hand.T_cam_hand)
+    energy, other = motion.energy
+    guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
+    mean_iou = float(np.nanmean(iou))
+    status = "the chain of segments with the least energy"
+    if mean_iou < LEAST_IOU:
+        status = grasp.UNEXPLAINED.format(mean_iou)
+    return Reconstruction(
+        clip=clip.name,
+        method=METHOD,
+        frames=clip.frames,
+        frame_kind=tuple(motion.kind),
+        T_hand_obj=T_hand_obj,
+        scale=scale,
+        iou=iou,
+        axis=None,
+        candidates=Candidates(T_hand_obj[None], np.array([scale]), np.array([energy])),
+        energy={"total": energy},
+        status=status,
+        ambiguous=other < grasp.AMBIGUOUS * energy,
+        seconds=seconds,
+        options=asdict(footage.options),
+        seed=footage.options.seed,
+        T_cam_hand=motion.T_cam_hand if moved else None,
+        notes=(UNCHECKED, *motion.notes, *footage.some.notes, *([guess] if clip.scale == "free" else [])),
+        segments=tuple(segment_record(clip, segment, motion, iou) for segment in clip.segments),
+    )
+
+
+def segment_record(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> dict[str, Any]:
+    """What a result says of a segment."""
+    rows = segment.rows
+    seen = iou[rows][~np.isnan(iou[rows])]
+    out: dict[str, Any] = {
+        "state": segment.state,
+        "first": clip.frames[segment.first],
+        "last": clip.frames[segment.last],
+        "iou": float(seen.mean()) if len(seen) else None,
+    }
+    if segment.side is not None:
+        out["side"] = segment.side
+    if segment.state == "static" and clip.world is not None:
+        out["T_world_obj"] = (clip.world.T_world_cam[rows[0]] @ motion.T_cam_obj[rows[0]]).tolist()
+    axis = motion.axes.get(segment.first)
+    if segment.state == "grasp" and axis is not None:
+        out |= {"axis_point": axis.point.tolist(), "axis_direction": axis.direction.tolist()}
+    return out

@@ -1,0 +1,98 @@
+"""Where a static object lies: one pose in the world for all frames of the segment, from the masks alone.
+
+No hand helps and none disturbs. A camera that stands still sees one silhouette only, through hands that pass: depth
+comes from the object's size, and from the plane that it lies on where that is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from getagrip.clip import Segment
+from getagrip.clip.sampling import frame_indices
+from getagrip.fitting.energy import Energy, Term
+from getagrip.fitting.motion import Fixed
+from getagrip.fitting.objective import mask_of, plus
+from getagrip.fitting.problem import Problem
+from getagrip.fitting.schedule import USUAL
+from getagrip.fitting.search import Search
+from getagrip.geometry import camera, se3
+from getagrip.timelines.footage import Footage
+from getagrip.timelines.hypotheses import Hypotheses
+from getagrip.timelines.support_term import SupportTerm, hull_vertices, plane_in_camera
+
+FRAMES = 8
+"""Of a static segment that are fitted: they show nearly the same."""
+SUPPORT = 0.02
+"""Energy, in mean areas of the masks, of an object that floats at ``FLOATS``."""
+FLOATS = 0.01
+"""[m]."""
+LIKELY = 1.5
+"""Solutions of more than so many times the least energy are given up."""
+
+
+def static_hypotheses(
+    footage: Footage, segment: Segment, support: bool, start: Hypotheses | None = None
+) -> Hypotheses | None:
+    """Solutions in the frames of a segment, all the same pose; None where fewer than two of them show the object.
+
+    ``start`` are poses to begin with besides uniform rotations (their first frame's). ``support``: whether the plane
+    counts. Raises ``GetagripError`` where nothing can be rendered.
+    """
+    seen = footage.observed(segment.rows)
+    if len(seen) < 2:
+        return None
+    rows = seen[frame_indices(len(seen), FRAMES)]
+    problem = footage.problem(rows)
+    energy = plus(mask_of(problem), support_of(problem)) if support else mask_of(problem)
+    search = Search(footage.T_cam_world[rows], problem.surface, USUAL, lambda _: None)
+    found = search.run(search.relax(initial_poses(problem, start), energy).core, energy)
+    best = found.take(np.flatnonzero(found.energy <= LIKELY * found.energy[0]))
+    poses = replace(best.motion, frames=len(segment)).poses()
+    return Hypotheses(poses.R, poses.centre, poses.scale, best.energy)
+
+
+def support_of(problem: Problem) -> Energy:
+    """The energy of an object above or below its support; nothing where the plane is not known."""
+    clip = problem.clip
+    world = clip.world
+    if world is None or world.up is None or world.support is None:
+        return plus()
+    normal, height = plane_in_camera(world.T_world_cam, world.up, world.support)
+    vertices = hull_vertices(clip.mesh.vertices - clip.mesh.centre)
+    weight = SUPPORT * float(problem.observation.area.mean()) / FLOATS**2
+
+    def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
+        return [SupportTerm(vertices, normal[index], height[index], weight)]
+
+    return terms
+
+
+def initial_poses(problem: Problem, start: Hypotheses | None) -> Fixed:
+    """Given poses, then uniform rotations on the ray through the first mask, as far as the mask is small.
+
+    A free scale begins where the object is as far away as the hand is on average.
+    """
+    clip, inits = problem.clip, problem.options.inits
+    assert clip.world is not None
+    T_world_cam = clip.world.T_world_cam[0]
+    R = se3.super_fibonacci(inits if start is None else inits - len(start.R))
+    box = camera.bounding_boxes(problem.masks.object[:1])[0].astype(float)
+    in_camera = (clip.mesh.vertices - clip.mesh.centre) @ np.swapaxes(T_world_cam[:3, :3].T @ R, -1, -2)
+    extent = np.ptp(in_camera[..., :2], axis=1).max(axis=-1)
+    seen = float(np.max(box[2:] - box[:2])) / clip.K[0, 0, 0]
+    depth, log_scale = extent / seen, np.zeros(len(R))
+    if clip.scale == "free":
+        hand = se3.transform(clip.hand.T_cam_hand, clip.hand.vertices).mean(axis=(0, 1))[2]
+        depth, log_scale = np.full(len(R), hand), np.log(hand / depth)
+    ray = camera.backproject(clip.K[:1], ((box[:2] + box[2:]) / 2.0)[None, None])[0, 0]
+    centre = se3.transform(T_world_cam, depth[:, None] * ray)
+    if start is not None:
+        R, centre = np.concatenate([start.R[:, 0], R]), np.concatenate([start.centre[:, 0], centre])
+        log_scale = np.concatenate([np.log(start.scale), log_scale])
+    return Fixed(R, centre, log_scale, len(clip), clip.scale == "free")

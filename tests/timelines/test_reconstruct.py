@@ -1,0 +1,79 @@
+"""A timeline from table to hand: every frame answered, one pose while the object lies, results written and read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from getagrip.clip import write_clip
+from getagrip.errors import InputError, UsageError
+from getagrip.fitting import reconstruct as grasp
+from getagrip.fitting.options import Options
+from getagrip.geometry import se3
+from getagrip.result import Reconstruction, read_result, write_result
+from getagrip.timelines.reconstruct import reconstruct
+from helpers.scenes import scene
+from helpers.timelines import LIES, timeline
+
+FEW = Options(inits=20)
+
+
+@pytest.fixture(scope="module")
+def found() -> Reconstruction:
+    return reconstruct(*timeline(), FEW)
+
+
+@pytest.mark.slow
+def test_all_frames_are_answered(found: Reconstruction) -> None:
+    clip, _ = timeline()
+    assert clip.truth is not None
+    assert clip.world is not None
+    assert found.frames == clip.frames
+    assert found.frame_kind == ("sampled",) * LIES + ("fitted",) * 2 + ("sampled",) * 8
+    hand = clip.hand.T_cam_hand if found.T_cam_hand is None else found.T_cam_hand
+    T_cam_obj = hand @ found.T_hand_obj
+    off = se3.transform(T_cam_obj, clip.mesh.vertices[None]) - se3.transform(
+        clip.truth.T_cam_obj, clip.mesh.vertices[None]
+    )
+    assert np.linalg.norm(off, axis=-1).mean(axis=-1).max() < 0.1 * clip.mesh.diameter
+    lying = clip.world.T_world_cam[:LIES] @ T_cam_obj[:LIES]
+    np.testing.assert_allclose(lying, np.tile(lying[0], (LIES, 1, 1)), atol=1e-9)
+    assert [(s["state"], s["first"], s["last"]) for s in found.segments] == [
+        (s.state, clip.frames[s.first], clip.frames[s.last]) for s in clip.segments
+    ]
+    np.testing.assert_allclose(found.segments[0]["T_world_obj"], lying[0], atol=1e-9)
+    assert np.linalg.norm(found.segments[2]["axis_direction"]) == pytest.approx(1.0)
+
+
+@pytest.mark.slow
+def test_segments_are_kept_in_the_result(found: Reconstruction, tmp_path: Path) -> None:
+    back, record = read_result(write_result(found, tmp_path / "result"))
+    assert back.segments == found.segments
+    record["segments"][0].pop("state")
+    from getagrip.io import files
+
+    files.write_json(tmp_path / "result" / "result.json", record)
+    with pytest.raises(InputError, match=r"segments\[0\]"):
+        read_result(tmp_path / "result")
+
+
+def test_a_clip_without_segments_is_one_grasp(monkeypatch: pytest.MonkeyPatch) -> None:
+    clip, masks = scene("mug", 0)
+    given: list[object] = []
+    monkeypatch.setattr(grasp, "reconstruct", lambda *arguments: given.append(arguments))
+    reconstruct(clip, masks, FEW, None, 2)
+    assert given == [(clip, masks, FEW, None, 2)]
+
+
+def test_what_cannot_be_solved_is_said(tmp_path: Path) -> None:
+    clip, masks = timeline()
+    with pytest.raises(UsageError, match="soft-hinge"):
+        reconstruct(clip, masks, Options(method="homan"))
+    only_contact = replace(clip, segments=clip.segments[1:2])
+    with pytest.raises(InputError, match="segments: got no static segment"):
+        reconstruct(only_contact, masks, FEW)
+    folder = write_clip(only_contact, masks, tmp_path / "clip")
+    assert folder.is_dir()

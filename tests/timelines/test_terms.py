@@ -1,0 +1,56 @@
+"""Support and links: gradients against finite differences, zero where they should be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from getagrip.fitting.energy import PosesInCamera, Term, no_bound
+from getagrip.fitting.energy.smoothness import moments
+from getagrip.geometry import se3
+from getagrip.timelines.link_term import Expected, LinkTerm
+from getagrip.timelines.support_term import SupportTerm, hull_vertices
+from helpers.clips import box
+from helpers.terms import N, differences, hypotheses_are_independent, is_trustworthy, random_poses
+
+VERTICES = box(0.1, 0.06, 0.04).vertices
+
+
+def some(kind: str, rng: np.random.Generator) -> Term:
+    if kind == "support":
+        normal = se3.exp_so3(rng.normal(size=(N, 3)))[:, 0]
+        return SupportTerm(hull_vertices(VERTICES), normal, rng.uniform(-0.05, 0.05, N), 1e5, far=0.3)
+    K, m = 3, 2
+    R = se3.exp_so3(rng.normal(size=(K, m, 3)))
+    centre = np.array([0.0, 0.0, 0.5]) + rng.normal(0.0, 0.02, (K, m, 3))
+    return LinkTerm(moments(VERTICES), Expected(np.array([0, 2]), R, centre, rng.uniform(0.0, 5.0, K)), 1e3, 0.05)
+
+
+@pytest.mark.parametrize("kind", ["support", "link"])
+def test_derivatives(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    term, poses = some(kind, rng), random_poses(rng)
+    local = term(poses, no_bound(poses))
+    expected = differences(lambda p: term(p, no_bound(p)).value, poses, np.full(6, 1e-6))
+    np.testing.assert_allclose(local.g[..., :6], expected, rtol=1e-3, atol=1e-4 * np.abs(local.g).max())
+    is_trustworthy(local)
+    hypotheses_are_independent(term, poses)
+
+
+def test_what_touches_the_plane_costs_nothing() -> None:
+    R = se3.exp_so3(np.array([[[0.2, 0.0, 0.3]]]))
+    lowest = (VERTICES @ R[0, 0].T)[:, 1].max()  # down is y
+    poses = PosesInCamera(R, np.array([[[0.1, 0.3 - lowest, 0.5]]]), np.ones(1))
+    term = SupportTerm(VERTICES, np.array([[0.0, -1.0, 0.0]]), np.array([-0.3]), 1e5)
+    assert term(poses, no_bound(poses)).value == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_link_costs_no_more_than_its_weight_and_nothing_at_a_hypothesis() -> None:
+    rng = np.random.default_rng(2)
+    poses = random_poses(rng, 1, 3)
+    expected = Expected(np.arange(3), poses.R.copy(), poses.centre.copy(), np.zeros(1))
+    term = LinkTerm(moments(VERTICES), expected, 100.0, 0.01)
+    one = PosesInCamera(poses.R, poses.centre, np.ones(1))
+    assert term(one, no_bound(one)).value.sum() == pytest.approx(0.0, abs=1e-9)
+    away = PosesInCamera(poses.R, poses.centre + 5.0, np.ones(1))
+    assert 99.0 < term(away, no_bound(away)).value.sum() < 100.0
