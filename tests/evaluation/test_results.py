@@ -194,6 +194,8 @@ def test_tables_fit_a_terminal_and_json_holds_what_they_show(scene: tuple[Clip, 
         console.print(table)
     text = console.export_text()
     assert "mean of 2" in text
+    assert "sym, rot, trans: errors up to symmetries" in " ".join(text.split())
+    assert "scale:" not in text
     assert "…" not in text
     assert f"{100 * samples[0]['metrics']['sca_object_10mm']:.1f}" in text
     files.write_json(tmp_path / "out.json", ev.summary(samples))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -102,6 +103,8 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
     tally.counts["failed"] += len(plan.failed)
     if len(tally) > 1:
         tally.print()
+    if sys.stdout.isatty() and tally.counts["done"] + tally.counts["kept"]:
+        print(f"look at it with: getagrip view {shlex.quote(str(out))}, or getagrip report")
     return 1 if tally.counts["failed"] or (batch.strict and tally.doubtful) else 0
 
 

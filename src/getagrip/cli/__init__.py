@@ -106,6 +106,12 @@ def _parsed(args: Sequence[str]) -> Command:
         sys.exit(0)
     if " ".join(args[:2]) in TWO_WORDS:
         args = [" ".join(args[:2]), *args[2:]]
+    elif meant := [name for name in TWO_WORDS if args and name.split()[0] == args[0] and "--help" not in args]:
+        print(
+            f"getagrip: {args[0]}: got {' '.join(args[1:2]) or 'nothing'} after it, expected {meant[0]}",
+            file=sys.stderr,
+        )
+        sys.exit(2)
     command: Command = tyro.cli(
         commands(imports, figures), prog="getagrip", description=DESCRIPTION, args=args, config=(OmitArgPrefixes,)
     )

@@ -9,13 +9,17 @@ from typing import Any, TypeVar
 
 from getagrip.batch.clips import FEW, print_outcome
 from getagrip.batch.job import Outcome, failure
+from getagrip.batch.ledger import FILE as LEDGER
 from getagrip.batch.pool import DIED, cores, in_processes
+from getagrip.batch.summary import PAGE, TABLE
 from getagrip.commands.evaluate_meshes import Meshes, MeshJob, evaluate_clip_meshes, mesh_jobs
 from getagrip.commands.evaluate_poses import PoseJob, Poses, evaluate_clip_poses, pose_jobs
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import contact_tables, evaluate_result, results_table, summary
 from getagrip.io import files
 from getagrip.io.terminal import console, progress_bar, report
+
+BATCH_FILES = (LEDGER, TABLE, PAGE)
 
 Evaluated = tuple[dict[str, Any] | None, list[Outcome]]
 """All metrics, and what could not be read."""
@@ -120,8 +124,15 @@ def evaluate_one(job: ResultJob) -> Evaluated:
         return None, [failure("" if isinstance(error, InputError) else str(job.folder), error)]
 
 
+def of_batch(path: Path) -> bool:
+    """Whether a path is one of the files that a batch writes beside its results: ``results/*`` names them, too."""
+    return path.name in BATCH_FILES and path.is_file()
+
+
 def results_in(path: Path) -> list[Path]:
-    """The result folders that a path stands for. Raises ``InputError`` where it holds none."""
+    """The result folders that a path stands for, none for a batch's file. Raises ``InputError`` where it holds none."""
+    if of_batch(path):
+        return []
     if (path / "result.json").exists():
         return [path]
     if not path.is_dir():

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import filterfalse
 from pathlib import Path
 
 from getagrip.batch.clips import FEW, print_outcome
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.pool import DIED, cores, in_processes
-from getagrip.commands.evaluate import no_result
+from getagrip.commands.evaluate import no_result, of_batch
 from getagrip.errors import InputError
 from getagrip.evaluation import evaluate, read_evaluated
 from getagrip.io.terminal import progress_bar
@@ -56,7 +57,7 @@ Reported = tuple[IndexRow, Outcome | None]
 def report(paths: Sequence[Path], wanted: Wanted, workers: int | None, debug: bool) -> int:
     """Write what is wanted of each path, a result or a folder of results; 1 if anything failed, else 0."""
     failed = False
-    for path in paths:
+    for path in filterfalse(of_batch, paths):
         try:
             if (path / "result.json").exists():
                 _, problem = report_one(Job(path, None, wanted))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from itertools import filterfalse
 from pathlib import Path
 
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import failure
+from getagrip.commands.evaluate import of_batch
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.view.live.column import Column
 from getagrip.view.live.entries import Entry, entries
@@ -49,7 +51,7 @@ def found(paths: Sequence[Path], problems: list[Exception]) -> tuple[list[Path],
     """The folders of results, and of clips where there are no results, that paths stand for."""
     results: list[Path] = []
     clips: list[Path] = []
-    for path in paths:
+    for path in filterfalse(of_batch, paths):
         below = [sorted(file.parent for file in path.glob(f"{depth}/result.json".lstrip("/"))) for depth in RESULTS]
         alone = [sorted(file.parent for file in path.glob(f"{depth}/clip.json".lstrip("/"))) for depth in CLIPS]
         if any(below):

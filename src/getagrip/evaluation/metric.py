@@ -29,6 +29,8 @@ class Metric:
     unit: Literal["%", "mm", "deg", "frames"] = "%"
     heading: str = ""
     """Its column in the tables of ``evaluate``; empty: none."""
+    meaning: str = ""
+    """Said below the table of ``evaluate`` where the column is there."""
     label: str = ""
     """Its column in the tables of ``bench``: of means if it is a share, else of medians; empty: none."""
     decimals: int = 1
@@ -58,7 +60,11 @@ def mean_of(values: Float[ndarray, "n"]) -> float:
 
 
 def _penetration(
-    name: str, depth: Callable[[Comparison], ndarray], heading: str = "", needs_truth: bool = False
+    name: str,
+    depth: Callable[[Comparison], ndarray],
+    heading: str = "",
+    meaning: str = "",
+    needs_truth: bool = False,
 ) -> tuple[Metric, ...]:
     """How deep points (T, P) of one body are inside the other: the deepest of each frame and of all, and the mean."""
 
@@ -68,7 +74,9 @@ def _penetration(
         return mean_of(inside) if inside.size else 0.0
 
     return (
-        Metric(f"{name}_mm", lambda it, _: 1e3 * depth(it).max(axis=1), "mm", heading, needs_truth=needs_truth),
+        Metric(
+            f"{name}_mm", lambda it, _: 1e3 * depth(it).max(axis=1), "mm", heading, meaning, needs_truth=needs_truth
+        ),
         Metric(f"{name}_max_mm", lambda it, _: float(np.nanmax(1e3 * depth(it))), "mm", needs_truth=needs_truth),
         Metric(f"{name}_inside_mm", lambda it, _: mean_inside(it), "mm", needs_truth=needs_truth),
     )
@@ -93,17 +101,31 @@ def _closed(it: Comparison) -> float:
     return float(np.mean(closed))
 
 
-IOU = Metric("iou", lambda it, _: it.iou.crop, heading="IOU", label="IOU")
-ADD_MM = Metric("add_mm", lambda it, _: 1e3 * it.errors.add, "mm", "ADD", needs_truth=True)
-ADD_SYM_MM = Metric("add_sym_mm", lambda it, _: 1e3 * it.errors_sym.add, "mm", "sym", "ADD sym., mm", needs_truth=True)
-ADD_SYM = Metric(
-    "add_sym_success", lambda it, _: float(it.errors_sym.success), "%", "sym", "ADD sym.", decimals=0, needs_truth=True
+IOU = Metric("iou", lambda it, _: it.iou.crop, heading="IOU", meaning="IOU: of the visible silhouettes", label="IOU")
+ADD_MM = Metric(
+    "add_mm",
+    lambda it, _: 1e3 * it.errors.add,
+    "mm",
+    "ADD",
+    "ADD: mean distance to the truth, right if below 10 % of the diameter",
+    needs_truth=True,
 )
-ROTATION_SYM = Metric(
-    "rotation_sym_deg", lambda it, _: np.degrees(it.errors_sym.rotation), "deg", "rot", "rotation sym., °",
+ADD_SYM_MM = Metric(
+    "add_sym_mm", lambda it, _: 1e3 * it.errors_sym.add, "mm", "sym", "sym, rot, trans: errors up to symmetries",
+    "ADD sym., mm", needs_truth=True,
+)  # fmt: skip
+ADD_SYM = Metric(
+    "add_sym_success", lambda it, _: float(it.errors_sym.success), "%", "sym", label="ADD sym.", decimals=0,
     needs_truth=True,
 )  # fmt: skip
-SCA = Metric("sca", lambda it, contact: it.contact(contact).sca, heading="SCA", label="SCA", by_contact=True)
+ROTATION_SYM = Metric(
+    "rotation_sym_deg", lambda it, _: np.degrees(it.errors_sym.rotation), "deg", "rot", label="rotation sym., °",
+    needs_truth=True,
+)  # fmt: skip
+SCA = Metric(
+    "sca", lambda it, contact: it.contact(contact).sca, heading="SCA", meaning="SCA: stable contact area",
+    label="SCA", by_contact=True,
+)  # fmt: skip
 TRUE_SCA = Metric(
     "truth_sca", lambda it, contact: it.true_contact(contact).sca, heading="truth's", label="truth's SCA",
     by_contact=True, needs_truth=True, ranked=False,
@@ -112,9 +134,11 @@ TRUE_SCA = Metric(
 METRICS: tuple[Metric, ...] = (
     IOU,
     Metric("iou_soft", lambda it, _: it.iou.soft),
-    Metric("iou_full", lambda it, _: it.iou.full, heading="full"),
+    Metric("iou_full", lambda it, _: it.iou.full, heading="full", meaning="full: of the whole silhouettes"),
     ADD_MM,
-    Metric("add_success", lambda it, _: float(it.errors.success), "%", "ADD", "ADD", decimals=0, needs_truth=True),
+    Metric(
+        "add_success", lambda it, _: float(it.errors.success), "%", "ADD", label="ADD", decimals=0, needs_truth=True,
+    ),
     Metric("add_frame_success", lambda it, _: mean_of(it.errors.frame_success), needs_truth=True),
     Metric("rotation_deg", lambda it, _: np.degrees(it.errors.rotation), "deg", needs_truth=True),
     Metric("translation_mm", lambda it, _: 1e3 * it.errors.translation, "mm", needs_truth=True),
@@ -123,9 +147,9 @@ METRICS: tuple[Metric, ...] = (
     Metric("add_sym_frame_success", lambda it, _: mean_of(it.errors_sym.frame_success), needs_truth=True),
     ROTATION_SYM,
     Metric("translation_sym_mm", lambda it, _: 1e3 * it.errors_sym.translation, "mm", "trans", needs_truth=True),
-    Metric("scale_error", lambda it, _: it.scale_error, "%", "scale", needs_truth=True),
+    Metric("scale_error", lambda it, _: it.scale_error, "%", "scale", "scale: error of the size", needs_truth=True),
     Metric("diameter_mm", lambda it, _: 1e3 * it.errors.diameter, "mm", needs_truth=True),
-    *_penetration("penetration_object", lambda it: it.depth("object"), "penetr."),
+    *_penetration("penetration_object", lambda it: it.depth("object"), "penetr.", "penetr.: deepest point in the hand"),
     *_penetration("penetration_hand", lambda it: it.depth("hand")),
     *_penetration("truth_penetration_object", lambda it: it.true_depth("object"), needs_truth=True),
     *_penetration("truth_penetration_hand", lambda it: it.true_depth("hand"), needs_truth=True),

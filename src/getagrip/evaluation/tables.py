@@ -63,6 +63,8 @@ def results_table(evaluations: Sequence[dict[str, Any]]) -> Table:
         return [metric.text(metrics.get(key, np.nan)) for _, metric, key in columns]
 
     results = _table("clip", [heading for heading, _, _ in columns])
+    results.caption = "; ".join(dict.fromkeys(metric.meaning for _, metric, _ in columns if metric.meaning))
+    results.caption_justify = "left"
     for e in evaluations:
         name = f"{e['clip']}\n{e['method']}" if len(groups) > 1 else e["clip"]
         results.add_row(Text(name), *cells(e["metrics"]))
