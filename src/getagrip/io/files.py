@@ -10,6 +10,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 import os
 import tempfile
 from collections import Counter
@@ -17,9 +18,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
-
-import numpy as np
-from numpy import ndarray
 
 from getagrip.errors import InputError, UsageError
 from getagrip.io import leftovers
@@ -101,7 +99,7 @@ def read_any_json(path: Path) -> Any:
 
     def number(text: str) -> float:
         value = float(text)
-        if not np.isfinite(value):
+        if not math.isfinite(value):
             raise InputError(path, "", f"the number {shown(text)}", "finite numbers")
         return value
 
@@ -164,13 +162,13 @@ def to_json(content: Mapping[str, Any] | list[Any]) -> str:
 
 def _plain(value: Any) -> Any:
     """The same content in JSON's own types."""
-    if isinstance(value, ndarray | np.generic):
+    if hasattr(value, "tolist"):  # numpy's, which need not be loaded here
         value = value.tolist()
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    if isinstance(value, float) and not np.isfinite(value):
+    if isinstance(value, float) and not math.isfinite(value):
         return None
     return str(value) if isinstance(value, Path) else value
 
