@@ -5,21 +5,26 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
-from functools import partial
+import threading
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from conftest import Run, small_clip
+from conftest import Run
 
 from getagrip.batch.imports import import_clips
-from getagrip.clip import Clip, Masks
+from getagrip.batch.ledger import FILE, Ledger
+from getagrip.batch.limits import Limits
+from getagrip.batch.plan import Shard
+from getagrip.batch.share import Share
 from getagrip.commands.datasets import DATASETS
 from getagrip.datasets.cutting import TrackedDataset
-from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, clips
+from getagrip.datasets.dataset import clips
 from getagrip.errors import InputError
 from getagrip.io import leftovers
+from helpers.library import Library, Shelf
+
+SHARING = ("workers", "limit-seconds", "limit-gb", "fail-fast", "shard")
 
 
 @pytest.mark.parametrize("name", DATASETS)
@@ -31,7 +36,7 @@ def test_a_subcommand_has_the_options_of_its_dataset_and_no_others(run: Run, nam
         named.remove("grasps")
         named += ["tau", "contact-mm", "points", "rule", "shortest", "intervals"]  # the same of all, as of segment
     options = re.findall(r"^\W*(?:-h, )?--([a-z][a-z-]*)", out, re.MULTILINE)
-    assert sorted(options) == sorted(["help", "debug", "quiet", "out", *named])
+    assert sorted(options) == sorted(["help", "debug", "quiet", "out", *SHARING, *named])
     assert positional.upper() in out
     assert DATASETS[name].__doc__.split()[0] in out
 
@@ -63,54 +68,12 @@ def test_the_table_loads_no_compiler() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@dataclass(frozen=True)
-class Shelf:
-    """A part with four clips: the second is damaged, of the third nothing is left."""
-
-    name: str
-    handless: bool = False
-
-    def drafts(self, missing: Missing, note: Note) -> Iterator[Draft]:
-        for n in range(4):
-            name = f"{self.name}-{n}"
-            if missing(name, with_hands=not self.handless):
-                yield Draft(name, partial(self.make, n, name, note))
-        if self.name == "torn":
-            raise InputError(self.name, "", "half a file", "a whole one")
-
-    def make(self, n: int, name: str, note: Note) -> tuple[Clip, Masks | None] | None:
-        clip, masks = small_clip()
-        if n == 1:
-            raise InputError(name, "", "a damaged file", "a whole one")
-        if n == 2:
-            note(f"{name}: nothing is visible: skipped")
-            return None
-        if self.handless:
-            clip = replace(
-                clip, hand=replace(clip.hand, vertices=clip.hand.vertices[:, :0], faces=clip.hand.faces[:0], regions={})
-            )
-        return replace(clip, name=name), masks
-
-
-@dataclass(frozen=True, kw_only=True)
-class Library(Dataset):
-    parts_are = "shelves"
-
-    shelves: tuple[Shelf, ...]
-
-    def parts(self, note: Note) -> tuple[Shelf, ...]:
-        return self.shelves
-
-    def advice(self, made: object, handless: int) -> Iterator[str]:
-        yield f"{handless} handless"
-
-
 def test_the_trouble_of_a_clip_or_a_part_ends_no_other(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     library = Library(shelves=(Shelf("torn"), Shelf("fine")))
     (tmp_path / f"{leftovers.PREFIX}0" / "new").mkdir(parents=True)  # of a process that was killed
     assert import_clips(library, tmp_path, debug=False) == 1
     printed = capsys.readouterr()
-    assert {folder.name for folder in tmp_path.iterdir()} == {"torn-0", "torn-3", "fine-0", "fine-3"}
+    assert {folder.name for folder in tmp_path.iterdir()} == {"torn-0", "torn-3", "fine-0", "fine-3", FILE}
     assert printed.out.splitlines()[-1] == "4 clips, 0 already there, 2 shelves failed"
     for words in (
         "failed: torn-1: torn-1: got a damaged file",
@@ -134,6 +97,48 @@ def test_clips_are_made_again_when_hands_are_found_that_they_lack(
         printed = capsys.readouterr()
         assert line in printed.out
         assert f"{handless} handless" in printed.err
+
+
+@pytest.mark.slow
+def test_a_part_that_takes_too_long_is_left_behind_and_the_ledger_says_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    library = Library(shelves=(Shelf("endless"), Shelf("a")))
+    assert import_clips(library, tmp_path, debug=False, share=Share(limits=Limits(seconds=1.0))) == 1
+    assert "endless: it took longer than 1 s (--limit-seconds)" in capsys.readouterr().err
+    with Ledger(tmp_path) as ledger:
+        entries = {entry.name: entry for entry in ledger.entries()}
+    assert {name: entry.state for name, entry in entries.items()} == {"endless": "failed", "a": "failed"}
+    assert "a-1: got a damaged file" in entries["a"].why
+    assert entries["a"].about == {"done": 2, "failed": 1}
+
+
+def test_nothing_is_begun_after_a_failure_where_that_is_asked_for(tmp_path: Path) -> None:
+    library = Library(shelves=(Shelf("a"), Shelf("b")))
+    assert import_clips(library, tmp_path, debug=False, share=Share(fail_fast=True)) == 1
+    assert {path.parent.name for path in tmp_path.glob("*/clip.json")} == {"a-0", "a-3"}
+
+
+def test_shards_read_each_part_once(tmp_path: Path) -> None:
+    shelves = tuple(Shelf(f"s{n}") for n in range(5))
+    made = []
+    for index in (1, 2):
+        out = tmp_path / str(index)
+        import_clips(Library(shelves=shelves), out, debug=False, share=Share(shard=Shard(index, 2)))
+        made += [path.parent.name for path in out.glob("*/clip.json")]
+    assert sorted(made) == sorted(f"s{n}-{k}" for n in range(5) for k in (0, 3))
+
+
+def test_a_part_that_another_call_reads_is_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    with Ledger(tmp_path) as other:
+        assert other.claim("a", "", "") is not None
+        call = threading.Thread(target=import_clips, args=(Library(shelves=(Shelf("a"),)), tmp_path, False))
+        call.start()
+        call.join(0.7)
+        assert call.is_alive()
+        assert not list(tmp_path.glob("a-*"))
+    call.join(30.0)  # the other one has left
+    assert {path.name for path in tmp_path.glob("a-*")} == {"a-0", "a-3"}
 
 
 def test_clips_in_memory_are_read_to_the_end_before_an_error_is_raised() -> None:

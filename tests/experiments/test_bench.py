@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from getagrip.batch.ledger import Ledger
 from getagrip.cli import main
 from getagrip.clip import Clip, read_clip, write_clip
 from getagrip.clip.writing import write_hand
@@ -289,6 +290,28 @@ def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: 
     assert f"{100 * mean:.1f}" in page
     assert "Box: 1 clip" in page
     assert run("evaluate", out / "results" / "static")[0] == 0  # they are results like any other
+
+
+def test_a_run_has_a_ledger_shards_and_an_end_at_the_first_failure(
+    made: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[str] = []
+
+    def unreadable(trial: trials.Trial) -> Scores:
+        tried.append(trial.name)
+        return Scores(trial.name, failure="no masks")
+
+    monkeypatch.setattr("getagrip.commands.bench.run", unreadable)
+    call = ("bench", made, "--out", tmp_path, "--workers", "1")
+    assert run(*call, "--fail-fast")[0] == 1
+    assert tried == ["box-right-0000"]
+    with Ledger(tmp_path) as ledger:
+        assert [(entry.name, entry.state, entry.why) for entry in ledger.entries()] == [
+            ("box-right-0000", "failed", "no masks")
+        ]
+    for shard in ("1/2", "2/2"):
+        run(*call, "--shard", shard)
+    assert sorted(tried[1:]) == ["box-right-0000", "can-right-0000"]
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from getagrip.batch.crew import Start
 from getagrip.batch.crews import ENGINES
 from getagrip.batch.engine import Engine
-from getagrip.batch.job import Job, Outcome, reconstruct_one
+from getagrip.batch.job import Job, Outcome, load, reconstruct_one
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.ledger_place import ledger_folder
 from getagrip.batch.limits import NONE, Limits
@@ -156,7 +156,7 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
             options=asdict(options),
             crew=batch.crew(len(plan)),
             limits=batch.limits,
-            prepare=_load,
+            prepare=load,
             in_this=partial(_shown, bar, work),
         )
         outcomes = engine.run(jobs, ledger)
@@ -174,11 +174,6 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
 def _lost(job: Job | StreamedJob, why: str) -> Outcome:
     """The outcome of a clip that no process could do."""
     return Outcome(job.name, "failed", why)
-
-
-def _load() -> None:
-    """Load what every clip needs, before its time counts."""
-    import getagrip.fitting.reconstruct  # noqa: F401
 
 
 def _shown(bar: Progress, work: Callable[..., Outcome], job: Job | StreamedJob) -> Outcome:

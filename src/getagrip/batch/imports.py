@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from getagrip.batch import grasp_list
 from getagrip.batch.clips import FEW, print_outcome
+from getagrip.batch.engine import Engine
 from getagrip.batch.job import Outcome, failure
-from getagrip.batch.pool import DIED, cores, in_processes
+from getagrip.batch.ledger import Entry, Ledger, State
+from getagrip.batch.share import ALONE, Share
 from getagrip.clip import write_clip
 from getagrip.datasets.dataset import Dataset, Draft, Part
 from getagrip.grasps import lists
@@ -27,6 +30,11 @@ class ImportJob:
     out: Path
     """The folder that holds the clips' own."""
 
+    @property
+    def name(self) -> str:
+        """The part's."""
+        return self.part.name
+
 
 @dataclass(frozen=True)
 class Imported:
@@ -41,21 +49,26 @@ class Imported:
     """Clips, made or kept, that lack their hands."""
 
 
-def import_clips(dataset: Dataset, out: Path, debug: bool) -> int:
+def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE) -> int:
     """Write the clips of a dataset as ``out/<clip name>/``; 1 if something failed, else 0.
 
     Clips that are there already are kept, unless they lack hands that are known now. What killed processes have left
-    is removed. Beside clips that are cut to grasps stands the list of them (``grasp_list``). Raises as
-    ``Dataset.parts`` does, and ``UsageError`` where clips in the folder were cut in another way.
+    is removed. Beside clips that are cut to grasps stands the list of them (``grasp_list``). Several calls may share a
+    folder: its ledger says who reads which part. Raises as ``Dataset.parts`` does, ``UsageError`` where clips in the
+    folder were cut in another way, and ``GetagripError`` where the ledger cannot be written.
     """
-    jobs = [ImportJob(part, out) for part in dataset.parts(report)]
+    jobs = [ImportJob(part, out) for part in dataset.parts(report) if part.name in share.shard]
     cut = dataset.cut_record()
     grasp_list.claim(out, cut)
     leftovers.sweep(out)
     counts, made, handless = Counter[str](), list[Mapping[str, Any]](), 0
-    with progress_bar() as bar:
+    engine = Engine(
+        work=import_part, lost=_lost, entry=_entry, options=repr(dataset), crew=share.crew(len(jobs), FEW),
+        limits=share.limits,
+    )  # fmt: skip
+    with Ledger(out) as ledger, progress_bar() as bar, closing(engine.run(jobs, ledger)) as parts:
         task = bar.add_task(dataset.parts_are, total=len(jobs))
-        for imported in _outcomes(jobs):
+        for imported in parts:
             for outcome in imported.clips:
                 if outcome.state == "failed":
                     print_outcome(outcome, debug)
@@ -68,6 +81,9 @@ def import_clips(dataset: Dataset, out: Path, debug: bool) -> int:
             made += imported.made
             handless += imported.handless
             bar.advance(task)
+            if share.fail_fast and counts["failed"]:
+                report(f"--fail-fast: no other of the {dataset.parts_are} is begun")
+                break
     if cut is not None:
         print(f"{out / lists.FILE}: {grasp_list.write(out, cut, report)} grasps")
     print(f"{counts['done']} clips, {counts['kept']} already there, {counts['failed']} {dataset.parts_are} failed")
@@ -76,14 +92,17 @@ def import_clips(dataset: Dataset, out: Path, debug: bool) -> int:
     return 1 if counts["failed"] else 0
 
 
-def _outcomes(jobs: Sequence[ImportJob]) -> Iterator[Imported]:
-    """What becomes of each job, as they finish."""
-    if len(jobs) <= FEW:
-        yield from map(import_part, jobs)
-        return
-    for job, imported in in_processes(import_part, jobs, cores()):
-        died = Outcome(job.part.name, "failed", DIED)
-        yield imported or Imported([died])
+def _lost(job: ImportJob, why: str) -> Imported:
+    """The outcome of a part that no process could read."""
+    return Imported([Outcome(job.name, "failed", why)])
+
+
+def _entry(imported: Imported) -> Entry:
+    """What the ledger is to say of a part."""
+    states = Counter(outcome.state for outcome in imported.clips)
+    why = "; ".join(outcome.message for outcome in imported.clips if outcome.state == "failed")
+    state: State = "failed" if states["failed"] else "done" if states["done"] else "kept"
+    return Entry("", state, why, about={str(kind): count for kind, count in states.items()})
 
 
 def import_part(job: ImportJob) -> Imported:

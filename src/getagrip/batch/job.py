@@ -73,6 +73,11 @@ def failure(name: str, error: Exception) -> Outcome:
     return Outcome(name, "failed", " ".join(message.split()), "".join(traceback.format_exception(error)))
 
 
+def load() -> None:
+    """Load what every reconstruction needs, before its time counts."""
+    import getagrip.fitting.reconstruct  # noqa: F401
+
+
 def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
     """Reconstruct a clip and write its result, unless a good one is there already. Raises nothing.
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from getagrip.cli.command import Command, Inits, Method, Seed, hands_of, priors_of
+from getagrip.cli.sharing import Sharing
 from getagrip.errors import UsageError
 from getagrip.experiments.sources import SOURCES, source_of
 from getagrip.experiments.sources.dexycb import DexYcbSequences
@@ -87,8 +88,7 @@ class Bench(Command):
     """Keep the hands where they are given, as of reconstruct."""
     seed: Seed = 0
     """Seed of all that is random."""
-    workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
-    """Processes to share the clips between."""
+    sharing: Annotated[Sharing, arg(name="")] = field(default_factory=Sharing)
     json: OptionalFile = None
     """Write every number here, unrounded."""
     overwrite: Flag = False
@@ -113,8 +113,8 @@ class Bench(Command):
         systems = tuple(system_of(text) for text in self.others)
         plan = Plan(
             source, self.out, count=self.clips, methods=self.methods, ablation=self.ablation, hands=hands,
-            systems=systems, contact_mm=self.contact, options=options, workers=self.workers, overwrite=self.overwrite,
-            json=self.json,
+            systems=systems, contact_mm=self.contact, options=options, share=self.sharing.share(),
+            overwrite=self.overwrite, json=self.json,
         )  # fmt: skip
         return bench(plan, self.debug)
 
@@ -124,10 +124,11 @@ class Bench(Command):
 
         given = {
             "methods": self.methods, "ablation": self.ablation, "hands": self.hands, "with": self.others,
-            "contact": self.contact,
+            "contact": self.contact, "limit-seconds": self.sharing.limit_seconds, "limit-gb": self.sharing.limit_gb,
+            "fail-fast": self.sharing.fail_fast, "shard": self.sharing.shard,
         }  # fmt: skip
         for name, value in given.items():
             if value:
                 raise UsageError(f"--{name}: got {value}, expected none with {self.dataset}")
-        plan = Plan(source, self.out, options, self.clips, self.workers, self.overwrite, self.json)
+        plan = Plan(source, self.out, options, self.clips, self.sharing.workers, self.overwrite, self.json)
         return bench_segments(plan, self.debug)

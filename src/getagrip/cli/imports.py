@@ -14,6 +14,7 @@ from tyro.conf import Positional, arg, subcommand
 
 from getagrip.batch.imports import import_clips
 from getagrip.cli.command import Command, Focal, Intrinsics, Labels, OptionalSide
+from getagrip.cli.sharing import Sharing
 from getagrip.clip.intrinsics import Lens
 from getagrip.commands.datasets import DATASETS
 from getagrip.commands.import_hands import NewFrames, import_hands
@@ -42,8 +43,10 @@ class Import(Command, Generic[D]):
     out: Folder
     """Where the clips go, a folder each. Those that are there already are kept, unless they lack hands found now."""
 
+    sharing: Annotated[Sharing, arg(name="")] = field(default_factory=Sharing)
+
     def run(self) -> int:
-        return import_clips(self.dataset, self.out, self.debug)
+        return import_clips(self.dataset, self.out, self.debug, self.sharing.share())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 from getagrip.batch.clips import print_outcome
-from getagrip.batch.job import Outcome
-from getagrip.batch.pool import DIED, cores, in_processes
+from getagrip.batch.engine import Engine
+from getagrip.batch.job import Outcome, load
+from getagrip.batch.ledger import Entry, Ledger
+from getagrip.batch.share import ALONE, Share
 from getagrip.errors import UsageError
 from getagrip.evaluation.other_poses import OtherSystem
 from getagrip.experiments.comparison import Table, compare, groups
@@ -24,7 +27,7 @@ from getagrip.experiments.tables import as_json, latex, markdown, terminal, writ
 from getagrip.experiments.trials import Scores, Trial, run
 from getagrip.fitting.options import Options
 from getagrip.io import files, leftovers
-from getagrip.io.terminal import console, progress_bar
+from getagrip.io.terminal import console, progress_bar, report
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
 from getagrip.result import software
 
@@ -48,14 +51,11 @@ class Plan:
     """Thresholds of contact in the tables [mm]; none: that of the source."""
     options: Options = field(default_factory=Options)
     """What all variants have in common."""
-    workers: int | None = None
-    """None: one for each core."""
+    share: Share = ALONE
     overwrite: bool = False
     json: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 1:
-            raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
         if self.ablation is not None and self.ablation not in ABLATIONS:
             raise UsageError(f"--ablation: got {self.ablation!r}, expected one of {', '.join(ABLATIONS)}")
         if self.ablation is not None and self.hands:
@@ -96,7 +96,8 @@ class Plan:
 def bench(plan: Plan, debug: bool) -> int:
     """Run what has no result yet and write the tables; 1 if a clip or a method failed, else 0.
 
-    Raises ``UsageError`` where the call is wrong or there are no clips.
+    Several calls may share a folder: its ledger says who does which clip. Raises ``UsageError`` where the call is wrong
+    or there are no clips, ``GetagripError`` where the ledger cannot be written.
     """
     variants = plan.variants()
     plan.out.mkdir(parents=True, exist_ok=True)
@@ -107,16 +108,24 @@ def bench(plan: Plan, debug: bool) -> int:
     for folder in (plan.out / "clips", *(results / variant.folder for variant in distinct)):
         leftovers.sweep(folder)
     contacts = tuple(dict.fromkeys((*CONTACT_DEFINITIONS, *plan.contacts)))
-    trials = [Trial(sample, distinct, results, plan.overwrite, contacts) for sample in clips]
+    chosen = [sample for sample in clips if sample.name in plan.share.shard]
+    trials = [Trial(sample, distinct, results, plan.overwrite, contacts) for sample in chosen]
     failures = len(bad)
     for outcome in bad:
         print_outcome(outcome, debug)
-    with progress_bar(counted=True) as bar:
+    engine = Engine(
+        work=run, lost=_lost, entry=_entry, options=repr(distinct), crew=plan.share.crew(len(trials), few=0),
+        limits=plan.share.limits, prepare=load,
+    )  # fmt: skip
+    with Ledger(plan.out) as ledger, progress_bar(counted=True) as bar, closing(engine.run(trials, ledger)) as ended:
         shown = bar.add_task("clips", total=len(trials))
-        for clip in _outcomes(trials, plan.workers or cores()):
+        for clip in ended:
             failures += _report(clip, variants, debug)
             scores.append(clip)
             bar.advance(shown)
+            if plan.share.fail_fast and failures:
+                report("--fail-fast: no other clip is begun")
+                break
     scores.sort(key=lambda clip: clip.clip)
     tables = compare(scores, variants)
     if tables:
@@ -125,13 +134,16 @@ def bench(plan: Plan, debug: bool) -> int:
     return 1 if failures else 0
 
 
-def _outcomes(trials: Sequence[Trial], workers: int) -> Iterator[Scores]:
-    """Each clip's scores, as they are ready."""
-    if workers == 1:
-        yield from map(run, trials)
-        return
-    for trial, scores in in_processes(run, trials, workers):
-        yield scores or Scores(trial.sample.name, failure=DIED)
+def _lost(trial: Trial, why: str) -> Scores:
+    """The scores of a clip that no process could do."""
+    return Scores(trial.name, failure=why)
+
+
+def _entry(scores: Scores) -> Entry:
+    """What the ledger is to say of a clip: failed where it could not be read, or no process could do it."""
+    failed = sum(score.failed for score in scores.scores)
+    why = scores.failure or (f"{failed} of {len(scores.scores)} rows failed" if failed else "")
+    return Entry("", "failed" if scores.failure else "done" if scores.made else "kept", why)
 
 
 def _report(clip: Scores, variants: Sequence[Variant], debug: bool) -> int:

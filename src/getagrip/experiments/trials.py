@@ -44,6 +44,11 @@ class Trial:
     contacts: tuple[ContactDefinition, ...] = CONTACT_DEFINITIONS
     """Those by which results are evaluated."""
 
+    @property
+    def name(self) -> str:
+        """The clip's."""
+        return self.sample.name
+
 
 @dataclass(frozen=True)
 class Score:

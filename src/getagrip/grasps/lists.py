@@ -114,7 +114,8 @@ class GraspList:
 
 def write(path: Path, grasps: Sequence[ListedGrasp], cut: Mapping[str, Any]) -> None:
     """Write a list; ``cut`` says how it was made."""
-    files.write_json(path, {"version": VERSION, "cut": cut, "grasps": [grasp.row() for grasp in grasps]})
+    with files.new_file(path) as part:
+        files.write_json(part, {"version": VERSION, "cut": cut, "grasps": [grasp.row() for grasp in grasps]})
 
 
 def read_cut(path: Path) -> object:
