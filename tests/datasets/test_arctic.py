@@ -160,7 +160,12 @@ def test_import_writes_clips_and_keeps_them(
     out = tmp_path / "out"
     assert import_clips(Arctic(root=root, mano=mano), out, debug=False) == 0
     name = "s01--ball_use_01--ball--right"
-    assert {path.name for path in out.iterdir()} == {name, f"{name}--2", "grasps.json"}  # before and after opening
+    assert {path.name for path in out.iterdir()} == {
+        name,
+        f"{name}--2",
+        "grasps.json",
+        "ledger.sqlite",
+    }  # before and after opening
     clip = read_clip(out / name)
     assert read_masks(clip).object.any()
     assert clip.provenance["subject"] == "s01"

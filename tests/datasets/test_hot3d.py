@@ -161,7 +161,7 @@ def test_an_import_goes_on_where_it_stopped(root, tmp_path, run):
 @pytest.mark.slow
 def test_whole_recordings_show_what_is_outside_of_the_holds(root, tmp_path, run):
     assert run("import", "hot3d", root, "--out", tmp_path / "out", "--whole")[0] == 0
-    assert [folder.name for folder in (tmp_path / "out").iterdir()] == [HOLD]
+    assert [folder.name for folder in (tmp_path / "out").glob("*/")] == [HOLD]
     assert not (tmp_path / "out" / HOLD / "masks").exists()
     (source,) = Hot3d(root=root).sources()
     (piece,) = touching(source.read(print), print, HOLDS.cut(print))
