@@ -80,12 +80,13 @@ class Clicking:
     def work(self, what: str) -> dict[str, Any]:
         """Have something done; the job once it is over."""
         self.project.work(self.about | {"work": what})
-        for _ in range(600):
-            job = self.state()["job"]
-            if job["state"] not in ("waiting", "running"):
+        job = self.project.labelling.background.job(self.about["grasp"])
+        assert job is not None
+        for _ in range(3000):
+            if job.state not in ("waiting", "running"):
                 break
-            time.sleep(0.1)
-        return dict(job)
+            time.sleep(0.02)
+        return dict(self.state()["job"])
 
 
 def disc(frame: int, closed: bool = True) -> dict[str, Any]:
