@@ -18,7 +18,7 @@ from getagrip.annotate.propagated_masks import propagate, stretches
 from getagrip.errors import UsageError
 
 SIZE = (240, 180)
-LAST = 10
+LAST = 8
 
 
 def texture(seed: int, tint: tuple[float, float, float]) -> ndarray:
@@ -126,8 +126,8 @@ def test_what_enters_the_image_comes_from_the_key_that_shows_it() -> None:
         return drawn(n, offset=-72.0)
 
     assert (entering(0)[1][:, 0] == OBJECT).any()
-    assert not (entering(LAST)[1][:, 0] == OBJECT).any()
-    assert worst(carried((0, LAST), entering))[0] > 0.85
+    assert not (entering(10)[1][:, 0] == OBJECT).any()
+    assert worst(carried((0, 10), entering, last=10))[0] > 0.85
 
 
 @pytest.mark.slow

@@ -15,7 +15,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError, InputError, UsageError
-from getagrip.evaluation import evaluate
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import AMBIGUOUS, reconstruct
@@ -23,7 +22,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.result import Reconstruction
 from helpers.clips import small_clip
-from helpers.scenes import SHORT, SMALL, scene
+from helpers.scenes import SHORT, SMALL, scene, scores
 
 STILL = replace(SMALL, turn_deg=(0.0, 0.0), residual_deg=0.0, residual_mm=0.0)
 
@@ -34,12 +33,6 @@ DEFAULT = Options(inits=25)
 @cache
 def found(category: str, seed: int, clip_options: SceneOptions = SMALL, options: Options = DEFAULT) -> Reconstruction:
     return reconstruct(*scene(category, seed, clip_options), options)
-
-
-def scores(result: Reconstruction, clip: Clip, masks: Masks) -> dict[str, Any]:
-    metrics = evaluate(result, clip, masks)["metrics"]
-    assert isinstance(metrics, dict)
-    return metrics
 
 
 def posed(result: Reconstruction, mesh: Mesh) -> ndarray:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable
+import pickle
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import FINGERS, Clip, HandTrack, Truth, write_clip
+from getagrip.commands import segment
 from getagrip.datasets.dexycb.reader import DexYcb
 from getagrip.errors import InputError
 from getagrip.geometry import se3
@@ -284,7 +286,7 @@ def test_spread_leaves_out_what_has_no_value() -> None:
 
 
 @pytest.mark.slow
-def test_all_is_written_and_printed(run: Run, tmp_path: Path) -> None:
+def test_all_is_written_and_printed(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_clip(turning("a"), None, tmp_path / "clips" / "a")
     write_clip(replace(turning("b", "left"), category="[bold]x"), None, tmp_path / "clips" / "b")
     away = turning("away")
@@ -322,8 +324,16 @@ def test_all_is_written_and_printed(run: Run, tmp_path: Path) -> None:
             assert pixels_of(half, INSIDE) > 1000  # six panels, the time of the grasp in blue
     assert pixels_of(picture, FOUND) > 200  # static
     assert pixels_of(picture, AXIS) > 200  # 1-DoF
+    monkeypatch.setattr(segment, "in_processes", crossing)
     again = run("study", tmp_path / "clips", *options, "--workers", 2)
     assert again == (status, printed, err)  # a clip without grasps is none that failed
+
+
+def crossing(work: Callable, jobs: list, _: int) -> Iterator[tuple[object, object]]:
+    """What crosses to other processes and back is pickled; that these do the work is tested with ``segment``."""
+    for job in jobs:
+        there = pickle.loads(pickle.dumps((work, job)))
+        yield job, pickle.loads(pickle.dumps(there[0](there[1])))
 
 
 @pytest.mark.slow

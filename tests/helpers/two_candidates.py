@@ -8,12 +8,12 @@ from functools import cache
 import numpy as np
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.scene import make_scene, synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.geometry import se3
 from getagrip.result import Candidates, Reconstruction
 from getagrip.view.live.column import Column
 from getagrip.view.tiles import View
+from helpers.scenes import scene_with_axis
 from helpers.true_result import true_result
 
 SMALL = SceneOptions(frames=5, size=(160, 120), focal=150.0)
@@ -24,8 +24,8 @@ OFF = 0.03
 @cache
 def two_candidates() -> tuple[Reconstruction, Clip, Masks]:
     """The ground truth, and the same moved by ``OFF`` and turned, at a higher energy."""
-    clip, masks = synthesise("mug", 0, SMALL)
-    true = true_result(clip, make_scene("mug", 0, SMALL).axis)
+    clip, masks, axis = scene_with_axis("mug", 0, SMALL)
+    true = true_result(clip, axis)
     wrong = se3.rigid(se3.exp_so3(np.array([0.0, 0.0, 0.8])), np.array([OFF, 0.0, 0.0])) @ true.T_hand_obj
     poses = np.stack([true.T_hand_obj, wrong])
     candidates = Candidates(poses, np.full(2, true.scale), np.array([100.0, 150.0]))

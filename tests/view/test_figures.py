@@ -11,7 +11,6 @@ import pytest
 from matplotlib.figure import Figure
 
 from getagrip.clip import Clip, Masks, input_sha256, write_clip
-from getagrip.datasets.synthetic.scene import make_scene, synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import evaluate
@@ -35,6 +34,7 @@ from getagrip.view.tiles import View
 from helpers.clips import box
 from helpers.command_line import Run
 from helpers.pictures import panel, pixels, pixels_of, texts
+from helpers.scenes import scene, scene_with_axis
 from helpers.true_result import true_result
 
 DPI, LINES = 60, 110
@@ -46,12 +46,11 @@ SMALL = SceneOptions(frames=4, size=(160, 120), focal=150.0)
 def made(tmp_path_factory: Any) -> Path:
     """Clips and results of them, true or moved; nothing in it is changed by tests."""
     root: Path = tmp_path_factory.mktemp("figures")
-    clip, masks = synthesise("mug", 0, SMALL)
-    axis = make_scene("mug", 0, SMALL).axis
+    clip, masks, axis = scene_with_axis("mug", 0, SMALL)
     wrong = replace(clip.hand, T_cam_hand=se3.rigid(t=np.array([0.0, 0.02, 0.0])) @ clip.hand.T_cam_hand)
     _write(root, "clips", clip, masks, {"true": true_result(clip, axis), "moved": _moved(true_result(clip, None))})
     _write(root, "other-hands", replace(clip, hand=wrong), masks, {"shifted-hands": true_result(clip, axis)})
-    can, can_masks = synthesise("can", 0, SMALL)
+    can, can_masks = scene("can", 0, SMALL)
     _write(root, "clips", replace(can, truth=None), can_masks, {"cans": true_result(can, None)})
     return root
 

@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.scene import make_scene, synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError, UsageError
 from getagrip.result import Axis
 from getagrip.view.report import TILES, report_figure, write_report
 from getagrip.view.style import AXIS, FOUND, TRUE
 from helpers.pictures import panel, pixels, pixels_of, read_picture, texts
+from helpers.scenes import scene_with_axis
 from helpers.true_result import true_result
 
 
-@lru_cache
 def given() -> tuple[Clip, Masks, Axis]:
-    options = SceneOptions(frames=6, scale="free")
-    clip, masks = synthesise("mug", 0, options)
-    return clip, masks, make_scene("mug", 0, options).axis
+    return scene_with_axis("mug", 0, SceneOptions(frames=6, scale="free"))
 
 
 @pytest.mark.slow

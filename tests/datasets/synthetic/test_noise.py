@@ -144,7 +144,8 @@ def test_ragged_masks_keep_to_the_object_and_an_empty_one_stays_empty(made: tupl
 @pytest.mark.slow
 def test_clips_differ_in_how_far_they_are_off_and_the_usual_one_is_off_by_the_bias(made: tuple[Clip, Masks]) -> None:
     noise = Noise(hand_bias_deg=10.0, spread=0.6)
-    turns = np.array([displaced(made[0], noise, seed)[0] for seed in range(200)])
+    short = made[0].take(np.arange(4))
+    turns = np.array([displaced(short, noise, seed)[0] for seed in range(200)])
     np.testing.assert_allclose(turns, turns[:, :1].repeat(turns.shape[1], axis=1), rtol=1e-6)
     logs = np.log(turns[:, 0] / 10.0)
     assert abs(np.median(logs)) < 0.15

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Masks
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError
-from getagrip.evaluation import evaluate
 from getagrip.fitting.energy import Energy
 from getagrip.fitting.methods import all_frames
 from getagrip.fitting.objective import energy_of
@@ -22,7 +21,7 @@ from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
 from getagrip.result import Reconstruction
 from helpers.clips import small_clip
-from helpers.scenes import SMALL, scene
+from helpers.scenes import SMALL, scene, scores
 
 BASELINES = ("single-frame", "homan", "contact-consistency")
 
@@ -30,10 +29,6 @@ BASELINES = ("single-frame", "homan", "contact-consistency")
 @cache
 def found(method: Any, category: str, seed: int, options: SceneOptions = SMALL) -> Reconstruction:
     return reconstruct(*scene(category, seed, options), Options(method=method, inits=25))
-
-
-def scores(result: Reconstruction, clip: Clip, masks: Masks) -> dict[str, float]:
-    return evaluate(result, clip, masks)["metrics"]
 
 
 @pytest.mark.parametrize("method", BASELINES)
