@@ -38,13 +38,12 @@ def test_every_line_says_how_it_is_and_what_to_do(run: Run, monkeypatch: pytest.
         assert words in out
 
 
-@pytest.mark.parametrize("prefix", ["", "ray://"])
-def test_a_cluster_is_tried(run: Run, monkeypatch: pytest.MonkeyPatch, prefix: str) -> None:
+def test_a_cluster_is_tried(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     assert "without  Ray cluster; name one by --address HOST:PORT or RAY_ADDRESS" in run("doctor")[1]
     with socket.socket() as there:
         there.bind(("127.0.0.1", 0))
-        address = f"{prefix}127.0.0.1:{there.getsockname()[1]}"
+        address = f"127.0.0.1:{there.getsockname()[1]}"
         monkeypatch.setenv("RAY_ADDRESS", address)
         status, out, _ = run("doctor")
         assert status == 1

@@ -138,13 +138,18 @@ def _connect(ray: Any, workers: int | None, address: str | None) -> None:
         ray.init(address, **quiet)
     except (OSError, RuntimeError, ValueError) as error:
         reason = " ".join(str(error).split())
-        expected = "the address of a Ray cluster that runs: HOST:PORT, ray://HOST:PORT, auto"
+        expected = "the address of a Ray cluster that runs, HOST:PORT or auto; RAY_AUTH_MODE=token if it wants a token"
         raise UsageError(f"--address: got {address}, expected {expected} ({reason})") from error
 
 
 def check_answer(address: str) -> None:
-    """Raise ``OSError`` where nobody listens at an address: Ray itself would try for a minute, then end the process."""
-    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    """Raise ``OSError`` where nobody listens at an address: Ray itself would try for a minute, then end the process.
+
+    ``ValueError`` where it is none.
+    """
+    if "://" in address:
+        raise ValueError("Ray's client is not supported; call on a machine of the cluster, as `ray job submit` does")
+    host, colon, port = address.rpartition(":")
     if colon:
         if not port.isdecimal():
             raise ValueError(f"{port!r} is no port")

@@ -84,7 +84,7 @@ class Reconstruct(Command):
     address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS, else one here)")] = (
         None
     )
-    """Ray cluster that runs: HOST:PORT, ray://HOST:PORT, or auto."""
+    """Ray cluster that runs: HOST:PORT, or auto."""
     find_grasps: Flag = False
     """Clips are not cut: find their stable grasps in masks and hands first, as segment --from-masks does, and
     reconstruct each. Their own clips go to DIR/clips, results to DIR/<clip>--1, --2 and so on."""
