@@ -93,6 +93,7 @@ def test_two_tabs_that_change_one_mark_lose_nothing(project: Project) -> None:
     assert [one.end for one in project.store.marks.history(mark)] == [None, 40, 50, 50, 50]
 
 
+@pytest.mark.slow
 def test_changes_at_once_are_all_kept(project: Project) -> None:
     marks = [new() for _ in range(40)]
     with ThreadPoolExecutor(8) as pool:

@@ -41,6 +41,7 @@ def test_a_subcommand_has_the_options_of_its_dataset_and_no_others(run: Run, nam
     assert DATASETS[name].__doc__.split()[0] in out
 
 
+@pytest.mark.slow
 def test_an_unknown_dataset_is_refused_and_the_known_ones_are_named(run: Run) -> None:
     status, _, err = run("import", "arctik", "root", "--out", "x")
     assert status == 2

@@ -84,6 +84,7 @@ def test_a_result_of_some_frames_is_evaluated_against_the_whole_clip() -> None:
     assert whole["frames"] == list(result.frames)
 
 
+@pytest.mark.slow
 def test_a_frame_that_is_none_of_the_clips_is_named(refused: Refused) -> None:
     result = reconstruct(CLIP, MASKS, Options(inits=1))
     other: Reconstruction = replace(result, frames=("x0", *result.frames[1:]))

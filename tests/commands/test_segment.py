@@ -226,6 +226,7 @@ def test_one_bad_clip_stops_no_other(run: Run, tmp_path: Path) -> None:
     assert "Traceback" in run("segment", tmp_path / "blind", "--debug")[2]
 
 
+@pytest.mark.slow
 def test_wrong_calls_exit_with_2_and_write_nothing(run: Run, tmp_path: Path) -> None:
     write(three_grasps(), tmp_path / "a")
     write(three_grasps(), tmp_path / "b")

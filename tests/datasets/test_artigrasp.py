@@ -100,6 +100,7 @@ def test_estimates_are_no_sequences(estimated: Path) -> None:
     assert [source.name for source in ArtiGrasp(root=estimated).sources()] == [f"s1/{SEQUENCE}"]
 
 
+@pytest.mark.slow
 def test_estimated_hands_stand_by_the_true_object_as_by_the_estimated_one(estimated: Path) -> None:
     (source,) = EstimatedArtiGrasp(root=estimated).sources()
     for track in source.read(print):

@@ -154,6 +154,7 @@ def test_the_best_score_of_an_image_counts(tmp_path: Path, moved: Any) -> None:
     np.testing.assert_allclose(poses_of(path, "x", clip, masks).T_hand_obj, result.T_hand_obj, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_they_are_rows_beside_ours(tmp_path: Path, moved: Any, run: Run) -> None:
     """One clip by a file, and many by a folder; the frames of our results count where there are any."""
     clip, masks, result = moved

@@ -53,6 +53,7 @@ def test_the_scene_is_that_of_the_result(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.slow
 def test_every_format_says_what_its_files_hold(scene: Scene, tmp_path: Path, to: str) -> None:
     need(to)
     folder = export(scene, tmp_path / "out", to)
@@ -232,6 +233,7 @@ def test_the_animation_goes_through_every_pose(scene: Scene, tmp_path: Path, sti
     assert set(trimesh.load(file).geometry) == {"object", "hand"}
 
 
+@pytest.mark.slow
 def test_the_command_exports_results_and_names_what_it_cannot(clip_folder: Path, tmp_path: Path, run: Run) -> None:
     result, _ = result_and_clip()
     result = replace(result, frames=read_clip(clip_folder).frames)  # three, of the small clip

@@ -77,6 +77,7 @@ def test_at_the_truth_hardly_a_pixel_differs(
     assert unpack(seen.mask.observed, SIZE)[0].any() == (masks.ignore[0] & drawn).any()
 
 
+@pytest.mark.slow
 def test_a_true_hand_is_left_alone(made: tuple[Clip, Masks]) -> None:
     assert correct_hand(*made) is None
     problem = prepare(*made, Options())
@@ -132,6 +133,7 @@ def test_the_arm_says_nothing(made: tuple[Clip, Masks]) -> None:
     assert correct_hand(clip, arm) is None
 
 
+@pytest.mark.slow
 def test_as_given_leaves_everything_as_it_is(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
     assert prepare(clip, made[1], Options()).hand_corrected
@@ -141,6 +143,7 @@ def test_as_given_leaves_everything_as_it_is(made: tuple[Clip, Masks]) -> None:
         np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, clip.hand.T_cam_hand)
 
 
+@pytest.mark.slow
 def test_where_the_hand_is_known_alone_another_one_does_not_count(made: tuple[Clip, Masks]) -> None:
     clip, masks = off(made[0], CONSTANT), made[1]
     beside = masks.ignore | (np.roll(masks.ignore, 25, axis=2) & ~masks.object)

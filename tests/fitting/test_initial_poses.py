@@ -65,6 +65,7 @@ def test_a_free_scale_gives_the_same_size_for_any_unit_of_the_mesh(made: tuple[C
     assert np.all(np.abs(np.log(one / clip.truth.scale)) < np.log(1.5))
 
 
+@pytest.mark.slow
 def test_rotations_are_nearly_uniform(made: tuple[Clip, Masks]) -> None:
     for seed in (0, 7):
         R = initial_poses(*made, 400, seed).R

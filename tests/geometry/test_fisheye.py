@@ -112,6 +112,7 @@ def test_a_quarter_turn_turns_the_picture_clockwise():
 
 
 @needs(HOT3D)
+@pytest.mark.slow
 def test_objects_of_hot3d_fall_into_the_published_boxes():
     from getagrip.datasets.hot3d.reader import Objects
     from getagrip.datasets.hot3d.recording import find, read_recording

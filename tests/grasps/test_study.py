@@ -360,6 +360,7 @@ def test_wrong_calls_exit_with_2(run: Run, tmp_path: Path) -> None:
 
 
 @needs(DATA / "dexycb")
+@pytest.mark.slow
 def test_a_real_sequence() -> None:
     source = DexYcb(root=DATA / "dexycb", meshes=DATA / "ycb", whole=True).sources()[0]
     (track,) = source.read(lambda _: None)

@@ -67,6 +67,7 @@ def test_a_right_hand_is_the_left_one_in_the_mirror(tmp_path):
     np.testing.assert_allclose(ours, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_joints_are_the_hinges(tmp_path):
     hand = loaded(tmp_path)
     rest = hand.with_pose("left", np.zeros(22))

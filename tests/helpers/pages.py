@@ -18,8 +18,15 @@ PAGES = (*sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("*.md")))
 
 @cache
 def tokens(page: Path) -> tuple[Token, ...]:
-    """The blocks of a page."""
+    """The blocks of a page, and what is in their lines."""
     return tuple(MarkdownIt("commonmark").enable("table").parse(page.read_text(encoding="utf-8")))
+
+
+@cache
+def blocks(page: Path) -> tuple[Token, ...]:
+    """The blocks of a page alone, several times as quick."""
+    markdown = MarkdownIt("commonmark").enable("table").disable("inline")
+    return tuple(markdown.parse(page.read_text(encoding="utf-8")))
 
 
 def targets(page: Path) -> Iterator[str]:
@@ -44,7 +51,7 @@ def python(page: Path, info: str = "") -> list[str]:
     """A page's Python; with ``info`` only what is marked so."""
     return [
         token.content
-        for token in tokens(page)
+        for token in blocks(page)
         if token.type == "fence" and token.info.startswith("python") and token.info.endswith(info)
     ]
 
@@ -52,7 +59,7 @@ def python(page: Path, info: str = "") -> list[str]:
 def commands(page: Path, section: str) -> list[list[str]]:
     """The words of each command in the indented blocks of a section; the section's page stops at the next heading."""
     lines, here = [], False
-    for token, content in zip(tokens(page), (*tokens(page)[1:], None), strict=True):
+    for token, content in zip(blocks(page), (*blocks(page)[1:], None), strict=True):
         if token.type == "heading_open":
             here = content is not None and content.content == section
         elif token.type == "code_block" and here:

@@ -54,6 +54,7 @@ def test_the_truth_keeps_the_true_hand(made: tuple[Clip, Masks]) -> None:
 
 @given(deg=st.floats(0.1, 10.0), mm=st.floats(0.1, 20.0), seed=st.integers(0, 2**31))
 @settings(max_examples=20, deadline=None)
+@pytest.mark.slow
 def test_a_bias_has_its_size_in_every_frame(made: tuple[Clip, Masks], deg: float, mm: float, seed: int) -> None:
     turn, shift, _ = displaced(made[0], Noise(hand_bias_deg=deg, hand_bias_mm=mm), seed)
     np.testing.assert_allclose(turn, deg, rtol=1e-6)
@@ -69,6 +70,7 @@ def test_depth_lies_along_the_ray(made: tuple[Clip, Masks]) -> None:
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.1])
+@pytest.mark.slow
 def test_jitter_lasts_as_long_as_its_memory(made: tuple[Clip, Masks], memory: float) -> None:
     clip = made[0]
     noise = Noise(hand_jitter_mm=2.0, jitter_memory_s=memory)
@@ -166,6 +168,7 @@ def test_outliers_have_their_share_their_duration_and_one_error_each(made: tuple
     assert same[follow].mean() > 0.8
 
 
+@pytest.mark.slow
 def test_spread_and_outliers_leave_the_other_draws_as_they_are(made: tuple[Clip, Masks]) -> None:
     plain = Noise(hand_bias_deg=2.0, hand_jitter_mm=1.0, finger_bias_deg=5.0, mask_ragged_px=1.0)
     a, b = (perturbed(*made, noise, 7) for noise in (plain, replace(plain, outlier_share=1e-9, outlier_times=3.0)))
@@ -201,6 +204,7 @@ def test_errors_drawn_as_estimated_have_the_measures_of_the_estimates() -> None:
         assert found[name] == pytest.approx(MEASURED[name], rel=0.25), name
 
 
+@pytest.mark.slow
 def test_the_strong_level_displaces_hands_further_than_the_moderate_level(made: tuple[Clip, Masks]) -> None:
     def off(level: str) -> np.ndarray:
         """Distance of the vertices from the true ones, by frame [m]."""

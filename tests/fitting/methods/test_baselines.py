@@ -82,6 +82,7 @@ def test_consistency_holds_the_object_stiller_than_dynamic() -> None:
 
 
 @pytest.mark.parametrize("method", ["static", "one-dof", "dynamic", "soft-hinge", "contact-consistency"])
+@pytest.mark.slow
 def test_contact_weighs_more_where_no_other_term_ties_the_object_to_the_hand(
     method: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
