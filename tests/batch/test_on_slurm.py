@@ -1,7 +1,8 @@
-"""A batch in array jobs: here on submitit's own processes, which take the place of Slurm."""
+"""A batch in array jobs, on scripts that take the place of Slurm's commands."""
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from collections import Counter
@@ -20,6 +21,7 @@ from getagrip.io import code
 from helpers.command_line import Run
 from helpers.jobs import dies_once, drive, loses_its_task, patient
 from helpers.paths import import_path
+from helpers.slurm import write_slurm
 
 needs_submitit = pytest.mark.skipif(
     find_spec("submitit") is None, reason="needs submitit: pip install 'getagrip[slurm]'"
@@ -27,29 +29,35 @@ needs_submitit = pytest.mark.skipif(
 
 
 @pytest.fixture
-def local(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Tasks are processes of this machine."""
-    monkeypatch.setattr(on_slurm, "CLUSTER", "local")
+def slurm(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Tasks are processes of this machine; the folder of the commands."""
+    folder = write_slurm(tmp_path / "slurm")
+    monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setattr(on_slurm, "LOOK_EVERY", 0.05)
     submitit = pytest.importorskip("submitit")
     monkeypatch.setattr(submitit.Job, "_results_timeout_s", 0.2)  # patience with slow file systems
+    monkeypatch.setattr(submitit.SlurmJob.watcher, "_delay_s", 0.2)  # and with sacct
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv("PYTHONPATH", import_path()["PYTHONPATH"])
+    return folder
 
 
 @needs_submitit
 @pytest.mark.slow
-def test_each_task_of_the_ledger_is_done_once(local: None, tmp_path: Path) -> None:
+def test_each_task_of_the_ledger_is_done_once(slurm: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     states = [line.split()[1] for line in drive(out, 7, 0.0, 1, partial(SlurmCrew, 2))]
     assert states == ["done"] * 7
     assert Counter((out / "runs").read_text().splitlines()) == {f"task-{n:02d}": 1 for n in range(7)}
     assert list((tmp_path / "state" / "getagrip" / "slurm").iterdir()) == []
+    (script,) = (slurm / "jobs").glob("*/script")
+    for words in ("--array=0-1%2", "--cpus-per-task=1", "--mem=4GB", "--time=240", "--job-name=getagrip"):
+        assert words in script.read_text()
 
 
 @needs_submitit
 @pytest.mark.slow
-def test_a_lost_task_is_given_out_again_and_a_process_that_dies_is_its_own_matter(local: None, tmp_path: Path) -> None:
+def test_a_lost_task_is_given_out_again_and_a_process_that_dies_is_its_own_matter(slurm: Path, tmp_path: Path) -> None:
     crew = SlurmCrew(1, loses_its_task, NONE, None)
     (ended,) = shared_out(crew, [str(tmp_path / "lost")])
     assert (ended.result, ended.attempts) == ("done", 1)
@@ -59,7 +67,7 @@ def test_a_lost_task_is_given_out_again_and_a_process_that_dies_is_its_own_matte
 
 @needs_submitit
 @pytest.mark.slow
-def test_limits_hold_there_as_well(local: None) -> None:
+def test_limits_hold_there_as_well(slurm: Path) -> None:
     limits = Limits(seconds=0.5)
     ends = {ended.job: ended for ended in shared_out(SlurmCrew(1, patient, limits, None), ["a", "slow"], limits)}
     assert ends["a"].result == "a"
@@ -68,10 +76,22 @@ def test_limits_hold_there_as_well(local: None) -> None:
 
 @needs_submitit
 @pytest.mark.slow
-def test_a_machine_with_other_code_is_named(local: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_machine_with_other_code_is_named(slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(code, "fingerprint", lambda: "0123456789abcdef")
     with pytest.raises(GetagripError, match=r"got getagrip of other code .* expected the same on every machine"):
         list(shared_out(SlurmCrew(1, patient, NONE, None), ["a"]))
+
+
+@needs_submitit
+def test_what_sbatch_refuses_is_said(
+    slurm: Path, clip_folder: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("REFUSED", "1")
+    status, _, err = run("reconstruct", clip_folder, "--out", tmp_path / "out", "--engine", "slurm")
+    assert status == 1
+    said = "getagrip: --engine slurm: sbatch has refused the jobs (sbatch: error: invalid partition specified: none)\n"
+    assert err.endswith(said)
+    assert "Traceback" not in err
 
 
 @pytest.mark.parametrize("missing", ["submitit", "sbatch"])

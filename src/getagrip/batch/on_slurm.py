@@ -20,15 +20,13 @@ from getagrip.batch.ledger_place import state_folder
 from getagrip.batch.limits import Limits
 from getagrip.batch.pool import shared_out
 from getagrip.batch.processes import Processes
-from getagrip.errors import UsageError
+from getagrip.errors import GetagripError, UsageError
 from getagrip.io import code, extras
 from getagrip.io.terminal import report
 
 J = TypeVar("J")
 R = TypeVar("R")
 
-CLUSTER = "slurm"
-"""submitit's name of it; tests run on "local"."""
 TASKS = 64
 """Of all arrays at once, if the user does not say."""
 BUNDLE = 100
@@ -58,7 +56,7 @@ class SlurmCrew(Generic[J, R]):
     ) -> None:
         """``workers``: tasks at once. Raises ``UsageError`` where submitit or Slurm is not there."""
         submitit = extras.load("submitit", "slurm", "--engine slurm")
-        if CLUSTER == "slurm" and shutil.which("sbatch") is None:
+        if shutil.which("sbatch") is None:
             raise UsageError("--engine slurm: got no command sbatch here, expected a machine that can submit to Slurm")
         self._workers = workers or TASKS
         self._how = work, limits, prepare, code.fingerprint()
@@ -66,7 +64,7 @@ class SlurmCrew(Generic[J, R]):
         self._folder = state_folder() / "slurm" / uuid4().hex[:12]
         self._folder.mkdir(parents=True, mode=0o700)
         seconds = BUNDLE * limits.seconds + 600.0 if limits.seconds else HOURS * 3600.0
-        self._executor = submitit.AutoExecutor(folder=self._folder, cluster=CLUSTER)
+        self._executor = submitit.AutoExecutor(folder=self._folder, cluster="slurm")
         self._executor.update_parameters(
             name="getagrip", cpus_per_task=1, timeout_min=math.ceil(seconds / 60.0),
             mem_gb=math.ceil((limits.gigabytes or MEMORY) + 1.0),
@@ -124,11 +122,14 @@ class SlurmCrew(Generic[J, R]):
         free = max(1, self._workers - len(self._at_work))
         size = min(BUNDLE, math.ceil(len(jobs) / free))
         bundles = [jobs[first : first + size] for first in range(0, len(jobs), size)]
-        if CLUSTER == "slurm":
-            self._executor.update_parameters(slurm_array_parallelism=free)
-        tasks = self._executor.map_array(
-            _do, [self._how] * len(bundles), [[given.job for given in bundle] for bundle in bundles]
-        )
+        self._executor.update_parameters(slurm_array_parallelism=free)
+        given_out = [[given.job for given in bundle] for bundle in bundles]
+        try:
+            tasks = self._executor.map_array(_do, [self._how] * len(bundles), given_out)
+        except (*self._errors, OSError, RuntimeError) as error:
+            raise GetagripError(
+                f"--engine slurm: sbatch has refused the jobs ({' '.join(str(error).split())})"
+            ) from error
         self._at_work |= dict(zip(tasks, bundles, strict=True))
 
     def _ended(self, task: Any, bundle: list[_Given[J]]) -> list[Ended[J, R]]:
