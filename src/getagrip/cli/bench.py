@@ -11,7 +11,7 @@ from getagrip.cli.command import Command, Inits, Method, Seed, hands_of, priors_
 from getagrip.cli.sharing import Sharing
 from getagrip.errors import UsageError
 from getagrip.experiments.sources import SOURCES, source_of
-from getagrip.experiments.sources.dexycb import DexYcbSequences
+from getagrip.experiments.sources.dexycb import DexYcbSequences, DexYcbTimelines
 from getagrip.fitting.options import Init, Options
 from getagrip.io.arguments import Flag, Folder, OptionalFile, OptionalFolder, one_of
 
@@ -107,8 +107,8 @@ class Bench(Command):
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
             priors=priors_of(self.priors, self.init), hands=hands_of(self.given_hands), every_frame=self.every_frame,
         )  # fmt: skip
-        if isinstance(source, DexYcbSequences):
-            return self._segments(source, options)
+        if isinstance(source, DexYcbTimelines):
+            return self._whole(source, options)
         hands = tuple(HandSource.of(text) for text in self.hands)
         systems = tuple(system_of(text) for text in self.others)
         plan = Plan(
@@ -118,9 +118,9 @@ class Bench(Command):
         )  # fmt: skip
         return bench(plan, self.debug)
 
-    def _segments(self, source: DexYcbSequences, options: Options) -> int:
-        """The benchmark of grasps that are found: one method, and the definition of a grasp that the truth has."""
-        from getagrip.commands.bench_segments import Plan, bench_segments
+    def _whole(self, source: DexYcbTimelines, options: Options) -> int:
+        """The benchmarks of whole sequences: one method, and the definition of a grasp that the truth has."""
+        from getagrip.commands import bench_segments, bench_timelines
 
         given = {
             "methods": self.methods, "ablation": self.ablation, "hands": self.hands, "with": self.others,
@@ -130,5 +130,7 @@ class Bench(Command):
         for name, value in given.items():
             if value:
                 raise UsageError(f"--{name}: got {value}, expected none with {self.dataset}")
-        plan = Plan(source, self.out, options, self.clips, self.sharing.workers, self.overwrite, self.json)
-        return bench_segments(plan, self.debug)
+        common = self.out, options, self.clips, self.sharing.workers, self.overwrite, self.json
+        if isinstance(source, DexYcbSequences):
+            return bench_segments.bench_segments(bench_segments.Plan(source, *common), self.debug)
+        return bench_timelines.bench_timelines(bench_timelines.Plan(source, *common), self.debug)

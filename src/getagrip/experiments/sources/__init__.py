@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from getagrip.errors import UsageError
 from getagrip.experiments.sources.artigrasp import ArtiGrasp, EstimatedArtiGrasp
-from getagrip.experiments.sources.dexycb import DexYcb, DexYcbSequences
+from getagrip.experiments.sources.dexycb import DexYcb, DexYcbSequences, DexYcbTimelines
 from getagrip.experiments.sources.folder import ClipFolder
 from getagrip.experiments.sources.source import ClipSource, Sample
 from getagrip.experiments.sources.synthetic import Synthetic
@@ -20,6 +20,7 @@ SOURCES: dict[str, type[ClipSource]] = {
     "synthetic": Synthetic,
     "dexycb": DexYcb,
     "dexycb-segments": DexYcbSequences,
+    "dexycb-timelines": DexYcbTimelines,
     "artigrasp": ArtiGrasp,
     "artigrasp-estimated": EstimatedArtiGrasp,
 }

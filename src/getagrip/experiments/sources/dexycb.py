@@ -27,8 +27,18 @@ class DexYcb(Recorded):
 
 
 @dataclass(frozen=True)
-class DexYcbSequences(DexYcb):
+class DexYcbTimelines(DexYcb):
     """DexYCB's sequences, not cut, with their true segments."""
+
+    def reader(self, root: Path) -> Dataset:
+        from getagrip.datasets.dexycb import reader
+
+        return reader.DexYcb(root=root, meshes=self.meshes, timelines=True)
+
+
+@dataclass(frozen=True)
+class DexYcbSequences(DexYcbTimelines):
+    """The same, for grasps that are to be found."""
 
     preset: str = "none"
     """Noise of hands and masks, of ``NOISE``: it is added when a sequence is read, the clips are without."""
@@ -41,8 +51,3 @@ class DexYcbSequences(DexYcb):
 
     def claim(self, clips: Path) -> None:
         super(DexYcbSequences, replace(self, preset="none")).claim(clips)
-
-    def reader(self, root: Path) -> Dataset:
-        from getagrip.datasets.dexycb import reader
-
-        return reader.DexYcb(root=root, meshes=self.meshes, timelines=True)

@@ -1,0 +1,131 @@
+"""``getagrip bench dexycb-timelines``: whole sequences, from table to hand, reconstructed by their true segments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from getagrip.batch.clips import print_outcome
+from getagrip.batch.job import Outcome
+from getagrip.batch.pool import DIED, cores, in_processes
+from getagrip.datasets.tracks import subject_of
+from getagrip.errors import UsageError
+from getagrip.experiments.sources import samples
+from getagrip.experiments.sources.dexycb import DexYcbTimelines
+from getagrip.experiments.stamp import stamp
+from getagrip.experiments.statistics import estimate, resamples
+from getagrip.experiments.timeline_trials import LEVELS, TimelineScores, TimelineTrial, run_timeline
+from getagrip.fitting.options import Options
+from getagrip.io import files
+from getagrip.io.terminal import progress_bar
+
+HEADINGS = ("hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, grasp", "jump, mm", "SCA", "s")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to run."""
+
+    source: DexYcbTimelines
+    out: Path
+    options: Options
+    count: int | None
+    workers: int | None
+    overwrite: bool
+    json: Path | None
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.workers < 1:
+            raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
+
+
+def bench_timelines(plan: Plan, debug: bool) -> int:
+    """Reconstruct every timeline every way and write the table; 1 if one failed, else 0.
+
+    Raises ``UsageError`` where the call is wrong or there are no timelines.
+    """
+    plan.out.mkdir(parents=True, exist_ok=True)
+    found, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
+    for outcome in bad:
+        print_outcome(outcome, debug)
+    trials = [TimelineTrial(sample, plan.options, plan.out / "results", plan.overwrite) for sample in found]
+    scores = []
+    with progress_bar(counted=True) as bar:
+        shown = bar.add_task("timelines", total=len(trials))
+        for one in _outcomes(trials, plan.workers or cores()):
+            if one.failure:
+                print_outcome(Outcome(one.name, "failed", one.failure, one.trace), debug)
+            else:
+                scores.append(one)
+            bar.advance(shown)
+    scores.sort(key=lambda one: one.name)
+    whole = [one for one in scores if one.by]
+    if whole:
+        text = _markdown(plan, whole, len(scores))
+        print(text, end="")
+        written = [plan.out / "timelines.md"]
+        written[0].write_text(text, "utf-8")
+        if plan.json is not None:
+            files.write_json(plan.json, {one.name: one.by for one in whole})
+            written.append(plan.json)
+        print(*written, sep="\n")
+    return 1 if bad or len(scores) < len(trials) else 0
+
+
+def _outcomes(trials: Sequence[TimelineTrial], workers: int) -> Iterator[TimelineScores]:
+    """Each timeline's scores, as they are ready."""
+    if workers == 1:
+        yield from map(run_timeline, trials)
+        return
+    for trial, scores in in_processes(run_timeline, trials, workers):
+        yield scores or TimelineScores(trial.sample.name, failure=DIED)
+
+
+def _markdown(plan: Plan, scores: Sequence[TimelineScores], sequences: int) -> str:
+    """The table, and how it was made."""
+    lines = [f"| {' | '.join(HEADINGS)} |", f"|---|---{'|---:' * (len(HEADINGS) - 2)}|"]
+    for level in LEVELS:
+        for way in scores[0].by[level]:
+            lines.append(f"| {level} | {way} | {' | '.join(_cells(scores, level, way))} |")
+    about = [
+        f"{plan.source.title}: {len(scores)} of {sequences} sequences, those with a static segment and a stable grasp",
+        "static, between, grasp: per cent of segments whose mean ADD up to symmetries, in the camera frame, is below "
+        "10 % of the diameter; grasp, ADD: without symmetries; a way that fails scores 0",
+        "jump: median over links of how far the object moves from one segment to the next beyond its true motion",
+        "SCA: mean over grasps, object vertices within 10 mm of the hand that was found",
+        "s: median seconds of CPU for a timeline, reading not included",
+        "in brackets: 95 % intervals from bootstrap resamples of the subjects",
+        f"{plan.options.inits} initial poses, seed {plan.options.seed}; made {stamp()}",
+    ]
+    return "\n".join([*lines, "", *(f"- {line}" for line in about), ""])
+
+
+def _cells(scores: Sequence[TimelineScores], level: str, way: str) -> list[str]:
+    """A row's numbers as text."""
+    found: list[tuple[TimelineScores, dict[str, Any]]] = [(one, one.by[level][way]) for one in scores]
+    cells = [_share(found, kind, "right_sym") for kind in ("static", "between", "grasp")]
+    cells.append(_share(found, "grasp", "right"))
+    cells.append(_share([(one, of) for one, of in found if "mug" in one.category], "grasp", "right_sym"))
+    gaps = [jump for _, of in found for jump in of.get("jumps", [])]
+    sca = [s["sca"] for _, of in found for s in of.get("segments", []) if s["sca"] is not None]
+    seconds = [of["seconds"] for _, of in found]
+    cells += [f"{1e3 * np.median(gaps):.1f}" if gaps else "–", f"{100 * np.mean(sca):.1f}" if sca else "–"]
+    return [*cells, f"{np.median(seconds):.1f}"]
+
+
+def _share(found: Sequence[tuple[TimelineScores, dict[str, Any]]], kind: str, key: str) -> str:
+    """Per cent of the segments of a kind, with an interval; a failed timeline counts as one wrong segment."""
+    values, subjects = [], []
+    for one, of in found:
+        right = [float(s[key]) for s in of.get("segments", []) if s["kind"] == kind] if "segments" in of else [0.0]
+        values += right
+        subjects += [subject_of(one.name)] * len(right)
+    if not values:
+        return "–"
+    value = estimate(np.array(values), resamples(subjects))
+    interval = "" if np.isnan(value.low) else f" [{100 * value.low:.0f}, {100 * value.high:.0f}]"
+    return f"{100 * value.mean:.1f}{interval} (n = {value.clips})"

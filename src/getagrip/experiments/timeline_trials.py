@@ -1,0 +1,106 @@
+"""One timeline of a benchmark, reconstructed every way at every level of noise."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from getagrip.batch.job import failure
+from getagrip.clip import input_sha256, read_clip, read_masks
+from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
+from getagrip.errors import GetagripError
+from getagrip.experiments.sources import Sample
+from getagrip.experiments.timeline_scores import jumps, segment_scores
+from getagrip.fitting.options import Options
+from getagrip.io import files
+from getagrip.metrics.symmetry import find_symmetries
+from getagrip.result import software
+
+LEVELS: dict[str, Noise] = {
+    "exact": Noise(),
+    "moderate": replace(NOISE["moderate"], mask_ragged_px=0.0),
+    "strong": replace(NOISE["strong"], mask_ragged_px=0.0),
+    "strong, ragged masks": NOISE["strong"],
+}
+"""Noise of hands; the last of masks, too: 1 px."""
+
+
+@dataclass(frozen=True)
+class TimelineTrial:
+    """A timeline to reconstruct."""
+
+    sample: Sample
+    options: Options
+    results: Path
+    """A file for each timeline goes here."""
+    overwrite: bool
+
+
+@dataclass(frozen=True)
+class TimelineScores:
+    """What was found."""
+
+    name: str
+    category: str = ""
+    by: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """By level and way: ``segments``, ``jumps`` [m] and ``seconds`` of CPU, or ``failure``."""
+    failure: str = ""
+    trace: str = ""
+
+
+def run_timeline(trial: TimelineTrial) -> TimelineScores:
+    """Reconstruct one timeline, as far as that has not been done by the same code. Raises nothing."""
+    try:
+        return _run(trial)
+    except Exception as error:  # one timeline's trouble must not end the others
+        outcome = failure(trial.sample.name, error)
+        return TimelineScores(trial.sample.name, failure=outcome.message, trace=outcome.trace)
+
+
+def _run(trial: TimelineTrial) -> TimelineScores:
+    sample, path = trial.sample, trial.results / f"{trial.sample.name}.json"
+    of = {
+        "inputs": input_sha256(sample.folder),
+        "software": software(),
+        "options": json.loads(files.to_json(asdict(trial.options))),
+    }
+    record = files.read_json(path) if path.exists() and not trial.overwrite else None
+    if not isinstance(record, dict) or {key: record.get(key) for key in of} != of:
+        record = {**of, **_found(trial)}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with files.new_file(path) as new:
+            files.write_json(new, record)
+    return TimelineScores(sample.name, record["category"], record["by"])
+
+
+def _found(trial: TimelineTrial) -> dict[str, Any]:
+    """The scores of every way at every level; of timelines that hold both a static segment and a grasp."""
+    from getagrip.timelines.ways import WAYS, moved
+
+    given = read_clip(trial.sample.folder)
+    given_masks = read_masks(given)
+    states = {segment.state for segment in given.segments}
+    by: dict[str, dict[str, Any]] = {}
+    if not {"static", "grasp"} <= states:
+        return {"category": given.category, "by": by}
+    symmetries = find_symmetries(given.mesh)
+    for level, noise in LEVELS.items():
+        clip, masks = perturbed(given, given_masks, noise, [trial.options.seed, *given.name.encode()])
+        by[level] = {}
+        for way in WAYS:
+            since = time.process_time()
+            try:
+                motion = moved(way, clip, masks, trial.options)
+            except GetagripError as error:
+                by[level][way] = {"failure": str(error), "seconds": time.process_time() - since}
+                continue
+            by[level][way] = {
+                "seconds": time.process_time() - since,
+                "segments": [asdict(s) for s in segment_scores(clip, symmetries, motion.T_cam_obj, motion.T_cam_hand)],
+                "jumps": jumps(clip, motion.T_cam_obj),
+            }
+    return {"category": given.category, "by": by}

@@ -1,0 +1,142 @@
+"""Ways to reconstruct a timeline without joining its segments, and the authors' propagation, to compare with.
+
+Propagation after the authors' later code (objects-along-hit): it starts at the longest static segment, goes back to the
+first, on to the last and back again. Each segment is fitted with one more start, the pose of the segment visited before
+it where the two are nearest in time, and keeps the fit with the highest mean IOU over its visits. Static: one pose,
+E_mask. Held or in contact: a free pose per frame, with contact consistency. So it can only gain IOU by propagating, by
+construction; the weight of its links is 0. Search, optimiser and hand correction are ours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip import Segment
+from getagrip.errors import InputError
+from getagrip.fitting.every_frame import at_every_frame, at_sampled_frames
+from getagrip.fitting.image_iou import image_iou
+from getagrip.fitting.methods import contact_consistency
+from getagrip.fitting.problem import prepare
+from getagrip.geometry import se3
+from getagrip.result import FrameKind
+from getagrip.timelines.footage import Footage
+from getagrip.timelines.held import prepared, solved
+from getagrip.timelines.joint import Motion, fill, put_grasp
+from getagrip.timelines.static_pose import static_hypotheses
+
+
+def grasp_only(footage: Footage) -> Motion:
+    """Each grasp by itself. Static poses are those of the nearest frame of a grasp; elsewhere, the object goes with the
+    hand. Raises ``InputError`` where no grasp shows the object.
+    """
+    motion, known = Motion.of(footage), []
+    for segment in footage.clip.segments:
+        if segment.state == "grasp" and segment.side == footage.clip.side:
+            problem = prepared(footage, segment)
+            if problem is not None:
+                put_grasp(motion, footage, solved(footage, segment, problem, []), 0, [])
+                known.append(segment)
+    _carry(motion, footage, known)
+    return motion
+
+
+def static_only(footage: Footage) -> Motion:
+    """Each static segment by itself; elsewhere, the object goes with the hand. Raises ``InputError`` likewise."""
+    motion, known = Motion.of(footage), []
+    for segment in footage.clip.segments:
+        found = static_hypotheses(footage, segment, support=False) if segment.state == "static" else None
+        if found is not None:
+            motion.put(footage, segment.rows, found.take(np.zeros(1, int)), "sampled")
+            known.append(segment)
+    _carry(motion, footage, known)
+    return motion
+
+
+def _carry(motion: Motion, footage: Footage, known: list[Segment]) -> None:
+    """Frames of no known segment from the nearest frame of one: with the hand, or in the world while it is static."""
+    if not known:
+        raise InputError(footage.clip.origin, "segments", "none that can be solved alone", "one at least")
+    there = np.concatenate([segment.rows for segment in known])
+    nearest = there[np.argmin(np.abs(np.arange(len(footage))[:, None] - there), axis=1)]
+    static = {row: s for s in footage.clip.segments if s.state == "static" for row in s.rows}
+    known_rows = {*there.tolist()}
+    for row in range(len(footage)):
+        if row in known_rows:
+            continue
+        source = int(nearest[row])
+        segment = static.get(row)
+        if segment is not None:  # from where it ends on the side of the source
+            edge = segment.last if source > segment.last else segment.first
+            T_world_obj = _with_hand(motion, footage, source, edge)
+            motion.T_cam_obj[row] = footage.T_cam_world[row] @ T_world_obj
+        else:
+            motion.T_cam_obj[row] = footage.T_cam_world[row] @ _with_hand(motion, footage, source, row)
+
+
+def _with_hand(motion: Motion, footage: Footage, source: int, row: int) -> Float[ndarray, "4 4"]:
+    """The pose in the world of an object that goes with the given hand from one frame to another."""
+    given = footage.clip.hand.T_cam_hand
+    T_hand_obj = se3.inverse(given[source]) @ motion.T_cam_obj[source]
+    return np.asarray(footage.T_world_cam[row] @ given[row] @ T_hand_obj)
+
+
+def propagate(footage: Footage) -> Motion:
+    """The authors' propagation. Raises ``InputError`` where no segment shows the object."""
+    segments = [s for s in footage.clip.segments if len(footage.observed(s.rows)) > 1]
+    if not segments:
+        raise InputError(footage.clip.origin, "segments", "none that shows the object in two frames", "one at least")
+    static = [n for n, s in enumerate(segments) if s.state == "static"]
+    first = max(static or range(len(segments)), key=lambda n: len(segments[n]))
+    last = len(segments) - 1
+    visits = [*range(first, -1, -1), *range(1, last + 1), *range(last - 1, first - 1, -1)]
+    motion, best = Motion.of(footage), dict[int, float]()
+    before: int | None = None
+    for n in visits:
+        if before is not None and n == before:
+            continue
+        _visit(motion, footage, segments, n, before, best)
+        before = n
+    fill(motion, footage, segments)
+    return motion
+
+
+def _visit(
+    motion: Motion, footage: Footage, segments: list[Segment], n: int, before: int | None, best: dict[int, float]
+) -> None:
+    """Fit a segment from the one before it, and keep the fit if none had a higher IOU."""
+    segment, rows = segments[n], segments[n].rows
+    start, kind = None, tuple[FrameKind, ...]()
+    if before is not None:
+        one = segments[before]
+        source = one.last if before < n else one.first
+        start = motion.at(footage, source)
+    if segment.state == "static":
+        found = static_hypotheses(footage, segment, support=False, start=start)
+        assert found is not None
+        T_cam_obj = footage.T_cam_world[rows] @ found.T_world_obj(footage.clip.mesh.centre)[0]
+        T_cam_hand, kind = footage.clip.hand.T_cam_hand[rows], tuple("sampled" for _ in rows)
+    else:
+        clip, masks = footage.clip.take(rows), footage.masks.take(rows)
+        problem = prepare(clip, masks, replace(footage.options, method="contact-consistency"))
+        if start is not None:
+            at = 0 if before is not None and before < n else -1
+            T_hand_world = se3.inverse(problem.clip.world.T_world_cam[at] @ problem.clip.hand.T_cam_hand[at])  # type: ignore[union-attr]
+            more = T_hand_world @ start.T_world_obj(clip.mesh.centre)[:, 0]
+            problem = replace(problem, prior_poses=np.concatenate([more, problem.prior_poses]))
+        fitted = contact_consistency.fit(problem, lambda _: None)
+        track = at_every_frame(clip, masks, problem, fitted, at_sampled_frames(problem, fitted))
+        T_cam_obj, T_cam_hand, kind = track.T_cam_hand @ track.T_hand_obj[0], track.T_cam_hand, track.kind
+    seen = footage.observed(rows)
+    at_seen = np.searchsorted(rows, seen)
+    posed = footage.clip.take(seen).with_hand_at(T_cam_hand[at_seen])
+    T_hand_obj = se3.inverse(T_cam_hand[at_seen]) @ T_cam_obj[at_seen]
+    iou = float(image_iou(posed, footage.masks.take(seen), T_hand_obj, 1.0).mean())
+    if iou > best.get(n, -1.0):
+        best[n] = iou
+        motion.T_cam_obj[rows], motion.T_cam_hand[rows] = T_cam_obj, T_cam_hand
+        for row, how in zip(rows, kind, strict=True):
+            motion.kind[row] = how
