@@ -24,5 +24,6 @@ def test_the_longer_search_goes_through_the_same_stages_and_keeps_more() -> None
     for usual, longer in zip(short, long, strict=True):
         assert (usual.name, usual.level, usual.frames) == (longer.name, longer.level, longer.frames)
         assert longer.keep >= usual.keep
+        assert longer.within >= usual.within
     assert sum(s.rounds * s.parents for s in long) > sum(s.rounds * s.parents for s in short)
     assert all(a.keep >= b.keep for a, b in pairwise(long))

@@ -12,7 +12,7 @@ from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.fitting.energy import Quadratic
 from getagrip.fitting.motion import Fixed
 from getagrip.fitting.schedule import FAR, NEAR, Rotations, Stage
-from getagrip.fitting.search import drawn_rotations, explored, suppress_duplicates
+from getagrip.fitting.search import drawn_rotations, explored, near, suppress_duplicates
 from getagrip.fitting.solve import minimise
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry import se3
@@ -96,3 +96,9 @@ def test_rotated_hypotheses_reach_the_lower_of_two_minima() -> None:
         found = explored(first, [Upright()], T, surface, replace(stage, rounds=rounds))
         np.testing.assert_array_equal(found.energy[:2], first.energy)  # nothing is lost
         assert len(found.energy) == 2 if rounds == 0 else found.energy.min() < 0.01
+
+
+def test_hypotheses_that_cannot_win_go_no_further() -> None:
+    assert near(np.array([2.0, 3.9, 6.1]), 3.0).tolist() == [True, True, False]
+    assert near(np.array([-2.0, 1.9, 2.1]), 3.0).tolist() == [True, True, False]  # some terms may be below zero
+    assert near(np.array([0.0, 1e9]), np.inf).all()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
@@ -41,10 +42,14 @@ class Evidence:
     iou: Float[ndarray, "n"] | None = None
 
     @cached_property
+    def hand_middle(self) -> Float[ndarray, "T 3"]:
+        """Mean of the hand's vertices, in the hand frame [m]."""
+        return self.clip.hand.vertices.mean(axis=1)
+
+    @cached_property
     def depth(self) -> Float[ndarray, "T"]:
         """Distance of the hand before the camera [m]."""
-        middle = self.clip.hand.vertices.mean(axis=1, keepdims=True)
-        return np.asarray(se3.transform(self.clip.hand.T_cam_hand, middle)[:, 0, 2])
+        return np.asarray(se3.transform(self.clip.hand.T_cam_hand, self.hand_middle[:, None])[:, 0, 2])
 
     @cached_property
     def hand_size(self) -> float:
@@ -54,17 +59,14 @@ class Evidence:
     @cached_property
     def centroids(self) -> Float[ndarray, "T 2"]:
         """Middles of the object's masks [px]; NaN where a mask is empty."""
-        height, width = self.masks.object.shape[1:]
-        area = self.mask_area
-        with np.errstate(invalid="ignore", divide="ignore"):
-            u = self.masks.object.sum(axis=1) @ (np.arange(width) + 0.5) / area
-            v = self.masks.object.sum(axis=2) @ (np.arange(height) + 0.5) / area
-        return np.stack([u, v], axis=1)
+        sums = [cv2.moments(mask.view(np.uint8), binaryImage=True) for mask in self.masks.object]
+        with np.errstate(invalid="ignore"):
+            return np.array([[m["m10"], m["m01"]] for m in sums]) / self.mask_area[:, None] + 0.5
 
     @cached_property
     def mask_area(self) -> Float[ndarray, "T"]:
         """Pixels of the object's masks."""
-        return self.masks.object.sum(axis=(1, 2)).astype(float)
+        return np.array([np.count_nonzero(mask) for mask in self.masks.object], dtype=float)
 
     @cached_property
     def apparent_size(self) -> float:

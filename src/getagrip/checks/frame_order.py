@@ -65,7 +65,7 @@ def _miss(given: Evidence, frames: Int[ndarray, "n"], masks: Int[ndarray, "n"]) 
     """Root mean square distance of the masks' middles from the projection of the best point in the hand."""
     hand, K = given.clip.hand, given.clip.K[frames]
     T = hand.T_cam_hand[frames]
-    middle = hand.vertices[frames].mean(axis=(0, 1))
+    middle = given.hand_middle[frames].mean(axis=0)
     P = K @ T[:, :3]
     uv, depth = given.centroids[masks], given.depth[frames]
     rows = (P[:, :2] - uv[..., None] * P[:, 2:]) / depth[:, None, None]  # (n, 2, 4): pixels off, nearly

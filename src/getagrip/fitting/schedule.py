@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 
 @dataclass(frozen=True)
 class Rotations:
@@ -37,6 +39,7 @@ class Stage:
         frames: largest number of frames that are used.
         iterations: most iterations of the solver.
         keep: number of hypotheses that the next stage takes over.
+        within: how many times the least energy these may have; with more none has won (docs/method.md).
         rounds: how often the best hypotheses of the stage are rotated and fitted again.
         parents: number of hypotheses that are rotated.
         rotations: rotations of each of them.
@@ -50,6 +53,7 @@ class Stage:
     rounds: int = 0
     parents: int = 8
     rotations: Rotations = FAR
+    within: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -59,24 +63,27 @@ class Schedule:
     Attributes:
         static_iterations: iterations of the first fit, with one pose for all frames.
         relaxed_iterations: iterations of the second fit, in which each frame may deviate from that pose.
+        relaxed: number of hypotheses that go on from there.
         coarse: stages that see some of the frames. The first two fits are made at the first one's frames and level.
         fine: stages that see all frames.
     """
 
     static_iterations: int = 6
     relaxed_iterations: int = 3
+    relaxed: int = 30
     coarse: tuple[Stage, ...] = (
-        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3),
-        Stage("middle", level=64, frames=15, iterations=6, keep=6, rounds=1, parents=6, rotations=NEAR),
+        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3, within=3.0),
+        Stage("middle", level=64, frames=15, iterations=6, keep=6, rounds=1, parents=6, rotations=NEAR, within=3.0),
     )
     fine: tuple[Stage, ...] = (
-        Stage("fine", level=128, frames=ALL, iterations=8, keep=4),
+        Stage("fine", level=128, frames=ALL, iterations=8, keep=4, within=2.5),
         Stage("finest", level=256, frames=ALL, iterations=8, keep=4),
     )
 
 
 USUAL = Schedule()
 THOROUGH = Schedule(
+    relaxed=ALL,
     coarse=(
         Stage("coarse", level=64, frames=8, iterations=5, keep=32, rounds=8, parents=12),
         Stage("middle", level=64, frames=15, iterations=8, keep=12, rounds=2, parents=8, rotations=NEAR),

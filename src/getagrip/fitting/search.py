@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip.sampling import frame_indices
@@ -57,7 +57,8 @@ class Search:
         fixed, schedule, threads = replace(initial, frames=len(index)), self.schedule, self.threads
         static = minimise(fixed, terms, T, schedule.static_iterations, threads=threads).motion
         relaxed = Soft(static, np.zeros((len(static.R), len(index), 6)), RIDGE)
-        return minimise(relaxed, terms, T, schedule.relaxed_iterations, threads=threads).motion
+        found = minimise(relaxed, terms, T, schedule.relaxed_iterations, threads=threads)
+        return found.motion.take(np.sort(np.argsort(found.energy, kind="stable")[: schedule.relaxed]))
 
     def run(self, motion: M, energy: Energy) -> Solution[M]:
         """All stages, by one motion model and one energy, from a motion at the frames of the first."""
@@ -95,7 +96,7 @@ class Search:
             best = suppress_duplicates(solution.motion.poses(), solution.energy, self.surface, stage.keep)
             if not len(best):
                 raise GetagripError(str(Status.INVISIBLE))
-            solution = solution.take(best)
+            solution = solution.take(best[near(solution.energy[best], stage.within)])
             motion = solution.motion
             self.on_stage(stage.name)
         return solution
@@ -119,6 +120,11 @@ def explored(
         children = children.rotated(drawn_rotations(surface.axes, stage.rotations, len(parents), rng))
         solution = solution.concatenate(minimise(children, terms, T_cam_hand, stage.iterations, threads=threads))
     return solution
+
+
+def near(energy: Float[ndarray, "n"], within: float) -> Bool[ndarray, "n"]:
+    """Which energies are at most ``within`` times the first, which is the least; some terms may be below zero."""
+    return np.asarray(energy - energy[0] <= (within - 1.0) * max(abs(energy[0]), 1e-9))
 
 
 def drawn_rotations(

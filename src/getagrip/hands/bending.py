@@ -60,7 +60,8 @@ def bent(
         T = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
         for k in range(3):
             T = T @ se3.rotation_about_line(joints[:, chain[k]], axes[:, f], angles[:, f, k])
-            moved += weights[:, f, k, None] * (se3.transform(T, vertices) - vertices)
+            some = np.flatnonzero(weights[:, f, k])  # a small part of them all
+            moved[:, some] += weights[some, f, k, None] * (se3.transform(T, vertices[:, some]) - vertices[:, some])
             skeleton[:, chain[k + 1]] = se3.transform(T, joints[:, chain[k + 1], None])[:, 0]
     return moved, skeleton
 

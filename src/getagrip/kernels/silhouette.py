@@ -71,9 +71,11 @@ def silhouette_edges(planes, edges, R, centre, scale, sign, out):
     sign[F] = 0
     n = 0
     for e in range(edges.shape[1]):
-        weight = sign[edges[2, e]] - sign[edges[3, e]]
-        out[0, n], out[1, n], out[2, n] = edges[0, e], edges[1, e], weight
-        n += weight != 0
+        out[0, n] = e
+        n += sign[edges[2, e]] != sign[edges[3, e]]
+    for k in range(n):
+        e = out[0, k]
+        out[0, k], out[1, k], out[2, k] = edges[0, e], edges[1, e], sign[edges[2, e]] - sign[edges[3, e]]
     return n
 
 

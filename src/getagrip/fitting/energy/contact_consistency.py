@@ -49,10 +49,12 @@ def _evaluate(R, centre, scale, points, hand, weight, delta, bound, value, g, H,
     D = len(points) * hand.shape[1]
     distance, a = np.empty((N, D)), np.empty((N, 7, D))
     for b in range(B):
+        if not bound[b] >= 0.0:  # nothing to be gained, or no number at all
+            continue
         for n in range(N):
             _distances(R[b, n], centre[b, n], scale[b], points, hand[n], distance[n], a[n])
         total = _compare(distance, weight, delta, value[b])
-        if not total <= bound[b]:  # nothing to be gained, or no number at all
+        if not total <= bound[b]:
             continue
         _tie(distance, a, weight, delta, g[b], H[b], cross[b])
 

@@ -102,6 +102,8 @@ def _evaluate(
             rasterise(uvz[n], edge[n], n_edges[n], closed, zoom, counters, bits[n])
             value[b, n] = pixel * mismatch(bits[n], observed[n], valid[n])
             total += value[b, n]
+            if total > bound[b]:  # the step is rejected, whatever the other frames say
+                break
         if total > bound[b] or total == np.inf:
             continue
         for n in range(N):

@@ -39,7 +39,7 @@ class PullTerm:
         found = Quadratic.zero(poses)
         _evaluate(
             poses.R, poses.centre, poses.scale, *self.solid.tables,
-            self.hand.position, self.hand.region, self.weight, self.max_distance, self.delta,
+            self.hand.position, self.hand.region, self.weight, self.max_distance, self.delta, bound,
             found.value, found.g, found.H,
         )  # fmt: skip
         return found
@@ -48,7 +48,7 @@ class PullTerm:
 @njit(**OPTIONS)
 def _evaluate(
     R, centre, scale, corners, normals, face, distance, origin, spacing, hand, region, weight, max_distance, delta,
-    value, g, H,
+    bound, value, g, H,
 ):  # fmt: skip
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape
@@ -57,6 +57,8 @@ def _evaluate(
     local, rough = np.empty((tips, 3)), np.empty(tips)
     slack = SLACK * spacing
     for b in range(B):
+        if not bound[b] >= 0.0:  # the step is rejected already, or no number
+            continue
         farthest = max_distance / scale[b]
         for n in range(N):
             unit = weight[n] / fingers

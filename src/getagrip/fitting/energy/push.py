@@ -42,7 +42,7 @@ class PushTerm:
         found = Quadratic.zero(poses)
         _evaluate(
             poses.R, poses.centre, poses.scale, *self.solid.tables,
-            self.hand.position, self.weight, self.tolerance, self.delta,
+            self.hand.position, self.weight, self.tolerance, self.delta, bound,
             found.value, found.g, found.H,
         )  # fmt: skip
         return found
@@ -50,7 +50,8 @@ class PushTerm:
 
 @njit(**OPTIONS)
 def _evaluate(
-    R, centre, scale, corners, normals, face, distance, origin, spacing, hand, weight, tolerance, delta, value, g, H
+    R, centre, scale, corners, normals, face, distance, origin, spacing, hand, weight, tolerance, delta, bound,
+    value, g, H,
 ):  # fmt: skip
     """Fill in value (B, N), g (B, N, 7), H (B, N, 7, 7)."""
     B, N = value.shape
@@ -58,6 +59,8 @@ def _evaluate(
     local, rough = np.empty((Q, 3)), np.empty(Q)
     slack = SLACK * spacing
     for b in range(B):
+        if not bound[b] >= 0.0:  # the step is rejected already, or no number
+            continue
         for n in range(N):
             unit = weight[n] / Q
             screen(hand[n], R[b, n], centre[b, n], scale[b], distance, origin, spacing, local, rough)

@@ -69,8 +69,9 @@ class Term(Protocol):
     def name(self) -> str: ...
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
-        """Evaluate at the poses. Where the sum of values over frames exceeds ``bound`` the derivatives may be left
-        zero: the solver is going to reject that step."""
+        """Evaluate at the poses. Where the sum of values over frames exceeds ``bound`` the derivatives, and values
+        that follow in other frames, may be left zero: the solver is going to reject that step. Where ``bound`` is below
+        zero it is going to anyway."""
         ...
 
 

@@ -16,7 +16,7 @@ from getagrip.fitting.methods import OnStage
 from getagrip.fitting.motion import Fixed, PosesInHand
 from getagrip.fitting.objective import energy_of
 from getagrip.fitting.problem import MethodResult, Problem
-from getagrip.fitting.schedule import Schedule, Stage
+from getagrip.fitting.schedule import ALL, Schedule, Stage
 from getagrip.fitting.search import Search
 from getagrip.fitting.solve import Solution, Status, minimise
 from getagrip.geometry import se3
@@ -24,6 +24,7 @@ from getagrip.geometry import se3
 SCHEDULE = Schedule(
     static_iterations=8,
     relaxed_iterations=0,
+    relaxed=ALL,
     coarse=(Stage("coarse", level=64, frames=1, iterations=6, keep=10, rounds=6),),
     fine=(
         Stage("fine", level=128, frames=1, iterations=10, keep=4),
