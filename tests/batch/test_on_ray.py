@@ -22,7 +22,7 @@ from helpers.folders import results_in
 from helpers.paths import import_path
 from helpers.ray_cluster import RayCluster, ray_cluster
 
-COUNT = 40
+COUNT = 24
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray: pip install 'getagrip[ray]'")
 
 
@@ -49,7 +49,7 @@ def wait_for(out: Path, count: int) -> None:
 @needs_ray
 @pytest.mark.slow
 def test_whoever_is_killed_each_task_is_done_once_and_results_are_those_of_one_machine(tmp_path: Path) -> None:
-    with ray_cluster(nodes=2) as cluster:
+    with ray_cluster(nodes=1) as cluster:
         _a_node_and_then_the_driver_are_killed(cluster, tmp_path)
         _results_are_the_same(cluster, tmp_path)  # on the node that is left
 
@@ -58,7 +58,7 @@ def _a_node_and_then_the_driver_are_killed(cluster: RayCluster, tmp_path: Path) 
     driver = start(tmp_path, cluster.address)
     wait_for(tmp_path, 6)
     cluster.kill_node()
-    wait_for(tmp_path, 18)
+    wait_for(tmp_path, 12)
     driver.send_signal(signal.SIGKILL)
     driver.communicate()
     before = {path.name for path in tmp_path.glob("task-??")}

@@ -1,4 +1,4 @@
-"""A Ray cluster of several nodes on this machine, as a program of its own: a head without CPUs, and nodes of one CPU.
+"""A Ray cluster of several nodes on this machine, as a program of its own: a head and other nodes, of one CPU each.
 
 It prints the cluster's address. Each line of its input kills a node with all that runs there. It ends with its input.
 """
@@ -23,7 +23,7 @@ class RayCluster:
     _lines: IO[str]
 
     def kill_node(self) -> None:
-        """Kill one of its nodes, as a machine that loses its power."""
+        """Kill one of its nodes, not the head, as a machine that loses its power."""
         self._lines.write("kill\n")
         self._lines.flush()
 
@@ -51,7 +51,7 @@ def _main(nodes: int) -> None:
     from ray.cluster_utils import Cluster
 
     store = 100 * 2**20
-    head = {"num_cpus": 0, "include_dashboard": False, "object_store_memory": store}
+    head = {"num_cpus": 1, "include_dashboard": False, "object_store_memory": store}
     cluster = Cluster(initialize_head=True, head_node_args=head)
     there = [cluster.add_node(num_cpus=1, object_store_memory=store) for _ in range(nodes)]
     print(cluster.address, flush=True)
