@@ -2,7 +2,9 @@
 
 Each clip is drawn from its number: a synthetic scene of a few frames, up to three troubles (``troubles``). A process of
 its own, within limits of time and memory, runs the methods on it with few initial poses. Each has to end in a result
-that is finite, reads back and says "failed" where it does not meet the masks, or in an error of one line.
+that is finite, reads back and says "failed" where it does not meet the masks, with something serious found
+(``--strict``), or in an error of one line; numpy warns of nothing.
+
 ``--methods K`` takes K of the methods for each clip, in turn; ``--only NAME`` has one; ``--from K`` begins at another
 number. What fails is printed with its number; the exit status is 1 if anything does.
 """
@@ -15,6 +17,7 @@ import sys
 import tempfile
 import time
 import traceback
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -91,8 +94,13 @@ def faults(result: Reconstruction) -> list[str]:
         found.append("iou is not a number where the object is visible")
     if not result.status.startswith("failed") and not np.nanmean(result.iou) >= LEAST_IOU:
         found.append(f"{result.status} with an IOU of {np.nanmean(result.iou):.2f}")
-    with tempfile.TemporaryDirectory() as folder:
-        read_result(write_result(result, Path(folder) / "result"))
+    if result.status.startswith("failed") and not any(finding.serious for finding in result.findings):
+        found.append("failed, and no check finds anything serious: reconstruct --strict would exit with 0")
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            read_result(write_result(result, Path(folder) / "result"))
+    except Exception as error:  # whatever it is, it is a fault
+        found.append(f"the result cannot be read back: {error}")
     return found
 
 
@@ -114,13 +122,15 @@ def attempts(case: Case) -> Iterator[Ended]:
 def attempt(clip: Clip, masks: Masks, options: Options) -> tuple[bool, str]:
     """Whether a reconstruction ends as it may, and how it ends."""
     try:
-        result = reconstruct(clip, masks, options)
-        wrong = faults(result)
-        return not wrong, "; ".join(wrong) or result.status
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)  # numpy's, of numbers that are none
+            result = reconstruct(clip, masks, options)
     except GetagripError as error:
         return "\n" not in str(error), f"refused: {error}"
     except Exception:  # whatever it is, it is a fault
         return False, traceback.format_exc()
+    wrong = faults(result)
+    return not wrong, "; ".join(wrong) or result.status
 
 
 def limited(case: Case, seconds: float = SECONDS, megabytes: int = MEGABYTES) -> Iterator[Ended]:

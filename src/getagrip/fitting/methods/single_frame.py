@@ -79,7 +79,10 @@ def _best_of_frame(problem: Problem, n: int, energy: Energy) -> Solution[Fixed]:
 
 
 def _at_one_scale(problem: Problem, best: list[Solution[Fixed]], energy: Energy) -> list[Solution[Fixed]]:
-    """The frames fitted again from where they look the same at the median of their scales."""
+    """The frames fitted again from where they look the same at the median of their scales.
+
+    Raises ``GetagripError`` where one cannot be rendered there.
+    """
     held = [found.motion.poses() for found in best]
     scale = float(np.median([h.scale[0] for h in held]))
     again = []
@@ -88,4 +91,8 @@ def _at_one_scale(problem: Problem, best: list[Solution[Fixed]], energy: Energy)
         centre = eye + scale / h.scale[0] * (h.centre[:1, 0] - eye)
         start = Fixed(h.R[:1, 0], centre, np.full(1, np.log(scale)), frames=1)
         again.append(minimise(start, energy(REFIT_LEVEL, np.array([n])), T[None], REFIT_ITERATIONS))
+        if again[-1].status[0] == Status.INVISIBLE:
+            raise GetagripError(
+                f"frame {problem.clip.frames[n]}, at the median of all frames' scales: {Status.INVISIBLE}"
+            )
     return again
