@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -42,10 +43,16 @@ def _shapes_are_checked_anew() -> None:
     next_test()
 
 
+@pytest.fixture(scope="session")
+def written_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small clip in a folder in which nothing may be changed."""
+    return write_clip(*small_clip(), tmp_path_factory.mktemp("written") / "small")
+
+
 @pytest.fixture
-def clip_folder(tmp_path: Path) -> Path:
+def clip_folder(written_clip: Path, tmp_path: Path) -> Path:
     """The small clip in a folder that a test may break."""
-    return write_clip(*small_clip(), tmp_path / "small")
+    return shutil.copytree(written_clip, tmp_path / "small")
 
 
 @pytest.fixture

@@ -120,6 +120,7 @@ def test_nothing_is_begun_after_a_failure_where_that_is_asked_for(tmp_path: Path
     assert {path.parent.name for path in tmp_path.glob("*/clip.json")} == {"a-0", "a-3"}
 
 
+@pytest.mark.slow
 def test_shards_read_each_part_once(tmp_path: Path) -> None:
     shelves = tuple(Shelf(f"s{n}") for n in range(5))
     made = []
@@ -130,6 +131,7 @@ def test_shards_read_each_part_once(tmp_path: Path) -> None:
     assert sorted(made) == sorted(f"s{n}-{k}" for n in range(5) for k in (0, 3))
 
 
+@pytest.mark.slow
 def test_a_part_that_another_call_reads_is_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     with Ledger(tmp_path) as other:
         assert other.claim("a", "", "") is not None

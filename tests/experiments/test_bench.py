@@ -292,6 +292,7 @@ def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: 
     assert run("evaluate", out / "results" / "static")[0] == 0  # they are results like any other
 
 
+@pytest.mark.slow
 def test_a_run_has_a_ledger_shards_and_an_end_at_the_first_failure(
     made: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -74,6 +74,7 @@ def test_the_other_frames_are_as_good(method: str) -> None:
     assert evaluation["frame_kind"] == list(whole.frame_kind)
 
 
+@pytest.mark.slow
 def test_a_hinge_is_the_same_in_every_frame() -> None:
     """Eq. 3, where masks show the object: frame by frame the rotation about the axis by the angle."""
     whole = found("one-dof")
@@ -99,6 +100,7 @@ def test_it_does_not_matter_where_the_masks_are_nor_how_many_are_read_at_once(
     assert few.frame_kind == again.frame_kind
 
 
+@pytest.mark.slow
 def test_results_say_how_each_pose_was_found_and_older_ones_are_read(tmp_path: Path) -> None:
     whole = found("one-dof")
     folder = write_result(whole, tmp_path / "result")

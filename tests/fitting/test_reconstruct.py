@@ -27,7 +27,7 @@ from helpers.scenes import SHORT, SMALL, scene, scores
 STILL = replace(SMALL, turn_deg=(0.0, 0.0), residual_deg=0.0, residual_mm=0.0)
 
 
-DEFAULT = Options(inits=25)
+DEFAULT = Options(inits=16)
 
 
 @cache

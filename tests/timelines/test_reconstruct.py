@@ -60,6 +60,7 @@ def test_segments_are_kept_in_the_result(found: Reconstruction, tmp_path: Path) 
         read_result(tmp_path / "result")
 
 
+@pytest.mark.slow
 def test_a_clip_without_segments_is_one_grasp(monkeypatch: pytest.MonkeyPatch) -> None:
     clip, masks = scene("mug", 0)
     given: list[object] = []

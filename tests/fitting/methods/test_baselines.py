@@ -28,7 +28,7 @@ BASELINES = ("single-frame", "homan", "contact-consistency")
 
 @cache
 def found(method: Any, category: str, seed: int, options: SceneOptions = SMALL) -> Reconstruction:
-    return reconstruct(*scene(category, seed, options), Options(method=method, inits=25))
+    return reconstruct(*scene(category, seed, options), Options(method=method, inits=16))
 
 
 @pytest.mark.parametrize("method", BASELINES)
