@@ -13,6 +13,8 @@ from getagrip.errors import InputError, UsageError
 from getagrip.fitting import reconstruct as grasp
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.pages.report import _segments
 from getagrip.result import Reconstruction, read_result, write_result
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import scene
@@ -58,6 +60,23 @@ def test_segments_are_kept_in_the_result(found: Reconstruction, tmp_path: Path) 
     files.write_json(tmp_path / "result" / "result.json", record)
     with pytest.raises(InputError, match=r"segments\[0\]"):
         read_result(tmp_path / "result")
+
+
+@pytest.mark.slow
+def test_one_scale_is_found_for_all_segments() -> None:
+    clip, masks = timeline()
+    smaller = Mesh(clip.mesh.vertices / 1.2, clip.mesh.faces)
+    result = reconstruct(replace(clip, mesh=smaller, scale="free", truth=None), masks, FEW)
+    assert result.scale == pytest.approx(1.2, rel=0.05)
+    assert result.mean_iou > 0.9
+    assert any("guess" in note for note in result.notes)
+
+
+@pytest.mark.slow
+def test_the_report_names_the_segments(found: Reconstruction) -> None:
+    words = _segments(found)
+    assert words[0].startswith("static: frames 000000 to 000004, IOU 0.9")
+    assert [line.split(":")[0] for line in words] == ["static", "contact", "grasp"]
 
 
 @pytest.mark.slow

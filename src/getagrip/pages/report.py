@@ -98,10 +98,20 @@ def _summary(view: View, record: Mapping[str, Any]) -> dict[str, Any]:
         "status": result.status,
         "ambiguous": result.ambiguous,
         "findings": [{"serious": f.serious, "check": f.check, "message": f.message} for f in result.findings],
-        "notes": [str(note) for note in result.notes] + _meaning(result),
+        "notes": [*_segments(result), *(str(note) for note in result.notes), *_meaning(result)],
         "truth": clip.truth is not None,
         "version": str(record.get("software", {}).get("getagrip", "")),
     }
+
+
+def _segments(result: Reconstruction) -> list[str]:
+    """What the object of a timeline does, and how well each segment meets its masks."""
+    out = []
+    for segment in result.segments:
+        iou = segment.get("iou")
+        met = f", IOU {iou:.2f}" if isinstance(iou, float) else ""
+        out.append(f"{segment['state']}: frames {segment['first']} to {segment['last']}{met}")
+    return out
 
 
 def _probably(result: Reconstruction) -> list[dict[str, str]]:
