@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from getagrip.fitting.energy import PosesInCamera, Term, no_bound
-from getagrip.fitting.energy.smoothness import moments
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.geometry import se3
 from getagrip.timelines.link_term import Expected, LinkTerm
 from getagrip.timelines.support_term import SupportTerm, hull_vertices
+from getagrip.timelines.world_term import WorldTerm
 from helpers.clips import box
-from helpers.terms import N, differences, hypotheses_are_independent, is_trustworthy, random_poses
+from helpers.terms import N, differences, hypotheses_are_independent, is_trustworthy, moved, random_poses, total_hessian
 
 VERTICES = box(0.1, 0.06, 0.04).vertices
 
@@ -35,6 +36,28 @@ def test_derivatives(kind: str) -> None:
     np.testing.assert_allclose(local.g[..., :6], expected, rtol=1e-3, atol=1e-4 * np.abs(local.g).max())
     is_trustworthy(local)
     hypotheses_are_independent(term, poses)
+
+
+def test_a_term_in_the_world_sees_no_moving_camera() -> None:
+    """Derivatives, frames tied to each other included; what stands still in the world is smooth."""
+    rng = np.random.default_rng(4)
+    T_world_cam = se3.rigid(se3.exp_so3(rng.normal(0.0, 0.1, (N, 3))), rng.normal(0.0, 0.01, (N, 3)))
+    term = WorldTerm(SmoothnessTerm(moments(VERTICES), 1e4), T_world_cam)
+    poses = random_poses(rng)
+    local = term(poses, no_bound(poses))
+    steps = np.zeros((N, 7))
+    for n in range(N):
+        for k in range(6):
+            steps[:] = 0.0
+            steps[n, k] = 1e-6
+            ahead, behind = (moved(poses, sign * steps) for sign in (1.0, -1.0))
+            rise = (term(ahead, no_bound(ahead)).value - term(behind, no_bound(behind)).value).sum(axis=1) / 2e-6
+            np.testing.assert_allclose(local.g[:, n, k], rise, rtol=1e-4, atol=1e-5 * np.abs(local.g).max())
+    H = total_hessian(local)
+    np.testing.assert_allclose(H, np.swapaxes(H, -1, -2), atol=1e-6 * np.abs(H).max())
+    still = se3.inverse(T_world_cam) @ np.eye(4)
+    one = PosesInCamera(still[None, :, :3, :3].copy(), still[None, :, :3, 3].copy(), np.ones(1))
+    assert term(one, no_bound(one)).value.sum() == pytest.approx(0.0, abs=1e-9)
 
 
 def test_what_touches_the_plane_costs_nothing() -> None:

@@ -14,6 +14,7 @@ from getagrip.geometry import se3
 from getagrip.timelines.following import follow
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.hypotheses import Hypotheses
+from getagrip.timelines.world_term import WorldTerm
 
 RIDGE = (5e4, 300.0)
 """Stiffness of a frame's deviation from the blended motion [px^2 per m^2, per rad^2]."""
@@ -56,7 +57,8 @@ def _fitted(footage: Footage, rows: Int[ndarray, "n"], start: Hypotheses) -> Hyp
     about = footage.clip.mesh.vertices - footage.clip.mesh.centre
     free = Free(start.R[:, at], start.centre[:, at], np.log(start.scale))
     motion = Frozen(Soft(free, np.zeros((1, len(at), 6)), RIDGE))
-    energy, smooth = mask_of(problem), SmoothnessTerm(moments(about), SMOOTH)
+    energy = mask_of(problem)
+    smooth = WorldTerm(SmoothnessTerm(moments(about), SMOOTH), footage.T_world_cam[seen])
     everywhere, T_cam_world = np.arange(len(at)), footage.T_cam_world[seen]
     for level, iterations in STAGES:
         motion = minimise(motion, [*energy(level, everywhere), smooth], T_cam_world, iterations).motion

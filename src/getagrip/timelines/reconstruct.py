@@ -39,9 +39,9 @@ def reconstruct(
 ) -> Reconstruction:
     """The object in every frame: of a clip without segments as ``fitting.reconstruct`` finds it.
 
-    Of a timeline, all segments are solved together (``timelines.joint``), by one scale. Arguments and errors are as
-    there; also raises ``UsageError`` for a timeline and another method than the soft hinge, and ``InputError`` where no
-    segment of it can be solved.
+    Of a timeline, all segments are solved together (``timelines.joint``), by one scale and on one thread, and every
+    frame is answered. Arguments and errors are as there; also raises ``UsageError`` for a timeline and another method
+    than the soft hinge, and ``InputError`` where no segment of it can be solved.
     """
     options = options or Options()
     if not clip.segments:
