@@ -94,7 +94,7 @@ def _write(plan: Plan, scores: Sequence[SequenceScores]) -> None:
     """The table, on the screen and as files, and every sequence's numbers."""
     text = _markdown(plan, scores)
     print(text, end="")
-    name = f"segments-{plan.source.preset}"
+    name = plan.source.preset
     written = [plan.out / f"{name}.md", plan.out / f"{name}-sequences.csv"]
     written[0].write_text(text, "utf-8")
     with written[1].open("w", encoding="utf-8", newline="") as stream:
@@ -125,7 +125,7 @@ def _rows(scores: Sequence[SequenceScores]) -> dict[str, list[Matched]]:
 
 def _markdown(plan: Plan, scores: Sequence[SequenceScores]) -> str:
     """The table, and how it was made."""
-    lines = [f"| {' | '.join(HEADINGS)} |", f"|---{'|---:' * (len(HEADINGS) - 1)}|"]
+    lines = ["# Grasps found without 3D labels", "", f"| {' | '.join(HEADINGS)} |", f"|---{'|---:' * (len(HEADINGS) - 1)}|"]
     for label, rows in _rows(scores).items():
         subjects = [subject_of(one.name) for one in scores for _ in range(len(rows) // len(scores))]
         lines.append(f"| {' | '.join((label, *_cells(rows, subjects)))} |")
