@@ -125,7 +125,8 @@ def _rows(scores: Sequence[SequenceScores]) -> dict[str, list[Matched]]:
 
 def _markdown(plan: Plan, scores: Sequence[SequenceScores]) -> str:
     """The table, and how it was made."""
-    lines = ["# Grasps found without 3D labels", "", f"| {' | '.join(HEADINGS)} |", f"|---{'|---:' * (len(HEADINGS) - 1)}|"]
+    lines = ["# Grasps found without 3D labels", "", f"| {' | '.join(HEADINGS)} |"]
+    lines.append(f"|---{'|---:' * (len(HEADINGS) - 1)}|")
     for label, rows in _rows(scores).items():
         subjects = [subject_of(one.name) for one in scores for _ in range(len(rows) // len(scores))]
         lines.append(f"| {' | '.join((label, *_cells(rows, subjects)))} |")
