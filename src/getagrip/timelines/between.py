@@ -1,4 +1,8 @@
-"""The object between two segments: followed from both of them, blended, and fitted to each frame's mask."""
+"""The object between two segments: followed from both of them, and fitted to each frame's mask.
+
+The motions from the one, from the other and a blend of both are fitted; that of the least energy is taken. A blend of
+two that disagree, as where a box was turned over unseen, is no motion.
+"""
 
 from __future__ import annotations
 
@@ -31,11 +35,11 @@ def between(
     ahead = None if before is None else follow(footage, rows, before)
     behind = None if after is None else follow(footage, rows[::-1], after).at(np.arange(len(rows))[::-1])
     if ahead is None or behind is None:
-        blended = ahead or behind
-        assert blended is not None
+        start = ahead or behind
+        assert start is not None
     else:
-        blended = _blended(ahead, behind)
-    return _fitted(footage, rows, blended)
+        start = ahead.concatenate(behind).concatenate(_blended(ahead, behind))
+    return _fitted(footage, rows, start)
 
 
 def _blended(ahead: Hypotheses, behind: Hypotheses) -> Hypotheses:
@@ -48,21 +52,22 @@ def _blended(ahead: Hypotheses, behind: Hypotheses) -> Hypotheses:
 
 
 def _fitted(footage: Footage, rows: Int[ndarray, "n"], start: Hypotheses) -> Hypotheses:
-    """A smooth motion near the given one that meets the masks of the frames that show the object."""
+    """The best smooth motion near the given ones that meets the masks of the frames that show the object."""
     seen = footage.observed(rows)
     if len(seen) < 2:
-        return start
+        return start.take(np.array([-1]))
     at = np.searchsorted(rows, seen)
     problem = footage.problem(seen)
     about = footage.clip.mesh.vertices - footage.clip.mesh.centre
     free = Free(start.R[:, at], start.centre[:, at], np.log(start.scale))
-    motion = Frozen(Soft(free, np.zeros((1, len(at), 6)), RIDGE))
+    motion = Frozen(Soft(free, np.zeros((len(start.R), len(at), 6)), RIDGE))
     energy = mask_of(problem)
     smooth = WorldTerm(SmoothnessTerm(moments(about), SMOOTH), footage.T_world_cam[seen])
     everywhere, T_cam_world = np.arange(len(at)), footage.T_cam_world[seen]
     for level, iterations in STAGES:
-        motion = minimise(motion, [*energy(level, everywhere), smooth], T_cam_world, iterations).motion
+        found = minimise(motion, [*energy(level, everywhere), smooth], T_cam_world, iterations)
+        motion = found.motion
     poses = motion.poses()
     R, centre = start.R.copy(), start.centre.copy()
     R[:, at], centre[:, at] = poses.R, poses.centre
-    return Hypotheses(R, centre, start.scale, start.energy)
+    return Hypotheses(R, centre, start.scale, found.energy).take(np.array([np.argmin(found.energy)]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 
@@ -28,13 +28,18 @@ def best_chain(
 
 
 def second_best(
-    energy: Sequence[Float[ndarray, "_"]], links: Sequence[Float[ndarray, "_ _"]], chosen: Sequence[int]
+    energy: Sequence[Float[ndarray, "_"]],
+    links: Sequence[Float[ndarray, "_ _"]],
+    copies: Sequence[Bool[ndarray, "_"]],
 ) -> float:
-    """The least energy of a chain that differs from the chosen one; infinite where there is no other."""
+    """The least energy of a chain that differs from the chosen one, infinite where there is no other.
+
+    ``copies[i]`` are the hypotheses of segment i that are as good as the chosen one, itself included.
+    """
     others = []
-    for i, k in enumerate(chosen):
+    for i, same in enumerate(copies):
         without = [e.astype(float) for e in energy]
-        without[i][k] = np.inf
+        without[i][same] = np.inf
         if np.isfinite(without[i]).any():
             others.append(best_chain(without, links)[1])
     return min(others, default=float("inf"))

@@ -22,7 +22,6 @@ from getagrip.fitting.methods.all_frames import result_of, soft_energy, soft_hin
 from getagrip.fitting.motion import Hinge, Soft
 from getagrip.fitting.objective import NOTHING, plus
 from getagrip.fitting.problem import MethodResult, Problem, prepare
-from getagrip.fitting.search import suppress_duplicates
 from getagrip.fitting.solve import Solution, Status, evaluate, minimise
 from getagrip.geometry import se3
 from getagrip.result import Axis, FrameKind
@@ -32,8 +31,6 @@ from getagrip.timelines.link_term import SLIP, WEIGHT, Expected, LinkTerm
 
 FINEST = 256
 """Resolution at which solutions are compared [px]."""
-MOST = 8
-"""Solutions that are kept."""
 POLISH = 6
 """Iterations of the last fit."""
 
@@ -84,9 +81,9 @@ def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Seq
         motion = motion.concatenate(replace(linked.motion, ridge=motion.ridge))
     terms, N = soft_energy(problem)(FINEST, np.arange(len(problem.clip))), len(motion.deviation)
     cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(N, np.inf)).cost
-    distinct = suppress_duplicates(motion.poses(), cost, problem.surface, MOST)
+    order = np.argsort(cost, kind="stable")  # all of them: a box turned by half is the same, but for its links
     rows = footage.clip.index_of(problem.clip.frames)
-    return Held(segment, problem, rows, motion.take(distinct), cost[distinct])
+    return Held(segment, problem, rows, motion.take(order), cost[order])
 
 
 @dataclass(frozen=True)

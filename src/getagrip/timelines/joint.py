@@ -12,11 +12,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Segment
 from getagrip.errors import InputError
+from getagrip.fitting.motion import PosesInHand
+from getagrip.fitting.search import suppress_duplicates
 from getagrip.geometry import se3
 from getagrip.result import Axis, FrameKind
 from getagrip.timelines.between import between
@@ -89,8 +91,9 @@ def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None
     energies = [hypotheses.energy for _, hypotheses, _ in anchors]
     chosen, energy = best_chain(energies, links)
     on_stage("links")
+    copies = [_copies(footage, found, k) for (_, found, _), k in zip(anchors, chosen, strict=True)]
     motion = Motion.of(footage)
-    motion.energy = energy, second_best(energies, links, chosen)
+    motion.energy = energy, second_best(energies, links, copies)
     for (segment, hypotheses, held), k, near in zip(anchors, chosen, neighbours, strict=True):
         if held is None:
             motion.put(footage, segment.rows, hypotheses.take(np.array([k])), "sampled")
@@ -158,6 +161,14 @@ def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> tuple[l
         anchors.append((segment, held.hypotheses, held))
         neighbours.append(near)
     return anchors, neighbours
+
+
+def _copies(footage: Footage, hypotheses: Hypotheses, k: int) -> Bool[ndarray, "K"]:
+    """Which hypotheses put the object's surface where hypothesis k has it, k included."""
+    poses = PosesInHand(hypotheses.R, hypotheses.centre, hypotheses.scale)
+    surface = footage.some.surface
+    pairs = (poses.take(np.array([k, other])) for other in range(len(hypotheses.scale)))
+    return np.array([len(suppress_duplicates(pair, np.zeros(2), surface, 2)) == 1 for pair in pairs])
 
 
 def _link(footage: Footage, one: Anchor, other: Anchor) -> Float[ndarray, "K L"]:

@@ -28,7 +28,7 @@ from getagrip.timelines.support_term import SupportTerm, hull_vertices, plane_in
 
 FRAMES = 8
 """Of a static segment that are fitted: they show nearly the same."""
-SUPPORT = 0.02
+SUPPORT = 0.01
 """Energy, in mean areas of the masks, of an object that floats at ``FLOATS``."""
 FLOATS = 0.01
 """[m]."""
