@@ -67,7 +67,8 @@ class Bench(Command):
     """Use N clips, evenly sampled."""
     preset: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_presets)] = None
     """synthetic: exact input, the noise assumed for a hand tracker, or that and a mean shape of unknown scale.
-    dexycb-segments: noise of hands and masks: none (the default), moderate, strong or estimated."""
+    dexycb-segments: noise of hands and masks: none (the default), moderate, strong or estimated. dexycb-timelines:
+    exact, moderate, strong (hands only), ragged (strong, and masks) or all of them (the default)."""
     root: OptionalFolder = None
     """dexycb, artigrasp...: the dataset's folder, as for import."""
     meshes: OptionalFolder = None

@@ -18,7 +18,7 @@ from getagrip.experiments.sources import samples
 from getagrip.experiments.sources.dexycb import DexYcbTimelines
 from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import estimate, resamples
-from getagrip.experiments.timeline_trials import LEVELS, TimelineScores, TimelineTrial, run_timeline
+from getagrip.experiments.timeline_trials import ALL, LEVELS, TimelineScores, TimelineTrial, run_timeline
 from getagrip.fitting.options import Options
 from getagrip.io import files
 from getagrip.io.terminal import progress_bar
@@ -52,7 +52,9 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
     found, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
     for outcome in bad:
         print_outcome(outcome, debug)
-    trials = [TimelineTrial(sample, plan.options, plan.out / "results", plan.overwrite) for sample in found]
+    preset, results = plan.source.preset, plan.out / "results"
+    levels = tuple(LEVELS) if preset == ALL else (preset,)
+    trials = [TimelineTrial(sample, levels, plan.options, results, plan.overwrite) for sample in found]
     scores = []
     with progress_bar(counted=True) as bar:
         shown = bar.add_task("timelines", total=len(trials))
@@ -67,7 +69,7 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
     if whole:
         text = _markdown(plan, whole, len(scores))
         print(text, end="")
-        written = [plan.out / "timelines.md"]
+        written = [plan.out / f"timelines-{preset}.md"]
         written[0].write_text(text, "utf-8")
         if plan.json is not None:
             files.write_json(plan.json, {one.name: one.by for one in whole})
@@ -88,13 +90,14 @@ def _outcomes(trials: Sequence[TimelineTrial], workers: int) -> Iterator[Timelin
 def _markdown(plan: Plan, scores: Sequence[TimelineScores], sequences: int) -> str:
     """The table, and how it was made."""
     lines = [f"| {' | '.join(HEADINGS)} |", f"|---|---{'|---:' * (len(HEADINGS) - 2)}|"]
-    for level in LEVELS:
+    for level in scores[0].by:
         for way in scores[0].by[level]:
             lines.append(f"| {level} | {way} | {' | '.join(_cells(scores, level, way))} |")
     about = [
         f"{plan.source.title}: {len(scores)} of {sequences} sequences, those with a static segment and a stable grasp",
         "static, between, grasp: per cent of segments whose mean ADD up to symmetries, in the camera frame, is below "
         "10 % of the diameter; grasp, ADD: without symmetries; a way that fails scores 0",
+        "hands: exact, moderate and strong noise, masks exact; ragged: strong noise, and masks off by 1 px",
         "jump: median over links of how far the object moves from one segment to the next beyond its true motion",
         "SCA: mean over grasps, object vertices within 10 mm of the hand that was found",
         "s: median seconds of CPU for a timeline, reading not included",

@@ -24,9 +24,11 @@ LEVELS: dict[str, Noise] = {
     "exact": Noise(),
     "moderate": replace(NOISE["moderate"], mask_ragged_px=0.0),
     "strong": replace(NOISE["strong"], mask_ragged_px=0.0),
-    "strong, ragged masks": NOISE["strong"],
+    "ragged": NOISE["strong"],
 }
-"""Noise of hands; the last of masks, too: 1 px."""
+"""Noise of hands; ``ragged`` is strong noise, and that of masks, too: 1 px."""
+ALL = "all"
+"""All levels, one after the other."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +36,11 @@ class TimelineTrial:
     """A timeline to reconstruct."""
 
     sample: Sample
+    levels: tuple[str, ...]
+    """Of ``LEVELS``."""
     options: Options
     results: Path
-    """A file for each timeline goes here."""
+    """A folder for each level, with a file for each timeline, goes here."""
     overwrite: bool
 
 
@@ -62,23 +66,28 @@ def run_timeline(trial: TimelineTrial) -> TimelineScores:
 
 
 def _run(trial: TimelineTrial) -> TimelineScores:
-    sample, path = trial.sample, trial.results / f"{trial.sample.name}.json"
+    sample, by, category = trial.sample, dict[str, Any](), ""
     of = {
         "inputs": input_sha256(sample.folder),
         "software": software(),
         "options": json.loads(files.to_json(asdict(trial.options))),
     }
-    record = files.read_json(path) if path.exists() and not trial.overwrite else None
-    if not isinstance(record, dict) or {key: record.get(key) for key in of} != of:
-        record = {**of, **_found(trial)}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with files.new_file(path) as new:
-            files.write_json(new, record)
-    return TimelineScores(sample.name, record["category"], record["by"])
+    for level in trial.levels:
+        path = trial.results / level / f"{sample.name}.json"
+        record = files.read_json(path) if path.exists() and not trial.overwrite else None
+        if not isinstance(record, dict) or {key: record.get(key) for key in of} != of:
+            record = {**of, **_found(trial, level)}
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with files.new_file(path) as new:
+                files.write_json(new, record)
+        category = record["category"]
+        if record["by"]:
+            by[level] = record["by"]
+    return TimelineScores(sample.name, category, by)
 
 
-def _found(trial: TimelineTrial) -> dict[str, Any]:
-    """The scores of every way at every level; of timelines that hold both a static segment and a grasp."""
+def _found(trial: TimelineTrial, level: str) -> dict[str, Any]:
+    """The scores of every way at a level; of timelines that hold both a static segment and a grasp."""
     from getagrip.timelines.ways import WAYS, moved
 
     given = read_clip(trial.sample.folder)
@@ -88,19 +97,17 @@ def _found(trial: TimelineTrial) -> dict[str, Any]:
     if not {"static", "grasp"} <= states:
         return {"category": given.category, "by": by}
     symmetries = find_symmetries(given.mesh)
-    for level, noise in LEVELS.items():
-        clip, masks = perturbed(given, given_masks, noise, [trial.options.seed, *given.name.encode()])
-        by[level] = {}
-        for way in WAYS:
-            since = time.process_time()
-            try:
-                motion = moved(way, clip, masks, trial.options)
-            except GetagripError as error:
-                by[level][way] = {"failure": str(error), "seconds": time.process_time() - since}
-                continue
-            by[level][way] = {
-                "seconds": time.process_time() - since,
-                "segments": [asdict(s) for s in segment_scores(clip, symmetries, motion.T_cam_obj, motion.T_cam_hand)],
-                "jumps": jumps(clip, motion.T_cam_obj),
-            }
+    clip, masks = perturbed(given, given_masks, LEVELS[level], [trial.options.seed, *given.name.encode()])
+    for way in WAYS:
+        since = time.process_time()
+        try:
+            motion = moved(way, clip, masks, trial.options)
+        except GetagripError as error:
+            by[way] = {"failure": str(error), "seconds": time.process_time() - since}
+            continue
+        by[way] = {
+            "seconds": time.process_time() - since,
+            "segments": [asdict(s) for s in segment_scores(clip, symmetries, motion.T_cam_obj, motion.T_cam_hand)],
+            "jumps": jumps(clip, motion.T_cam_obj),
+        }
     return {"category": given.category, "by": by}

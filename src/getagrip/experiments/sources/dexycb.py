@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,6 +31,22 @@ class DexYcb(Recorded):
 class DexYcbTimelines(DexYcb):
     """DexYCB's sequences, not cut, with their true segments."""
 
+    preset: str = "all"
+    """Level of noise, of ``timeline_trials.LEVELS``: it is added when a sequence is read, the clips are without."""
+
+    def __post_init__(self) -> None:
+        from getagrip.experiments.timeline_trials import ALL, LEVELS
+
+        self.check((ALL, *LEVELS))
+
+    def check(self, presets: Collection[str]) -> None:
+        """Raise ``UsageError`` for a preset that is none of these."""
+        if self.preset not in presets:
+            raise UsageError(f"--preset: got {self.preset!r}, expected one of {', '.join(presets)}")
+
+    def claim(self, clips: Path) -> None:
+        super(DexYcbTimelines, replace(self, preset=type(self).preset)).claim(clips)
+
     def reader(self, root: Path) -> Dataset:
         from getagrip.datasets.dexycb import reader
 
@@ -41,13 +58,9 @@ class DexYcbSequences(DexYcbTimelines):
     """The same, for grasps that are to be found."""
 
     preset: str = "none"
-    """Noise of hands and masks, of ``NOISE``: it is added when a sequence is read, the clips are without."""
+    """Noise of hands and masks, of ``NOISE``."""
 
     def __post_init__(self) -> None:
         from getagrip.datasets.synthetic.noise import NOISE
 
-        if self.preset not in NOISE:
-            raise UsageError(f"--preset: got {self.preset!r}, expected one of {', '.join(NOISE)}")
-
-    def claim(self, clips: Path) -> None:
-        super(DexYcbSequences, replace(self, preset="none")).claim(clips)
+        self.check(NOISE)
