@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
+from numba import njit
 from numpy import ndarray
 
 from getagrip.clip import HandTrack
@@ -54,16 +55,29 @@ def bent(
 
     Fingers bend about an axis across the palm, the thumb towards the knuckle of the index finger or away from it.
     """
-    axes = hinges(joints)
-    moved, skeleton = vertices.copy(), joints.copy()
-    for f, chain in enumerate(CHAINS):
-        T = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
-        for k in range(3):
-            T = T @ se3.rotation_about_line(joints[:, chain[k]], axes[:, f], angles[:, f, k])
-            some = np.flatnonzero(weights[:, f, k])  # a small part of them all
-            moved[:, some] += weights[some, f, k, None] * (se3.transform(T, vertices[:, some]) - vertices[:, some])
-            skeleton[:, chain[k + 1]] = se3.transform(T, joints[:, chain[k + 1], None])[:, 0]
+    turns = se3.rotation_about_line(joints[:, CHAINS[:, :3]], hinges(joints)[:, :, None], angles)
+    for k in (1, 2):
+        turns[:, :, k] = turns[:, :, k - 1] @ turns[:, :, k]
+    moved, skeleton = np.empty_like(vertices), joints.copy()
+    skeleton[:, CHAINS[:, 1:]] = se3.transform(turns, joints[:, CHAINS[:, 1:], None])[..., 0, :]
+    _skin(vertices, weights.reshape(-1, 15), turns.reshape(-1, 15, 4, 4), moved)
     return moved, skeleton
+
+
+@njit(cache=True, nogil=True)
+def _skin(vertices: ndarray, weights: ndarray, T: ndarray, moved: ndarray) -> None:
+    """Vertices (T, V, 3) moved by as much as their weights (V, 15) say of what each bone's pose (T, 15, 4, 4) does."""
+    for v in range(vertices.shape[1]):
+        moved[:, v] = vertices[:, v]
+        for bone in range(weights.shape[1]):
+            w = weights[v, bone]
+            if w == 0.0:  # most are
+                continue
+            for t in range(len(vertices)):
+                x, y, z = vertices[t, v, 0], vertices[t, v, 1], vertices[t, v, 2]
+                for i in range(3):
+                    to = T[t, bone, i, 0] * x + T[t, bone, i, 1] * y + T[t, bone, i, 2] * z + T[t, bone, i, 3]
+                    moved[t, v, i] += w * (to - vertices[t, v, i])
 
 
 def hinges(joints: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 5 3"]:
