@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import sys
 
-from benchmarks import against_deodr, beside_commit, busy_neighbour, page, reconstruct_speed, scaling, segment_speed
+from benchmarks import (
+    against_deodr,
+    beside_commit,
+    busy_neighbour,
+    large_meshes,
+    page,
+    reconstruct_speed,
+    scaling,
+    segment_speed,
+)
 
 SECTIONS = {
     "reconstruct-speed": reconstruct_speed.section,
     "beside-commit": beside_commit.section,
+    "large-meshes": large_meshes.section,
     "busy-neighbour": busy_neighbour.section,
     "against-deodr": against_deodr.section,
     "scaling": scaling.section,

@@ -39,7 +39,8 @@ class Stage:
         frames: largest number of frames that are used.
         iterations: most iterations of the solver.
         keep: number of hypotheses that the next stage takes over.
-        within: how many times the least energy these may have; with more none has won (docs/method.md).
+        within: how many times the least energy these may have. After the coarse stage the right one may still have many
+            times as much (docs/method.md).
         rounds: how often the best hypotheses of the stage are rotated and fitted again.
         parents: number of hypotheses that are rotated.
         rotations: rotations of each of them.
@@ -72,8 +73,8 @@ class Schedule:
     relaxed_iterations: int = 3
     relaxed: int = 30
     coarse: tuple[Stage, ...] = (
-        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3, within=3.0),
-        Stage("middle", level=64, frames=15, iterations=6, keep=6, rounds=1, parents=6, rotations=NEAR, within=3.0),
+        Stage("coarse", level=64, frames=8, iterations=5, keep=16, rounds=3),
+        Stage("middle", level=64, frames=15, iterations=6, keep=6, rounds=1, parents=6, rotations=NEAR, within=4.0),
     )
     fine: tuple[Stage, ...] = (
         Stage("fine", level=128, frames=ALL, iterations=8, keep=4, within=2.5),
