@@ -15,7 +15,6 @@ from getagrip.clip import Clip, Masks, check_clip, check_masks
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
-from getagrip.fitting.hand_depth import at_hand_depth
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare
@@ -69,7 +68,7 @@ def reconstruct(
         given = Evidence(sampled, problem.given_masks)
         measured, findings = examine(INPUT_CHECKS, given)
         clock("check of the input")
-        problem, found = at_hand_depth(problem, _fitted(problem, clock, findings), clock)
+        found = _fitted(problem, clock, findings)
         track, scale = at_sampled_frames(problem, found), float(found.poses.scale[0])
         clock("finish")
         whole = at_every_frame(clip, masks, problem, found, track) if options.every_frame else track
@@ -155,7 +154,6 @@ class Clock:
         "middle",
         "fine",
         "finest",
-        "hand's depth",
         "finish",
         "every frame",
         "check of the result",
@@ -166,8 +164,7 @@ class Clock:
 
     def __call__(self, stage: str) -> None:
         now = time.perf_counter()
-        self.spent[stage] = self.spent.get(stage, 0.0) + now - self.since  # some stages run again
-        self.since = now
+        self.spent[stage], self.since = now - self.since, now
         if self.progress:
             self.progress(stage, len(self.spent) / len(self.STAGES))
 

@@ -17,7 +17,6 @@ from getagrip.clip import Segment
 from getagrip.fitting.energy import Energy, Term
 from getagrip.fitting.energy.smoothness import moments
 from getagrip.fitting.every_frame import at_every_frame, at_sampled_frames
-from getagrip.fitting.hand_depth import at_hand_depth
 from getagrip.fitting.methods.all_frames import result_of, soft_energy, soft_hinges
 from getagrip.fitting.motion import Hinge, Soft
 from getagrip.fitting.objective import NOTHING, plus
@@ -98,11 +97,11 @@ class HeldTrack:
 
 
 def in_all_frames(footage: Footage, held: Held, k: int, neighbours: Sequence[Neighbour]) -> HeldTrack:
-    """Solution k: the hand put at the depth that it asks for, fitted once more with its links, in every frame."""
+    """Solution k, fitted once more with its links, in every frame."""
     motion = held.motion.take(np.array([k]))
     energy = {"total": held.energy[[k]]}
     solution = Solution(motion, held.energy[[k]], energy, [Status.FINISHED], 0)
-    problem, found = at_hand_depth(held.problem, result_of(solution, motion.core, soft_energy), lambda _: None)
+    problem, found = held.problem, result_of(solution, motion.core, soft_energy)
     if neighbours:
         found = _polished(problem, found, neighbours)
     clip, masks = footage.clip.take(held.segment.rows), footage.masks.take(held.segment.rows)
