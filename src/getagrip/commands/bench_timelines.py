@@ -69,7 +69,7 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
     if whole:
         text = _markdown(plan, whole, len(scores))
         print(text, end="")
-        written = [plan.out / f"timelines-{preset}.md"]
+        written = [plan.out / f"{preset}.md"]
         written[0].write_text(text, "utf-8")
         if plan.json is not None:
             files.write_json(plan.json, {one.name: one.by for one in whole})
@@ -89,7 +89,7 @@ def _outcomes(trials: Sequence[TimelineTrial], workers: int) -> Iterator[Timelin
 
 def _markdown(plan: Plan, scores: Sequence[TimelineScores], sequences: int) -> str:
     """The table, and how it was made."""
-    lines = [f"| {' | '.join(HEADINGS)} |", f"|---|---{'|---:' * (len(HEADINGS) - 2)}|"]
+    lines = ["# Timelines", "", f"| {' | '.join(HEADINGS)} |", f"|---|---{'|---:' * (len(HEADINGS) - 2)}|"]
     for level in scores[0].by:
         for way in scores[0].by[level]:
             lines.append(f"| {level} | {way} | {' | '.join(_cells(scores, level, way))} |")
