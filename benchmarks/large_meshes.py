@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.adversarial import quartered
 from benchmarks.page import table
 from benchmarks.problem import make
+from benchmarks.troubles import quartered
 from getagrip.clip import write_clip
 from getagrip.geometry.mesh import Mesh
 from getagrip.metrics.symmetry import surface_points
