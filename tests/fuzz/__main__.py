@@ -22,6 +22,7 @@ from hypothesis.errors import Flaky
 from fuzz.child import Finding
 from fuzz.corpus import Seed, keep
 from fuzz.mutations import Changes, changes
+from fuzz.reader import SHARED
 from fuzz.readers import READERS
 
 TURN = 4.0
@@ -81,6 +82,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--only", choices=[*READERS], action="append", help="these readers alone")
     parser.add_argument("--seed", type=int, default=None, help="(default: the time)")
     wanted = parser.parse_args(arguments)
+    os.environ["XDG_CACHE_HOME"] = str(SHARED / "cache")
     first = int(time.time()) if wanted.seed is None else wanted.seed
     end = time.monotonic() + 60.0 * wanted.minutes
     tried, found = dict.fromkeys(wanted.only or READERS, 0), 0

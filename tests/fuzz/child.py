@@ -72,6 +72,7 @@ class Child:
             self._process.kill()
             self._process.join()
             self._pipe.close()
+            _stack_file(self._process.pid).unlink(missing_ok=True)
         self._process = None
 
     def _start(self) -> None:
@@ -85,9 +86,13 @@ class Child:
         self._cases = 0
 
 
+def _stack_file(pid: int) -> Path:
+    return Path(tempfile.gettempdir()) / f"getagrip-fuzz-stack-{pid}"
+
+
 def _stack(pid: int) -> str:
     """Where a process is, which writes that to a file when it is asked to."""
-    path = Path(tempfile.gettempdir()) / f"fuzz-stack-{pid}"
+    path = _stack_file(pid)
     os.kill(pid, signal.SIGUSR1)
     for _ in range(50):
         if path.exists() and path.stat().st_size:
@@ -99,7 +104,7 @@ def _stack(pid: int) -> str:
 def _child(read: Read, folder: Path, writable: tuple[Path, ...], parent: Connection) -> None:
     import faulthandler
 
-    stack = (Path(tempfile.gettempdir()) / f"fuzz-stack-{os.getpid()}").open("w")
+    stack = _stack_file(os.getpid()).open("w")
     faulthandler.register(signal.SIGUSR1, stack)
     now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (now + MEGABYTES * 2**20, resource.RLIM_INFINITY))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import os
+import atexit
+import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ SHARED = Path(tempfile.mkdtemp(prefix="getagrip-fuzz-"))
 """MANO's files, and what is kept of them: made once, read and written by many."""
 
 
-os.environ["XDG_CACHE_HOME"] = str(SHARED / "cache")
+atexit.register(shutil.rmtree, SHARED, ignore_errors=True)
 
 
 @dataclass(frozen=True)

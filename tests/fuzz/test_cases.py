@@ -15,9 +15,14 @@ from fuzz import __main__ as command
 from fuzz import corpus
 from fuzz.child import Child
 from fuzz.corpus import CASES, Seed
-from fuzz.reader import Reader
+from fuzz.reader import SHARED, Reader
 from fuzz.readers import READERS
 from getagrip.errors import InputError
+
+
+@pytest.fixture(autouse=True)
+def _cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(SHARED / "cache"))
 
 
 @pytest.mark.parametrize("case", sorted(CASES.glob("*.json")), ids=lambda path: path.stem)
