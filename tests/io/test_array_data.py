@@ -42,7 +42,7 @@ ARRAY_CLASSES = [Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction,
 def test_all_public_dataclasses_with_arrays_are_meant() -> None:
     assert {kind for kind in DATACLASSES if issubclass(kind, ArrayData)} == {*ARRAY_CLASSES}
     others = {kind.__name__ for kind in DATACLASSES if not issubclass(kind, ArrayData)}
-    assert others == {"Finding", "Options", "SceneOptions"}
+    assert others == {"Finding", "Options", "SceneOptions", "Segment"}
 
 
 # Equality.

@@ -32,7 +32,8 @@ class Segment:
 
     Attributes:
         state: what the object does.
-        first, last: its frames, both included, counted from 0 in the clip.
+        first: its first frame, counted from 0 in the clip.
+        last: its last frame, included.
         side: whose hand touches the object, ``left`` or ``right``: known of a grasp, perhaps of an unstable contact,
             None in the other states.
     """

@@ -7,8 +7,11 @@ from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1]
-ABOVE = ("cli", "commands", "annotate", "experiments", "batch", "pages", "view", "export", "evaluation")
-"""Parts that a reconstruction cannot import: those above ``fitting`` (docs/architecture.md), and ``evaluation``."""
+ABOVE = (
+    "cli", "commands", "annotate", "experiments", "batch", "pages", "view", "export", "segmentation", "evaluation",
+)  # fmt: skip
+"""Parts that a reconstruction does not import: those above ``fitting`` (docs/architecture.md), but for ``timelines``,
+where ``reconstruct`` is; and ``evaluation``."""
 
 
 @cache
