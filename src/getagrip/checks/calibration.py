@@ -35,8 +35,8 @@ class Weight:
         return max(value, self.low) if self.weight < 0.0 else min(value, self.high)
 
     def beyond(self, value: float) -> bool:
-        """Whether a value is worse than the range."""
-        return value > self.high if self.weight < 0.0 else value < self.low
+        """Whether a value is worse than the range; never of a sign that does not count."""
+        return value > self.high if self.weight < 0.0 else self.weight > 0.0 and value < self.low
 
 
 @dataclass(frozen=True)
