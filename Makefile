@@ -7,7 +7,9 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 KERNELS := $(shell grep -rl --include='*.py' '^@njit' src)
 # A process for each core, so one thread of BLAS in each.
-PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist worksteal
+# One process more than there are cores: some tests wait for others' processes.
+TESTERS = $$(( $$($(BIN)/python -c 'import os; print(os.cpu_count())') + 1 ))
+PYTEST = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(TESTERS) --dist worksteal
 
 .PHONY: help demo test quick check lint imports types fuzz docs bench lock clean
 
