@@ -6,8 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 KERNELS := $(shell grep -rl --include='*.py' '^@njit' src)
-# A process for each core, so one thread of BLAS in each.
-# One process more than there are cores: some tests wait for others' processes.
+# One process more than there are cores, since some tests wait; one thread of BLAS in each.
 TESTERS = $$(( $$($(BIN)/python -c 'import os; print(os.cpu_count())') + 1 ))
 PYTEST = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(TESTERS) --dist worksteal
 
