@@ -128,7 +128,7 @@ class RayCrew(Generic[J, R]):
 
 def _connect(ray: Any, workers: int | None, address: str | None) -> None:
     """Connect to a cluster, or start one on this machine. Raises ``UsageError``."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nobody is told that we run
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no report to Ray's makers
     quiet = {"log_to_driver": False, "logging_level": "error"}
     if address in (None, "local"):
         ray.init("local", num_cpus=workers or cores(), include_dashboard=False, object_store_memory=STORE, **quiet)

@@ -121,7 +121,9 @@ class Bench(Command):
 
     def _whole(self, source: DexYcbTimelines, options: Options) -> int:
         """The benchmarks of whole sequences: one method, and the definition of a grasp that the truth has."""
-        from getagrip.commands import bench_segments, bench_timelines
+        from getagrip.commands.bench_segments import bench_segments
+        from getagrip.commands.bench_sequences import Plan
+        from getagrip.commands.bench_timelines import bench_timelines
 
         given = {
             "methods": self.methods, "ablation": self.ablation, "hands": self.hands, "with": self.others,
@@ -131,7 +133,5 @@ class Bench(Command):
         for name, value in given.items():
             if value:
                 raise UsageError(f"--{name}: got {value}, expected none with {self.dataset}")
-        common = self.out, options, self.clips, self.sharing.workers, self.overwrite, self.json
-        if isinstance(source, DexYcbSequences):
-            return bench_segments.bench_segments(bench_segments.Plan(source, *common), self.debug)
-        return bench_timelines.bench_timelines(bench_timelines.Plan(source, *common), self.debug)
+        plan = Plan(source, self.out, options, self.clips, self.sharing.workers, self.overwrite, self.json)
+        return (bench_segments if isinstance(source, DexYcbSequences) else bench_timelines)(plan, self.debug)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 
 import numpy as np
 
 from getagrip.batch.clips import print_outcome
-from getagrip.batch.job import Outcome
-from getagrip.batch.pool import DIED, cores, in_processes
+from getagrip.commands.bench_sequences import Plan, scored
 from getagrip.datasets.tracks import subject_of
-from getagrip.errors import UsageError
 from getagrip.experiments.segment_scores import Matched, Summary, summary
 from getagrip.experiments.segment_trials import (
     DEFINITION,
@@ -24,33 +21,13 @@ from getagrip.experiments.segment_trials import (
     run_sequence,
 )
 from getagrip.experiments.sources import samples
-from getagrip.experiments.sources.dexycb import DexYcbSequences
 from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import resamples
-from getagrip.fitting.options import Options
 from getagrip.io import files
-from getagrip.io.terminal import progress_bar
 
 HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
 DRAWS = 400
 """Bootstrap resamples of F1, which is no mean."""
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What to run."""
-
-    source: DexYcbSequences
-    out: Path
-    options: Options
-    count: int | None
-    workers: int | None
-    overwrite: bool
-    json: Path | None
-
-    def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 1:
-            raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
 
 
 def bench_segments(plan: Plan, debug: bool) -> int:
@@ -66,28 +43,10 @@ def bench_segments(plan: Plan, debug: bool) -> int:
     trials = [
         SequenceTrial(sample, noise, plan.options, plan.out / "results" / noise, plan.overwrite) for sample in found
     ]
-    scores = []
-    with progress_bar(counted=True) as bar:
-        shown = bar.add_task("sequences", total=len(trials))
-        for one in _outcomes(trials, plan.workers or cores()):
-            if one.failure:
-                print_outcome(Outcome(one.name, "failed", one.failure, one.trace), debug)
-            else:
-                scores.append(one)
-            bar.advance(shown)
-    scores.sort(key=lambda one: one.name)
+    scores = scored(run_sequence, trials, plan.workers, debug)
     if scores:
         _write(plan, scores)
     return 1 if bad or len(scores) < len(trials) else 0
-
-
-def _outcomes(trials: Sequence[SequenceTrial], workers: int) -> Iterator[SequenceScores]:
-    """Each sequence's scores, as they are ready."""
-    if workers == 1:
-        yield from map(run_sequence, trials)
-        return
-    for trial, scores in in_processes(run_sequence, trials, workers):
-        yield scores or SequenceScores(trial.sample.name, {}, failure=DIED)
 
 
 def _write(plan: Plan, scores: Sequence[SequenceScores]) -> None:

@@ -2,45 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from getagrip.batch.clips import print_outcome
-from getagrip.batch.job import Outcome
-from getagrip.batch.pool import DIED, cores, in_processes
+from getagrip.commands.bench_sequences import Plan, scored
 from getagrip.datasets.tracks import subject_of
-from getagrip.errors import UsageError
 from getagrip.experiments.sources import samples
-from getagrip.experiments.sources.dexycb import DexYcbTimelines
 from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import estimate, resamples
 from getagrip.experiments.timeline_trials import ALL, LEVELS, TimelineScores, TimelineTrial, run_timeline
-from getagrip.fitting.options import Options
 from getagrip.io import files
-from getagrip.io.terminal import progress_bar
 
 HEADINGS = ("hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, grasp", "jump, mm", "SCA", "s")
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What to run."""
-
-    source: DexYcbTimelines
-    out: Path
-    options: Options
-    count: int | None
-    workers: int | None
-    overwrite: bool
-    json: Path | None
-
-    def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 1:
-            raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
 
 
 def bench_timelines(plan: Plan, debug: bool) -> int:
@@ -55,16 +31,7 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
     preset, results = plan.source.preset, plan.out / "results"
     levels = tuple(LEVELS) if preset == ALL else (preset,)
     trials = [TimelineTrial(sample, levels, plan.options, results, plan.overwrite) for sample in found]
-    scores = []
-    with progress_bar(counted=True) as bar:
-        shown = bar.add_task("timelines", total=len(trials))
-        for one in _outcomes(trials, plan.workers or cores()):
-            if one.failure:
-                print_outcome(Outcome(one.name, "failed", one.failure, one.trace), debug)
-            else:
-                scores.append(one)
-            bar.advance(shown)
-    scores.sort(key=lambda one: one.name)
+    scores = scored(run_timeline, trials, plan.workers, debug)
     whole = [one for one in scores if one.by]
     if whole:
         text = _markdown(plan, whole, len(scores))
@@ -76,15 +43,6 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
             written.append(plan.json)
         print(*written, sep="\n")
     return 1 if bad or len(scores) < len(trials) else 0
-
-
-def _outcomes(trials: Sequence[TimelineTrial], workers: int) -> Iterator[TimelineScores]:
-    """Each timeline's scores, as they are ready."""
-    if workers == 1:
-        yield from map(run_timeline, trials)
-        return
-    for trial, scores in in_processes(run_timeline, trials, workers):
-        yield scores or TimelineScores(trial.sample.name, failure=DIED)
 
 
 def _markdown(plan: Plan, scores: Sequence[TimelineScores], sequences: int) -> str:
