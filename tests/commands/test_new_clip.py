@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from getagrip.annotate.video import Video
 from getagrip.cli import main
-from getagrip.clip import read_clip, read_masks, write_clip
+from getagrip.clip import Segment, read_clip, read_masks, write_clip
 from getagrip.clip.video import video_frames, video_info
 from getagrip.clip.writing import write_hand
 from getagrip.errors import InputError
@@ -102,8 +102,12 @@ def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
 
 
 def test_everything_at_once(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(new(made, *everything(made), "--hands", str(made / "six.npz"))) == 0
+    files.write_json(made / "s.json", {"video": {"segments": [{"state": "static", "first": "1", "last": "5"}]}})
+    segments = ["--segments", str(made / "s.json"), "--still-camera"]
+    assert main(new(made, *everything(made), "--hands", str(made / "six.npz"), *segments)) == 0
     clip = read_clip(made / "cup")
+    assert clip.segments == (Segment("static", 0, 2),)
+    assert "as the user states" in clip.provenance["camera_pose"]
     masks = read_masks(clip)
     assert clip.frames == tuple(f"{n:06d}" for n in range(3, 9))
     assert (clip.fps, clip.size, clip.scale, clip.side) == (25.0, SIZE, "known", "right")

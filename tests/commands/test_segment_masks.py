@@ -14,6 +14,7 @@ from getagrip.clip import Clip, read_clip, write_clip
 from getagrip.clip.timeline import read_segments
 from getagrip.grasps import lists
 from getagrip.io.images import write_image
+from getagrip.result import read_result
 from helpers.command_line import Run
 from helpers.table_scene import HOLDING, LYING, from_table
 
@@ -28,7 +29,7 @@ def lying(folder: Path, name: str = "lying") -> Clip:
 
 def test_all_segments_are_written_and_the_assumption_is_said(tmp_path: Path, run: Run) -> None:
     clip = lying(tmp_path / "clips")
-    status, out, err = run("segment", "--from-masks", tmp_path / "clips", "--out", tmp_path / "out")
+    status, out, err = run("segment", "--from-masks", tmp_path / "clips", "--out", tmp_path / "out", "--write")
     assert status == 0
     assert "0 stable grasps in 0 of 1 clips" in out
     assert "lying: the camera is taken to stand still: a guess" in err
@@ -36,6 +37,11 @@ def test_all_segments_are_written_and_the_assumption_is_said(tmp_path: Path, run
     (segment,) = read_segments(tmp_path, written["segments"], clip.frames, has_world=True)
     assert (segment.state, segment.first, segment.last, segment.side) == ("static", 0, 11, None)
     assert written["margins"][0] > 0.0
+    whole = read_clip(tmp_path / "clips" / "lying")
+    assert whole.segments == (segment,)
+    assert "guess" in whole.provenance["camera_pose"]
+    status, _, err = run("segment", "--from-masks", tmp_path / "clips", "--write")
+    assert (status, "--overwrite" in err) == (1, True)
     with (tmp_path / "out" / "segments.csv").open(newline="") as stream:
         (row,) = csv.DictReader(stream)
     assert (row["sequence"], row["state"], row["start"], row["end"]) == ("lying", "static", "0", "11")
@@ -61,22 +67,27 @@ def test_a_list_is_refused(tmp_path: Path, run: Run) -> None:
 
 def test_a_clip_without_a_grasp_has_no_result_and_is_no_failure(tmp_path: Path, run: Run) -> None:
     lying(tmp_path / "clips")
-    status, out, _ = run("reconstruct", "--find-grasps", tmp_path / "clips", "--out", tmp_path / "out")
+    status, out, _ = run("reconstruct", "--cut-grasps", tmp_path / "clips", "--out", tmp_path / "out")
     assert status == 0
     assert "lying: no stable grasp" in out
     assert not (tmp_path / "out" / "lying--1").exists()
 
 
+def test_timelines_have_one_method(tmp_path: Path, run: Run) -> None:
+    status, _, err = run("reconstruct", "--find-grasps", "--method", "static", tmp_path, "--out", tmp_path / "out")
+    assert (status, "--cut-grasps" in err) == (2, True)
+
+
 @pytest.mark.slow
-def test_each_grasp_is_reconstructed_and_named(tmp_path: Path, run: Run) -> None:
+def test_grasps_and_the_whole_are_reconstructed_and_named(tmp_path: Path, run: Run) -> None:
     clip, masks = from_table()
     folder = write_clip(clip, masks, tmp_path / "clip")
     (folder / "frames").mkdir()
     for name in clip.frames:
         write_image(folder / "frames" / f"{name}.jpg", np.zeros((240, 320, 3), np.uint8))
     out = tmp_path / "out"
-    call = ("reconstruct", "--find-grasps", folder, "--out", out, "--inits", 12, "--frames", 12)
-    status, printed, _ = run(*call)
+    search = ("--inits", 12, "--frames", 12)
+    status, printed, _ = run("reconstruct", "--cut-grasps", folder, "--out", out, *search)
     assert status == 0
     cut = read_clip(out / "clips" / "from-table--1")
     assert f"from-table: stable grasps in frames {cut.frames[0]} to {cut.frames[-1]}" in printed
@@ -85,6 +96,10 @@ def test_each_grasp_is_reconstructed_and_named(tmp_path: Path, run: Run) -> None
     assert "nats" in cut.provenance["found"]
     assert cut.image_file(0) is not None
     assert (out / "from-table--1" / "result.json").is_file()
-    status, printed, _ = run(*call)
+    status, printed, _ = run("reconstruct", "--find-grasps", folder, "--out", out, *search)
     assert status == 0
-    assert "already done" in printed
+    result, _ = read_result(out / "from-table")
+    assert result.frames == clip.frames
+    assert [one["state"] for one in result.segments] == ["static", "grasp"]
+    assert result.segments[1]["first"] == cut.frames[0]
+    assert (out / "clips" / "from-table" / "frames" / f"{clip.frames[0]}.jpg").is_file()

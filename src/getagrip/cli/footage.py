@@ -23,7 +23,7 @@ class ClipCommand(Command):
     out: Folder
     """The clip's folder; its name is the clip's."""
     interval: Annotated[tuple[int, int] | None, arg(metavar="START END", help_behavior_hint="")] = None
-    """The stable grasp: its first and last frame, counted from 1."""
+    """The stable grasp, or all that is to be a timeline: first and last frame, counted from 1."""
     side: OptionalSide = None
     """Which hand."""
     mesh: Annotated[Path | None, arg(metavar="FILE|KIND", help_behavior_hint="")] = None
@@ -47,6 +47,10 @@ class ClipCommand(Command):
     """Of the masks: labels of what hides it."""
     hands: OptionalFile = None
     """A hand.npz; import hands makes one, and can add it later."""
+    segments: OptionalFile = None
+    """What the object does from frame to frame, as annotate writes it; import segments can add it later."""
+    still_camera: Flag = False
+    """The camera did not move: its frame is the world."""
     K: Intrinsics = None
     """The camera. Not needed where the hand file has it."""
     focal: Focal = None
@@ -66,7 +70,7 @@ class ClipCommand(Command):
             video=self.video, interval=self.interval, side=self.side, category=self.category,
             mesh=None if self.mesh is None else Wanted(self.mesh, *sizes), masks=self.masks,
             mask_of_first=self.mask_first, object=self.object, ignore=self.ignore, hands=self.hands,
-            lens=Lens(self.K, self.focal, self.guess_focal),
+            lens=Lens(self.K, self.focal, self.guess_focal), segments=self.segments, still_camera=self.still_camera,
         )  # fmt: skip
         return new_clip(given, self.out, self.overwrite)
 

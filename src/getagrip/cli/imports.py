@@ -1,4 +1,4 @@
-"""`getagrip import`: clips from datasets, and hands and masks from estimators' and segmentations' files.
+"""`getagrip import`: clips from datasets; hands, masks and segments from files into clips.
 
 What it takes is declared with the readers, whose modules load numpy and more. So this module is loaded when the command
 is called, not for `getagrip --help`.
@@ -19,6 +19,7 @@ from getagrip.clip.intrinsics import Lens
 from getagrip.commands.datasets import DATASETS
 from getagrip.commands.import_hands import NewFrames, import_hands
 from getagrip.commands.import_masks import into_clip
+from getagrip.commands.import_segments import into_clip as segments_into_clip
 from getagrip.datasets.dataset import Dataset
 from getagrip.hands.trackers import TRACKERS, choose
 from getagrip.io import files
@@ -111,13 +112,32 @@ class ImportMasks(Command):
         return into_clip(self.path, self.object, self.ignore, self.first, self.clip, self.overwrite)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ImportSegments(Command):
+    """Segments into a clip, which becomes a timeline: what annotate or segment --from-masks has written, corrected or
+    not."""
+
+    path: Annotated[Positional[Path], arg(metavar="FILE")]
+    """segments.json, or segments-NAME.json (docs/formats.md). The clip's own entry is taken, or the only one."""
+    clip: Annotated[Path, arg(metavar="CLIP")]
+    """The clip's folder. Segments are cut at its ends."""
+    still_camera: Flag = False
+    """The camera did not move: its frame is the world."""
+    overwrite: Flag = False
+    """Replace segments that are there already."""
+
+    def run(self) -> int:
+        return segments_into_clip(self.path, self.clip, self.still_camera, self.overwrite)
+
+
 def _subcommands() -> Any:
-    """The subcommands of ``import``: a dataset each, then hands and masks."""
+    """The subcommands of ``import``: a dataset each, then hands, masks and segments."""
     datasets = [
         Annotated[Import[dataset], subcommand(name, description=dataset.__doc__)]  # type: ignore[valid-type]
         for name, dataset in DATASETS.items()
     ]
-    return Union[*datasets, Annotated[ImportHands, subcommand("hands")], Annotated[ImportMasks, subcommand("masks")]]
+    own = [("hands", ImportHands), ("masks", ImportMasks), ("segments", ImportSegments)]
+    return Union[*datasets, *(Annotated[command, subcommand(name)] for name, command in own)]
 
 
 Imports = _subcommands()

@@ -48,17 +48,24 @@ class Segment(GraspCommand):
     out: OptionalFolder = None
     """Write the list of grasps (grasps.json, segments.csv) and a picture of each clip here; with --from-masks all
     segments (segments.json) instead of pictures."""
+    write: Flag = False
+    """With --from-masks: write the segments into each clip.json, too, which makes a timeline of the clip."""
+    overwrite: Flag = False
+    """With --write: replace segments that clips have."""
 
     def run(self) -> int:
         if self.from_masks:
-            from getagrip.commands.segment_masks import find_in_clips
+            from getagrip.commands.segment_masks import Write, find_in_clips
 
             if self.grasps.listed is not None:
                 raise UsageError("--list: got a list, expected none with --from-masks")
             definition = self.grasps.definition(contact_mm=10.0)
-            return find_in_clips(self.clips, definition, self.out, self.json, self.workers, self.debug)
+            write = Write(self.overwrite) if self.write else None
+            return find_in_clips(self.clips, definition, self.out, self.json, write, self.workers, self.debug)
         from getagrip.commands.segment import segment_clips
 
+        if self.write:
+            raise UsageError("--write: got it, expected it with --from-masks only")
         return segment_clips(self.clips, self.cut(), self.out, self.json, self.workers, self.debug)
 
 

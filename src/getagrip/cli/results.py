@@ -86,8 +86,11 @@ class Reconstruct(Command):
     )
     """Ray cluster that runs: HOST:PORT, or auto."""
     find_grasps: Flag = False
-    """Clips are not cut: find their stable grasps in masks and hands first, as segment --from-masks does, and
-    reconstruct each. Their own clips go to DIR/clips, results to DIR/<clip>--1, --2 and so on."""
+    """Clips are not cut: find first, as segment --from-masks does, when the object lies still and when it is held;
+    then reconstruct the whole interaction as a timeline. Clips with their segments go to DIR/clips."""
+    cut_grasps: Flag = False
+    """Find segments likewise, but reconstruct each stable grasp by itself, as if it had been cut by hand. The grasps'
+    own clips go to DIR/clips, results to DIR/<clip>--1, --2 and so on."""
     overwrite: Flag = False
     """Make results again that are there already, of the same clip, options and code."""
     strict: Flag = False
@@ -119,11 +122,12 @@ class Reconstruct(Command):
             limits=Limits(self.limit_seconds, self.limit_gb),
             shard=ALL if self.shard is None else Shard.of(self.shard), ledger=self.ledger,
         )  # fmt: skip
-        if self.find_grasps:
+        if self.find_grasps or self.cut_grasps:
             from getagrip.commands.reconstruct_found import reconstruct_found
 
-            clips, out = [on_disk("--find-grasps", clip) for clip in self.clips], on_disk("--find-grasps", self.out)
-            return reconstruct_found(clips, out, options, batch, self.debug)
+            name = "--cut-grasps" if self.cut_grasps else "--find-grasps"
+            clips, out = [on_disk(name, clip) for clip in self.clips], on_disk(name, self.out)
+            return reconstruct_found(clips, out, options, batch, self.cut_grasps, self.debug)
         return reconstruct_clips(self.clips, self.out, options, batch, self.debug)
 
 

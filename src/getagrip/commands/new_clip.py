@@ -20,11 +20,13 @@ from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.plausible import check_in_view, check_intrinsics
 from getagrip.clip.reading import read_hand
+from getagrip.clip.segment_files import SegmentList, read, with_segments
 from getagrip.clip.video import video_frames, video_info
 from getagrip.clip.wanted_masks import MaskReader, Wanted
 from getagrip.clip.writing import fill_folder, without_hand, write_hand_at
 from getagrip.commands import own_mesh
 from getagrip.commands.import_masks import provenance, write_masks
+from getagrip.commands.import_segments import stated
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
 from getagrip.io import arrays, files
@@ -52,6 +54,9 @@ class Ingredients:
     ignore: tuple[str, ...]
     hands: Path | None
     lens: Lens
+    segments: Path | None = None
+    still_camera: bool = False
+    """The camera did not move, as the user states."""
 
 
 HOW = {
@@ -129,9 +134,18 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
             **of_hands,
         },
     )
+    clip = with_segments(clip, _segments(given, out))
     reader = None if given.masks is None else _masks(given, numbers, info.size)
     _write(clip, found_hands, _images(given.video, numbers, info.size), reader, out, overwrite)
     return _summary(clip, given, found_hands, out)
+
+
+def _segments(given: Ingredients, out: Path) -> SegmentList:
+    """What is known of the segments and of the camera's motion; nothing at all of a clip that is one stable grasp."""
+    listed = SegmentList(out, "segments", [], None)
+    if given.segments is not None:
+        listed = read(given.segments, [out.name, given.video.stem])
+    return stated(listed, given.still_camera)
 
 
 def _numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:

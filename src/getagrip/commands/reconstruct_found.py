@@ -1,4 +1,4 @@
-"""``getagrip reconstruct --find-grasps``: uncut clips to their stable grasps, and each of these to a result."""
+"""``getagrip reconstruct --find-grasps``: uncut clips to their segments, and these to results."""
 
 from __future__ import annotations
 
@@ -14,23 +14,26 @@ from getagrip.commands.segment import outcomes
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
 from getagrip.io.terminal import progress_bar
+from getagrip.timelines.reconstruct import METHOD
 
 CLIPS = "clips"
-"""Where the grasps' own clips go, in the folder of the results."""
+"""Where the clips with their segments, or the grasps' own clips, go, in the folder of the results."""
 
 
 @dataclass(frozen=True)
-class CutJob:
-    """A clip to cut to its grasps."""
+class FindJob:
+    """A clip to find segments in."""
 
     clip: Path
     to: Path
     options: Options
+    alone: bool
+    """Whether each grasp becomes a clip of its own, or the whole a timeline."""
 
 
 @dataclass(frozen=True)
-class CutClip:
-    """The grasps of a clip, each a clip of its own."""
+class FoundClip:
+    """What was found in a clip, as clips."""
 
     clip: str
     folders: tuple[Path, ...]
@@ -43,41 +46,46 @@ class CutClip:
         return f"{self.clip}: {'; '.join([found, *self.notes])}"
 
 
-def reconstruct_found(paths: Sequence[Path], out: Path, options: Options, batch: Batch, debug: bool) -> int:
-    """Find the stable grasps of clips in their masks and reconstruct each into ``out/<clip>--<n>/``; 1 if any failed.
+def reconstruct_found(
+    paths: Sequence[Path], out: Path, options: Options, batch: Batch, alone: bool, debug: bool
+) -> int:
+    """Find the segments of clips in their masks and reconstruct each clip as a timeline into ``out/<clip>/``.
 
-    The grasps' clips are written to ``out/clips``. A clip without a grasp is no failure. Raises ``UsageError`` as
-    ``reconstruct_clips`` does.
+    With ``alone`` its stable grasps instead, each by itself, into ``out/<clip>--<n>/``; a clip without a grasp is no
+    failure then. The clips that are reconstructed are written to ``out/clips``. Returns 1 if any failed. Raises
+    ``UsageError`` as ``reconstruct_clips`` does, and for another method than timelines have.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
+    if not alone and options.method != METHOD:
+        raise UsageError(f"--method: got {options.method}, expected {METHOD}, or any with --cut-grasps")
     clips, failed = by_name(paths)
     for outcome in failed:
         print_outcome(outcome, debug)
-    jobs = [CutJob(folder, out / CLIPS, options) for name, folder in clips.items() if name in batch.shard]
-    cut: dict[Path, CutClip] = {}
+    jobs = [FindJob(folder, out / CLIPS, options, alone) for name, folder in clips.items() if name in batch.shard]
+    done: dict[Path, FoundClip] = {}
     failures = len(failed)
     with progress_bar() as bar:
-        for job, result in outcomes(cut_one, jobs, batch.workers, bar):
-            if isinstance(result, CutClip):
-                cut[job.clip] = result
+        for job, result in outcomes(find_one, jobs, batch.workers, bar):
+            if isinstance(result, FoundClip):
+                done[job.clip] = result
             else:
                 print_outcome(result, debug)
                 failures += 1
-    grasps: list[Path] = []
+    made: list[Path] = []
     for job in jobs:
-        if job.clip in cut:
-            grasps += cut[job.clip].folders
-            print(cut[job.clip])
-    if not grasps:
+        if job.clip in done:
+            made += done[job.clip].folders
+            print(done[job.clip])
+    if not made:
         return 1 if failures else 0
     found_here = replace(batch, shard=ALL)  # their clips are this shard's
-    return max(int(failures > 0), reconstruct_clips(grasps, out, options, found_here, debug))
+    return max(int(failures > 0), reconstruct_clips(made, out, options, found_here, debug))
 
 
-def cut_one(job: CutJob, progress: Progress = lambda *_: None) -> CutClip | Outcome:
-    """Find the grasps of one clip and write them; or how it failed. Raises nothing."""
-    from getagrip.segmentation.cut import write_grasps
+def find_one(job: FindJob, progress: Progress = lambda *_: None) -> FoundClip | Outcome:
+    """Find the segments of one clip and write them; or how it failed. Raises nothing."""
+    from getagrip.segmentation.cut import write_grasps, write_timeline
     from getagrip.segmentation.found import find_segments
 
     try:
@@ -85,6 +93,7 @@ def cut_one(job: CutJob, progress: Progress = lambda *_: None) -> CutClip | Outc
         masks = read_masks(clip)
         found = find_segments(clip, masks, options=job.options, progress=lambda part: progress("grasps", part))
         spans = tuple(f"frames {clip.frames[first]} to {clip.frames[last]}" for first, last in found.grasps)
-        return CutClip(clip.name, tuple(write_grasps(clip, masks, found, job.to)), spans, found.notes)
+        write = write_grasps if job.alone else write_timeline
+        return FoundClip(clip.name, tuple(write(clip, masks, found, job.to)), spans, found.notes)
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import Outcome, Progress, failure
 from getagrip.batch.plan import by_name
-from getagrip.clip import read_clip
-from getagrip.clip.timeline import segment_fields
+from getagrip.clip import read_clip, segment_files
+from getagrip.clip.reading import read_header
 from getagrip.commands.segment import outcomes
 from getagrip.errors import UsageError
 from getagrip.grasps import lists
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from getagrip.clip import Clip
+    from getagrip.clip.segment_files import SegmentList
     from getagrip.segmentation.found import Found
 
 SEGMENTS = "segments.json"
@@ -34,11 +35,19 @@ COLUMNS = ("sequence", "side", "object", "state", "start", "end", "duration", "f
 
 
 @dataclass(frozen=True)
+class Write:
+    """That segments go into ``clip.json``, also in the place of others."""
+
+    overwrite: bool
+
+
+@dataclass(frozen=True)
 class FindJob:
     """A clip to find segments in."""
 
     clip: Path
     definition: Definition
+    write: Write | None = None
 
 
 @dataclass(frozen=True)
@@ -54,13 +63,19 @@ class FoundClip:
 
 
 def find_in_clips(
-    paths: Sequence[Path], definition: Definition, out: Path | None, json: Path | None, workers: int | None, debug: bool
+    paths: Sequence[Path],
+    definition: Definition,
+    out: Path | None,
+    json: Path | None,
+    write: Write | None,
+    workers: int | None,
+    debug: bool,
 ) -> int:
     """Print the segments of clips, found in their masks, and write them to files; 1 if any clip failed, else 0.
 
     A path is a clip, or a folder of clips. ``out`` gets the grasps as a list, all segments as ``segments.csv``, and as
-    ``clip.json`` has them, with margins, as ``segments.json``; ``json`` the list. Raises ``UsageError`` where there is
-    nothing to do, and where two clips have the same name.
+    ``clip.json`` has them, with margins, as ``segments.json``; ``json`` the list; ``write`` the clips' own. Raises
+    ``UsageError`` where there is nothing to do, and where two clips have the same name.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
@@ -69,7 +84,7 @@ def find_in_clips(
     clips, failed = by_name(paths)
     for outcome in failed:
         print_outcome(outcome, debug)
-    jobs = [FindJob(folder, definition) for folder in clips.values()]
+    jobs = [FindJob(folder, definition, write) for folder in clips.values()]
     done: dict[Path, FoundClip] = {}
     failures = len(failed)
     with progress_bar() as bar:
@@ -96,15 +111,21 @@ def find_in_clips(
 
 def find_one(job: FindJob, progress: Progress = lambda *_: None) -> FoundClip | Outcome:
     """The segments of one clip, or how it failed. Raises nothing."""
+    from getagrip.segmentation.cut import segment_list
     from getagrip.segmentation.found import find_segments
 
     try:
         clip = read_clip(job.clip)
+        if job.write is not None:
+            segment_files.check_free(read_header(job.clip), job.write.overwrite)
         found = find_segments(clip, None, job.definition, progress=lambda part: progress("fits", part))
+        listed = segment_list(clip, found)
+        if job.write is not None:
+            segment_files.into_clip(read_header(job.clip), listed)
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)
     grasps = tuple(as_listed(clip, first, last) for first, last in found.grasps)
-    return FoundClip(clip.name, tuple(_rows(clip, found)), _fields(clip, found), grasps)
+    return FoundClip(clip.name, tuple(_rows(clip, found)), _fields(listed, found), grasps)
 
 
 def _rows(clip: Clip, found: Found) -> list[dict[str, Any]]:
@@ -126,13 +147,9 @@ def _rows(clip: Clip, found: Found) -> list[dict[str, Any]]:
     ]
 
 
-def _fields(clip: Clip, found: Found) -> dict[str, Any]:
+def _fields(listed: SegmentList, found: Found) -> dict[str, Any]:
     """The segments as ``clip.json`` has them, and beside them the margins and what was assumed."""
-    return {
-        "segments": segment_fields([one.segment for one in found.segments], clip.frames),
-        "margins": [one.margin for one in found.segments],
-        "notes": list(found.notes),
-    }
+    return listed.fields | {"margins": [one.margin for one in found.segments], "notes": list(found.notes)}
 
 
 def _table(found: Sequence[FoundClip]) -> Table:

@@ -1,4 +1,4 @@
-"""The stable grasps that were found in an uncut clip, each as a clip of its own."""
+"""What was found in an uncut clip, as clips: all of it as one timeline, or each stable grasp by itself."""
 
 from __future__ import annotations
 
@@ -6,12 +6,34 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
 from getagrip.clip import Clip, Masks
+from getagrip.clip.segment_files import SegmentList, with_segments
 from getagrip.clip.writing import fill_folder
 from getagrip.grasps.cut import as_listed
 from getagrip.grasps.lists import BETWEEN
 from getagrip.io import files
-from getagrip.segmentation.found import Found, FoundSegment
+from getagrip.segmentation.found import STILL, Found, FoundSegment
+
+
+def segment_list(clip: Clip, found: Found) -> SegmentList:
+    """The segments, and where they come from."""
+    least = min(one.margin for one in found.segments)
+    source = f"found in masks and hands, each at least {least:.0f} nats before the next best"
+    still = STILL if clip.world is None else None
+    return SegmentList.of(clip, [one.segment for one in found.segments], source, still)
+
+
+def write_timeline(clip: Clip, masks: Masks, found: Found, folder: Path) -> list[Path]:
+    """Write the whole clip with its segments into ``folder/<clip>``, and return this folder, in a list.
+
+    Images are copied where the clip's folder has them. The folder of an earlier call is replaced.
+    """
+    whole = with_segments(clip, segment_list(clip, found))
+    return [_write(whole, masks, clip, np.arange(len(clip)), folder / clip.name)]
 
 
 def write_grasps(clip: Clip, masks: Masks, found: Found, folder: Path) -> list[Path]:
@@ -21,13 +43,13 @@ def write_grasps(clip: Clip, masks: Masks, found: Found, folder: Path) -> list[P
     """
     grasps = [one for one in found.segments if one.segment.state == "grasp"]
     return [
-        _write(clip, masks, found, one, folder / f"{clip.name}{BETWEEN}{n}") for n, one in enumerate(grasps, start=1)
+        _write_grasp(clip, masks, found, one, folder / f"{clip.name}{BETWEEN}{n}") for n, one in enumerate(grasps, 1)
     ]
 
 
-def _write(clip: Clip, masks: Masks, found: Found, one: FoundSegment, folder: Path) -> Path:
+def _write_grasp(clip: Clip, masks: Masks, found: Found, one: FoundSegment, folder: Path) -> Path:
     """One of them."""
-    segment, images = one.segment, [clip.image_file(int(n)) for n in one.segment.rows]
+    segment = one.segment
     provenance = {
         **clip.provenance,
         "grasp": as_listed(clip, segment.first, segment.last).row(),
@@ -35,8 +57,14 @@ def _write(clip: Clip, masks: Masks, found: Found, one: FoundSegment, folder: Pa
         **{f"assumed {n}": note for n, note in enumerate(found.notes, start=1)},
     }
     part = replace(clip.take(segment.rows), name=folder.name, segments=(), provenance=provenance)
+    return _write(part, masks.take(segment.rows), clip, segment.rows, folder)
+
+
+def _write(part: Clip, masks: Masks, clip: Clip, rows: Int[ndarray, "n"], folder: Path) -> Path:
+    """Some frames of a clip, as a clip of their own."""
+    images = [clip.image_file(int(n)) for n in rows]
     with files.new_folder(folder, ("clip.json",) if folder.exists() else ()) as new:
-        fill_folder(new, part, masks.take(segment.rows), None)
+        fill_folder(new, part, masks, None)
         if all(images):
             (new / "frames").mkdir()
             for image in images:

@@ -35,6 +35,10 @@ MOST_FRAMES = 3000
 WITHIN_10_MM = Definition(contact=0.010)
 
 
+STILL = "which is a guess: nothing is known of its motion"
+"""Said of a camera that is taken to stand still (``clip.segment_files``)."""
+
+
 @dataclass(frozen=True)
 class FoundSegment:
     """A segment, and how sure it is.

@@ -1,0 +1,158 @@
+"""Segments in a file of their own, as ``segment --from-masks`` finds them and ``annotate`` writes them, and into clips.
+
+    {"pour-01": {"segments": [{"state": "static", "first": "000743", "last": "000760"}, ...],
+                 "source": "marked by ann", "still_camera": "as ann states"}, ...}
+
+By clip or video, ``segments`` as ``clip.json`` has them. ``source`` says where they come from; ``still_camera`` that
+the camera did not move, and who says so. Other keys (``margins``, ``notes``) are for people.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from getagrip.clip.data import Clip, World
+from getagrip.clip.reading import VERSION, ClipHeader
+from getagrip.clip.timeline import Segment, read_segments, segment_fields
+from getagrip.errors import InputError, UsageError
+from getagrip.io import files
+
+SOURCE, CAMERA = "segments", "camera_pose"
+"""Keys of a clip's provenance."""
+STATED = "as the user states"
+"""Who says that the camera did not move, where the command line does."""
+LONGEST = 500
+"""Characters of a text."""
+
+
+@dataclass(frozen=True)
+class SegmentList:
+    """The segments of one clip or video.
+
+    Attributes:
+        path: the file, or what stands for it in errors.
+        key: what it is called in there.
+        rows: what ``clip.json`` would say of the segments; unchecked.
+        source: where they come from; None where nobody says.
+        still_camera: who says that the camera did not move; None where nobody does.
+    """
+
+    path: Path
+    key: str
+    rows: list[dict[str, Any]]
+    source: str | None
+    still_camera: str | None = None
+
+    @staticmethod
+    def of(clip: Clip, segments: Sequence[Segment], source: str, still_camera: str | None = None) -> SegmentList:
+        """Segments of a clip that were found or made here."""
+        return SegmentList(clip.origin, "segments", segment_fields(segments, clip.frames), source, still_camera)
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """What a file says of them."""
+        about = {"source": self.source, "still_camera": self.still_camera}
+        return {"segments": self.rows} | {key: text for key, text in about.items() if text is not None}
+
+    def at(self, frames: Sequence[str], has_world: bool) -> tuple[Segment, ...]:
+        """The segments in a clip with these frames, cut at its ends. Raises ``InputError`` where none is in it.
+
+        Frames whose names are numbers are compared as numbers: ``"86"`` and ``"000086"`` are the same.
+        """
+        inside = [row for row in (_at(row, frames) for row in self.rows) if row is not None]
+        if self.rows and not inside:
+            ends = [files.shown(row.get(end)) for row, end in ((self.rows[0], "first"), (self.rows[-1], "last"))]
+            given = f"segments from {ends[0]} to {ends[1]}"
+            raise InputError(self.path, self.key, given, f"some of the frames {frames[0]} to {frames[-1]}")
+        try:
+            return read_segments(self.path, inside, frames, has_world)
+        except InputError as error:
+            hint = "; --still-camera says that the camera did not move" if error.key.endswith(".state") else ""
+            raise InputError(self.path, f"{self.key}.{error.key}", error.given, f"{error.expected}{hint}") from error
+
+
+def read(path: Path, names: Sequence[str]) -> SegmentList:
+    """The list of the first of ``names`` that a file has, or its only one. Raises ``InputError``."""
+    content = files.read_json(path)
+    key = next((name for name in names if name in content), None)
+    if key is None and len(content) == 1:
+        (key,) = content
+    if key is None:
+        there = ", ".join(map(files.plain, list(content)[:5])) or "nothing"
+        raise InputError(path, "", f"the segments of {there}", f"those of {' or '.join(names)}")
+    entry = content[key]
+    rows = entry.get("segments") if isinstance(entry, dict) else None
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise InputError(path, files.plain(key), files.shown(entry), 'an object with "segments", a list of objects')
+    texts = [_text(path, f"{files.plain(key)}.{name}", entry.get(name)) for name in ("source", "still_camera")]
+    return SegmentList(path, files.plain(key), rows, texts[0] or f"from {path.name}", texts[1])
+
+
+def with_segments(clip: Clip, given: SegmentList) -> Clip:
+    """A clip with segments, and where it has no camera pose, with that of a camera that is said to stand still.
+
+    Raises ``InputError`` for segments that are malformed or not in the clip.
+    """
+    still = given.still_camera if clip.world is None else None
+    world = clip.world if still is None else World(np.tile(np.eye(4), (len(clip), 1, 1)))
+    segments = given.at(clip.frames, world is not None)
+    known = clip.provenance | _provenance(given.source, still)
+    return replace(clip, segments=segments, world=world, provenance=known)
+
+
+def check_free(header: ClipHeader, overwrite: bool) -> None:
+    """Raise ``UsageError`` where a clip has segments that are not to be replaced."""
+    if header.fields.get("segments") and not overwrite:
+        raise UsageError(f"{header.folder / 'clip.json'}: has segments already; --overwrite replaces them")
+
+
+def into_clip(header: ClipHeader, given: SegmentList) -> tuple[Segment, ...]:
+    """Write segments into the ``clip.json`` of a folder, in the place of those that are there.
+
+    A camera pose stays as it is, unless it was itself a statement that the camera stands still. Raises ``InputError``
+    for segments that are malformed or not in the clip.
+    """
+    fields, camera = header.fields, header.fields["camera"]
+    has_world = "T_world_cam" in camera and CAMERA not in fields["provenance"]
+    still = None if has_world else given.still_camera
+    segments = given.at(header.frames, still is not None or "T_world_cam" in camera)
+    pose = {} if still is None else {"T_world_cam": np.eye(4)}
+    new = {"version": VERSION, "camera": {**camera, **pose}, "segments": segment_fields(segments, header.frames)}
+    with files.new_file(header.folder / "clip.json") as part:
+        files.write_json(part, fields | new | {"provenance": fields["provenance"] | _provenance(given.source, still)})
+    return segments
+
+
+def _provenance(source: str | None, still_camera: str | None) -> dict[str, str]:
+    """Where segments, and the pose of a camera that stands still, come from."""
+    still = None if still_camera is None else f"identity: the camera stands still, {still_camera}"
+    return {key: text for key, text in ((SOURCE, source), (CAMERA, still)) if text is not None}
+
+
+def _text(path: Path, key: str, value: object) -> str | None:
+    if value is None:
+        return None
+    if not isinstance(value, str) or not 0 < len(value) <= LONGEST or not value.isprintable():
+        raise InputError(path, key, files.shown(value), f"a text of up to {LONGEST} letters")
+    return value
+
+
+def _at(row: dict[str, Any], frames: Sequence[str]) -> dict[str, Any] | None:
+    """A segment in the frames of a clip, cut at its ends; None outside. Frames without a number stay as they are."""
+    ends = [row.get("first"), row.get("last")]
+    if not all(_is_number(name) for name in (*ends, *frames)):
+        return row
+    first, last = (int(str(end)) for end in ends)
+    within = [name for name in frames if first <= int(name) <= last]
+    if first > last or not within:
+        return row if first > last else None
+    return row | {"first": within[0], "last": within[-1]}
+
+
+def _is_number(name: object) -> bool:
+    return isinstance(name, str) and name.isascii() and name.isdigit() and len(name) < 16
