@@ -1,6 +1,7 @@
 """The HOT3D reader: on a synthetic recording, and on broken ones."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from getagrip.datasets import cutting
 from getagrip.datasets.dataset import clips
 from getagrip.datasets.hot3d import recording
 from getagrip.datasets.hot3d.reader import HOLDS, Hot3d, touching
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.depth import depth_and_face
 from getagrip.grasps import lists
@@ -171,6 +172,25 @@ def test_whole_recordings_show_what_is_outside_of_the_holds(root, tmp_path, run)
     assert segment(clip, Definition(contact=0.005, points="area", shortest=5))[1] == [(2, 13)]
 
 
+@pytest.mark.slow
+def test_an_interaction_becomes_a_timeline(root, tmp_path):
+    """The hand has the box in frames 2 to 13, before and after which the box is 2 cm aside."""
+    ((clip, masks),) = clips(Hot3d(root=root, timelines=True))
+    assert clip.name == f"{HOLD}--000000-000015"
+    assert [(s.state, s.first, s.last, s.side) for s in clip.segments] == [
+        ("free", 0, 1, None), ("grasp", 2, 13, "right"), ("free", 14, 15, None),
+    ]  # fmt: skip
+    assert masks.object.any()
+    listed = replace(HOLDS, listed=timelines(tmp_path / "hit.json"))
+    ((clip, _),) = clips(Hot3d(root=root, timelines=True, grasps=listed))
+    assert [(s.state, s.first, s.last, s.side) for s in clip.segments] == [
+        ("grasp", 0, 2, "left"), ("grasp", 3, 6, "right"), ("grasp", 7, 7, "left"), ("grasp", 8, 8, "right"),
+        ("grasp", 9, 9, "right"), ("grasp", 10, 15, "right"),
+    ]  # fmt: skip
+    with pytest.raises(UsageError, match="--timelines and --whole"):
+        list(clips(Hot3d(root=root, timelines=True, whole=True)))
+
+
 def frames(clip):
     """The frames that a clip's folder names."""
     return tuple(json.loads((clip / "clip.json").read_text())["frames"])
@@ -193,7 +213,7 @@ def test_grasps_of_a_list(root, tmp_path, run):
     listed = timelines(tmp_path / "hit.json")
     status, _, err = run("import", "hot3d", root, "--out", tmp_path / "out", "--list", listed)
     assert status == 0
-    assert "hit.json: 1 grasps end before they start: skipped" in err
+    assert "hit.json: 1 grasps and 0 other segments end before they start: skipped" in err
     assert f"{HOLD}--00009-00009: hand and object are known in 1 of its frames: skipped" in err
     found = {path.parent.name: frames(path.parent) for path in (tmp_path / "out").glob("*/clip.json")}
     assert found == {

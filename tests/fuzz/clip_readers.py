@@ -134,7 +134,8 @@ GRASP = {"sequence": "s01--box--left", "side": "left", "object": "box", "start":
 
 TIMELINE = {
     "seq_name": "P0001_a", "cat": "box", "total_start": 0, "total_end": 90,
-    "segments": [{"st": 1, "ed": 30, "ref": "inhand", "side": "left"}, {"st": 31, "ed": 40, "ref": "static"}],
+    "segments": [{"st": 1, "ed": 30, "ref": "inhand", "side": "left"},
+                 {"st": 31, "ed": 40, "ref": "scene_static", "side": None}],
 }  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.subdivide import fine
 from getagrip.grasps.definition import Definition
-from getagrip.grasps.states import static_runs, true_segments
+from getagrip.grasps.states import MARGIN, interactions, painted, static_runs, true_segments
 from helpers.clips import box, small_clip
 
 LIE, TOUCH, HOLD, LEAVE = 8, 3, 9, 6
@@ -58,10 +58,38 @@ def test_without_a_world_nothing_is_static(labelled: Clip) -> None:
 
 
 def test_what_creeps_is_not_static() -> None:
-    at = np.zeros((20, 4, 3))
+    vertices = np.zeros((4, 3))
+    at = np.tile(np.eye(4), (20, 1, 1))
     untouched = np.zeros(20, dtype=bool)
-    assert list(static_runs(at, untouched)) == [(0, 19)]
-    at[:, :, 0] = 0.001 * np.arange(20)[:, None]  # 3 mm away after three frames
-    assert list(static_runs(at, untouched)) == []
+    assert list(static_runs(at, vertices, untouched)) == [(0, 19)]
+    at[:, 0, 3] = 0.001 * np.arange(20)  # 3 mm away after three frames
+    assert list(static_runs(at, vertices, untouched)) == []
     at[10:] = at[10]
-    assert list(static_runs(at, untouched)) == [(8, 19)]  # by then it is within 3 mm of where it stays
+    assert list(static_runs(at, vertices, untouched)) == [(8, 19)]  # by then it is within 3 mm of where it stays
+
+
+def test_grasps_cover_what_they_overlap_and_the_clips_hand_the_other() -> None:
+    listed = [
+        Segment("static", 0, 10), Segment("contact", 10, 14), Segment("grasp", 14, 20, "right"),
+        Segment("grasp", 17, 18, "left"), Segment("static", 22, 30),
+    ]  # fmt: skip
+    spans = [(s.state, s.first, s.last, s.side) for s in painted(listed, 40, "left")]
+    assert spans == [
+        ("static", 0, 9, None), ("contact", 10, 13, None), ("grasp", 14, 16, "right"), ("grasp", 17, 18, "left"),
+        ("grasp", 19, 20, "right"), ("static", 22, 30, None),
+    ]  # fmt: skip
+    assert [s.side for s in painted(listed, 40, "right") if s.state == "grasp"] == ["right"]
+
+
+def test_long_static_segments_part_timelines() -> None:
+    long, short = 2 * MARGIN + 10, 2 * MARGIN
+    segments, at = [], 0
+    for state, length in [
+        ("static", long), ("contact", 5), ("static", short), ("grasp", 20), ("static", long), ("free", 9),
+        ("static", long), ("contact", 3),
+    ]:  # fmt: skip
+        segments.append(Segment(state, at, at + length - 1, "left" if state == "grasp" else None))  # type: ignore[arg-type]
+        at += length
+    found = [(int(rows[0]), int(rows[-1])) for rows in interactions(segments)]
+    assert found == [(long - MARGIN, long + 5 + short + 20 + MARGIN - 1), (at - 3 - MARGIN, at - 1)]
+    assert list(interactions(segments[:1])) == []

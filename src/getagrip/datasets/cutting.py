@@ -133,7 +133,7 @@ def _found(track: Track, cut: Cut) -> Iterator[Piece]:
 
 def _listed(track: Track, cut: Cut, note: Note) -> Iterator[Piece]:
     """The grasps of a list, in the frames in which hand and object are known."""
-    known = track.take(np.flatnonzero(_ahead(track)))
+    known = track.take(np.flatnonzero(ahead(track)))
     assert cut.listed is not None
     for grasp in cut.listed.of(track.name, track.side, track.category):
         rows = grasp.positions(known.frames, track.origin)
@@ -152,21 +152,21 @@ def _listed(track: Track, cut: Cut, note: Note) -> Iterator[Piece]:
 
 def without_gaps(track: Track) -> list[Track]:
     """The parts of a track whose frames follow each other, hand and object before the camera in all of them."""
-    rows = np.flatnonzero(_ahead(track))
+    rows = np.flatnonzero(ahead(track))
     breaks = np.flatnonzero(np.diff(track.numbers[rows]) != 1) + 1
     return [track.take(part) for part in np.split(rows, breaks) if part.size]
 
 
-def _ahead(track: Track) -> Bool[ndarray, "T"]:
+def ahead(track: Track) -> Bool[ndarray, "T"]:
     """The frames in which hand and object are before the camera."""
-    ahead = np.ones(len(track), dtype=bool)
+    seen = np.ones(len(track), dtype=bool)
     hands = [hand for hand in (track.hand, track.given_hand) if hand is not None]
     for centre in (
         *(se3.transform(hand.T_cam_hand, hand.vertices.mean(axis=1)[:, None])[:, 0] for hand in hands),
         se3.transform(track.T_cam_obj, track.mesh.centre[None])[:, 0],
     ):
-        ahead &= (centre[:, 2] > NEAREST) & (np.linalg.norm(centre, axis=1) < FARTHEST)
-    return ahead
+        seen &= (centre[:, 2] > NEAREST) & (np.linalg.norm(centre, axis=1) < FARTHEST)
+    return seen
 
 
 def known_clip(

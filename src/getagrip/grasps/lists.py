@@ -24,6 +24,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.grasps import timelines
+from getagrip.grasps.timelines import Timeline
 from getagrip.hands.model import Side
 from getagrip.io import files
 from getagrip.io.files import plain, shown
@@ -106,6 +107,8 @@ class GraspList:
     grasps: tuple[ListedGrasp, ...]
     lengths: Mapping[str, int] = field(default_factory=dict)
     """How many frames each recording has, where the list says."""
+    timelines: tuple[Timeline, ...] = ()
+    """Where the list is one of these."""
 
     def of(self, name: str, side: Side, category: str) -> list[ListedGrasp]:
         """The grasps of a clip or track."""
@@ -154,8 +157,13 @@ def read(path: Path, note: Callable[[str], None] = lambda _: None) -> GraspList:
         if not isinstance(row, dict):
             raise InputError(path, f"{where}[{n}]", shown(row), "a grasp: an object with sequence, side and object")
     if given and "segments" in given[0]:
-        spans, lengths = timelines.read(path, given, note)
-        return GraspList(path.name, checksum, tuple(ListedGrasp(*span) for span in spans), lengths)
+        found, lengths = timelines.read(path, given, note)
+        grasps = tuple(
+            ListedGrasp(one.sequence, cast(Side, s.side), one.category, s.first, s.last)
+            for one in found
+            for s in one.held
+        )
+        return GraspList(path.name, checksum, grasps, lengths, found)
     rows = [grasp_of(path, f"{where}[{n}].", row) for n, row in enumerate(given)]
     return GraspList(path.name, checksum, tuple(rows))
 

@@ -1,16 +1,17 @@
 """What an object does in labelled motion, frame by frame: the segments of a timeline from true poses.
 
 Static is a run of frames in which the object stays where it is in the first of them and no hand touches it. Grasps are
-those of Eq. 2. What lies between is an unstable contact where the hand touches the object in any of its frames, else a
+those of Eq. 2. What lies between is an unstable contact where a hand touches the object in any of its frames, else a
 free motion.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip, Segment
@@ -18,11 +19,14 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.stable import PairwiseIou, contact_sets, stable_grasps
+from getagrip.hands.model import Side
 
 STILL = 0.003
 """A static object's surface is displaced by less than this, on average over its vertices [m]."""
 SHORTEST_STATIC = 5
 """Frames: fewer are a pause, or chance."""
+MARGIN = 30
+"""Frames of a long static segment that belong to what comes before it, and to what comes after."""
 
 
 def true_segments(clip: Clip, definition: Definition) -> tuple[Segment, ...]:
@@ -31,27 +35,70 @@ def true_segments(clip: Clip, definition: Definition) -> tuple[Segment, ...]:
     ``definition`` is what contact and a grasp are. Raises ``InputError`` for a clip without ground truth or without
     the camera's poses.
     """
+    return segments_of(clip, {clip.side: contact_sets(clip, definition.contact, definition.points)}, definition)
+
+
+def segments_of(
+    clip: Clip, contact: Mapping[Side, Bool[ndarray, "T P"]], definition: Definition
+) -> tuple[Segment, ...]:
+    """The same by the contact sets of one hand or both. Where both hold the object, the clip's hand counts.
+
+    Raises ``InputError`` for a clip without the camera's poses.
+    """
     if clip.world is None:
         raise InputError(clip.origin, "camera.T_world_cam", "no such key", "the world, in which objects lie still")
-    contact = contact_sets(clip, definition.contact, definition.points)
-    assert clip.truth is not None  # contact_sets has looked
-    found = [
-        Segment("grasp", first, last, clip.side)
-        for first, last in stable_grasps(PairwiseIou.of(contact), definition.tau, definition.shortest, definition.rule)
-    ]
-    posed = se3.transform(clip.world.T_world_cam @ clip.truth.T_cam_obj, clip.truth.scale * clip.mesh.vertices[None])
-    touched = np.asarray(contact.any(axis=1))
-    found += [Segment("static", first, last) for first, last in static_runs(posed, touched)]
-    return tuple(_with_rest(sorted(found, key=lambda s: s.first), touched, clip))
+    assert clip.truth is not None  # contact sets are made from it
+    touched = {side: np.asarray(sets.any(axis=1)) for side, sets in contact.items()}
+    T_world_obj = clip.world.T_world_cam @ clip.truth.T_cam_obj
+    still = static_runs(T_world_obj, clip.truth.scale * clip.mesh.vertices, np.any([*touched.values()], axis=0))
+    found = [Segment("static", first, last) for first, last in still]
+    for side, sets in contact.items():
+        spans = stable_grasps(PairwiseIou.of(sets), definition.tau, definition.shortest, definition.rule)
+        found += [Segment("grasp", first, last, side) for first, last in spans]
+    apart = [s for s in painted(found, len(clip), clip.side) if s.state == "static" or len(s) >= definition.shortest]
+    return tuple(_with_rest(apart, touched, len(clip)))
 
 
-def static_runs(posed: Float[ndarray, "T V 3"], touched: Bool[ndarray, "T"]) -> Iterator[tuple[int, int]]:
+def painted(segments: Sequence[Segment], frames: int, side: Side) -> tuple[Segment, ...]:
+    """Segments that may overlap, made not to: grasps of hand ``side`` cover those of the other, these contacts, these
+    what is static or free, and otherwise later ones earlier ones."""
+    order: dict[str, int] = {"static": 0, "free": 0, "contact": 1, "grasp": 2}
+    over = sorted(segments, key=lambda s: (order[s.state], s.state == "grasp" and s.side == side, s.first))
+    label = np.full(frames, -1)
+    for n, segment in enumerate(over):
+        label[segment.first : segment.last + 1] = n
+    edges = np.flatnonzero(np.diff(label, prepend=-2, append=-2))
+    runs = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    return tuple(replace(over[label[a]], first=a, last=b - 1) for a, b in runs if label[a] >= 0)
+
+
+def interactions(segments: Sequence[Segment]) -> Iterator[Int[ndarray, "n"]]:
+    """The frames of each timeline of a long recording: what hands do between two long static segments.
+
+    Such a segment is longer than twice ``MARGIN``; its first frames belong to the timeline before it, its last to that
+    after it. Where the object is never held or touched in between, there is no timeline.
+    """
+    if not segments:
+        return
+    begin = segments[0].first
+    held = False
+    for segment in segments:
+        if segment.state == "static" and len(segment) > 2 * MARGIN:
+            if held:
+                yield np.arange(begin, segment.first + MARGIN)
+            begin, held = segment.last + 1 - MARGIN, False
+        held |= segment.state in ("contact", "grasp")
+    if held:
+        yield np.arange(begin, segments[-1].last + 1)
+
+
+def static_runs(
+    T_world_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"], touched: Bool[ndarray, "T"]
+) -> Iterator[tuple[int, int]]:
     """First and last of the runs of frames in which nothing touches an object and it stays where it is at first."""
     first = 0
-    while first < len(posed):
-        moved = np.linalg.norm(posed[first:] - posed[first], axis=2).mean(axis=1) >= STILL
-        ends = moved | touched[first:]
-        length = int(np.argmax(ends)) if ends.any() else len(ends)
+    while first < len(T_world_obj):
+        length = _still(T_world_obj[first:], vertices, touched[first:])
         if length >= SHORTEST_STATIC:
             yield first, first + length - 1
             first += length
@@ -59,14 +106,28 @@ def static_runs(posed: Float[ndarray, "T V 3"], touched: Bool[ndarray, "T"]) -> 
             first += 1
 
 
-def _with_rest(found: list[Segment], touched: Bool[ndarray, "T"], clip: Clip) -> Iterator[Segment]:
+def _still(T_world_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"], touched: Bool[ndarray, "T"]) -> int:
+    """For how many frames the object stays where it is in the first, untouched."""
+    at_first = se3.transform(T_world_obj[0], vertices)
+    begin, end = 0, SHORTEST_STATIC
+    while begin < len(T_world_obj):
+        posed = se3.transform(T_world_obj[begin:end], vertices[None])
+        ends = (np.linalg.norm(posed - at_first, axis=2).mean(axis=1) >= STILL) | touched[begin:end]
+        if ends.any():
+            return begin + int(np.argmax(ends))
+        begin, end = end, min(2 * end, end + 128)
+    return len(T_world_obj)
+
+
+def _with_rest(found: Sequence[Segment], touched: Mapping[Side, Bool[ndarray, "T"]], frames: int) -> Iterator[Segment]:
     """The segments, and what lies between them."""
     at = 0
     for segment in (*found, None):
-        end = len(touched) if segment is None else segment.first
+        end = frames if segment is None else segment.first
         if end > at:
-            held = bool(touched[at:end].any())
-            yield Segment("contact", at, end - 1, clip.side) if held else Segment("free", at, end - 1)
+            often = {side: int(np.count_nonzero(rows[at:end])) for side, rows in touched.items()}
+            side = max(often, key=lambda one: often[one])
+            yield Segment("contact", at, end - 1, side) if often[side] else Segment("free", at, end - 1)
         if segment is not None:
             yield segment
             at = segment.last + 1

@@ -4,7 +4,8 @@ HOT3D's images are in VRS recordings, which this reader does not open. It needs 
 true poses of the objects and of both hands, in a pinhole that takes the place of the fisheye camera.
 
 Each hand and object of a recording is a track. It becomes a clip for every hold, one of all frames (``whole``) where it
-has a hold, or one for each grasp of a list, as the authors' ``hot3d_hit.json``.
+has a hold, or one for each grasp of a list, as the authors' ``hot3d_hit.json``. With ``timelines``, an object and both
+hands become a clip for each interaction, with segments.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -21,8 +22,9 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import HandTrack, World
-from getagrip.datasets.cutting import CutSource, TrackedDataset, pieces
+from getagrip.datasets.cutting import CutSource, Pieces, TrackedDataset, pieces
 from getagrip.datasets.dataset import Note, Part
+from getagrip.datasets.hot3d import timelines
 from getagrip.datasets.hot3d.recording import Recording, find, read_recording
 from getagrip.datasets.tracks import MaskPair, Piece, Source, Track
 from getagrip.errors import InputError, UsageError
@@ -32,6 +34,7 @@ from getagrip.geometry.mesh_files import SUFFIXES, read_mesh
 from getagrip.grasps.cut import Cut
 from getagrip.grasps.options import GraspOptions
 from getagrip.hands.model import Side
+from getagrip.io.arguments import Flag
 from getagrip.io.files import is_plain_name, plain, read_json, shown
 
 if TYPE_CHECKING:
@@ -50,6 +53,9 @@ class Hot3d(TrackedDataset):
 
     grasps: Annotated[GraspOptions, arg(name="")] = HOLDS
     """What counts as a hold."""
+    timelines: Flag = False
+    """Not the holds but whole interactions, with masks and segments (docs/timelines.md); --list: those of a list. Then
+    --rule touch is taken for all-pairs."""
     first_frame: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0)")] = None
     """The list's number of a recording's first frame; else the recording must be as long as the list has it."""
 
@@ -60,14 +66,32 @@ class Hot3d(TrackedDataset):
         if listed is None and self.first_frame is not None:
             raise UsageError(f"--first-frame: got {self.first_frame}, expected none without --list")
         lengths = {} if listed is None else listed.lengths
+        if self.timelines:
+            cut = self._of_timelines(cut)
         found = [source for source in self.sources(lengths) if not lengths or source.name in lengths]
         if listed is not None and not found:
             given = f"none of the {len(lengths)} recordings of {listed.file}"
             raise InputError(self.root, "", given, "one of them at least")
         if listed is not None and (missing := max(0, len(lengths) - len(found))):
             note(f"{missing} of {len(lengths)} recordings of {listed.file} are not there: skipped")
-        how = partial(touching, cut=cut) if self.whole else partial(pieces, cut=cut)
+        how: Pieces = partial(timelines.pieces if self.timelines else touching if self.whole else pieces, cut=cut)
         return [CutSource(source, how, cut.shortest) for source in found]
+
+    def _of_timelines(self, cut: Cut) -> Cut:
+        """How grasps are found in timelines, or their list. Raises ``UsageError`` and ``InputError``."""
+        if self.whole:
+            raise UsageError("--timelines and --whole: name one of them")
+        if cut.listed is not None and not cut.listed.timelines:
+            assert self.grasps.listed is not None
+            raise InputError(self.grasps.listed, "", "a list of grasps", "one of timelines, as hot3d_hit.json")
+        definition = cut.definition
+        return replace(
+            cut, definition=replace(definition, rule="all-pairs") if definition.rule == "touch" else definition
+        )
+
+    def cut_record(self) -> dict[str, Any] | None:
+        """How its clips are cut; None where they are whole."""
+        return None if self.timelines else super().cut_record()
 
     def sources(self, lengths: Mapping[str, int] | None = None) -> list[Source]:
         """The recordings below ``root``; ``lengths`` says how many frames some of them must have."""
@@ -147,8 +171,8 @@ def _tracks(
         raise InputError(folder, "headset_trajectory.csv", f"{len(recording.times)} frames", expected)
     meshes = objects.read(recording, note)
     covered = recording.camera.pinhole.covered(recording.camera.fisheye)
-    for side, hand in recording.hands.items():
-        for uid, poses in recording.objects.items():
+    for uid, poses in recording.objects.items():  # timelines look at both hands of an object
+        for side, hand in recording.hands.items():
             both = np.flatnonzero(hand.known & poses.known)
             if uid in meshes and both.size:
                 masks = partial(_masks, recording, uid, meshes, covered)
