@@ -50,7 +50,7 @@ def test_colours_are_labels(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("source", ["png", "coco", "coco-plain", "npz"])
 def test_every_source_gives_the_same_masks(tmp_path: Path, source: str) -> None:
-    chosen = ("1",), ("2", "3")
+    chosen, holding = (("1",), ("2", "3")), ("3",)
     if source == "png":
         path = label_folder(tmp_path / "labels")
     elif source == "npz":
@@ -58,18 +58,22 @@ def test_every_source_gives_the_same_masks(tmp_path: Path, source: str) -> None:
         arrays.write(path, {"labels": labels()[::-1].astype(np.uint8), "frames": np.array([4, 3])})
     else:
         path, chosen = coco(tmp_path / "c.json", source == "coco"), (("cup",), ("hand", "3"))
-    read = open_masks(path, Wanted(FRAMES, SIZE, *chosen))
+    wanted = Wanted(FRAMES, SIZE, *chosen)
+    read, hand_too = open_masks(path, wanted), open_masks(path, replace(wanted, ignore=chosen[1][:1], hand=holding))
     for n in range(2):
-        seen, ignored = read(n)
+        seen, ignored, unknown = read(n)
         np.testing.assert_array_equal(seen, labels()[n] == 1)
         np.testing.assert_array_equal(ignored, labels()[n] >= 2)
+        assert unknown is None
+        np.testing.assert_array_equal(hand_too(n)[1], ignored)
+        np.testing.assert_array_equal(hand_too(n)[2], labels()[n] == 3)
 
 
 def test_several_labels_have_to_be_chosen_from(tmp_path: Path, refused: Callable[..., str]) -> None:
     folder = label_folder(tmp_path / "labels")
     refused(lambda: open_masks(folder, Wanted(FRAMES, SIZE))(0), "labels", "--object")
     refused(lambda: open_masks(coco(tmp_path / "c.json"), Wanted(FRAMES, SIZE))(0), "categories", "--object")
-    seen, _ = open_masks(folder, Wanted(FRAMES, SIZE, (), ("2", "3")))(0)
+    seen, *_ = open_masks(folder, Wanted(FRAMES, SIZE, (), ("2", "3")))(0)
     np.testing.assert_array_equal(seen, labels()[0] == 1)
     with pytest.raises(UsageError, match="--object"):
         open_masks(folder, Wanted(FRAMES, SIZE, ("cup",)))
@@ -96,15 +100,20 @@ def test_folders_of_a_thing_each_are_chosen_by_name(tmp_path: Path) -> None:
         (folder / thing).mkdir(parents=True)
         for n, frame in enumerate(FRAMES):
             write_png(folder / thing / f"{frame}.png", 255 * (labels()[n] == value), 8, 0)
-    seen, ignored = open_masks(folder, Wanted(FRAMES, SIZE, ("cup",), ("left-hand", "sleeve")))(1)
+    seen, ignored, hand = open_masks(folder, Wanted(FRAMES, SIZE, ("cup",), ("sleeve",), ("left-hand",)))(1)
     np.testing.assert_array_equal(seen, labels()[1] == 1)
     np.testing.assert_array_equal(ignored, labels()[1] >= 2)
+    np.testing.assert_array_equal(hand, labels()[1] == 2)
     for chosen, word in ((("mug",), "'mug'"), (("../things/cup",), "'../things/cup'"), ((), "'object'")):
         with pytest.raises(UsageError, match=f"--object: got {word}.*cup, left-hand"):
             open_masks(folder, Wanted(FRAMES, SIZE, chosen))
     (folder / "cup").rename(folder / "object")
-    np.testing.assert_array_equal(open_masks(folder, Wanted(FRAMES, SIZE))(0)[0], labels()[0] == 1)
-    for thing in ("table", "left-hand", "sleeve"):
+    (folder / "left-hand").rename(folder / "hand")
+    seen, ignored, hand = open_masks(folder, Wanted(FRAMES, SIZE))(0)
+    np.testing.assert_array_equal(seen, labels()[0] == 1)
+    np.testing.assert_array_equal(ignored, labels()[0] == 2)
+    np.testing.assert_array_equal(hand, ignored)
+    for thing in ("table", "hand", "sleeve"):
         shutil.rmtree(folder / thing)
     (folder / "object").rename(folder / "1")
     np.testing.assert_array_equal(open_masks(folder, Wanted(FRAMES, SIZE))(0)[0], labels()[0] == 1)
@@ -198,7 +207,7 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path, data: st.DataObject) 
         content[a], content[b] = content[b], content[a]
     path.write_bytes(bytes(content))
     try:
-        seen, ignored = open_masks(folder if kind == "png" else path, Wanted(FRAMES, SIZE, ("1",), ("2",)))(0)
+        seen, ignored, _ = open_masks(folder if kind == "png" else path, Wanted(FRAMES, SIZE, ("1",), ("2",)))(0)
     except InputError as error:
         assert path.name in str(error)  # noqa: PT017
     else:
@@ -285,14 +294,19 @@ def test_video_segments(tmp_path: Path, refused: Callable[..., str], protocol: A
     wanted = Wanted(("000000", "000001"), SIZE, ("1",), ("2", "3"))
     read = open_masks(path, wanted)
     for n in range(2):
-        seen, ignored = read(n)
+        seen, ignored, unknown = read(n)
         np.testing.assert_array_equal(seen, labels()[n] == 1)
         np.testing.assert_array_equal(ignored, np.isin(labels()[n], [2, 3] if n == 0 else [2]))
+        assert unknown is None
+        _, same, hand = open_masks(path, replace(wanted, ignore=("2",), hand=("3",)))(n)
+        np.testing.assert_array_equal(same, ignored)
+        np.testing.assert_array_equal(hand, (labels()[n] == 3) & (n == 0))
     for chosen, option in (((), "--object"), (("7",), "--object")):
         with pytest.raises(UsageError, match=f"{option}.*1, 2, 3"):
             open_masks(path, replace(wanted, object=chosen))
-    with pytest.raises(UsageError, match="--ignore"):
-        open_masks(path, replace(wanted, ignore=("7",)))
+    for kind in ("ignore", "hand"):
+        with pytest.raises(UsageError, match=f"--{kind}: got '7'"):
+            open_masks(path, replace(wanted, **{kind: ("7",)}))  # type: ignore[arg-type]
     refused(lambda: open_masks(path, replace(wanted, size=(21, 14))), str(path), "0.1")
     refused(lambda: open_masks(path, replace(wanted, frames=("000001", "000002"))), "nothing of 1 of 2 frames")
 

@@ -124,6 +124,7 @@ def test_masks_show_the_object_and_ignore_both_hands(root: Path, mano: Path) -> 
     depth = np.stack([depth_and_face(v, f, clip.K[0], clip.size)[0] for v, f in surfaces])
     np.testing.assert_array_equal(masks.object[0], (depth.argmin(axis=0) == 0) & np.isfinite(depth[0]))
     np.testing.assert_array_equal(masks.ignore[0], depth.argmin(axis=0) > 0)
+    np.testing.assert_array_equal(masks.hand[0], depth.argmin(axis=0) == 1)
     assert masks.object[0].sum() > 300
     assert masks.ignore[0].sum() > 300
 

@@ -99,6 +99,7 @@ def test_masks_are_the_object_less_what_hides_it(root):
     )
     np.testing.assert_array_equal(masks.object[0], of_ball < of_hand)
     np.testing.assert_array_equal(masks.ignore[0], of_hand < of_ball)
+    np.testing.assert_array_equal(masks.hand, masks.ignore)
     assert masks.object[0].any()
     assert masks.ignore[0].any()
 
@@ -115,6 +116,8 @@ def test_other_objects_in_front_are_ignored(root):
     seen = depth_and_face(np.asarray(box.vertices) + centre, np.asarray(box.faces), clip.K[0], clip.size)[1] >= 0
     assert seen.sum() > 1000
     assert masks.ignore[0][seen].all()
+    assert not (masks.hand & ~masks.ignore).any()
+    assert not masks.hand[0][seen].any()
 
 
 @pytest.mark.slow

@@ -100,6 +100,9 @@ def test_labels_are_masks(root: Path, mano: Path, kind: str) -> None:
     assert seen.sum() == 51 * 50
     assert ignore[150:200, 150:200].all()
     assert ignore.sum() == 50 * 50 + 50 * 51
+    assert masks.hand is not None
+    assert masks.hand[0][150:200, 150:200].all()  # the right hand's label
+    assert masks.hand[0].sum() == 50 * 50
 
 
 @pytest.mark.slow

@@ -55,6 +55,10 @@ def test_a_hold_becomes_a_clip(root):
     assert np.count_nonzero(seen) > 1000
     np.testing.assert_array_equal(masks.object[3] | masks.ignore[3], seen | masks.ignore[3])
     assert not np.any(masks.object & masks.ignore)
+    posed = se3.transform(clip.truth.T_cam_hand[3], clip.truth.hand_vertices[3])
+    drawn = depth_and_face(posed, clip.hand.faces, clip.K[3], clip.size)[1] >= 0
+    assert masks.hand[3].any()
+    assert not (masks.hand[3] & ~(masks.ignore[3] & drawn)).any()
     assert masks.object.shape == masks.ignore.shape == (12, 640, 640)
     json.dumps(clip.provenance)
 

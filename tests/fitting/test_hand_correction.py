@@ -153,3 +153,16 @@ def test_where_the_hand_is_known_alone_another_one_does_not_count(made: tuple[Cl
     assert both is not None
     assert apart(clip, both.T_cam_hand)[1] < 0.4 * apart(clip, clip.hand.T_cam_hand)[1]
     assert apart(clip, alone.T_cam_hand)[1] < 0.3 * apart(clip, clip.hand.T_cam_hand)[1]
+
+
+def test_frames_in_which_nobody_labelled_the_hand_say_nothing(made: tuple[Clip, Masks]) -> None:
+    clip, masks = made
+    assert masks.hand is not None
+    hand = masks.hand.copy()
+    hand[[1, 3]] = False
+    seen = HandSilhouette.of(clip, Masks(masks.object, masks.ignore, hand))
+    everywhere = HandSilhouette.of(off(clip, CONSTANT), Masks(masks.object, masks.ignore, hand))
+    x = np.zeros((len(clip), seen.errors.size))
+    for values in (*seen(x), *everywhere(x)):
+        assert not values[[1, 3]].any()
+        assert values[[0, 2]].any()

@@ -94,11 +94,17 @@ def test_depth_interpolated_between_vertices_is_the_depth():
 
 def test_masks_separate_visible_from_hidden_pixels():
     held, hand, wall = cube([0.0, 0.0, 0.6]), cube([0.1, 0.0, 0.4], 0.1), cube([0.0, 0.0, 2.0], 0.9)
-    seen, ignore = true_masks(held, [hand], [], K, SIZE)
+    seen, ignore, holding = true_masks(held, [hand], [], K, SIZE)
     alone = depth_and_face(*held, K, SIZE)[1] >= 0
     assert not np.any(seen & ignore)
     np.testing.assert_array_equal(seen, alone & ~ignore)
     np.testing.assert_array_equal(ignore, depth_and_face(*hand, K, SIZE)[1] >= 0)
+    np.testing.assert_array_equal(holding, ignore)
+    # Another hand is ignored, and is not the one that holds it.
+    other = cube([-0.1, 0.0, 0.4], 0.1)
+    _, both, same = true_masks(held, [hand, other], [], K, SIZE)
+    np.testing.assert_array_equal(same, holding)
+    np.testing.assert_array_equal(both & ~holding, depth_and_face(*other, K, SIZE)[1] >= 0)
     # A wall behind hides nothing and changes nothing; the same cube in front as an object does.
     np.testing.assert_array_equal(true_masks(held, [hand], [wall], K, SIZE)[1], ignore)
     np.testing.assert_array_equal(true_masks(held, [], [hand], K, SIZE)[1], ignore)

@@ -44,7 +44,7 @@ def timeline(category: str = "mug", seed: int = 0) -> tuple[Clip, Masks]:
     for n in range(len(before)):
         body = se3.transform(truth.T_cam_obj[n], grasp.mesh.vertices), grasp.mesh.faces
         arm = se3.transform(hand[n], clip.hand.vertices[n]), clip.hand.faces
-        visible, ignore = true_masks(body, [arm], [], clip.K[n], clip.size)
+        visible, ignore, _ = true_masks(body, [arm], [], clip.K[n], clip.size)
         seen.append(visible)
         ignored.append(ignore)
     return clip, Masks(

@@ -45,6 +45,8 @@ class ClipCommand(Command):
     """Of the masks: the object's labels."""
     ignore: Labels = ()
     """Of the masks: labels of what hides it."""
+    hand: Labels = ()
+    """Of the masks: labels of the hand that holds it. It is ignored as well, and --hands are corrected by it."""
     hands: OptionalFile = None
     """A hand.npz; import hands makes one, and can add it later."""
     segments: OptionalFile = None
@@ -69,8 +71,9 @@ class ClipCommand(Command):
         given = Ingredients(
             video=self.video, interval=self.interval, side=self.side, category=self.category,
             mesh=None if self.mesh is None else Wanted(self.mesh, *sizes), masks=self.masks,
-            mask_of_first=self.mask_first, object=self.object, ignore=self.ignore, hands=self.hands,
-            lens=Lens(self.K, self.focal, self.guess_focal), segments=self.segments, still_camera=self.still_camera,
+            mask_of_first=self.mask_first, object=self.object, ignore=self.ignore, hand=self.hand,
+            hands=self.hands, lens=Lens(self.K, self.focal, self.guess_focal), segments=self.segments,
+            still_camera=self.still_camera,
         )  # fmt: skip
         return new_clip(given, self.out, self.overwrite)
 

@@ -102,14 +102,16 @@ class ImportMasks(Command):
     object: Labels = ()
     """The object: values of its labels, #rrggbb, or names of COCO's categories. Not needed where there is one only."""
     ignore: Labels = ()
-    """What hides it, likewise: hands, other things in front."""
+    """What hides it, likewise: other hands, other things in front."""
+    hand: Labels = ()
+    """The hand that holds it, likewise. It is ignored as well, and the clip's hands are corrected by its pixels."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
     """The number of the first frame's mask. Needed where masks are counted from 0 and frames are not."""
     overwrite: Flag = False
     """Replace masks that are there already."""
 
     def run(self) -> int:
-        return into_clip(self.path, self.object, self.ignore, self.first, self.clip, self.overwrite)
+        return into_clip(self.path, self.object, self.ignore, self.hand, self.first, self.clip, self.overwrite)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,17 @@
 """Clips: what they hold, and their folders (docs/formats.md)."""
 
-from getagrip.clip.data import FINGERS, Clip, HandTrack, Joint, Masks, Truth, World, check_masks, observed_frames
+from getagrip.clip.data import (
+    FINGERS,
+    Clip,
+    FrameMasks,
+    HandTrack,
+    Joint,
+    Masks,
+    Truth,
+    World,
+    check_masks,
+    observed_frames,
+)
 from getagrip.clip.masks import find_masks, read_masks, read_observed
 from getagrip.clip.plausible import check_clip
 from getagrip.clip.reading import input_sha256, read_clip, read_name
@@ -10,6 +21,7 @@ from getagrip.clip.writing import write_clip
 __all__ = [
     "FINGERS",
     "Clip",
+    "FrameMasks",
     "HandTrack",
     "Joint",
     "Masks",

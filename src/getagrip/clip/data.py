@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -112,6 +112,15 @@ class Truth(ArrayData):
         return self.scale * self.joint.at(vertices, self.articulation[frames])
 
 
+class FrameMasks(NamedTuple):
+    """The masks of one frame, as ``Masks`` has them of all."""
+
+    object: Bool[ndarray, "H W"]
+    ignore: Bool[ndarray, "H W"]
+    hand: Bool[ndarray, "H W"] | None = None
+    """Visible pixels of the hand that holds the object; None where they are not known apart."""
+
+
 @dataclass(frozen=True, eq=False)
 class Masks(ArrayData):
     """Masks of the object in every frame, at the size of the images.
@@ -121,12 +130,19 @@ class Masks(ArrayData):
         ignore: (T, H, W) other pixels that say nothing about the object: those of the hand and of whatever else is in
             front of it. Where none is set, the hand of the clip is drawn to find them.
         hand: (T, H, W) visible pixels of the hand that holds the object, and of no other; None where they are not
-            known apart from the ignored ones.
+            known apart from the ignored ones. A frame without any says nothing about the hand.
     """
 
     object: Bool[ndarray, "T H W"]
     ignore: Bool[ndarray, "T H W"]
     hand: Bool[ndarray, "T H W"] | None = None
+
+    @staticmethod
+    def of(frames: Iterable[FrameMasks]) -> Masks:
+        """The masks of frames, those of the hand where all have them."""
+        objects, ignored, hands = zip(*frames, strict=True)
+        known = [hand for hand in hands if hand is not None]
+        return Masks(np.stack(objects), np.stack(ignored), np.stack(known) if len(known) == len(hands) else None)
 
     @property
     def observed(self) -> Bool[ndarray, "T"]:

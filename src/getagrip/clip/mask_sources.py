@@ -1,15 +1,15 @@
 """Masks from files of other programs, one frame at a time: PNG folders, COCO, arrays.
 
-- a folder of folders, one for each thing (``object/`` and perhaps ``ignore/``, or any others, chosen by their names):
-  one PNG for each frame, non-zero where the mask is set;
+- a folder of folders, one for each thing (``object/`` and perhaps ``ignore/`` and ``hand/``, or any others, chosen by
+  their names): one PNG for each frame, non-zero where the mask is set;
 - a folder of PNG: the labels of an image each (``label_images``), or a mask each where there is one label only;
 - ``.json``: COCO's ``images``, ``annotations`` (polygons or run lengths) and ``categories``;
 - ``.pkl`` or ``.npy``: SAM 2's ``video_segments`` (``video_segments``);
-- ``.npz``: ``object`` (T, H, W) and perhaps ``ignore``, or ``labels`` (T, H, W) of whole numbers; ``frames`` (T,) names
-  or numbers of them, or all of the wanted ones in order.
+- ``.npz``: ``object`` (T, H, W) and perhaps ``ignore`` and ``hand``, or ``labels`` (T, H, W) of whole numbers;
+  ``frames`` (T,) names or numbers of them, or all of the wanted ones in order.
 
-Which labels are the object, and which hide it (the hand, other things in front), is chosen by value: a number, a colour
-as #rrggbb, a folder's or a category's name.
+Which labels are the object, which hide it (hands, other things in front), and which of these the hand that holds it, is
+chosen by value: a number, a colour as #rrggbb, a folder's or a category's name.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from numpy import ndarray
 
+from getagrip.clip.data import FrameMasks
 from getagrip.clip.label_images import label_value, read_labels
 from getagrip.clip.naming import frame_of
 from getagrip.clip.segments import region, union
 from getagrip.clip.video_segments import video_segments
-from getagrip.clip.wanted_masks import MOST_NAMED, MaskPair, MaskReader, Wanted
+from getagrip.clip.wanted_masks import MOST_NAMED, MaskReader, Wanted, without_object
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays, files
 
@@ -53,13 +54,13 @@ def open_masks(path: Path, wanted: Wanted) -> MaskReader:
 def _thing_folders(folder: Path, wanted: Wanted, things: Sequence[str]) -> MaskReader:
     """Masks of a thing each in folders of their names.
 
-    An only one need not be named, nor those called ``object`` and ``ignore``.
+    An only one need not be named, nor those called ``object``, ``ignore`` and ``hand``.
     """
-    chosen = {"object": wanted.object, "ignore": wanted.ignore}
-    if not (wanted.object or wanted.ignore):
-        chosen = {"object": tuple(things[:1]), "ignore": ()}
+    chosen = {"object": wanted.object, "ignore": wanted.ignore, "hand": wanted.hand}
+    if not any(chosen.values()):
+        chosen = {"object": tuple(things[:1]), "ignore": (), "hand": ()}
         if len(things) > 1:
-            chosen = {"object": ("object",), "ignore": tuple({"ignore"} & {*things})}
+            chosen = {"object": ("object",)} | {kind: tuple({kind} & {*things}) for kind in ("ignore", "hand")}
     for kind, names in chosen.items():
         wrong = next((name for name in names if name not in things), None)
         if wrong is not None or (kind == "object" and not names):
@@ -68,12 +69,12 @@ def _thing_folders(folder: Path, wanted: Wanted, things: Sequence[str]) -> MaskR
             raise UsageError(f"--{kind}: got {given}, expected the name of a folder in {folder}: {there}")
     paths = {kind: [_pngs(folder / name, wanted.frames) for name in names] for kind, names in chosen.items()}
 
-    def read(n: int) -> MaskPair:
-        visible, hidden = (
+    def read(n: int) -> FrameMasks:
+        visible, hidden, hand = (
             union([read_labels(each[n], wanted.size) != 0 for each in paths[kind]], wanted.size)
-            for kind in ("object", "ignore")
+            for kind in ("object", "ignore", "hand")
         )
-        return visible, hidden & ~visible
+        return without_object(visible, hidden, hand if paths["hand"] else None)
 
     return MaskReader(folder, read)
 
@@ -108,24 +109,26 @@ class _Chooser:
     def __init__(self, wanted: Wanted) -> None:
         self.object = [label_value(text, "--object") for text in wanted.object]
         self.ignore = [label_value(text, "--ignore") for text in wanted.ignore]
+        self.hand = [label_value(text, "--hand") for text in wanted.hand]
         self.only: int | None = None
         self.others: set[str] = set()
 
-    def __call__(self, path: Path, labels: Int[ndarray, "H W"]) -> MaskPair:
+    def __call__(self, path: Path, labels: Int[ndarray, "H W"]) -> FrameMasks:
         """Raises ``InputError`` where no label is named and there are several."""
-        ignored = np.isin(labels, self.ignore)
+        ignored = np.isin(labels, [*self.ignore, *self.hand])
+        hand = np.isin(labels, self.hand) if self.hand else None
         if self.object:
             visible = np.isin(labels, self.object)
             if not visible.any() and len(self.others) < MOST_NAMED:
                 self.others.update(map(_label_name, np.unique(labels)[:MOST_NAMED].tolist()))
-            return visible, ignored & ~visible
+            return without_object(visible, ignored, hand)
         visible = (labels != 0) & ~ignored
         there = np.unique(labels[visible])
         self.only = int(there[0]) if self.only is None and there.size else self.only
         if there.size > 1 or (there.size and there[0] != self.only):
             some = ", ".join(map(_label_name, np.union1d(there, [self.only or there[0]])[:MOST_NAMED].tolist()))
             raise InputError(path, "labels", f"several, {some}", "one, or the object's named by --object")
-        return visible, ignored
+        return without_object(visible, ignored, hand)
 
 
 def _label_name(label: int) -> str:
@@ -135,14 +138,14 @@ def _label_name(label: int) -> str:
 
 def _arrays(path: Path, wanted: Wanted) -> MaskReader:
     """Masks or labels in an ``.npz`` file."""
-    given = arrays.read(path, {"object", "ignore", "labels", "frames"}.__contains__)
+    given = arrays.read(path, {"object", "ignore", "hand", "labels", "frames"}.__contains__)
     key = "labels" if "labels" in given else "object"
     if key not in given:
         raise InputError(path, "object", "no such array", "the array, or one called labels")
     if given[key].ndim != 3:
         raise InputError(path, key, f"{given[key].dtype} of shape {given[key].shape}", "masks of shape (n, H, W)")
     width, height = wanted.size
-    for name in [key] + ["ignore"] * ("ignore" in given):
+    for name in (key, *(name for name in ("ignore", "hand") if name in given)):
         array = given[name]
         expected = f"whole numbers or booleans of shape ({len(given[key])}, {height}, {width})"
         if array.dtype.kind not in "biu" or array.shape != (len(given[key]), height, width):
@@ -152,9 +155,9 @@ def _arrays(path: Path, wanted: Wanted) -> MaskReader:
     if key == "labels":
         return MaskReader(path, lambda n: choose(path, given["labels"][rows[n]].astype(np.int64)), choose.others)
 
-    def read(n: int) -> MaskPair:
-        mask = given["object"][rows[n]] != 0
-        return mask, (given["ignore"][rows[n]] != 0) & ~mask if "ignore" in given else np.zeros_like(mask)
+    def read(n: int) -> FrameMasks:
+        at = {name: given[name][rows[n]] != 0 for name in ("object", "ignore", "hand") if name in given}
+        return without_object(at["object"], at.get("ignore", np.zeros_like(at["object"])), at.get("hand"))
 
     return MaskReader(path, read)
 
@@ -208,19 +211,18 @@ def _coco(path: Path, wanted: Wanted) -> MaskReader:
         if of in index:
             called = {str(category), names.get(str(category), "")}
             chosen = "object" if called & {*wanted.object} or not wanted.object else ""
-            kind = "ignore" if called & {*wanted.ignore} else chosen
+            kind = "hand" if called & {*wanted.hand} else "ignore" if called & {*wanted.ignore} else chosen
             regions.setdefault((index[of], kind), []).append((f"annotations[{k}].segmentation", item))
     used = {str(item["category_id"]) for (_, kind), items in regions.items() if kind == "object" for _, item in items}
     if not wanted.object and len(used) > 1:
         raise InputError(path, "categories", f"several, {', '.join(sorted(used))}", "one, or --object names it")
 
-    def read(n: int) -> MaskPair:
-        pair = []
-        for kind in ("object", "ignore"):
-            found = regions.get((n, kind), [])
-            parts = [region(path, key, item.get("segmentation"), wanted.size) for key, item in found]
-            pair.append(union(parts, wanted.size))
-        return pair[0], pair[1] & ~pair[0]
+    def drawn(n: int, kind: str) -> Bool[ndarray, "H W"]:
+        found = regions.get((n, kind), [])
+        return union([region(path, key, item.get("segmentation"), wanted.size) for key, item in found], wanted.size)
+
+    def read(n: int) -> FrameMasks:
+        return without_object(drawn(n, "object"), drawn(n, "ignore"), drawn(n, "hand") if wanted.hand else None)
 
     there = {str(item["category_id"]) for item in annotations}
     return MaskReader(path, read, {names.get(label, label) for label in sorted(there)[:MOST_NAMED]})

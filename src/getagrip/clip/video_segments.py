@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Bool
 from numpy import ndarray
 
+from getagrip.clip.data import FrameMasks
 from getagrip.clip.naming import frame_of
 from getagrip.clip.segments import union
-from getagrip.clip.wanted_masks import MOST_NAMED, MaskPair, MaskReader, Wanted
+from getagrip.clip.wanted_masks import MOST_NAMED, MaskReader, Wanted, without_object
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files, pickles
 
@@ -40,18 +41,18 @@ def video_segments(path: Path, wanted: Wanted) -> MaskReader:
         raise InputError(path, "", f"{lacks} in keys {_some(given)}", "all frames, by their numbers")
     there = sorted({key for of_frame in masks.values() for key in of_frame})
     chosen = wanted.object or tuple(there[:1])
-    unknown = next((name for name in (*chosen, *wanted.ignore) if name not in there), None)
+    unknown = next((name for name in (*chosen, *wanted.ignore, *wanted.hand) if name not in there), None)
     if unknown is not None or (len(there) > 1 and not wanted.object) or not chosen:
-        option = "--ignore" if unknown in wanted.ignore else "--object"
+        option = "--ignore" if unknown in wanted.ignore else "--hand" if unknown in wanted.hand else "--object"
         said = "nothing" if unknown is None else repr(unknown)
         raise UsageError(f"{option}: got {said}, expected objects of {path}: {_some(there)}")
 
-    def read(n: int) -> MaskPair:
-        visible, hidden = (
+    def read(n: int) -> FrameMasks:
+        visible, hidden, hand = (
             union([masks[n][name] for name in names if name in masks[n]], wanted.size)
-            for names in (chosen, wanted.ignore)
+            for names in (chosen, wanted.ignore, wanted.hand)
         )
-        return visible, hidden & ~visible
+        return without_object(visible, hidden, hand if wanted.hand else None)
 
     return MaskReader(path, read)
 

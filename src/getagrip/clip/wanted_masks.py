@@ -9,14 +9,22 @@ from pathlib import Path
 from jaxtyping import Bool
 from numpy import ndarray
 
+from getagrip.clip.data import FrameMasks
 from getagrip.clip.naming import number_of
 from getagrip.errors import UsageError
 from getagrip.io import files
 
-MaskPair = tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]
-"""The object's mask, and what to ignore."""
 MOST_NAMED = 12
 """Labels that an error lists."""
+
+
+def without_object(
+    visible: Bool[ndarray, "H W"], hidden: Bool[ndarray, "H W"], hand: Bool[ndarray, "H W"] | None
+) -> FrameMasks:
+    """The masks of a frame: where the object's lies over the others it counts, and the hand is ignored as well."""
+    if hand is None:
+        return FrameMasks(visible, hidden & ~visible)
+    return FrameMasks(visible, (hidden | hand) & ~visible, hand & ~visible)
 
 
 @dataclass(frozen=True)
@@ -24,11 +32,11 @@ class MaskReader:
     """The masks of a frame, by its index. Calling it raises ``InputError``."""
 
     source: Path
-    read: Callable[[int], MaskPair]
+    read: Callable[[int], FrameMasks]
     others: set[str] = field(default_factory=set)
     """Labels that were met so far in frames without the object, for an error about a label that is nowhere."""
 
-    def __call__(self, n: int) -> MaskPair:
+    def __call__(self, n: int) -> FrameMasks:
         return self.read(n)
 
 
@@ -44,6 +52,8 @@ class Wanted:
     """Labels of the object; where none is named, there may be one only."""
     ignore: tuple[str, ...] = ()
     """Labels of what hides it."""
+    hand: tuple[str, ...] = ()
+    """Of these the hand that holds it, which need not be among them."""
     ask_first: str = ""
     """The option that states the number of the first frame's mask, where it was not used."""
 

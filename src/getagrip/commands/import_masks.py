@@ -13,7 +13,13 @@ from getagrip.io.images import write_mask
 
 
 def into_clip(
-    source: Path, objects: tuple[str, ...], ignore: tuple[str, ...], first: int | None, folder: Path, overwrite: bool
+    source: Path,
+    objects: tuple[str, ...],
+    ignore: tuple[str, ...],
+    hand: tuple[str, ...],
+    first: int | None,
+    folder: Path,
+    overwrite: bool,
 ) -> int:
     """Add ``masks/`` to a clip's folder.
 
@@ -31,8 +37,8 @@ def into_clip(
             raise UsageError(f"--first: got {first}, expected none: the clip's frames have no numbers")
         names = tuple(f"{number - numbers[0] + first:06d}" for number in numbers)
     ask_first = "--first" if first is None else ""
-    reader = open_masks(source, Wanted(names, header.size, objects, ignore, ask_first))
-    whence = header.fields["provenance"] | {"masks": provenance(source, objects, ignore)}
+    reader = open_masks(source, Wanted(names, header.size, objects, ignore, hand, ask_first))
+    whence = header.fields["provenance"] | {"masks": provenance(source, objects, ignore, hand)}
     with files.new_folder(target, ("object",) if overwrite else ()) as new:
         visible = write_masks(reader, header.frames, new)
         with files.new_file(header.folder / "clip.json") as part:
@@ -47,19 +53,21 @@ def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> in
     Raises ``InputError`` where it is visible in none.
     """
     visible = 0
-    for kind in ("object", "ignore"):
-        (folder / kind).mkdir(parents=True)
     for n, name in enumerate(frames):
-        for kind, mask in zip(("object", "ignore"), reader(n), strict=True):
-            write_mask(folder / kind / f"{name}.png", mask)
-            visible += int(kind == "object" and mask.any())
+        masks = reader(n)
+        for kind, mask in masks._asdict().items():
+            if mask is not None:
+                (folder / kind).mkdir(parents=True, exist_ok=True)
+                write_mask(folder / kind / f"{name}.png", mask)
+        visible += int(masks.object.any())
     if not visible:
         there = f"; there are {', '.join(sorted(reader.others))}" if reader.others else ""
         raise InputError(reader.source, "", f"masks without a pixel of the object{there}", "masks that show it")
     return visible
 
 
-def provenance(source: Path, objects: tuple[str, ...], ignore: tuple[str, ...]) -> str:
+def provenance(source: Path, objects: tuple[str, ...], ignore: tuple[str, ...], hand: tuple[str, ...]) -> str:
     """Where masks come from, for a clip's provenance."""
-    labels = f", object {', '.join(objects)}" if objects else ""
-    return f"from {source.name}{labels}" + (f", ignored {', '.join(ignore)}" if ignore else ", nothing ignored")
+    named = (("object", objects), ("ignored", ignore), ("hand", hand))
+    labels = "".join(f", {what} {', '.join(names)}" for what, names in named if names)
+    return f"from {source.name}{labels}" + ("" if ignore or hand else ", nothing ignored")

@@ -52,6 +52,7 @@ class Ingredients:
     """The number in the name of the first frame's mask; the frame's own where it is not given."""
     object: tuple[str, ...]
     ignore: tuple[str, ...]
+    hand: tuple[str, ...]
     hands: Path | None
     lens: Lens
     segments: Path | None = None
@@ -72,7 +73,7 @@ HOW = {
 """How to get what a clip cannot be made without."""
 LATER = {
     "masks": "masks of the object and the hand: SAM 2 or any segmentation of {out}/frames, as PNG labels, COCO "
-    "or .npz; then getagrip import masks PATH --object LABEL --ignore LABEL --clip {out}. Without a segmentation: "
+    "or .npz; then getagrip import masks PATH --object LABEL --hand LABEL --clip {out}. Without a segmentation: "
     "getagrip annotate {video} --out DIR (docs/annotate.md)",
     "hands": "run an estimator on {out}/frames (docs/estimators.md); then getagrip import hands FILE... --from ... "
     "--clip {out}. Without an estimator: click joints in getagrip annotate {video} --out DIR (docs/annotate.md)",
@@ -130,7 +131,7 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
             "source": f"{given.video.name}, frames {numbers[0]} to {numbers[-1]}",
             "camera": camera,
             **found.provenance,
-            "masks": provenance(given.masks, given.object, given.ignore) if given.masks else "none yet",
+            "masks": provenance(given.masks, given.object, given.ignore, given.hand) if given.masks else "none yet",
             **of_hands,
         },
     )
@@ -233,7 +234,7 @@ def _masks(given: Ingredients, numbers: Int[ndarray, "T"], size: tuple[int, int]
     shift = 0 if given.mask_of_first is None else given.mask_of_first - given.interval[0]
     names = tuple(f"{n + shift:06d}" for n in numbers)
     ask_first = "--mask-first" if given.mask_of_first is None else ""
-    return open_masks(given.masks, Wanted(names, size, given.object, given.ignore, ask_first))
+    return open_masks(given.masks, Wanted(names, size, given.object, given.ignore, given.hand, ask_first))
 
 
 def _write(

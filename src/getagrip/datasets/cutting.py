@@ -17,11 +17,11 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.clip import Clip, Masks, Segment, Truth
+from getagrip.clip import Clip, FrameMasks, Masks, Segment, Truth
 from getagrip.clip.plausible import FARTHEST, NEAREST, check_in_view
 from getagrip.clip.timeline import at_frames
 from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
-from getagrip.datasets.tracks import MaskPair, Piece, Source, Track
+from getagrip.datasets.tracks import Piece, Source, Track
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import checked_mesh
@@ -231,17 +231,22 @@ def _visible(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
     """
     width, height = track.size
     with TemporaryFile() as file:
-        both = np.memmap(file, dtype=bool, mode="w+", shape=(2, len(track), height, width))
+        all_masks = np.memmap(file, dtype=bool, mode="w+", shape=(3, len(track), height, width))
     rows: list[int] = []
+    hand_known = True
     for row in range(len(track)):
-        visible, ignore = _mask_pair(track, row)
-        if np.count_nonzero(visible) >= VISIBLE:
-            both[0, len(rows)], both[1, len(rows)] = visible, ignore
+        masks = _frame_masks(track, row)
+        if np.count_nonzero(masks.object) >= VISIBLE:
+            for kind, mask in zip(all_masks, masks, strict=True):
+                if mask is not None:
+                    kind[len(rows)] = mask
+            hand_known &= masks.hand is not None
             rows.append(row)
-    return np.array(rows, dtype=np.int64), Masks(both[0, : len(rows)], both[1, : len(rows)])
+    visible, ignore, hand = all_masks[:, : len(rows)]
+    return np.array(rows, dtype=np.int64), Masks(visible, ignore, hand if hand_known else None)
 
 
-def _mask_pair(track: Track, row: int) -> MaskPair:
+def _frame_masks(track: Track, row: int) -> FrameMasks:
     """The dataset's own masks of a frame, or those rendered from the true poses."""
     if track.read_masks is not None:
         return track.read_masks(int(track.numbers[row]))
@@ -252,4 +257,4 @@ def _mask_pair(track: Track, row: int) -> MaskPair:
         for hand in (track.hand, track.other_hand)
         if hand is not None
     ]
-    return true_masks(track.surface(row), hands, [], track.K, track.size)
+    return FrameMasks(*true_masks(track.surface(row), hands, [], track.K, track.size))

@@ -26,12 +26,12 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.clip import HandTrack
+from getagrip.clip import FrameMasks, HandTrack
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.pickled import numbers
-from getagrip.datasets.tracks import MaskPair, Source, Track, check_length, in_pixels
+from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import LARGEST_FILE, checked_mesh, with_area
@@ -57,8 +57,16 @@ CATEGORIES = {
     "C17": "Lamp", "C18": "Stapler", "C20": "Chair",
 }  # fmt: skip
 """HOI4D's categories."""
-OBJECT = (128, 0, 0)
+Colour = tuple[int, int, int]
+OBJECT: Colour = (128, 0, 0)
 """Red, green and blue of label 1 in the colours of PASCAL VOC; every other label is a hand or another object."""
+HANDS: dict[tuple[str, Side], Colour] = {
+    **{(kind, "right"): (0, 128, 0) for kind in CATEGORIES},
+    ("C8", "left"): (0, 128, 128),
+    ("C17", "left"): (0, 128, 128),
+    ("C20", "left"): (128, 128, 0),
+}
+"""Those of hands: label 2, and 6 or 3. Of other left hands HOI4D's list of labels knows nothing."""
 SIDES: tuple[Side, ...] = ("left", "right")
 
 
@@ -123,7 +131,7 @@ def _read(root: Path, folder: Path, mano: Path, note: Note) -> Iterator[Track]:
             hand=_hand([files[n] for n in frames], mano, side),
             T_cam_obj=np.stack([T_cam_obj[n] for n in frames]),
             mesh=mesh,
-            read_masks=None if masks is None else partial(_masks, masks),
+            read_masks=None if masks is None else partial(_masks, masks, HANDS.get((kind, side))),
             provenance={
                 "source": f"HOI4D, {'/'.join(index)}",
                 "licence": "made from HOI4D, CC BY-NC 4.0",
@@ -178,13 +186,17 @@ def _hand(files: list[Path], mano: Path, side: Side) -> HandTrack:
     return mano_tracks.track(model, pose[:, :3], pose[:, 3:], trans, shape, True, np.eye(4))
 
 
-def _masks(folder: Path, number: int) -> MaskPair:
-    """The object and what is ignored, at half the size: a pixel is what two of its four are."""
+def _masks(folder: Path, hand: Colour | None, number: int) -> FrameMasks:
+    """The object, what is ignored and the hand, at half the size: a pixel is what two of its four are."""
     image = read_colour_png(folder / f"{number:05d}.png", IMAGE)
-    red, green, blue = np.moveaxis(image, 2, 0)
-    observed = (red == OBJECT[0]) & (green == OBJECT[1]) & (blue == OBJECT[2])
-    labelled = (red | green | blue) > 0
-    return _halved(observed, 2), _halved(labelled & ~observed, 2) & ~_halved(observed, 2)
+
+    def of(colour: Colour) -> Bool[ndarray, "H W"]:
+        return np.asarray((image == np.array(colour, image.dtype)).all(axis=2))
+
+    observed, labelled = of(OBJECT), image.any(axis=2)
+    seen = _halved(observed, 2)
+    holding = None if hand is None else _halved(of(hand), 2) & ~seen
+    return FrameMasks(seen, _halved(labelled & ~observed, 2) & ~seen, holding)
 
 
 def _halved(mask: Bool[ndarray, "H W"], least: int) -> Bool[ndarray, "h w"]:

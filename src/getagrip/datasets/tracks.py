@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import HandTrack, Joint, Segment, World
+from getagrip.clip import FrameMasks, HandTrack, Joint, Segment, World
 from getagrip.datasets.dataset import Note
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 MOST_FRAMES = 20_000
 """Of a sequence: ten times as many as the longest of these datasets has. A hand in all of them takes 0.4 GB."""
-MaskPair = tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]
-"""Where the object is visible, and what to ignore."""
 
 
 def check_length(path: Path, key: str, frames: int) -> None:
@@ -73,7 +71,7 @@ class Track:
     """The other hand, which hides and is ignored as well, in the same frames."""
     given_hand: HandTrack | None = None
     """The hand as an estimator has it: its clips are given that one, and ``hand`` is their ground truth."""
-    read_masks: Callable[[int], MaskPair] | None = None
+    read_masks: Callable[[int], FrameMasks] | None = None
     """The dataset's own masks of the frame of some number; rendered from the true poses where it has none."""
     world: World | None = None
     """Where the camera was, if the dataset says so."""

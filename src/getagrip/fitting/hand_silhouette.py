@@ -43,7 +43,8 @@ class HandMask:
         K: (N, 4) fx, fy, cx, cy of the crops [px].
         observed: (N, n, words) the hand's pixels, as bits.
         valid: (N, n, words) pixels that are known to be the hand's or not: not those of the object, which may hide the
-            hand, not other ignored pixels, and not those beyond its wrist, where an arm is.
+            hand, not other ignored pixels, and not those beyond its wrist, where an arm is. None in frames of which no
+            pixel is known to be the hand's: nobody may have labelled it.
         field: (N, n, n) signed distance to the visible contour [px].
     """
 
@@ -67,6 +68,7 @@ class HandMask:
             valid &= ~hand | _near(_given_bits(clip.hand, fxfycxcy))
         else:
             valid &= hand | ~crops.resample(masks.ignore, outside=True)
+            valid &= masks.hand.any(axis=(1, 2), keepdims=True)
         valid &= ~_beyond_wrist(clip.hand, K)
         hand &= valid
         field = np.stack([signed_distance(h, v) for h, v in zip(hand, valid, strict=True)])

@@ -35,8 +35,9 @@ def nearest_surface(
 
 def true_masks(
     held: Surface, hands: Sequence[Surface], others: Sequence[Surface], K: Float[ndarray, "3 3"], size: tuple[int, int]
-) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
-    """The visible pixels of the held object, and the pixels that say nothing about it (1 - C_o of the paper's Eq. 6).
+) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
+    """The visible pixels of the held object, those that say nothing about it (1 - C_o of the paper's Eq. 6), and the
+    visible ones of the hand that holds it, the first of ``hands``.
 
     Ignored is every pixel whose nearest surface is a hand, or another object that hides part of the held one; objects
     that hide nothing are background, which does say where the held object is not. An object in front is ignored as
@@ -49,7 +50,7 @@ def true_masks(
         for k in range(1 + len(hands), len(shown)):
             if shown[k] > HIDES * shown.sum():
                 ignore |= part == k
-    return part == 0, ignore
+    return part == 0, ignore, (part == 1) & bool(hands)
 
 
 def render_rgb(

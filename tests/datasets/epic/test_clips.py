@@ -103,6 +103,10 @@ def test_masks_are_the_polygons_and_hands_and_things_in_front_are_ignored(run: R
     ignored = np.zeros((480, 854), bool)
     ignored[240:301, 360:421] = ignored[210:261, 520:561] = ignored[330:401, 440:521] = True  # both hands, the spoon
     assert all((mask == ignored & ~expected).all() for mask in masks.ignore[:-1])  # and not the hob behind
+    assert masks.hand is not None
+    one = np.zeros((480, 854), bool)
+    one[240:301, 360:421] = True
+    assert all((mask == one & ~expected).all() for mask in masks.hand[:-1])
     border = np.count_nonzero(masks.object[-1] ^ expected)  # people's own, 1920 x 1080
     assert 0 < border < 600
     images = sorted((clip.folder / "frames").glob("*.jpg"))

@@ -88,7 +88,7 @@ def test_the_masks_show_the_true_poses_and_the_cad_is_of_another_shape() -> None
     for n in (0, 5, 11):
         held = se3.transform(clip.truth.T_cam_obj[n], scene.object.vertices), scene.object.faces
         hand = se3.transform(clip.truth.T_cam_hand[n], clip.truth.hand_vertices[n]), clip.hand.faces
-        shown, _ = true_masks(held, [hand], [], clip.K[n], clip.size)
+        shown, *_ = true_masks(held, [hand], [], clip.K[n], clip.size)
         np.testing.assert_array_equal(masks.object[n], shown)
     assert misfit(clip.mesh, scene.object) > 0.9 * SMALL.deform * scene.object.diameter
     assert clip.fps != SMALL.fps

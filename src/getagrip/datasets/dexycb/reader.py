@@ -17,14 +17,14 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.clip import FINGERS, HandTrack, World
+from getagrip.clip import FINGERS, FrameMasks, HandTrack, World
 from getagrip.datasets import fitted_hands, ycb
 from getagrip.datasets.cutting import CutSource, TrackedDataset
 from getagrip.datasets.dataset import Note, Part
 from getagrip.datasets.dexycb import timelines
 from getagrip.datasets.dexycb.recording import SIZE, Recording, Sequence, find
 from getagrip.datasets.fitted_hands import describe_fit
-from getagrip.datasets.tracks import MaskPair, Piece, Source, Track
+from getagrip.datasets.tracks import Piece, Source, Track
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.grasps.definition import FEWEST
@@ -173,7 +173,7 @@ def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: 
     return [track.take(np.flatnonzero(poses.known[hand.frames]))]
 
 
-def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> MaskPair:
+def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> FrameMasks:
     """Where the held object is visible in frame n, and what to ignore: the hand, and other objects that have a mesh."""
     from getagrip.geometry.render import true_masks  # loads numba
 
@@ -185,7 +185,7 @@ def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> MaskPair:
     held = surfaces.pop(recording.held)
     row = int(np.searchsorted(hand.frames, n))
     in_front = se3.transform(hand.track.T_cam_hand[row], hand.track.vertices[row]), hand.track.faces
-    return true_masks(held, [in_front], list(surfaces.values()), recording.K, SIZE)
+    return FrameMasks(*true_masks(held, [in_front], list(surfaces.values()), recording.K, SIZE))
 
 
 def fit_hand(recording: Recording) -> Hand:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.clip import Clip, HandTrack, Masks
+from getagrip.clip import Clip, FrameMasks, HandTrack, Masks
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading import read_hand
 from getagrip.clip.writing import without_hand
@@ -105,10 +105,12 @@ def _rank(frame: visor.Frame) -> tuple[bool, int]:
     return not frame.dense, len(frame.annotations)
 
 
-def masks_of(frame: visor.Frame, grasp: EpicGrasp) -> tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]:
-    """The object's pixels, and those that say nothing about it: of both hands, gloves and other objects.
+def masks_of(frame: visor.Frame, grasp: EpicGrasp) -> FrameMasks:
+    """The object's pixels, those that say nothing about it (of both hands, gloves and other objects), and those of the
+    hand that holds it, in its glove if it wears one.
 
-    Where the object's polygons lie over others' they are believed. What stands behind things is not ignored.
+    Where the object's polygons lie over others' they are believed. What stands behind things is not ignored. A pair of
+    gloves in one mask is neither hand's.
     """
 
     def drawn(chosen: Iterable[visor.Annotation]) -> Bool[ndarray, "H W"]:
@@ -117,7 +119,8 @@ def masks_of(frame: visor.Frame, grasp: EpicGrasp) -> tuple[Bool[ndarray, "H W"]
     held = [a for a in frame.annotations if _is_held(a, grasp)]
     hiding = [a for a in frame.annotations if a not in held and (a.hands or a.class_id not in BACKGROUND)]
     observed = drawn(held)
-    return observed, drawn(hiding) & ~observed
+    holding = drawn(a for a in frame.annotations if a.hands == (grasp.side,))
+    return FrameMasks(observed, drawn(hiding) & ~observed, holding & ~observed)
 
 
 def clip(
@@ -137,7 +140,7 @@ def clip(
     no vertices: ``hand_of`` reads it.
     """
     masks = {number: masks_of(frame, grasp) for number, frame in sorted(frames.items())}
-    valid = [number for number, (mask, _) in masks.items() if np.count_nonzero(mask) >= VISIBLE]
+    valid = [number for number, mask in masks.items() if np.count_nonzero(mask.object) >= VISIBLE]
     masked, valid = valid, [number for number in valid if hands is None or hands.has(number)]
     if len(valid) < FEWEST:
         what = "a mask" if hands is None or hands.frames is None else "a mask and a hand"
@@ -165,7 +168,7 @@ def clip(
         provenance=_provenance(grasp, [frames[n] for n in chosen], mesh_source, camera, hands, has_mapping)
         | without_hand(names, [row for row, number in enumerate(chosen) if hands is None or hands.has(number)]),
     )
-    return made, Masks(*(np.array([masks[number][k] for number in chosen]) for k in (0, 1)))
+    return made, Masks.of(masks[number] for number in chosen)
 
 
 def _spread(numbers: Sequence[int], count: int) -> list[int]:

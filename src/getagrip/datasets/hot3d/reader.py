@@ -21,12 +21,12 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.clip import HandTrack, World
+from getagrip.clip import FrameMasks, HandTrack, World
 from getagrip.datasets.cutting import CutSource, Pieces, TrackedDataset, pieces
 from getagrip.datasets.dataset import Note, Part
 from getagrip.datasets.hot3d import timelines
 from getagrip.datasets.hot3d.recording import Recording, find, read_recording
-from getagrip.datasets.tracks import MaskPair, Piece, Source, Track
+from getagrip.datasets.tracks import Piece, Source, Track
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -175,7 +175,7 @@ def _tracks(
         for side, hand in recording.hands.items():
             both = np.flatnonzero(hand.known & poses.known)
             if uid in meshes and both.size:
-                masks = partial(_masks, recording, uid, meshes, covered)
+                masks = partial(_masks, recording, side, uid, meshes, covered)
                 track = _track(folder, recording, side, uid, objects.names[uid], meshes[uid], both, masks)
                 yield replace(track, origin=-first)
 
@@ -188,7 +188,7 @@ def _track(
     category: str,
     mesh: Mesh,
     frames: Int[ndarray, "T"],
-    masks: Callable[[int], MaskPair],
+    masks: Callable[[int], FrameMasks],
 ) -> Track:
     """A hand and an object in some frames of a recording."""
     hand, camera = recording.hands[side], recording.camera
@@ -229,14 +229,16 @@ def _track(
     )
 
 
-def _masks(recording: Recording, uid: str, meshes: dict[str, Mesh], covered: Bool[ndarray, "H W"], n: int) -> MaskPair:
-    """Where an object is visible in frame n, and what to ignore; ``covered`` is what the fisheye image shows."""
+def _masks(
+    recording: Recording, side: Side, uid: str, meshes: dict[str, Mesh], covered: Bool[ndarray, "H W"], n: int
+) -> FrameMasks:
+    """The masks of frame n; ``covered`` is what the fisheye image shows."""
     from getagrip.geometry.render import true_masks  # loads numba
 
     T_cam_world = se3.inverse(recording.camera.T_world_cam[n])
     hands: list[Surface] = [
         (se3.transform(T_cam_world @ hand.T_world_hand[n], hand.posed.vertices[n]), hand.posed.faces)
-        for hand in recording.hands.values()
+        for _, hand in sorted(recording.hands.items(), key=lambda item: item[0] != side)
         if hand.known[n]
     ]
     objects: dict[str, Surface] = {
@@ -246,5 +248,5 @@ def _masks(recording: Recording, uid: str, meshes: dict[str, Mesh], covered: Boo
     }
     held = objects.pop(uid)
     pinhole = recording.camera.pinhole
-    visible, ignore = true_masks(held, hands, list(objects.values()), pinhole.K, pinhole.size)
-    return visible & covered, ignore | ~covered
+    visible, ignore, holding = true_masks(held, hands, list(objects.values()), pinhole.K, pinhole.size)
+    return FrameMasks(visible & covered, ignore | ~covered, holding & covered)

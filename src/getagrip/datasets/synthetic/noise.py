@@ -136,13 +136,14 @@ def noisy_masks(masks: Masks, noise: Noise, rng: np.random.Generator) -> Masks:
     """Masks whose boundaries are off; what is ignored stays ignored rather than the object's."""
     if noise.mask_ragged_px == 0.0:
         return masks
-    pairs = []
+    objects, ignored, hands = [], [], []
     for mask, ignore in zip(masks.object, masks.ignore, strict=True):
-        hidden = ragged(ignore, noise.mask_ragged_px, rng)
-        pairs.append((ragged(mask, noise.mask_ragged_px, rng) & ~hidden, hidden))
-    objects, ignored = zip(*pairs, strict=True)
-    hand = None if masks.hand is None else np.stack([ragged(m, noise.mask_ragged_px, rng) for m in masks.hand])
-    return Masks(np.stack(objects), np.stack(ignored), hand)
+        ignored.append(ragged(ignore, noise.mask_ragged_px, rng))
+        objects.append(ragged(mask, noise.mask_ragged_px, rng) & ~ignored[-1])
+    for hand, ignore, moved in zip(() if masks.hand is None else masks.hand, masks.ignore, ignored, strict=False):
+        alone = np.array_equal(hand, ignore)  # then it is one contour
+        hands.append(moved if alone else ragged(hand, noise.mask_ragged_px, rng))
+    return Masks(np.stack(objects), np.stack(ignored), np.stack(hands) if hands else None)
 
 
 def ragged(mask: Bool[ndarray, "H W"], px: float, rng: np.random.Generator) -> Bool[ndarray, "H W"]:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from getagrip.clip import Clip, HandTrack, Masks, Truth, World
+from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Truth, World
 from getagrip.datasets.synthetic import in_hand
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.deform import aligned, drawn
@@ -29,7 +29,7 @@ from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.mesh import Mesh
-from getagrip.geometry.render import Surface, nearest_surface, render_rgb, true_masks
+from getagrip.geometry.render import Surface, render_rgb, true_masks
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track, mirrored
 from getagrip.result import Axis
@@ -220,18 +220,11 @@ def _flipped(mesh: Mesh) -> Mesh:
 
 
 def ground_truth_masks(scene: Scene) -> Masks:
-    """True masks of the scene, those of the holding hand beside where there is another."""
+    """True masks of the scene."""
     clip = scene.clip
     surfaces = [scene.surfaces(n) for n in range(len(clip))]
-    pairs = [true_masks(held, hands, [], K, clip.size) for (held, hands), K in zip(surfaces, clip.K, strict=True)]
-    objects, ignored = zip(*pairs, strict=True)
-    hand = None
-    if scene.other_hand is not None:
-        nearest = [
-            nearest_surface([held, *hands], K, clip.size) for (held, hands), K in zip(surfaces, clip.K, strict=True)
-        ]
-        hand = np.stack(nearest) == 1
-    return Masks(np.stack(objects), np.stack(ignored), hand)
+    drawn = zip(surfaces, clip.K, strict=True)
+    return Masks.of(FrameMasks(*true_masks(held, hands, [], K, clip.size)) for (held, hands), K in drawn)
 
 
 def pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
