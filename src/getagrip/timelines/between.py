@@ -32,13 +32,15 @@ def between(
     footage: Footage, rows: Int[ndarray, "n"], before: Hypotheses | None, after: Hypotheses | None
 ) -> Hypotheses:
     """The object in frames that lie between two known poses, or beyond one: each of one hypothesis in one frame."""
-    ahead = None if before is None else follow(footage, rows, before)
-    behind = None if after is None else follow(footage, rows[::-1], after).at(np.arange(len(rows))[::-1])
+    ahead = None if before is None else follow(footage, rows[0] - 1, rows, before).found
+    behind = None if after is None else follow(footage, rows[-1] + 1, rows[::-1], after).found
+    behind = behind and behind.at(np.arange(len(rows))[::-1])
     if ahead is None or behind is None:
         start = ahead or behind
         assert start is not None
     else:
-        start = ahead.concatenate(behind).concatenate(_blended(ahead, behind))
+        best = np.zeros(1, int)
+        start = ahead.concatenate(behind).concatenate(_blended(ahead.take(best), behind.take(best)))
     return _fitted(footage, rows, start)
 
 

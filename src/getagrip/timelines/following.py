@@ -1,49 +1,125 @@
-"""A pose followed from frame to frame by the masks, whatever the hand does.
+"""Poses followed from frame to frame by the masks, along several paths each.
 
-The object's pose in the world changes little from one frame to the next, and each mask says how. Depth and what a
-silhouette does not show stay as they were: deviations from the frame before are under a ridge.
+From one frame to the next an object stays, moves on as before, goes with the hand, or turns: each is a proposal, fitted
+to the mask. Where the masks cannot tell, as while the hand covers a mug's handle, a single pose gets lost; so the
+distinct paths of least energy go on, and later masks choose. Depth and what a silhouette does not show stay as they
+were proposed: deviations are under a ridge.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.fitting.motion import Fixed, Frozen, Soft
+from getagrip.fitting.energy.smoothness import moments
+from getagrip.fitting.motion import Fixed, Frozen, PosesInHand, Soft
 from getagrip.fitting.objective import NOTHING, mask_of
 from getagrip.fitting.solve import minimise
+from getagrip.geometry import se3
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.hypotheses import Hypotheses
 
 RIDGE = (5e4, 300.0)
-"""Stiffness of a frame's motion from where it was expected [px^2 per m^2, per rad^2]."""
-STEPS = ((64, 6), (128, 5))
-"""Resolution [px] and iterations in each frame."""
+"""Stiffness of a frame's motion from where it was proposed [px^2 per m^2, per rad^2]."""
+TURN = np.radians(15.0)
+"""Of proposals that turn about the object's principal axes [rad]."""
+PATHS = 4
+"""Kept of each pose."""
+ROUNDS = ((2, ((64, 2),)), (1, ((64, 4), (128, 5))))
+"""In each frame: how many times as many paths are kept afterwards; resolutions [px] and iterations."""
+SAME = 0.03
+"""Paths whose poses are nearer than this, in diameters, go on as one."""
+LOST = 1e9
+"""Energy of a pose that cannot be rendered [px^2]."""
 
 
-def follow(footage: Footage, rows: Int[ndarray, "n"], start: Hypotheses) -> Hypotheses:
-    """Hypotheses of one frame, taken through others in the given order, which may lead back in time.
+@dataclass(frozen=True)
+class Paths:
+    """Where poses may have gone, least energy first; a path's energy is its pose's, that of its masks and its steps."""
+
+    found: Hypotheses
+    start: Int[ndarray, "P"]
+    """Which pose each path began with."""
+
+    def at(self, frames: Int[ndarray, "m"]) -> Paths:
+        """At some of the frames."""
+        return Paths(self.found.at(frames), self.start)
+
+
+def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypotheses) -> Paths:
+    """Hypotheses of the frame ``begin``, taken through others in the given order, which may lead back in time.
 
     In frames that do not show the object it stays where it was.
     """
     seen = footage.observed(rows)
-    K, scale = len(start.R), start.scale
-    R, centre = start.R[:, 0], start.centre[:, 0]
-    out = Hypotheses(np.empty((K, len(rows), 3, 3)), np.empty((K, len(rows), 3)), scale, start.energy)
-    step: Float[ndarray, "K 3"] = np.zeros((K, 3))
-    energy, T_cam_world = mask_of(footage.problem(seen)) if len(seen) else NOTHING, footage.T_cam_world[seen]
-    frame = 0
+    energy = mask_of(footage.problem(seen)) if len(seen) else NOTHING
+    about = moments(footage.clip.mesh.vertices - footage.clip.mesh.centre)
+    here, before, last, frame = start, start, begin, 0
+    K, N = len(start.R), len(rows)
+    room = np.empty((K, N, 3, 3)), np.empty((K, N, 3))
+    paths = Paths(Hypotheses(*room, start.scale, start.energy), np.arange(K))
     for n, row in enumerate(rows):
-        if frame == len(seen) or row != seen[frame]:
-            out.R[:, n], out.centre[:, n] = R, centre
-            continue
-        here, frame = np.array([frame]), frame + 1
-        fixed = Fixed(R, centre + 0.5 * step, np.log(scale), 1)
-        motion = Frozen(Soft(fixed, np.zeros((K, 1, 6)), RIDGE))
-        for level, iterations in STEPS:
-            motion = minimise(motion, energy(level, here), T_cam_world[here], iterations).motion
-        poses = motion.poses()
-        step, R, centre = poses.centre[:, 0] - centre, poses.R[:, 0], poses.centre[:, 0]
-        out.R[:, n], out.centre[:, n] = R, centre
-    return out
+        if frame < len(seen) and row == seen[frame]:
+            carried = footage.T_world_hand[row] @ se3.inverse(footage.T_world_hand[last])
+            motion, parent = _proposals(here, before, carried, footage.some.surface.axes)
+            for times, steps in ROUNDS:
+                for level, iterations in steps:
+                    terms = energy(level, np.array([frame]))
+                    fitted = minimise(motion, terms, footage.T_cam_world[[row]], iterations)
+                    motion = fitted.motion
+                cost = here.energy[parent] + np.nan_to_num(fitted.energy, nan=LOST, posinf=LOST)
+                spots = _spots(about, motion.poses())
+                best = _distinct(spots, cost, paths.start[parent], times * PATHS, SAME * footage.clip.mesh.diameter)
+                motion, parent, cost = motion.take(best), parent[best], cost[best]
+            poses = motion.poses()
+            before, here = here.take(parent), Hypotheses(poses.R, poses.centre, poses.scale, cost)
+            paths = Paths(replace(paths.found.take(parent), energy=cost), paths.start[parent])
+            last, frame = int(row), frame + 1
+        paths.found.R[:, n], paths.found.centre[:, n] = here.R[:, 0], here.centre[:, 0]
+    return paths
+
+
+def _proposals(
+    here: Hypotheses, before: Hypotheses, carried: Float[ndarray, "4 4"], axes: Float[ndarray, "3 3"]
+) -> tuple[Frozen[Soft[Fixed]], Int[ndarray, "M"]]:
+    """Where paths may go on, one frame each, and which path each proposal is of.
+
+    Half a step on, a whole one with its turn, with the hand (``carried``), or turned about one of the axes.
+    """
+    R, centre, n = here.R[:, 0], here.centre[:, 0], len(here.R)
+    step, turn = centre - before.centre[:, 0], R @ np.swapaxes(before.R[:, 0], -1, -2)
+    turned = R @ se3.exp_so3(TURN * np.concatenate([axes, -axes]))[:, None]
+    places = [
+        (R, centre + 0.5 * step),
+        (turn @ R, centre + step),
+        (carried[:3, :3] @ R, se3.transform(carried, centre)),
+        *((r, centre) for r in turned),
+    ]
+    every = Fixed(
+        np.concatenate([r for r, _ in places]), np.concatenate([c for _, c in places]),
+        np.tile(np.log(here.scale), len(places)), 1,
+    )  # fmt: skip
+    return Frozen(Soft(every, np.zeros((len(every.R), 1, 6)), RIDGE)), np.tile(np.arange(n), len(places))
+
+
+def _spots(about: Float[ndarray, "4 4"], poses: PosesInHand) -> Float[ndarray, "M 12"]:
+    """Poses as points, as far apart as surfaces are, root mean square [m]; ``about``: ``moments`` of the vertices."""
+    arm = poses.scale[:, None, None] * about[:, :3] @ np.swapaxes(poses.R[:, 0], -1, -2)
+    return np.asarray((arm + about[:, 3:] * poses.centre[:, :1]).reshape(-1, 12))
+
+
+def _distinct(
+    spots: Float[ndarray, "M 12"], cost: Float[ndarray, "M"], start: Int[ndarray, "M"], keep: int, same: float
+) -> Int[ndarray, "P"]:
+    """The ``keep`` cheapest of each start, near-copies of a cheaper one left out, cheapest first."""
+    chosen: dict[int, list[int]] = {}
+    order: list[int] = []
+    for m in np.argsort(cost, kind="stable"):
+        mine = chosen.setdefault(int(start[m]), [])
+        if len(mine) < keep and (not mine or np.linalg.norm(spots[mine] - spots[m], axis=1).min() > same):
+            mine.append(int(m))
+            order.append(int(m))
+    return np.array(order, dtype=int)

@@ -24,23 +24,28 @@ from getagrip.fitting.problem import MethodResult, Problem, prepare
 from getagrip.fitting.solve import Solution, Status, evaluate, minimise
 from getagrip.geometry import se3
 from getagrip.result import Axis, FrameKind
+from getagrip.timelines.following import Paths
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.hypotheses import Hypotheses, in_world
 from getagrip.timelines.link_term import SLIP, WEIGHT, Expected, LinkTerm
 
 FINEST = 256
 """Resolution at which solutions are compared [px]."""
+STARTS = 8
+"""Paths of a neighbour's poses that the search begins with, too."""
 POLISH = 6
 """Iterations of the last fit."""
 
 
 @dataclass(frozen=True)
 class Neighbour:
-    """Where the hypotheses of a neighbouring segment have the object in some frames of a grasp's problem."""
+    """Where the hypotheses of a neighbouring segment, followed, have the object in some frames of a grasp's problem."""
 
-    expected: Hypotheses
+    paths: Paths
     frames: Int[ndarray, "m"]
     """Of the problem's frames, rising."""
+    earlier: bool
+    """Whether the neighbour comes before the grasp."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +136,7 @@ def most(problem: Problem) -> float:
 
 def _link(problem: Problem, neighbour: Neighbour) -> Energy:
     """The energy of one link."""
-    clip, frames, expected = problem.clip, neighbour.frames, neighbour.expected
+    clip, frames, expected = problem.clip, neighbour.frames, neighbour.paths.found
     assert clip.world is not None
     R, centre = expected.seen_from(se3.inverse(clip.world.T_world_cam[frames]))
     of, size = moments(clip.mesh.vertices - clip.mesh.centre), SLIP * clip.mesh.diameter
@@ -148,7 +153,7 @@ def _link(problem: Problem, neighbour: Neighbour) -> Energy:
 
 def _starts(problem: Problem, neighbour: Neighbour) -> Float[ndarray, "k 4 4"]:
     """``T_hand_obj`` as the neighbour has it in the first and in the last of its frames."""
-    T_world_obj = neighbour.expected.T_world_obj(problem.clip.mesh.centre)
+    T_world_obj = neighbour.paths.found.T_world_obj(problem.clip.mesh.centre)[:STARTS]
     T_hand_world = se3.inverse(_T_world_hand(problem)[neighbour.frames])
     return np.concatenate([T_hand_world[n] @ T_world_obj[:, n] for n in (0, -1)])
 

@@ -26,7 +26,7 @@ from getagrip.timelines.chain import best_chain, second_best
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.held import Held, Neighbour, in_all_frames, most, prepared, solved
 from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.links import followed_into, link_cost
+from getagrip.timelines.links import followed_to, link_cost
 from getagrip.timelines.static_pose import static_hypotheses
 
 REACH = 6
@@ -87,7 +87,8 @@ def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None
     if not anchors:
         given = "no static segment and no grasp of the clip's hand that shows the object in two frames"
         raise InputError(footage.clip.origin, "segments", given, "one at least")
-    links = [_link(footage, one, other) for one, other in itertools.pairwise(anchors)]
+    pairs = zip(itertools.pairwise(anchors), itertools.pairwise(neighbours), strict=True)
+    links = [_link(footage, *ends, near) for ends, near in pairs]
     energies = [hypotheses.energy for _, hypotheses, _ in anchors]
     chosen, energy = best_chain(energies, links)
     on_stage("links")
@@ -151,12 +152,14 @@ def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> tuple[l
         rows = footage.clip.index_of(problem.clip.frames)
         m = min(REACH, len(rows))
         if n and order[n - 1] in static:
-            gap = np.arange(order[n - 1].last + 1, rows[0])
-            near.append(Neighbour(followed_into(footage, static[order[n - 1]], gap, rows[:m]), np.arange(m)))
+            one = order[n - 1]
+            paths = followed_to(footage, one.last, rows[:m], static[one].at(np.zeros(1, int)))
+            near.append(Neighbour(paths, np.arange(m), earlier=True))
         if n + 1 < len(order) and order[n + 1] in static:
-            gap = np.arange(order[n + 1].first - 1, rows[-1], -1)
-            found = followed_into(footage, static[order[n + 1]], gap, rows[::-1][:m])
-            near.append(Neighbour(found.at(np.arange(m)[::-1]), np.arange(len(rows) - m, len(rows))))
+            one = order[n + 1]
+            paths = followed_to(footage, one.first, rows[::-1][:m], static[one].at(np.zeros(1, int)))
+            frames = np.arange(len(rows) - m, len(rows))
+            near.append(Neighbour(paths.at(np.arange(m)[::-1]), frames, earlier=False))
         held = solved(footage, segment, problem, near)
         anchors.append((segment, held.hypotheses, held))
         neighbours.append(near)
@@ -171,12 +174,22 @@ def _copies(footage: Footage, hypotheses: Hypotheses, k: int) -> Bool[ndarray, "
     return np.array([len(suppress_duplicates(pair, np.zeros(2), surface, 2)) == 1 for pair in pairs])
 
 
-def _link(footage: Footage, one: Anchor, other: Anchor) -> Float[ndarray, "K L"]:
-    """What each pair of hypotheses of two neighbouring segments costs."""
-    ends = []
-    for (segment, hypotheses, held), side in ((one, -1), (other, 0)):
-        row = int(held.rows[side]) if held else segment.last if side else segment.first
-        ends.append((hypotheses.at(np.array([side])), row))
+def _link(
+    footage: Footage, one: Anchor, other: Anchor, near: tuple[list[Neighbour], list[Neighbour]]
+) -> Float[ndarray, "K L"]:
+    """What each pair of hypotheses of two neighbouring segments costs; ``near``: those followed into grasps already."""
+    mesh, (before, end), (after, begin) = footage.clip.mesh, _end(one, -1), _end(other, 0)
     problems = [held.problem for _, _, held in (one, other) if held is not None]
     weight = most(problems[0]) if problems else float(min(one[1].energy.min(), other[1].energy.min()))
-    return link_cost(footage, ends[0], ends[1], weight)
+    ahead = next((x.paths.at(np.array([0])) for x in near[1] if x.earlier), None)
+    behind = next((x.paths.at(np.array([-1])) for x in near[0] if not x.earlier), None)
+    ahead = ahead or followed_to(footage, end, np.array([begin]), before)
+    behind = behind or followed_to(footage, begin, np.array([end]), after)
+    return np.minimum(link_cost(mesh, ahead, before, after, weight), link_cost(mesh, behind, after, before, weight).T)
+
+
+def _end(anchor: Anchor, side: int) -> tuple[Hypotheses, int]:
+    """The hypotheses of a segment at its first known frame (side 0) or its last (-1), and which that is."""
+    segment, hypotheses, held = anchor
+    row = int(held.rows[side]) if held else segment.last if side else segment.first
+    return hypotheses.at(np.array([side])), row
