@@ -76,6 +76,20 @@ def read_epic(folder: Path) -> None:
                 draft.images(made[0])
 
 
+def epic_timelines(folder: Path) -> None:
+    epic_files.write_timeline(epic_files.write_epic(folder), np.tile(np.eye(4), (90, 1, 1)))
+
+
+def read_epic_timelines(folder: Path) -> None:
+    dataset: Dataset = EpicGrasps(
+        csv=folder / "grasps.csv", visor=folder / "visor", frames=folder / "images", timelines=folder / "hit.json",
+        cameras=folder / "cameras", metric=folder / "metric",
+    )  # fmt: skip
+    for part in dataset.parts(lambda _: None):
+        for draft in part.drafts(lambda *_, **__: True, lambda _: None):
+            draft.make()
+
+
 def visor_zip(folder: Path) -> None:
     things = epic_files.scene()
     path = visor_files.write(folder / "P01_101.json", [visor_files.dense("P01_101", 7, (7, 9), *things)])
@@ -166,6 +180,7 @@ READERS: dict[str, Reader] = {
     "hoi4d": tracks(lambda folder: Hoi4d(root=folder / "HOI4D", mano=mano_folder()), in_mano(hoi4d)),
     "hot3d": tracks(lambda folder: Hot3d(root=folder), write_hot3d),
     "epic": Reader(epic, read_epic),
+    "epic timelines": Reader(epic_timelines, read_epic_timelines),
     "visor": Reader(
         visor_zip, lambda folder: [list(visor.read_frames(path)) for path in visor.find(folder)["P01_101"]]
     ),

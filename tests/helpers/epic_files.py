@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.spatial.transform import Rotation
 
 from getagrip.geometry import se3
 from getagrip.hands import generic
@@ -74,6 +78,39 @@ def write_epic(root: Path) -> Path:
     for n in range(1000, 1100):
         cv2.imwrite(str(images / f"frame_{n:010d}.jpg"), np.full((256, 456, 3), n % 256, np.uint8))
     return root
+
+
+def write_timeline(root: Path, T_world_cam: Float[ndarray, "n 4 4"], scale: float = 0.4) -> Path:
+    """EPIC-HIT's list of one timeline, EPIC-Fields' cameras of frames 1000, 1001, ..., and what makes them metric.
+
+    ``T_world_cam`` is where the camera is in the metric world.
+    """
+    T_metric = se3.rigid(se3.exp_so3(np.array([2.0, 0.4, -0.7])), np.array([0.5, -0.2, 1.1]))
+    T_fields = se3.inverse(T_metric) @ T_world_cam
+    T_fields[:, :3, 3] /= scale
+    T = se3.inverse(T_fields)
+    q = Rotation.from_matrix(T[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    poses = np.concatenate([q, T[:, :3, 3]], axis=1)
+    camera = {"model": "OPENCV", "width": 456, "height": 256, "params": [220.0, 221.0, 228.0, 128.0, 0, 0, 0, 0]}
+    images = {f"frame_{1000 + n:010d}.jpg": pose.tolist() for n, pose in enumerate(poses)}
+    similarity = np.diag([scale, scale, scale, 1.0])
+    contents: dict[str, object] = {
+        f"cameras/{V}.json": {"camera": camera, "images": images, "points": []},
+        f"metric/{V}.json": {"T": (T_metric @ similarity).tolist()},
+        "hit.json": [{
+            "timeline_name": f"{V}_left_bottle_1000_1090", "vid": V, "cat": "bottle", "main_side": "left",
+            "mp4_name": f"{V}_900_1010_1300_left_bottle", "total_start": 1000, "total_end": 1090,
+            "segments": [
+                {"st": 1000, "ed": 1040, "side": None, "ref": "scene_static"},
+                {"st": 1040, "ed": 1060, "side": None, "ref": "scene_dynamic"},
+                {"st": 1062, "ed": 1090, "side": "left", "ref": "inhand"},
+            ],
+        }],
+    }  # fmt: skip
+    for name, content in contents.items():
+        (root / name).parent.mkdir(exist_ok=True)
+        (root / name).write_text(json.dumps(content))
+    return root / "hit.json"
 
 
 def hand_arrays(frames: int) -> dict[str, Any]:

@@ -235,7 +235,7 @@ def _visible(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
     rows: list[int] = []
     hand_known = True
     for row in range(len(track)):
-        masks = _frame_masks(track, row)
+        masks = frame_masks(track, row)
         if np.count_nonzero(masks.object) >= VISIBLE:
             for kind, mask in zip(all_masks, masks, strict=True):
                 if mask is not None:
@@ -246,7 +246,7 @@ def _visible(track: Track) -> tuple[Int[ndarray, "n"], Masks]:
     return np.array(rows, dtype=np.int64), Masks(visible, ignore, hand if hand_known else None)
 
 
-def _frame_masks(track: Track, row: int) -> FrameMasks:
+def frame_masks(track: Track, row: int) -> FrameMasks:
     """The dataset's own masks of a frame, or those rendered from the true poses."""
     if track.read_masks is not None:
         return track.read_masks(int(track.numbers[row]))

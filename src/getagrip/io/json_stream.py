@@ -1,4 +1,5 @@
-"""JSON files that are too large to hold: one member of the outermost object, or the items of its list one by one.
+"""JSON files that are too large to hold: one member of the outermost object, or what its lists and objects hold, one by
+one.
 
 Not ijson: it bounds neither an item nor its depth (20 kB of nested brackets take it 1 GB), and a list that is missing
 looks to it like an empty one.
@@ -46,6 +47,24 @@ def items(path: Path, key: str) -> Iterator[dict[str, Any]]:
                 raise InputError(path, f"{key}[{n}]", shown(item), "an object")
             yield item
             n += 1
+
+
+def entries(path: Path, key: str) -> Iterator[tuple[str, Any]]:
+    """Names and values in the object ``key`` of a JSON object, in order. Raises ``InputError`` as ``items`` does."""
+    with _opened(path) as stream:
+        text = _Text(path, stream)
+        text.enter(key)
+        text.expect("{", key)
+        first = True
+        while not text.skip("}"):
+            if not first:
+                text.expect(",", key)
+            name = text.value(key)
+            if not isinstance(name, str):
+                raise InputError(path, key, shown(name), "an object")
+            text.expect(":", f"{key}.{plain(name)}")
+            yield name, text.value(f"{key}.{plain(name)}")
+            first = False
 
 
 def member(path: Path, key: str) -> dict[str, Any]:

@@ -5,7 +5,7 @@ No pose is true here, and no object's own mesh is known: the mesh is its categor
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,17 +14,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from getagrip.clip import Clip, FrameMasks, HandTrack, Masks
+from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Segment, World
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.clip.reading import read_hand
+from getagrip.clip.timeline import at_frames
 from getagrip.clip.writing import without_hand
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.epic import visor
+from getagrip.datasets.epic.fields import UP
 from getagrip.datasets.epic.tables import EpicGrasp, numbering_rate, subject_of
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.errors import InputError
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import SUFFIXES, read_mesh
+from getagrip.grasps.states import painted
 from getagrip.io import arrays, json_stream
 from getagrip.io.files import shown
 
@@ -78,6 +81,18 @@ class Camera:
     """In pixels of 854 x 480."""
     source: str
     """Where it comes from, in words."""
+    T_world_cam: Mapping[int, Float[ndarray, "4 4"]] | None = None
+    """Where it was, by EPIC's frame numbers, in a world in metres whose z points up; None where nobody knows."""
+
+    def sees(self, number: int) -> bool:
+        """Whether a frame can be used: where the camera moves in a known world, only if it is known where it was."""
+        return self.T_world_cam is None or number in self.T_world_cam
+
+    def world(self, numbers: Sequence[int]) -> World | None:
+        """Where it was in some frames."""
+        if self.T_world_cam is None:
+            return None
+        return World(np.stack([self.T_world_cam[n] for n in numbers]), UP)
 
 
 def annotated(files: Sequence[Path], mapping: visor.Mapping, grasps: Sequence[EpicGrasp]) -> dict[str, VisorFrames]:
@@ -132,25 +147,27 @@ def clip(
     hands: HandFile | None,
     has_mapping: bool,
     note: Note,
+    segments: Sequence[Segment] = (),
 ) -> tuple[Clip, Masks] | None:
     """The clip of a grasp and its masks, at up to ``FRAMES`` of its valid frames; None, after a note, with too few.
 
     Valid are frames with a mask of the object and, where the hand file says which frames it has, with a hand. Where
     these are fewer than ``FRAMES``, frames with a mask alone are added: their hands may come later. The clip's hand has
-    no vertices: ``hand_of`` reads it.
+    no vertices: ``hand_of`` reads it. Of a timeline, whose ``segments`` count EPIC's frames, so many of each segment.
     """
-    masks = {number: masks_of(frame, grasp) for number, frame in sorted(frames.items())}
+    masks = {number: masks_of(frame, grasp) for number, frame in sorted(frames.items()) if camera.sees(number)}
     valid = [number for number, mask in masks.items() if np.count_nonzero(mask.object) >= VISIBLE]
     masked, valid = valid, [number for number in valid if hands is None or hands.has(number)]
     if len(valid) < FEWEST:
         what = "a mask" if hands is None or hands.frames is None else "a mask and a hand"
         note(f"{grasp.name}: {len(valid)} of its {grasp.frames} frames have {what} of {shown(grasp.entity)}: skipped")
         return None
-    chosen = _spread(valid, FRAMES)
-    chosen = sorted(chosen + _spread([number for number in masked if number not in valid], FRAMES - len(chosen)))
+    spans = [(s.first, s.last) for s in segments] or [(grasp.start, grasp.end)]
+    chosen = sorted({number for span in spans for number in _chosen(valid, masked, span)})
     if hands is not None and hands.K is not None:
-        camera = Camera(hands.K, "the hand file's")
+        camera = replace(camera, K=hands.K, source="the hand file's")
     names = tuple(f"{number:010d}" for number in chosen)
+    at_chosen = [span for s in segments for span in at_frames([s], np.array(chosen))]
     made = Clip(
         name=grasp.name,
         category=grasp.category,
@@ -158,6 +175,8 @@ def clip(
         fps=numbering_rate(grasp.video),
         frames=names,
         times=np.array(chosen) / numbering_rate(grasp.video),
+        world=camera.world(chosen),
+        segments=painted(at_chosen, len(chosen), grasp.side),
         size=SIZE,
         K=np.tile(camera.K, (len(chosen), 1, 1)),
         mesh=mesh,
@@ -165,10 +184,19 @@ def clip(
         hand=HandTrack(
             np.zeros((len(chosen), 0, 3)), np.zeros((0, 3), int), np.tile(np.eye(4), (len(chosen), 1, 1)), {}
         ),
-        provenance=_provenance(grasp, [frames[n] for n in chosen], mesh_source, camera, hands, has_mapping)
+        provenance=_provenance(grasp, [frames[n] for n in chosen], mesh_source, camera, hands, has_mapping, segments)
         | without_hand(names, [row for row, number in enumerate(chosen) if hands is None or hands.has(number)]),
     )
     return made, Masks.of(masks[number] for number in chosen)
+
+
+def _chosen(valid: Sequence[int], masked: Sequence[int], span: tuple[int, int]) -> list[int]:
+    """The frames of a span that a clip has."""
+    first, last = span
+    known = [number for number in valid if first <= number <= last]
+    others = [number for number in masked if first <= number <= last and number not in known]
+    chosen = _spread(known, FRAMES)
+    return chosen + _spread(others, FRAMES - len(chosen))
 
 
 def _spread(numbers: Sequence[int], count: int) -> list[int]:
@@ -190,6 +218,7 @@ def _provenance(
     camera: Camera,
     hands: HandFile | None,
     has_mapping: bool,
+    segments: Sequence[Segment],
 ) -> dict[str, Any]:
     dense = sum(frame.dense for frame in frames)
     provenance = {
@@ -207,6 +236,8 @@ def _provenance(
         "scale": "free: no object's size is known",
         "hands": "missing: add hand.npz (docs/estimators.md)" if hands is None else "the hand file's",
     }
+    if segments:
+        provenance["clip"] = f"a timeline of EPIC-HIT, {len(segments)} segments"
     return provenance | ({"mended": grasp.note} if grasp.note else {})
 
 

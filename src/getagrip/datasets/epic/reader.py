@@ -6,7 +6,7 @@ Hands come from files that an estimator has made; a clip without them lacks its 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,11 +15,12 @@ from tyro.conf import Positional, arg
 
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
-from getagrip.datasets.epic import clips, visor
+from getagrip.datasets.epic import clips, fields, timelines, visor
 from getagrip.datasets.epic.images import Frames, Images, Video
 from getagrip.datasets.epic.tables import EpicGrasp, chosen_errata, read_grasps
+from getagrip.datasets.epic.timelines import EpicTimeline
 from getagrip.errors import UsageError
-from getagrip.io.arguments import Folder, OptionalFolder
+from getagrip.io.arguments import Folder, OptionalFile, OptionalFolder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +43,11 @@ class EpicGrasps(Dataset):
     """Meshes of the categories, <category>.obj each, in metres, z up; without, this package's own."""
     cameras: OptionalFolder = None
     """EPIC-Fields' cameras, <video>.json each."""
+    timelines: OptionalFile = None
+    """Instead of the table's grasps, the timelines of EPIC-HIT's list, with segments (docs/timelines.md); with cameras
+    and metric."""
+    metric: OptionalFolder = None
+    """For timelines, similarities that make EPIC-Fields' worlds metric, their z up, <video>.json each."""
     focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="(default: a guess)")] = None
     """Instead of cameras, the focal length in pixels of images 854 wide."""
     errata: bool = True
@@ -57,20 +63,36 @@ class EpicGrasps(Dataset):
         """The videos that have grasps and annotations."""
         images = self._images()
         self._check_camera()
-        by_video: dict[str, list[EpicGrasp]] = {}
-        for grasp in self.grasps():
-            by_video.setdefault(grasp.video, []).append(grasp)
+        by_video: dict[str, list[EpicTimeline]] = {}
+        for timeline in self._timelines(note):
+            by_video.setdefault(timeline.span.video, []).append(timeline)
         there, mapping = visor.find(self.visor), visor.find_mapping(self.visor)
-        absent = [len(grasps) for video, grasps in by_video.items() if video not in there]
+        absent = [len(spans) for video, spans in by_video.items() if video not in there]
         if absent:
             note(f"{sum(absent)} grasps skipped: VISOR's files of {len(absent)} videos are not there")
         if mapping is None:
             note(visor.UNMAPPED)
         return [
-            VideoGrasps(video, tuple(grasps), tuple(there[video]), mapping, images(video), self)
-            for video, grasps in by_video.items()
+            VideoGrasps(video, tuple(spans), tuple(there[video]), mapping, images(video), self)
+            for video, spans in by_video.items()
             if video in there
         ]
+
+    def _timelines(self, note: Note) -> list[EpicTimeline]:
+        """What becomes clips; a grasp of the table has no segments. Raises ``UsageError`` and ``InputError``."""
+        if self.timelines is None:
+            if self.metric is not None:
+                raise UsageError(f"--metric: got {self.metric}, expected none without --timelines")
+            return [EpicTimeline(grasp, ()) for grasp in self.grasps()]
+        if self.cameras is None or self.metric is None:
+            raise UsageError(
+                "--timelines: got no --cameras or no --metric, expected both: static segments need a world"
+            )
+        found = timelines.read(self.timelines, self.grasps(), note)
+        metric = [one for one in found if (self.metric / f"{one.span.video}.json").is_file()]
+        if len(metric) < len(found):
+            note(f"{len(found) - len(metric)} timelines skipped: their videos have no file in {self.metric}")
+        return metric
 
     def _images(self) -> Callable[[str], Images]:
         """The images of each video. Raises ``UsageError`` unless either frames or videos are given."""
@@ -103,11 +125,11 @@ class EpicGrasps(Dataset):
 
 @dataclass(frozen=True)
 class VideoGrasps:
-    """The grasps of one video."""
+    """The grasps or timelines of one video."""
 
     name: str
     """The video's."""
-    grasps: tuple[EpicGrasp, ...]
+    grasps: tuple[EpicTimeline, ...]
     annotations: tuple[Path, ...]
     """VISOR's files of it."""
     mapping: Path | None
@@ -116,32 +138,42 @@ class VideoGrasps:
 
     def drafts(self, missing: Missing, note: Note) -> Iterator[Draft]:
         """A clip for each grasp, with its images."""
-        waiting = [grasp for grasp in self.grasps if missing(grasp.name, with_hands=self._hands(grasp) is not None)]
+        waiting = [one for one in self.grasps if missing(one.span.name, with_hands=self._hands(one.span) is not None)]
         if not waiting:
             return
-        camera = self._camera()
-        frames = clips.annotated(self.annotations, visor.read_mapping(self.mapping, self.name), waiting)
-        for grasp in waiting:
-            make = partial(self._clip, grasp, frames.pop(grasp.name), camera, note)
+        camera = self._camera(range(min(one.span.start for one in waiting), max(one.span.end for one in waiting) + 1))
+        spans = [one.span for one in waiting]
+        frames = clips.annotated(self.annotations, visor.read_mapping(self.mapping, self.name), spans)
+        for timeline in waiting:
+            grasp = timeline.span
+            make = partial(self._clip, timeline, frames.pop(grasp.name), camera, note)
             hands = self._hands(grasp)
             hand = None if hands is None else partial(clips.hand_of, hands)
             yield Draft(grasp.name, make, lambda clip: self.images([int(name) for name in clip.frames]), hand)
 
     def _clip(
-        self, grasp: EpicGrasp, frames: clips.VisorFrames, camera: clips.Camera, note: Note
+        self, timeline: EpicTimeline, frames: clips.VisorFrames, camera: clips.Camera, note: Note
     ) -> tuple[Clip, Masks] | None:
+        grasp = timeline.span
         path = self._hands(grasp)
         mesh, source = clips.category_mesh(grasp.category, self.options.cad)
         hands = None if path is None else clips.hand_file(path)
-        return clips.clip(grasp, frames, mesh, source, camera, hands, self.mapping is not None, note)
+        has_mapping = self.mapping is not None
+        return clips.clip(grasp, frames, mesh, source, camera, hands, has_mapping, note, timeline.segments)
 
     def _hands(self, grasp: EpicGrasp) -> Path | None:
         """The hand file of a grasp, where there is one."""
         path = None if self.options.hands is None else self.options.hands / f"{grasp.name}.npz"
         return path if path is not None and path.is_file() else None
 
-    def _camera(self) -> clips.Camera:
-        """The camera of the video."""
+    def _camera(self, wanted: range) -> clips.Camera:
+        """The camera of the video; for timelines, where it was in the frames that are ``wanted``."""
         if self.options.cameras is None:
             return clips.pinhole(self.options.focal)
-        return clips.read_camera(self.options.cameras / f"{self.name}.json")
+        path = self.options.cameras / f"{self.name}.json"
+        camera = clips.read_camera(path)
+        if self.options.metric is None:
+            return camera
+        scale, T_metric_world = fields.metric(self.options.metric / f"{self.name}.json")
+        T_world_cam = fields.cameras(path, scale, T_metric_world, wanted)
+        return replace(camera, source=f"{camera.source}; its world made metric", T_world_cam=T_world_cam)

@@ -51,6 +51,8 @@ class EpicGrasp:
     """What was mended, in words."""
     masks: int | None = None
     """Masks of hand and object in its frames (``n_unfiltered_masks``), where the table says."""
+    film: str = ""
+    """What lists of timelines call it (``mp4_name`` without its suffix), where the table says."""
 
     @property
     def name(self) -> str:
@@ -107,7 +109,7 @@ def read_grasps(path: Path, errata: Path | None = None) -> list[EpicGrasp]:
     agree with it. Raises ``InputError``, which names the line and the column.
     """
     rows = _table(path, ("vid", "st", "ed", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name",
-                         "duration", "example", "fmt"), optional=("n_unfiltered_masks",))  # fmt: skip
+                         "duration", "example", "fmt"), optional=("n_unfiltered_masks", "mp4_name"))  # fmt: skip
     grasps = {row.text("fmt"): _grasp(row, row.text("handside"), "handside") for row in rows}
     if len(grasps) < len(rows):
         raise InputError(path, "fmt", "the same grasp twice", "each once")
@@ -154,6 +156,7 @@ def _grasp(row: _Row, side: str, column: str) -> EpicGrasp:
         contact=None if contact < 0 else contact,
         note=note,
         masks=row.whole("n_unfiltered_masks", 0, LAST_FRAME) if row.cells["n_unfiltered_masks"].strip() else None,
+        film=row.cells["mp4_name"].strip().removesuffix(".mp4"),
     )
 
 

@@ -169,6 +169,12 @@ def _tracks(
     if frames not in (None, len(recording.times)):
         expected = f"{frames}, as the list counts them: say with --first-frame what number the first has"
         raise InputError(folder, "headset_trajectory.csv", f"{len(recording.times)} frames", expected)
+    for track in tracks(folder, recording, objects, note):
+        yield replace(track, origin=-first)
+
+
+def tracks(folder: Path, recording: Recording, objects: Objects, note: Note) -> Iterator[Track]:
+    """Every hand with every object of a recording that has a mesh, object by object. Raises ``InputError``."""
     meshes = objects.read(recording, note)
     covered = recording.camera.pinhole.covered(recording.camera.fisheye)
     for uid, poses in recording.objects.items():  # timelines look at both hands of an object
@@ -176,8 +182,7 @@ def _tracks(
             both = np.flatnonzero(hand.known & poses.known)
             if uid in meshes and both.size:
                 masks = partial(_masks, recording, side, uid, meshes, covered)
-                track = _track(folder, recording, side, uid, objects.names[uid], meshes[uid], both, masks)
-                yield replace(track, origin=-first)
+                yield _track(folder, recording, side, uid, objects.names[uid], meshes[uid], both, masks)
 
 
 def _track(
