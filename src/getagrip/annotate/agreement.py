@@ -46,8 +46,8 @@ def matched(ours: Sequence[Mark], theirs: Sequence[Mark]) -> list[float]:
     iou = np.zeros((len(ours), len(theirs)))
     for i, a in enumerate(ours):
         for j, b in enumerate(theirs):
-            if a.interval and b.interval and a.side == b.side:
-                iou[i, j] = temporal_iou(a.interval, b.interval)
+            if a.grasp and b.grasp and a.side == b.side:
+                iou[i, j] = temporal_iou(a.grasp, b.grasp)
     pairs = [value for value in iou[linear_sum_assignment(iou, maximize=True)].tolist() if value > 0]
     alone = len(ours) + len(theirs) - 2 * len(pairs)
     return sorted(pairs, reverse=True) + [0.0] * alone
@@ -67,7 +67,7 @@ def _agreement(first: str, second: str, ours: dict[str, list[Mark]], theirs: dic
     values, both, one = list[float](), 0, 0
     shared = sorted(ours.keys() & theirs.keys())
     for task in shared:
-        a, b = ([mark for mark in marks[task] if mark.interval] for marks in (ours, theirs))
+        a, b = ([mark for mark in marks[task] if mark.grasp] for marks in (ours, theirs))
         both += not a and not b
         one += bool(a) != bool(b)
         values += matched(a, b)

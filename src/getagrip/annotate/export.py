@@ -1,4 +1,4 @@
-"""Marks as files: EPIC-Grasps' table, and the intervals as ``getagrip segment`` writes them."""
+"""Marks of grasps as files: EPIC-Grasps' table, and the intervals as ``getagrip segment`` writes them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COLUMNS = ("vid", "st_bound", "ed_bound", "st", "ed", "contact", "handside", "ca
 
 def grasps(marks: Sequence[Mark]) -> list[Mark]:
     """The finished grasps, each once: of those with the same video, hand, category and frames the first."""
-    return [mark for mark in marks if mark.interval and mark.side and mark.category]
+    return [mark for mark in marks if mark.grasp and mark.side and mark.category]
 
 
 def epic_rows(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[dict[str, Any]]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
@@ -58,6 +58,9 @@ class Footage(Protocol):
     def index(self, number: int) -> int:
         """The frame of a number, the nearest where it has none."""
 
+    def name(self, index: int) -> str:
+        """What a clip of the footage calls a frame."""
+
     def jpeg(self, index: int, whole: bool = False) -> bytes:
         """A frame to be shown, ``whole`` or made smaller where it is wide. Raises ``InputError``."""
 
@@ -71,6 +74,19 @@ class Footage(Protocol):
 def seconds(footage: Footage, start: int, end: int) -> float:
     """How long frames ``start`` to ``end`` last, the last one included [s]."""
     return footage.time(end) - footage.time(start) + 1.0 / footage.fps
+
+
+class Names(Sequence[str]):
+    """What clips call the frames of footage; made when they are asked for, since footage may be hours long."""
+
+    def __init__(self, footage: Footage) -> None:
+        self.footage = footage
+
+    def __len__(self) -> int:
+        return self.footage.frames
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.footage.name(range(len(self))[index])
 
 
 Kept = TypeVar("Kept")
@@ -140,6 +156,10 @@ class ImageFolder:
     def index(self, number: int) -> int:
         """The image of a number, or the nearest to it."""
         return int(np.argmin(np.abs(np.array(self.numbers) - number)))
+
+    def name(self, index: int) -> str:
+        """The image's name, as of the images of a clip."""
+        return self.paths[index].stem
 
     @property
     def size(self) -> tuple[int, int]:

@@ -73,17 +73,19 @@ def with_hand(
     return np.where((cv2.dilate(hand, disc) > 0) & (drawn != OBJECT), FRONT, drawn).astype(np.uint8)
 
 
-def command(labels: Labels, out: Path) -> str:
-    """The call that makes a clip of what ``make`` has written."""
-    return " ".join(map(shlex.quote, ["getagrip", *clip_words(labels, out, labels.video)])) + " --mesh MESH --out CLIP"
+def command(labels: Labels, out: Path, segments: Path | None = None) -> str:
+    """The call that makes a clip of what ``make`` has written; a timeline, where there is a file of segments."""
+    words = ["getagrip", *clip_words(labels, out, labels.video, segments)]
+    return " ".join(map(shlex.quote, words)) + " --mesh MESH --out CLIP"
 
 
-def clip_words(labels: Labels, out: Path, video: str) -> list[str]:
+def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = None) -> list[str]:
     """The words of that call after the program's name, but for the mesh and the clip's folder."""
     return [
         *("clip", "new", video, "--interval", str(labels.first + 1), str(labels.last + 1), "--side", labels.side),
         *("--hands", str(out / "hand.npz"), "--masks", str(out / "masks")),
         *("--object", str(OBJECT), "--ignore", str(FRONT)),
+        *(() if segments is None else ("--segments", str(segments))),
     ]
 
 

@@ -20,6 +20,7 @@ from getagrip.annotate import keyframes, labels, reconstruction, versions
 from getagrip.annotate.background import Background, Job, Work
 from getagrip.annotate.clicked_hands import FEWEST
 from getagrip.annotate.footage import Footage
+from getagrip.annotate.interaction import Interaction
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.labelled_footage import checksum
 from getagrip.annotate.labels import Labels
@@ -31,6 +32,7 @@ from getagrip.annotate.versions import RefusedError
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.errors import UsageError
 from getagrip.hands.model import Side
+from getagrip.io import files
 from getagrip.io.files import shown
 
 Basis = dict[str, list[tuple[int, int, str]]]
@@ -42,11 +44,13 @@ LONGEST_NAME = 100
 
 @dataclass(frozen=True)
 class Grasp:
-    """A finished grasp, and the footage that shows it."""
+    """A finished grasp, or a whole interaction, and the footage that shows it."""
 
     task: Task
     footage: Footage
     mark: Mark
+    whole: Interaction | None = None
+    """Of a whole interaction: its segments."""
 
     @property
     def extent(self) -> tuple[int, int]:
@@ -169,7 +173,7 @@ class Labelling:
         def work(job: Job) -> str:
             job.message = "writing the files"
             self.write(grasp, given, job)
-            words = clip_words(given, self.out / grasp.name, str(_path(grasp)))
+            words = clip_words(given, self.out / grasp.name, str(_path(grasp)), self._segments(grasp))
             return reconstruction.reconstruct(words, shape, self.out, grasp.name, job)
 
         self._start(grasp, "reconstruct", work)
@@ -182,10 +186,15 @@ class Labelling:
         return path.read_bytes()
 
     def write(self, grasp: Grasp, given: Labels, job: Job) -> str:
-        """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; the command that makes a clip of them."""
+        """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; the command that makes a clip of them.
+
+        Of a whole interaction also ``segments-<name>.json``. Raises ``RefusedError`` where segments overlap.
+        """
         from getagrip.annotate.labelled import command, make
 
         self.out.mkdir(parents=True, exist_ok=True)
+        if (path := self._segments(grasp)) is not None and grasp.whole is not None:
+            files.write_json(path, {grasp.task.key: grasp.whole.listed().fields})
         whole = replace(given, sha256=checksum(_path(grasp)))
         labels.write(whole, self.out / f"labels-{grasp.name}.json")
         with closing(open_footage(_path(grasp))) as footage:
@@ -195,7 +204,11 @@ class Labelling:
                 return footage.image(n)
 
             make(given, image, self.lens, self.out / grasp.name, overwrite=True)
-        return command(replace(given, video=str(_path(grasp))), self.out / grasp.name)
+        return command(replace(given, video=str(_path(grasp))), self.out / grasp.name, self._segments(grasp))
+
+    def _segments(self, grasp: Grasp) -> Path | None:
+        """Where the segments of a whole interaction go."""
+        return None if grasp.whole is None else self.out / f"segments-{grasp.name}.json"
 
     def close(self) -> None:
         """End what is being done."""

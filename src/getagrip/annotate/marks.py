@@ -1,4 +1,8 @@
-"""A mark: what one person says of a task. Either an interval in which the grasp is stable, or why there is none."""
+"""A mark: what one person says of a task.
+
+Either what the object does in an interval (a segment, such as a stable grasp), or why there is nothing to mark, or that
+the camera stood still.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,16 @@ from typing import Any
 
 from getagrip.annotate.footage import Footage, seconds
 from getagrip.annotate.versions import Database, RefusedError, Versions
+from getagrip.clip.timeline import STATES
 from getagrip.io.files import shown
 
 REASONS = ("no stable grasp", "out of view", "other CAD")
 """Why a task is discarded: nothing is held stably, hand and object are not visible, the thing is unlike its mesh."""
-SETTABLE = frozenset({"start", "end", "side", "category", "entity", "reason", "deleted"})
+GRASP = "grasp"
+"""The state of a stable grasp (``clip.timeline``)."""
+STILL = "still"
+"""Of a camera that did not move."""
+SETTABLE = frozenset({"start", "end", "side", "category", "entity", "reason", "state", "camera", "deleted"})
 """What the page may change."""
 SCHEMA = """
 CREATE TABLE versions (
@@ -28,6 +37,11 @@ CREATE INDEX versions_of_task ON versions (task, annotator, tab);
 CREATE VIEW marks AS SELECT * FROM versions AS v
     WHERE seq = (SELECT max(seq) FROM versions WHERE mark = v.mark) AND NOT deleted;
 """
+SEGMENTS = """
+ALTER TABLE versions ADD COLUMN state TEXT;
+ALTER TABLE versions ADD COLUMN camera TEXT;
+"""
+"""What version 3 of the tables brought; without a state, an interval is a stable grasp."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +64,20 @@ class Mark:
     end_number: int | None = None
     seconds: float | None = None
     """How long it lasts."""
+    state: str = GRASP
+    """What the object does in the interval: one of ``STATES``."""
+    camera: str | None = None
+    """``STILL`` where the mark says that of the camera: then it has neither start nor end."""
 
     @property
     def interval(self) -> tuple[int, int] | None:
-        """Start and end of a grasp that has both."""
+        """Start and end of a segment that has both."""
         return None if self.start is None or self.end is None or self.deleted else (self.start, self.end)
+
+    @property
+    def grasp(self) -> tuple[int, int] | None:
+        """Start and end of a stable grasp that has both."""
+        return self.interval if self.state == GRASP else None
 
 
 COLUMNS = tuple(field.name for field in fields(Mark))
@@ -68,7 +91,7 @@ def versions(database: Database) -> Versions[Mark]:
 
 def _mark(row: tuple[Any, ...]) -> Mark:
     values = dict(zip(COLUMNS, row, strict=True))
-    return Mark(**values | {"deleted": bool(values["deleted"])})
+    return Mark(**values | {"deleted": bool(values["deleted"]), "state": values["state"] or GRASP})
 
 
 def _check(sets: Mapping[str, Any]) -> None:
@@ -81,6 +104,10 @@ def _check(sets: Mapping[str, Any]) -> None:
             expected = "a frame"
         elif key == "side":
             fine, expected = value in ("left", "right"), "left or right"
+        elif key == "state":
+            fine, expected = value in STATES, f"one of {', '.join(STATES)}"
+        elif key == "camera":
+            fine, expected = value == STILL, STILL
         elif key == "reason":
             fine, expected = value is None or value in REASONS, f"one of {', '.join(REASONS)}"
         else:
@@ -98,10 +125,11 @@ def changed(mark: Mark, sets: Mapping[str, Any], footage: Footage) -> Mark:
         if frame is not None and not 0 <= frame < footage.frames:
             raise RefusedError(f"frame {frame}: the footage has frames 0 to {footage.frames - 1}")
     if new.end is not None and (new.start is None or new.end < new.start):
-        raise RefusedError("a grasp cannot end before it starts")
-    if new.reason is not None and new.start is not None:
-        raise RefusedError("a mark is a grasp or the reason why there is none, not both")
-    if new.reason is None and new.start is None and not new.deleted:
+        raise RefusedError("a segment cannot end before it starts")
+    given = [value for value in (new.start, new.reason, new.camera) if value is not None]
+    if len(given) > 1:
+        raise RefusedError("a mark is a segment, the reason why there is none, or about the camera: one of them")
+    if not given and not new.deleted:
         raise RefusedError("a mark needs a start, or a reason why there is none")
     return replace(
         new,

@@ -6,12 +6,14 @@ from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from hashlib import sha256
+from pathlib import Path
 from threading import Lock
 from typing import Any
 from uuid import uuid4
 
 from getagrip.annotate import agreement, export, labels, marks, versions
-from getagrip.annotate.footage import Footage
+from getagrip.annotate.footage import Footage, Names
+from getagrip.annotate.interaction import Interaction, interaction, is_whole, segments_of
 from getagrip.annotate.labelled_footage import tasks_of
 from getagrip.annotate.labelling import Grasp, Labelling
 from getagrip.annotate.labels import Labels
@@ -78,7 +80,9 @@ class Project:
         """Somebody's marks of a task, and the number of the change that made them what they are."""
         task, name = self._task(key), versions.annotator(annotator)
         newest = self.store.marks.newest(task.key, name)  # before the marks: what changes in between is asked for again
-        return {"newest": newest, "marks": [asdict(mark) for mark in self.store.marks.standing(task.key, name)]}
+        own = self.store.marks.standing(task.key, name)
+        state = interaction(task, self.footage(task), own).state() if is_whole(own) else None
+        return {"newest": newest, "marks": [asdict(mark) for mark in own], "interaction": state}
 
     def change(self, content: Mapping[str, Any]) -> dict[str, Any]:
         """Make a change. Raises ``RefusedError``."""
@@ -139,12 +143,12 @@ class Project:
         return self.labelling.result_file(self._grasp(content), name)
 
     def labelled(self) -> Iterator[Grasp]:
-        """The finished grasps of these tasks that have labels. Raises ``InputError``."""
+        """The finished grasps and whole interactions of these tasks that have labels. Raises ``InputError``."""
         with_labels = {one.grasp for one in self.store.keyframes.standing()}
-        for mark in self.known():
-            task = self.tasks[mark.task]
-            if mark.mark in with_labels and mark.interval and mark.side and task.path is not None:
-                yield Grasp(task, self.footage(task), mark)
+        for task, name in dict.fromkeys((self.tasks[mark.task], mark.annotator) for mark in self.known()):
+            for key, grasp in self._grasps(task, name).items() if task.path is not None else ():
+                if key in with_labels and grasp.mark.interval and grasp.mark.side:
+                    yield grasp
 
     def import_labels(self, given: Labels, annotator: str) -> Grasp:
         """Take a file of labels as an annotator's own, of a grasp that is marked if it is not yet.
@@ -156,18 +160,44 @@ class Project:
         inside = [task for task in tasks if _holds(task.extent(footage), (given.first, given.last))]
         task, name = (inside or tasks)[0], versions.annotator(annotator)
         sets = {"start": given.first, "end": given.last, "side": given.side}
-        same = [
-            mark
-            for mark in self.store.marks.standing(task.key, name)
-            if mark.interval == (given.first, given.last) and mark.side == given.side
-        ]
-        if not same:
-            blank, about = Mark(str(uuid4()), task.key, name), {"category": task.category, "entity": task.entity}
-            change = Change(str(uuid4()), str(uuid4()), sets | {key: text for key, text in about.items() if text})
-            same = [self.store.marks.apply(change, blank, lambda mark, sets: marks.changed(mark, sets, footage))]
-        grasp = Grasp(task, footage, same[0])
+        extent = (given.first, given.last)
+        known = self._grasps(task, name).values()
+        same = [grasp for grasp in known if grasp.mark.interval == extent and grasp.mark.side == given.side]
+        grasp = same[-1] if same else Grasp(task, footage, self._mark(task, name, str(uuid4()), sets))
         self.labelling.take(grasp, given)
         return grasp
+
+    def import_segments(self, path: Path, annotator: str) -> int:
+        """Take a file of segments as an annotator's own, to be corrected; returns how many there are.
+
+        What the file says of the camera is not taken: the annotator states it. Raises ``InputError`` for a file that is
+        malformed or of other footage, ``RefusedError`` where the annotator has marked segments there already.
+        """
+        name, count, tab = versions.annotator(annotator), 0, str(uuid4())
+        there = [task for task in self.tasks.values() if task.path is not None]
+        for task, given in segments_of(path, there):
+            footage = self.footage(task)
+            if any(mark.start is not None for mark in self.store.marks.standing(task.key, name)):
+                raise RefusedError(f"{name} has marked segments of {task.key} already: choose another --annotator")
+            for one in given.at(Names(footage), has_world=True):
+                side = one.side or task.side
+                sets = {"start": one.first, "end": one.last, "state": one.state}
+                self._mark(task, name, tab, sets | ({} if side is None else {"side": side}))
+                count += 1
+        return count
+
+    def _mark(self, task: Task, name: str, tab: str, sets: dict[str, Any]) -> Mark:
+        """A new mark, of the object that the task is about."""
+        footage = self.footage(task)
+        blank, about = Mark(str(uuid4()), task.key, name), {"category": task.category, "entity": task.entity}
+        change = Change(str(uuid4()), tab, sets | {key: text for key, text in about.items() if text})
+        return self.store.marks.apply(change, blank, lambda mark, sets: marks.changed(mark, sets, footage))
+
+    def interactions(self, annotator: str) -> list[Interaction]:
+        """An annotator's whole interactions of these tasks. Raises ``InputError``."""
+        there = [task for task in self.tasks.values() if task.path is not None]
+        own = ((task, self.store.marks.standing(task.key, annotator)) for task in there)
+        return [interaction(task, self.footage(task), marks) for task, marks in own if is_whole(marks)]
 
     def known(self, annotator: str | None = None) -> list[Mark]:
         """The marks of these tasks; those of other tasks in the same file are left out."""
@@ -178,8 +208,12 @@ class Project:
         return {"pairs": [asdict(one) for one in agreement.agreements(self.known())]}
 
     def exported(self, kind: str, annotator: object) -> str:
-        """Somebody's grasps as text: "csv" or "json"."""
-        found = self.known(versions.annotator(annotator))
+        """Somebody's grasps as text, "csv" or "json", or their "segments". Raises ``RefusedError``, ``InputError``."""
+        name = versions.annotator(annotator)
+        if kind == "segments":
+            listed = {one.task.key: one.listed().fields for one in self.interactions(name)}
+            return files.to_json(listed) + "\n"
+        found = self.known(name)
         if kind == "csv":
             return export.epic_csv(found, self.tasks)
         return files.to_json(export.intervals(found, self.tasks)) + "\n"
@@ -200,10 +234,18 @@ class Project:
     def _grasp(self, content: Mapping[str, Any]) -> Grasp:
         """The grasp that a request is about, and who asks. Raises ``RefusedError``."""
         task, name = self._task(content.get("task")), versions.annotator(content.get("annotator"))
-        own = {mark.mark: mark for mark in self.store.marks.standing(task.key, name) if mark.start is not None}
+        own = self._grasps(task, name)
         if not isinstance(key := content.get("grasp"), str) or key not in own:
             raise RefusedError(f"grasp: got {files.shown(key)}, expected one that {name} has marked in {task.key}")
-        return Grasp(task, self.footage(task), own[key])
+        return own[key]
+
+    def _grasps(self, task: Task, name: str) -> dict[str, Grasp]:
+        """What can be labelled: a person's segments of a task and, at last, the whole interaction."""
+        footage, own = self.footage(task), self.store.marks.standing(task.key, name)
+        out = {mark.mark: Grasp(task, footage, mark) for mark in own if mark.start is not None}
+        if is_whole(own) and (whole := interaction(task, footage, own)).finished:
+            out[whole.mark.mark] = Grasp(task, footage, whole.mark, whole)
+        return out
 
     def _task(self, key: object) -> Task:
         if not isinstance(key, str) or key not in self.tasks:

@@ -42,7 +42,7 @@ PATIENCE = 60.0
 STYLES = ("page", "labels")
 SCRIPTS = (
     "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "saving",
-    "tasks", "timeline", "view",
+    "segments", "tasks", "timeline", "view",
 )  # fmt: skip
 PAGE = {
     "/": ("index.html", "text/html"),
@@ -66,6 +66,8 @@ CHANGES = {
     "/api/work": "work",
 }
 """Methods of the project, by where their content is sent."""
+FILES = {"/grasps.csv": "csv", "/grasps.json": "json", "/segments.json": "segments"}
+"""What an annotator has marked, as files."""
 REPORTS = {"/report.png": "image/png", "/report.html": "text/html; charset=utf-8"}
 """Of a grasp's result."""
 OF_REPORT = {"Content-Security-Policy": "frame-ancestors 'none'; base-uri 'none'"}
@@ -228,10 +230,9 @@ class _Handler(BaseHTTPRequestHandler):
         elif url.path in REPORTS:
             name = url.path.removeprefix("/")
             self._send(project.result_file(asked, name), REPORTS[url.path], OF_REPORT)
-        elif url.path in ("/grasps.csv", "/grasps.json"):
-            kind = url.path.rpartition(".")[2]
-            text = project.exported(kind, asked.get("annotator"))
-            self._send_file(text, kind, f"{asked.get('annotator')}.{kind}")
+        elif url.path in FILES:
+            text = project.exported(FILES[url.path], asked.get("annotator"))
+            self._send_file(text, url.path.rpartition(".")[2], f"{asked.get('annotator')}-{url.path[1:]}")
         else:
             self._send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
 

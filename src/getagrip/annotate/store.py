@@ -16,13 +16,14 @@ from getagrip.annotate.marks import Mark
 from getagrip.annotate.versions import Database, Versions
 from getagrip.errors import InputError
 
-VERSION = 2
-"""Of the tables, kept as the file's ``user_version``. Version 1 had marks only; it is read, and completed."""
+VERSION = 3
+"""Of the tables, kept as the file's ``user_version``. Version 1 had marks of grasps only, 2 key frames, too: they are
+read, and completed."""
 APPLICATION = 0x67616772
 """The file's ``application_id``: "gagr"."""
 LONGEST = 2**24
 """Bytes of a text in the file."""
-SCHEMAS = {1: marks.SCHEMA, 2: keyframes.SCHEMA + drafts.SCHEMA}
+SCHEMAS = {1: marks.SCHEMA, 2: keyframes.SCHEMA + drafts.SCHEMA, 3: marks.SEGMENTS}
 """What each version brought."""
 
 

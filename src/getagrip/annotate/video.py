@@ -103,6 +103,10 @@ class Video:
             found = bisect_left(range(self.frames), wanted, key=self._time)
         return min(max(found, 0), self.frames - 1)
 
+    def name(self, index: int) -> str:
+        """A frame's place from 1, as ``clip new`` has it."""
+        return f"{index + 1:06d}"
+
     def jpeg(self, index: int, whole: bool = False) -> bytes:
         """A frame to be shown, ``whole`` or made smaller where it is wide. Raises ``InputError``."""
         return encoded(self.image(index)[..., ::-1], LARGEST_SIDE) if whole else self.shown.get(index)

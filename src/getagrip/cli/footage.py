@@ -108,7 +108,7 @@ class Epic(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Annotate(Command):
-    """Mark where stable grasps start and end, and label their frames, on a page that only this machine can open."""
+    """Mark stable grasps, or all that an object does, and label frames, on a page that only this machine can open."""
 
     source: Annotated[Positional[Path], arg(metavar="VIDEO|CANDIDATES")]
     """A video, a folder of images, or a list (.csv, .json) of videos with rough start and end, hand and category, as
@@ -125,15 +125,17 @@ class Annotate(Command):
     """Instead of K, the focal length; the principal point is in the middle."""
     export: Flag = False
     """Serve nothing: write the grasps marked so far, each person's as a table and as JSON, and how far people agree;
-    of labelled grasps the labels, hand.npz and masks, too."""
+    the segments of whole interactions; of what is labelled the labels, hand.npz and masks, too."""
     import_labels: OptionalFile = None
     """Import a labels file in the place of the labels of its frames, and exit."""
+    import_segments: OptionalFile = None
+    """Import segments that segment --from-masks has found, or anybody has marked, as a first draft, and exit."""
     annotator: Annotated[str, arg(metavar="NAME")] = "imported"
-    """import-labels: whose labels they are from now on."""
+    """import-labels, import-segments: whose they are from now on."""
 
     def run(self) -> int:
         from getagrip.clip.intrinsics import Lens
         from getagrip.commands.annotate import Wanted, annotate
 
-        wanted = Wanted(self.import_labels, self.annotator, self.export)
+        wanted = Wanted(self.import_labels, self.import_segments, self.annotator, self.export)
         return annotate(self.source, self.videos, self.out, self.port, Lens(self.K, self.focal), wanted)

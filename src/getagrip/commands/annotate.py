@@ -13,6 +13,7 @@ from getagrip.annotate.background import Job
 from getagrip.annotate.labelled_footage import tasks_of
 from getagrip.annotate.labelling import Grasp
 from getagrip.annotate.labels import Labels
+from getagrip.annotate.marks import GRASP
 from getagrip.annotate.project import Project
 from getagrip.annotate.server import Server, first_free, kept_token
 from getagrip.annotate.store import Store
@@ -34,6 +35,8 @@ class Wanted:
 
     labels: Path | None = None
     """Take this file of labels."""
+    segments: Path | None = None
+    """Take this file of segments, to be corrected."""
     annotator: str = "imported"
     """As whose."""
     export: bool = False
@@ -51,7 +54,7 @@ def annotate(source: Path, videos: Path | None, out: Path, port: int | None, len
     if absent:
         missing = f"no footage of {len(absent)} of them, as {files.plain(absent[0].video)}"
         print(f"{len(tasks)} candidates, {missing}", file=sys.stderr)
-    if wanted.export and wanted.labels is None and not (out / DATABASE).is_file():
+    if wanted.export and wanted.labels is None and wanted.segments is None and not (out / DATABASE).is_file():
         raise UsageError(f"--export: nothing has been marked in {out}")
     given = None if wanted.labels is None else read_labels(wanted.labels, tasks)
     out.mkdir(parents=True, exist_ok=True)
@@ -63,9 +66,12 @@ def annotate(source: Path, videos: Path | None, out: Path, port: int | None, len
             grasp = take_labels(project, given, wanted)
             frames = f"{len(given.frames)} key frames of {grasp.task.key}, {grasp.mark.start_number}"
             print(f"{wanted.annotator}: {frames} to {grasp.mark.end_number}")
+        if wanted.segments is not None:
+            count = take_segments(project, wanted.segments, wanted.annotator)
+            print(f"{wanted.annotator}: {count} segments; give the page this name to correct them")
         if wanted.export:
             return max(write_files(project, out), write_labels(project))
-        if given is None:
+        if given is None and wanted.segments is None:
             serve(project, port)
         return 0
     finally:
@@ -89,6 +95,14 @@ def take_labels(project: Project, given: Labels, wanted: Wanted) -> Grasp:
     except RefusedError as error:
         assert wanted.labels is not None
         raise InputError(wanted.labels, "", f"labels that do not fit ({error})", "labels of the footage") from error
+
+
+def take_segments(project: Project, path: Path, annotator: str) -> int:
+    """Take segments from a file. Raises ``InputError``, and ``UsageError`` where the annotator has marked some."""
+    try:
+        return project.import_segments(path, annotator)
+    except RefusedError as error:
+        raise UsageError(str(error)) from error
 
 
 def serve(project: Project, port: int | None) -> None:
@@ -121,8 +135,11 @@ def write_labels(project: Project) -> int:
 
 
 def write_files(project: Project, out: Path) -> int:
-    """Write ``grasps-<annotator>.csv`` and ``.json`` for each person, ``discards.csv`` and ``agreement.json``; 0."""
-    known = project.known()
+    """Write ``grasps-<annotator>.csv`` and ``.json`` for each person, ``discards.csv`` and ``agreement.json``.
+
+    Of whole interactions also ``segments-<annotator>.json``. Returns 1 where segments overlap, else 0.
+    """
+    known, status = project.known(), 0
     others = len(project.store.marks.standing()) - len(known)
     if others:
         print(f"{others} marks belong to other footage: left out", file=sys.stderr)
@@ -133,8 +150,10 @@ def write_files(project: Project, out: Path) -> int:
         table.write_text(export.epic_csv(own, project.tasks), "utf-8", newline="")
         files.write_json(table.with_suffix(".json"), rows)
         print(f"{name}: {len(rows)} grasps, {table} and .json")
-        if unfinished := sum(not mark.reason for mark in own) - len(export.grasps(own)):
+        marked = [mark for mark in own if mark.start is not None and mark.state == GRASP]
+        if unfinished := len(marked) - len(export.grasps(own)):
             print(f"{name}: {unfinished} grasps left out: they lack an end or the kind of object", file=sys.stderr)
+        status = max(status, write_segments(project, out, name))
     with (out / "discards.csv").open("w", encoding="utf-8", newline="") as stream:
         lines = csv.DictWriter(stream, ("task", "clip", "annotator", "reason"))
         lines.writeheader()
@@ -143,7 +162,24 @@ def write_files(project: Project, out: Path) -> int:
     files.write_json(out / "agreement.json", [asdict(one) for one in found])
     for one in found:
         print(in_words(one))
-    return 0
+    return status
+
+
+def write_segments(project: Project, out: Path, annotator: str) -> int:
+    """Write ``segments-<annotator>.json`` of whole interactions; 1 where segments of one overlap, else 0."""
+    listed, status = {}, 0
+    for one in project.interactions(annotator):
+        try:
+            listed[one.task.key] = one.listed().fields
+        except RefusedError as error:
+            print(f"{annotator}: segments of {one.task.key} left out: {error}", file=sys.stderr)
+            status = 1
+        for hint in one.hints():
+            print(f"{annotator}: {one.task.key}: {hint}", file=sys.stderr)
+    if listed:
+        files.write_json(out / f"segments-{annotator}.json", listed)
+        print(f"{annotator}: segments of {len(listed)} clips, {out / f'segments-{annotator}.json'}")
+    return status
 
 
 def in_words(one: Agreement) -> str:

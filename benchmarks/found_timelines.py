@@ -1,0 +1,96 @@
+"""Found segments as a timeline against each found grasp by itself: ``python -m benchmarks.found_timelines CLIPS [N]``.
+
+CLIPS is what ``import dexycb --timelines`` has written; every N-th sequence (8) of the training subjects is taken, its
+segments and its camera's pose removed: the camera is guessed to stand still, and no plane is known. Exact hands and
+masks, and strong noise of both.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks, read_clip, read_masks
+from getagrip.clip.segment_files import with_segments
+from getagrip.datasets.synthetic.noise import NOISE, perturbed
+from getagrip.datasets.tracks import subject_of
+from getagrip.experiments.timeline_scores import segment_scores
+from getagrip.fitting.options import Options
+from getagrip.metrics.symmetry import Symmetries, find_symmetries
+from getagrip.result import Reconstruction
+from getagrip.segmentation.cut import segment_list
+from getagrip.segmentation.found import Found, find_segments
+from getagrip.timelines.reconstruct import reconstruct
+
+LEVELS = ("none", "strong")
+Poses = Float[ndarray, "T 4 4"]
+
+
+def poses(clip: Clip, result: Reconstruction) -> tuple[Poses, Poses]:
+    """The object and the hand in the camera frame."""
+    hand = clip.hand.T_cam_hand if result.T_cam_hand is None else result.T_cam_hand
+    return hand @ result.T_hand_obj, hand
+
+
+def alone(clip: Clip, masks: Masks, found: Found) -> tuple[Poses, Poses]:
+    """Each stable grasp by itself; not a number elsewhere."""
+    T_cam_obj, T_cam_hand = np.full((len(clip), 4, 4), np.nan), clip.hand.T_cam_hand.copy()
+    for first, last in found.grasps:
+        rows = np.arange(first, last + 1)
+        part = replace(clip.take(rows), segments=())
+        T_cam_obj[rows], T_cam_hand[rows] = poses(part, reconstruct(part, masks.take(rows)))
+    return T_cam_obj, T_cam_hand
+
+
+def together(clip: Clip, masks: Masks, found: Found) -> tuple[Poses, Poses]:
+    """The whole interaction."""
+    whole = with_segments(clip, segment_list(clip, found))
+    return poses(whole, reconstruct(whole, masks))
+
+
+def right(clip: Clip, symmetries: Symmetries, found: tuple[Poses, Poses]) -> list[tuple[str, bool, float]]:
+    """Of each segment of the clip: its kind, whether it is right up to symmetries, and its mean ADD [diameters]."""
+    return [(s.kind, s.right_sym, s.add_sym) for s in segment_scores(clip, symmetries, *found)]
+
+
+def main(clips: Path, every: int) -> None:
+    """Print the table."""
+    names = sorted(folder.name for folder in clips.iterdir() if (folder / "clip.json").is_file())
+    training = sorted({subject_of(name) for name in names})[::3]
+    names = [name for name in names if subject_of(name) in training][::every]
+    ways: dict[str, Callable[[Clip, Masks, Found], tuple[Poses, Poses]]] = {"alone": alone, "together": together}
+    for level in LEVELS:
+        scores = {way: list[tuple[str, bool, float]]() for way in (*ways, "together, true segments")}
+        seconds = dict.fromkeys(ways, 0.0)
+        for name in names:
+            true = read_clip(clips / name)
+            clip, masks = perturbed(true, read_masks(true), NOISE[level], [0, *name.encode()])
+            clip = replace(clip, segments=(), world=None)
+            found = find_segments(clip, masks)
+            symmetries = find_symmetries(clip.mesh)
+            grasps = tuple(one.segment for one in found.segments if one.segment.state == "grasp")
+            for way, motion in ways.items():
+                since = time.process_time()
+                moved = motion(clip, masks, found)
+                seconds[way] += time.process_time() - since
+                scores[way] += right(replace(clip, segments=grasps), symmetries, moved)
+                if way == "together":
+                    scores["together, true segments"] += right(true, symmetries, moved)
+            print(f"{level} {name}: {[(way, scores[way][-max(len(grasps), 1):]) for way in ways]}", file=sys.stderr)
+        for way, rows in scores.items():
+            for kind in dict.fromkeys(kind for kind, _, _ in rows):
+                of = np.array([(ok, add) for k, ok, add in rows if k == kind], dtype=float)
+                print(f"{level} | {way} | {kind} | {of[:, 0].sum():.0f} of {len(of)} right | {100 * np.median(of[:, 1]):.1f} %")
+        spent = ", ".join(f"{way} {value / len(names):.1f} s" for way, value in seconds.items())
+        print(f"{level} | {len(names)} sequences | {spent} of CPU each; {Options().inits} initial poses", flush=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int((*sys.argv[2:], 8)[0]))

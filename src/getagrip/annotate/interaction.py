@@ -1,0 +1,169 @@
+"""A whole interaction, from table to hand and back: the segments that one person has marked of a task, as a timeline.
+
+Where a person has marked stable grasps only, and nothing of the camera, there is none: each grasp stands by itself.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
+from pathlib import Path
+from typing import Any, cast
+from uuid import NAMESPACE_OID, uuid5
+
+from getagrip.annotate.footage import Footage, Names, seconds
+from getagrip.annotate.marks import GRASP, STILL, Mark
+from getagrip.annotate.tasks import Task
+from getagrip.annotate.versions import RefusedError
+from getagrip.clip import Segment, State, segment_files
+from getagrip.clip.segment_files import SegmentList
+from getagrip.clip.timeline import segment_fields
+from getagrip.errors import InputError
+from getagrip.hands.model import Side
+from getagrip.io import files
+
+WITH_HAND = ("grasp", "contact")
+"""States in which a hand touches the object."""
+
+
+@dataclass(frozen=True)
+class Interaction:
+    """Segments of a task, numbered from 1 in the order of their starts, as the page does."""
+
+    task: Task
+    footage: Footage
+    numbered: tuple[tuple[int, Mark], ...]
+    still: bool
+    """The camera did not move, as the person states."""
+
+    @property
+    def finished(self) -> list[tuple[int, Mark]]:
+        """The segments that have an end."""
+        return [(n, mark) for n, mark in self.numbered if mark.interval]
+
+    @property
+    def side(self) -> Side:
+        """The hand that touches the object longest, in stable grasps if there are any."""
+        frames: Counter[tuple[bool, bool, str]] = Counter()
+        for _, mark in self.finished:
+            key = (mark.state == GRASP, mark.state in WITH_HAND, mark.side or "right")
+            frames[key] += _length(mark)
+        return cast(Side, max(frames, key=lambda key: (*key[:2], frames[key]))[2])
+
+    @property
+    def mark(self) -> Mark:
+        """All of it as one mark, whose frames can be labelled. Raises ``RefusedError`` where no segment is finished."""
+        own = [mark for _, mark in self.finished]
+        if not own:
+            raise RefusedError("mark the end of a segment first")
+        first, last = min(mark.start or 0 for mark in own), max(mark.end or 0 for mark in own)
+        about = next((mark for mark in own if mark.category), own[0])
+        return replace(
+            about, mark=_name(own[0]), start=first, end=last, side=self.side,
+            start_number=self.footage.number(first), end_number=self.footage.number(last),
+            seconds=seconds(self.footage, first, last),
+        )  # fmt: skip
+
+    def overlaps(self) -> list[str]:
+        """Frames that are in two segments: these cannot be written."""
+        out = []
+        for (n, one), (m, other) in combinations(self.finished, 2):
+            first, last = max(one.start or 0, other.start or 0), min(one.end or 0, other.end or 0)
+            if first <= last:
+                out.append(f"{self._frames(first, last)} in two segments, {n} and {m}: move the end of one of them.")
+        return out
+
+    def hints(self) -> list[str]:
+        """What else a person may want to know: gaps, ends that are missing, a camera of which nothing is known."""
+        return list(self._hints())
+
+    def _hints(self) -> Iterator[str]:
+        yield from (f"Segment {n} has no end yet." for n, mark in self.numbered if not mark.interval)
+        order = sorted(self.finished, key=lambda one: one[1].start or 0)
+        for (n, one), (m, other) in pairwise(order):
+            first, last = (one.end or 0) + 1, (other.start or 0) - 1
+            if first <= last:
+                frames = self._frames(first, last)
+                yield f"{frames} in no segment, between {n} and {m}: what the object does there counts as unknown."
+        states = {mark.state for _, mark in order}
+        if "static" in states and not self.still:
+            yield "Where the object lies still, the camera must be known: state below that it stood still, if it did."
+        if order and not states & {"static", GRASP}:
+            yield "Nothing can be reconstructed yet: mark where the object lies still, or is held in a stable grasp."
+        others = [n for n, mark in order if mark.state in WITH_HAND and (mark.side or self.side) != self.side]
+        if others:
+            which = "segment" if len(others) == 1 else "segments"
+            yield (
+                f"The {self.side} hand is the clip's. In {which} {', '.join(map(str, others))} the other one touches "
+                "the object, which is followed there by its masks only."
+            )
+
+    def listed(self) -> SegmentList:
+        """The segments as files have them, in frames of a clip. Raises ``RefusedError`` where some overlap."""
+        if overlaps := self.overlaps():
+            raise RefusedError(" ".join(overlaps))
+        order = sorted((mark for _, mark in self.finished), key=lambda mark: mark.start or 0)
+        segments = [
+            Segment(
+                cast(State, mark.state), mark.start or 0, mark.end or 0,
+                cast(Side, mark.side or self.side) if mark.state in WITH_HAND else None,
+            )
+            for mark in order
+        ]  # fmt: skip
+        names = Names(self.footage)
+        who = next(mark.annotator for _, mark in self.numbered)
+        still = f"as {who} states" if self.still else None
+        path = self.task.path
+        assert path is not None  # its footage is open
+        return SegmentList(path, self.task.key, segment_fields(segments, names), f"marked by {who}", still)
+
+    def state(self) -> dict[str, Any]:
+        """What the page shows of it."""
+        own = [mark for _, mark in self.finished]
+        mark = self.mark if own else None
+        about = {} if mark is None else {key: getattr(mark, key) for key in ABOUT}
+        return about | {"still": self.still, "overlaps": self.overlaps(), "hints": self.hints()}
+
+    def _frames(self, first: int, last: int) -> str:
+        a, b = self.footage.number(first), self.footage.number(last)
+        return f"Frame {a} is" if first == last else f"Frames {a} to {b} are"
+
+
+ABOUT = ("mark", "start", "end", "start_number", "end_number", "side", "category")
+"""What the page is told of all of it."""
+
+
+def is_whole(marks: Sequence[Mark]) -> bool:
+    """Whether one person's marks of a task are of a whole interaction."""
+    return any(mark.start is not None for mark in marks) and any(
+        mark.camera == STILL or (mark.start is not None and mark.state != GRASP) for mark in marks
+    )
+
+
+def interaction(task: Task, footage: Footage, marks: Sequence[Mark]) -> Interaction:
+    """That of one person's marks of a task."""
+    segments = sorted((mark for mark in marks if mark.start is not None), key=lambda mark: mark.start or 0)
+    still = any(mark.camera == STILL for mark in marks)
+    return Interaction(task, footage, tuple(enumerate(segments, start=1)), still)
+
+
+def segments_of(path: Path, tasks: Sequence[Task]) -> list[tuple[Task, SegmentList]]:
+    """What a file has of some tasks, by their names; of a single task also the only entry. Raises ``InputError``."""
+    if len(tasks) == 1:
+        return [(tasks[0], segment_files.read(path, [tasks[0].key, tasks[0].video]))]
+    known = files.read_json(path)
+    found = [task for task in tasks if task.key in known]
+    if not found:
+        raise InputError(path, "", "no segments of the footage given", f"those of {files.plain(tasks[0].key)}, ...")
+    return [(task, segment_files.read(path, [task.key])) for task in found]
+
+
+def _name(mark: Mark) -> str:
+    """What labels of the whole are kept under, whatever its segments are."""
+    return str(uuid5(NAMESPACE_OID, f"{mark.annotator}/{mark.task}"))
+
+
+def _length(mark: Mark) -> int:
+    return (mark.end or 0) - (mark.start or 0) + 1
