@@ -198,6 +198,45 @@ def test_marks_do_not_go_to_another_database(context: Any, served: Served, tmp_p
     assert [grasp[0] for grasp in served.grasps()] == [0]
 
 
+def go(page: Any, number: int) -> None:
+    """Go to a frame from the first one on."""
+    page.keyboard.press("Home")
+    for key, times in (("Shift+ArrowRight", (number - 1) // 10), ("ArrowRight", (number - 1) % 10)):
+        for _ in range(times):
+            page.keyboard.press(key)
+    shows(page, number)
+
+
+def segments(served: Served) -> list[tuple[Any, ...]]:
+    return [(one.state, one.start, one.end) for one in served.project.store.marks.standing() if one.start is not None]
+
+
+def test_a_whole_interaction_is_marked_state_by_state(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    for number, key in ((1, "t"), (21, "c"), (26, "g"), (61, "e")):
+        go(page, number)
+        page.keyboard.press(key)
+    saved(page)
+    assert segments(served) == [("static", 0, 19), ("contact", 20, 24), ("grasp", 25, 60)]
+    playwright.expect(page.locator("#bars div")).to_have_text(["1 lies still", "2 unstable contact", "3 stable grasp"])
+    playwright.expect(page.locator("#amiss li")).to_contain_text(["the camera must be known"])
+    page.check("#still")
+    playwright.expect(page.locator("#amiss li")).to_have_count(0)
+    page.locator("#marks li").first.click()  # its end moves, and with it the start of what adjoins it
+    go(page, 18)
+    page.keyboard.press("e")
+    page.keyboard.press("Escape")
+    go(page, 23)  # the rest of the contact is part of the grasp
+    page.keyboard.press("g")
+    saved(page)
+    assert segments(served) == [("static", 0, 17), ("contact", 18, 21), ("grasp", 22, 60)]
+    page.locator("#marks li").nth(1).click()
+    page.keyboard.press("Delete")
+    playwright.expect(page.locator("#amiss li")).to_contain_text(["Frames 19 to 22 are in no segment, between 1 and 2"])
+    page.keyboard.press("l")  # all of it
+    playwright.expect(page.locator("#label-title")).to_have_text("Frames 1 – 61")
+
+
 def test_candidates_are_gone_through_and_discarded(context: Any, served: Served) -> None:
     page = opened(context, served)
     page.keyboard.press("n")

@@ -42,7 +42,7 @@ PATIENCE = 60.0
 STYLES = ("page", "labels")
 SCRIPTS = (
     "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "saving",
-    "segments", "tasks", "timeline", "view",
+    "segments", "states", "tasks", "timeline", "view",
 )  # fmt: skip
 PAGE = {
     "/": ("index.html", "text/html"),

@@ -11,13 +11,14 @@ export const state = {
   task: null, // the one that is open
   info: null, // its frames
   marks: [], newest: -1,
+  interaction: null, // what the server says of the marks as segments of one interaction
   chosen: null, // mark whose start and end are being moved
   defaults: {}, // hand and object of the next mark
   mode: "grasps", // or "labels"
 };
 
 // "shown" (frame), "waiting" (bool), "problem" (text), "answer" (path, sent, answer), "refused" (text), "pending"
-// (count, reason), "task" (another one is opened), "marks" (they have changed), "label" (a mark is to be labelled).
+// (count, reason), "task" (another one is opened), "marks" (they have changed), "drawn" (the list of them is), "label" (a mark is to be labelled).
 const listeners = new Map();
 export const on = (name, act) => listeners.set(name, [...(listeners.get(name) ?? []), act]);
 export const emit = (name, ...about) => (listeners.get(name) ?? []).forEach((act) => act(...about));

@@ -1,7 +1,8 @@
-// Marking where stable grasps start and end, in what hand, of what object; or why there are none.
+// Marking where stable grasps and other segments start and end, in what hand, of what object; or why there are none.
 
 import { $, ask, element, many, move, on, pick, player, problem, saving, state, emit } from "./app.js";
 import { fresh, tab } from "./saving.js";
+import { STATES } from "./states.js";
 
 const REASONS = {
   "no stable grasp": "the hold changes all the time, or nothing is held",
@@ -11,13 +12,15 @@ const REASONS = {
 const COMPARE = 1500; // ms after the last change until people are compared again
 
 export const grasps = () => state.marks.filter((mark) => mark.start !== null);
-const discarded = () => state.marks.find((mark) => mark.reason);
+/** Whether a whole interaction is marked, and not stable grasps alone. */
+export const whole = () => state.marks.some((mark) => mark.camera || (mark.start !== null && mark.state !== "grasp"));
+export const discarded = () => state.marks.find((mark) => mark.reason);
 const target = () => state.marks.find((mark) => mark.mark === state.chosen) ?? grasps().find((mark) => mark.end === null);
 
 /** Change a mark here at once, and there as soon as it can be sent. */
-function change(mark, set) {
+export function change(mark, set) {
   const old = state.marks.find((one) => one.mark === mark);
-  const empty = { mark, start: null, end: null, reason: null, category: null, entity: null, side: null };
+  const empty = { mark, start: null, end: null, state: "grasp", reason: null, camera: null, category: null, entity: null, side: null };
   state.marks = state.marks.filter((one) => one !== old);
   if (!set.deleted) state.marks.push({ ...(old ?? empty), ...set, start_number: null, end_number: null, seconds: null });
   state.marks.sort((a, b) => (a.start ?? 0) - (b.start ?? 0));
@@ -26,7 +29,7 @@ function change(mark, set) {
   saving.add("/api/change", { change: fresh(), mark, task: state.task.key, annotator: state.annotator, tab, set });
 }
 
-function defaults() {
+export function defaults() {
   const { side, category, entity } = state.defaults;
   return { side, ...(category && { category }), ...(entity && { entity }) };
 }
@@ -34,16 +37,23 @@ function defaults() {
 function start() {
   if (discarded()) return say("This clip is discarded: undo that first.");
   const mark = target();
-  if (mark && mark.end !== null && player.at > mark.end) return say("A grasp cannot start after its end: move the end first.");
+  if (mark && mark.end !== null && player.at > mark.end) return say("It cannot start after its end: move the end first.");
+  const before = mark && adjoining(mark, (one) => one.end === mark.start - 1 && player.at > one.start);
   if (mark) change(mark.mark, { start: player.at });
-  else change(fresh(), { start: player.at, ...defaults() });
+  if (before) change(before.mark, { end: player.at - 1 });
+  if (!mark) change(fresh(), { start: player.at, ...defaults() });
 }
+
+/** The segment of the same interaction that a segment has a border with, which moves for both. */
+const adjoining = (mark, borders) => whole() && mark.end !== null && grasps().find((one) => one !== mark && one.end !== null && borders(one));
 
 function end() {
   const mark = target();
   if (!mark) return say("Mark the start first: go there and press s.");
-  if (player.at < mark.start) return say("A grasp cannot end before it starts.");
+  if (player.at < mark.start) return say("It cannot end before it starts.");
+  const after = adjoining(mark, (one) => one.start === mark.end + 1 && player.at < one.end);
   change(mark.mark, { end: player.at });
+  if (after) change(after.mark, { start: player.at + 1 });
 }
 
 function discard(reason) {
@@ -58,12 +68,13 @@ function undo() {
   saving.add("/api/undo", { change: fresh(), task: state.task.key, annotator: state.annotator, tab });
 }
 
-/** Hand or object of the chosen grasp, or else of the one without an end, and of those to come. */
+/** Hand or object of the chosen grasp, or else of the one without an end, and of those to come; one interaction has one. */
 function describe(set) {
-  const mark = target() ?? (grasps().length === 1 ? grasps()[0] : null);
+  const mark = target() ?? (grasps().length === 1 ? grasps()[0] : null), all = whole() && !state.chosen;
   for (const [key, value] of Object.entries(set)) state.defaults[key] = value;
-  if (mark && Object.values(set).every((value) => value)) change(mark.mark, set);
-  else if (!mark && grasps().length > 1) say("This holds for the next grasp. To change one of those below, click on it first.");
+  const about = all ? grasps() : mark ? [mark] : [];
+  if (Object.values(set).every((value) => value)) about.forEach((one) => change(one.mark, set));
+  if (!about.length && grasps().length > 1) say("This holds for the next grasp. To change one of those below, click on it first.");
   draw();
 }
 
@@ -99,26 +110,29 @@ function nextStep() {
   const mark = target(), n = grasps().indexOf(mark) + 1;
   if (!state.info) return "";
   if (discarded()) return "This clip is discarded. Choose the reason again to take it back, or go to the next.";
+  if (state.chosen && mark && whole()) return `Segment ${n}, ${STATES[mark.state].word}: s and e move its start and end, and what adjoins it; t, c, g, f say what it is. Esc when done.`;
   if (state.chosen) return `Moving grasp ${n}: s sets its start, e its end, Esc when done.`;
+  if (mark && whole()) return `Segment ${n}, ${STATES[mark.state].word}, has started. Where the object begins to do something else, press t, c, g or f; on the last frame of all, e.`;
   if (mark) return `Grasp ${n} has started. Go to its last stable frame and press e.`;
-  if (grasps().some((one) => !one.category)) return "Say which kind of object it is, so that the grasp can be exported.";
-  if (!grasps().length) return "Go to the first frame of the grasp and press s.";
+  if (grasps().some((one) => !one.category && one.state === "grasp")) return "Say which kind of object it is, so that the grasp can be exported.";
+  if (!grasps().length) return "Go to the first frame of the grasp and press s. Or mark the whole interaction: where the object lies still before it is grasped, press t.";
+  if (whole()) return "Go on, or click on a segment to change it. Within a segment, t, c, g, f say what its rest is. When all is right, label the frames (l).";
   return "Go on: s starts another grasp. Click on a grasp to change it, or label its frames (l) to make a clip of it.";
 }
 
-function say(text) {
+export function say(text) {
   $("next-step").textContent = text;
 }
 
 function row(mark, n) {
   const number = (value, index) => value ?? (index === null ? "…" : `#${index}`);
   const button = (text, title, act) => element("button", { textContent: text, title, onclick: (event) => { event.stopPropagation(); act(); } });
-  const remove = button("✕", "Delete this grasp", () => change(mark.mark, { deleted: true }));
+  const remove = button("✕", "Delete it", () => change(mark.mark, { deleted: true }));
   const open = button("Label", "Click joints and polygons on its frames, to make a clip of it (l)", () => emit("label", mark));
-  open.hidden = mark.end === null;
-  const about = [mark.side, mark.entity ?? mark.category ?? "object?", mark.seconds && `${mark.seconds.toFixed(2)} s`];
+  open.hidden = mark.end === null || whole();
+  const about = [whole() && STATES[mark.state].word, !["static", "free"].includes(mark.state) && mark.side, mark.entity ?? mark.category ?? "object?", mark.seconds && `${mark.seconds.toFixed(2)} s`];
   const text = element("span", { className: "text" }, `${number(mark.start_number, mark.start)} – ${number(mark.end_number, mark.end)}`, element("small", { textContent: about.filter(Boolean).join(" · ") }));
-  return element("li", { className: mark.mark === state.chosen ? "chosen" : "", title: "Click to change", onclick: () => choose(mark) }, element("b", { textContent: n + 1 }), text, open, remove);
+  return element("li", { className: `${mark.state} ${mark.mark === state.chosen ? "chosen" : ""}`, title: "Click to change", onclick: () => choose(mark) }, element("b", { textContent: n + 1 }), text, open, remove);
 }
 
 function drawMarks() {
@@ -139,6 +153,7 @@ export function draw() {
   }));
   drawMarks();
   say(nextStep());
+  emit("drawn");
 }
 
 export async function drawAgreement() {
@@ -150,8 +165,8 @@ export async function drawAgreement() {
 
 /** Bars of the timeline. */
 export const bars = () => grasps().map((mark, n) => ({
-  text: n + 1, title: `Grasp ${n + 1}`, from: mark.start, to: mark.end ?? Math.max(mark.start, player.shown?.index ?? 0),
-  classes: [mark.end === null && "open", mark.mark === state.chosen && "chosen"],
+  text: whole() ? `${n + 1} ${STATES[mark.state].word}` : n + 1, title: `${n + 1}: ${STATES[mark.state].word}`, from: mark.start, to: mark.end ?? Math.max(mark.start, player.shown?.index ?? 0),
+  classes: [mark.state, mark.end === null && "open", mark.mark === state.chosen && "chosen"],
 }));
 
 let comparing;

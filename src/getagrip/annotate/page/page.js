@@ -5,6 +5,7 @@ import * as grasps from "./grasps.js";
 import { unseen } from "./joints.js";
 import * as labelling from "./labelling.js";
 import * as labels from "./labels.js";
+import * as segments from "./segments.js";
 import { openTask, overview, refresh, step } from "./tasks.js";
 import { drawTimeline } from "./timeline.js";
 import { KEYS as VIEW } from "./view.js";
@@ -53,10 +54,10 @@ function drawPlay() {
   $("play").textContent = player.playing ? "❚❚ Pause" : "▶ Play";
 }
 
-/** Label the chosen grasp, or the only one. */
+/** Label the chosen grasp, else the whole interaction, else the first grasp. */
 function label() {
-  const finished = grasps.grasps().filter((mark) => mark.end !== null);
-  const mark = finished.find((one) => one.mark === state.chosen) ?? finished[0];
+  const finished = grasps.grasps().filter((mark) => mark.end !== null), all = state.interaction;
+  const mark = finished.find((one) => one.mark === state.chosen) ?? (all?.mark ? all : finished[0]);
   if (mark) labelling.begin(mark);
   else problem("Mark the start and the end of a grasp first: its frames can be labelled then.");
 }
@@ -70,9 +71,9 @@ const COMMON = {
   "l": label,
   ...VIEW,
 };
-const MODES = { grasps: { ...COMMON, ...grasps.KEYS }, labels: { ...COMMON, ...labelling.KEYS } };
+const MODES = { grasps: { ...COMMON, ...grasps.KEYS, ...segments.KEYS }, labels: { ...COMMON, ...labelling.KEYS } };
 const WITHOUT_FRAMES = new Set(["n", "p"]);
-const WHILE_PLAYING = new Set([" ", "s", "e", ...Object.keys(VIEW)]);
+const WHILE_PLAYING = new Set([" ", "s", "e", ...Object.keys(segments.KEYS), ...Object.keys(VIEW)]);
 const REPEATED = new Set(["w", "a", "s", "d"]); // beside the arrows
 
 function press(key, event) {
@@ -130,7 +131,8 @@ async function begin(name) {
     await saving.flush(); // what an earlier page could not send
     const next = state.tasks.find((task) => task.key === before) ?? state.tasks.find((task) => !task.state && task.found) ?? state.tasks.find((task) => task.found);
     await openTask(next);
-    const labelled = state.marks.find((mark) => mark.mark === labels.before() && mark.end !== null);
+    const known = [...state.marks, ...(state.interaction ? [state.interaction] : [])];
+    const labelled = known.find((mark) => mark.mark && mark.mark === labels.before() && mark.end !== null);
     if (labelled) await labelling.begin(labelled);
   } catch (error) {
     problem(error.message);

@@ -10,7 +10,7 @@ export async function overview() {
 }
 
 export async function openTask(task) {
-  Object.assign(state, { task, info: null, marks: [], newest: -1, chosen: null });
+  Object.assign(state, { task, info: null, marks: [], newest: -1, interaction: null, chosen: null });
   state.defaults = { side: task.side ?? state.defaults.side ?? "right", category: task.category ?? "", entity: task.entity ?? "" };
   location.hash = encodeURIComponent(task.key);
   problem(null);
@@ -46,6 +46,7 @@ export function step(by) {
 function take(answer) {
   if (saving.waiting.length) return; // its answer comes after what is still on its way
   state.marks = answer.marks;
+  state.interaction = answer.interaction;
   state.newest = answer.newest;
   if (!state.marks.some((mark) => mark.mark === state.chosen)) state.chosen = null;
   const discarded = state.marks.some((mark) => mark.reason);

@@ -2,6 +2,7 @@
 
 import { $, clock, element, move, player, state } from "./app.js";
 import { stale } from "./labels.js";
+import { STATES } from "./states.js";
 
 const DOUBTFUL = 0.7; // masks less sure than this are to be looked at
 
@@ -63,6 +64,11 @@ function labelled(place, part) {
       place(band, from, to);
       return band;
     }));
+  const segments = state.marks.filter((mark) => mark.end !== null && state.labels.grasp === state.interaction?.mark).map((mark) => {
+    const band = element("div", { className: `band segment ${mark.state}`, title: STATES[mark.state].word });
+    place(band, mark.start, mark.end);
+    return band;
+  });
   const keys = [...keyframes.values()].flatMap((one) => [
     one.outlined && ["outlined", "Polygons drawn here"], one.joints && Object.keys(one.joints).length && ["clicked", "Joints clicked here"],
   ].filter(Boolean).map(([className, title]) => {
@@ -70,7 +76,7 @@ function labelled(place, part) {
     key.style.left = part(one.frame + 0.5);
     return key;
   }));
-  return [...bands, ...keys];
+  return [...segments, ...bands, ...keys];
 }
 
 $("timeline").onpointerdown = (event) => {
