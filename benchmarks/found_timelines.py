@@ -83,11 +83,12 @@ def main(clips: Path, every: int) -> None:
                 scores[way] += right(replace(clip, segments=grasps), symmetries, moved)
                 if way == "together":
                     scores["together, true segments"] += right(true, symmetries, moved)
-            print(f"{level} {name}: {[(way, scores[way][-max(len(grasps), 1):]) for way in ways]}", file=sys.stderr)
+            print(f"{level} {name}: {[(way, scores[way][-max(len(grasps), 1) :]) for way in ways]}", file=sys.stderr)
         for way, rows in scores.items():
             for kind in dict.fromkeys(kind for kind, _, _ in rows):
                 of = np.array([(ok, add) for k, ok, add in rows if k == kind], dtype=float)
-                print(f"{level} | {way} | {kind} | {of[:, 0].sum():.0f} of {len(of)} right | {100 * np.median(of[:, 1]):.1f} %")
+                share, median = f"{of[:, 0].sum():.0f} of {len(of)} right", 100 * np.median(of[:, 1])
+                print(f"{level} | {way} | {kind} | {share} | {median:.1f} %")
         spent = ", ".join(f"{way} {value / len(names):.1f} s" for way, value in seconds.items())
         print(f"{level} | {len(names)} sequences | {spent} of CPU each; {Options().inits} initial poses", flush=True)
 
