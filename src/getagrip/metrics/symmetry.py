@@ -67,20 +67,23 @@ def find_symmetries(mesh: Mesh) -> Symmetries:
     moments, axes = np.linalg.eigh(second_moment)
     lines = _candidate_axes(moments, axes.T)
 
-    halves = [surface.refined(T) for T in surface.promising(_rotations(centre, lines, np.pi))]
-    continuous = [line for half in halves if half is not None and (line := _continuous(surface, centre, half))]
-    if continuous:
-        directions = np.stack([direction for _, direction in continuous])
-        if np.abs(directions @ directions[0]).min() < np.cos(np.radians(30.0)):
+    halves = surface.promising(_rotations(centre, lines, np.pi))
+    first: tuple[ndarray, ndarray] | None = None
+    for half in halves:
+        if (symmetry := surface.refined(half)) is None or (line := _continuous(surface, centre, symmetry)) is None:
+            continue
+        first = first or line
+        if abs(line[1] @ first[1]) < np.cos(np.radians(30.0)):  # two axes make all of them
             return Symmetries(np.eye(4)[None], np.eye(3), centre)
-        point, axis = continuous[0]
+    if first is not None:
+        point, axis = first
         perpendicular = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         flip = surface.refined(_rotations(centre, perpendicular / np.linalg.norm(perpendicular), np.pi))
         return Symmetries(np.stack([np.eye(4)] if flip is None else [np.eye(4), flip]), axis[None], point)
 
     elements = [np.eye(4)]
     for order in ORDERS:
-        for T in surface.promising(_rotations(centre, lines, 2.0 * np.pi / order)):
+        for T in halves if order == 2 else surface.promising(_rotations(centre, lines, 2.0 * np.pi / order)):
             _add(elements, T, surface)
     for a in elements:  # grows while it runs: what two symmetries make together is one, if it passes
         for b in elements[: len(elements)]:
@@ -99,6 +102,7 @@ class _Surface:
         self.tree = igl.AABB()
         self.tree.init(mesh.vertices, mesh.faces)
         self.dense = cKDTree(surface_points(mesh, 5000))
+        self._refined: dict[bytes, ndarray | None] = {}
 
     def promising(self, rotations: Float[ndarray, "n 4 4"]) -> Float[ndarray, "m 4 4"]:
         """The rotations that deserve a closer look, by a coarse test of all of them at once."""
@@ -116,7 +120,12 @@ class _Surface:
         return bool(distance.mean() < MEAN and distance.max() < WORST)
 
     def refined(self, rotation: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"] | None:
-        """The rotation at its best fit nearby, or None where that is no symmetry."""
+        """The rotation at its best fit nearby, or None where that is no symmetry. Half turns are asked for twice."""
+        if (key := rotation.tobytes()) not in self._refined:
+            self._refined[key] = self._refine(rotation)
+        return self._refined[key]
+
+    def _refine(self, rotation: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"] | None:
         few = self.points[::6]
         off = self.nearest(se3.transform(self.aligned(rotation, few), few))[0] / (1.5 * self.mesh.diameter)
         if off.mean() > MEAN or off.max() > WORST:  # most are far off, and a few points show it
