@@ -8,10 +8,13 @@ import runpy
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+import getagrip
+from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.methods import METHODS
 from helpers.pages import python
 from helpers.paths import DATA, ROOT, needs
@@ -26,8 +29,10 @@ QUICK = ("--clips", "1", "--workers", "2", "--inits", "6")
 
 @pytest.fixture
 def printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    """Run a script in a folder of its own, in this process; returns what it prints."""
+    """Run a script in a folder of its own, in this process, on short clips; returns what it prints."""
     monkeypatch.chdir(tmp_path)
+    short = SceneOptions(frames=8, size=(320, 240), focal=300.0)
+    monkeypatch.setattr(getagrip, "synthesise", partial(getagrip.synthesise, options=short))
     before = dict(METHODS)
 
     def call(script: Path, *args: object) -> str:

@@ -15,14 +15,13 @@ from pathlib import Path
 import pytest
 
 from getagrip.clip import write_clip
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from helpers.command_line import Run
 from helpers.folders import results_in
 from helpers.paths import import_path
 from helpers.ray_cluster import RayCluster, ray_cluster
+from helpers.scenes import SHORT, scene
 
-COUNT = 24
+COUNT = 18
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray: pip install 'getagrip[ray]'")
 
 
@@ -48,10 +47,13 @@ def wait_for(out: Path, count: int) -> None:
 
 @needs_ray
 @pytest.mark.slow
-def test_whoever_is_killed_each_task_is_done_once_and_results_are_those_of_one_machine(tmp_path: Path) -> None:
+def test_whoever_is_killed_each_task_is_done_once_and_results_are_those_of_one_machine(
+    tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with ray_cluster(nodes=1) as cluster:
         _a_node_and_then_the_driver_are_killed(cluster, tmp_path)
-        _results_are_the_same(cluster, tmp_path)  # on the node that is left
+        monkeypatch.chdir(tmp_path)
+        _results_are_the_same(cluster, tmp_path, run)  # on the node that is left
 
 
 def _a_node_and_then_the_driver_are_killed(cluster: RayCluster, tmp_path: Path) -> None:
@@ -74,13 +76,13 @@ def _a_node_and_then_the_driver_are_killed(cluster: RayCluster, tmp_path: Path) 
     assert len(again) <= 1 + 2  # what was at work on the node, and what the driver had given out
 
 
-def _results_are_the_same(cluster: RayCluster, tmp_path: Path) -> None:
+def _results_are_the_same(cluster: RayCluster, tmp_path: Path, run: Run) -> None:
     for n, category in enumerate(("can", "mug")):
-        write_clip(*synthesise(category, n, SceneOptions(frames=4)), tmp_path / "clips" / category)
-    words = [sys.executable, "-m", "getagrip", "reconstruct", "clips", "--inits", "6"]
-    for out, engine in (("here", ()), ("there", ("--engine", "ray", "--address", cluster.address))):
-        call = [*words, "--out", out, *engine]
-        subprocess.run(call, check=True, cwd=tmp_path, env=import_path(), capture_output=True)
+        write_clip(*scene(category, n, SHORT), tmp_path / "clips" / category)
+    words = ("reconstruct", "clips", "--inits", "6", "--out")
+    assert run(*words, "here", "--workers", "1")[0] == 0
+    call = [sys.executable, "-m", "getagrip", *words, "there", "--engine", "ray", "--address", cluster.address]
+    subprocess.run(call, check=True, cwd=tmp_path, env=import_path(), capture_output=True)
     pairs = list(zip(results_in(tmp_path / "here"), results_in(tmp_path / "there"), strict=True))
     assert len(pairs) == 2
     for here, there in pairs:

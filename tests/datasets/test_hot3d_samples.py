@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
@@ -24,7 +25,7 @@ pytestmark = [needs(HOT3D), pytest.mark.slow]
 
 
 def three_fingertips_and_more_are_at_the_object(clip: Clip) -> None:
-    assert read_masks(clip).object.any(axis=(1, 2)).all()
+    assert read_masks(clip.take(np.arange(0, len(clip), 5))).object.any(axis=(1, 2)).all()
     assert clip.truth is not None
     assert clip.truth.scale == 1.0
     hand = se3.transform(clip.truth.T_cam_hand, clip.truth.hand_vertices)
@@ -45,7 +46,7 @@ def test_clips_and_results(tmp_path: Path) -> None:
         three_fingertips_and_more_are_at_the_object(clip)
     for points in ("vertices", "area"):  # the one proper lifted grasp; contact is reliable at 5 mm
         assert segment(found[POT], Definition(contact=0.005, points=points))[1] == [(0, 33)]
-    quick = ("--workers", "1", "--frames", "12")
+    quick = ("--workers", "1", "--frames", "12", "--inits", "25", "--sampled-only")
     assert main(["reconstruct", str(clips), "--out", str(tmp_path / "out"), *quick]) == 0
     for name in HOLDS:
         metrics = evaluate_result(tmp_path / "out" / name, clips)["metrics"]

@@ -11,6 +11,7 @@ import pytest
 
 from getagrip.clip import read_clip
 from getagrip.commands import demo
+from getagrip.datasets.synthetic.splits import PRESETS
 from getagrip.result import read_result
 from getagrip.view.style import AXIS
 from helpers.command_line import Run
@@ -24,7 +25,10 @@ SMALLER = {
     "bench": ("--inits", "6", "--clips", "1", "--workers", "1"),
     "report": ("--index-only",),
 }
-FRAMES = {"30": "10"}  # of the demo's clip
+FRAMES = 10
+WORDS = {"30": str(FRAMES), "600": "300"}
+"""Frames and focal length of the demo's clip."""
+SMALL = {"frames": FRAMES, "size": (320, 240), "focal": 300.0}
 SERVED = {"view", "annotate"}  # they serve a page until they are interrupted
 INCOMPLETE = ("clip", "new")  # masks and hands come later
 
@@ -37,14 +41,14 @@ def follow(section: str, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
             runpy.run_path(str(ROOT / words[0]), run_name="__main__")
         elif words[0] not in SERVED and words[0].islower():
             assert program == "getagrip"
-            status, _, err = run(*(FRAMES.get(word, word) for word in words), *SMALLER.get(words[0], ()))
+            status, _, err = run(*(WORDS.get(word, word) for word in words), *SMALLER.get(words[0], ()))
             assert status == (1 if tuple(words[:2]) == INCOMPLETE else 0), err
 
 
 @pytest.mark.slow
 def test_the_demo_and_a_video_of_ones_own(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(demo, "CLIP", replace(demo.CLIP, frames=int(FRAMES["30"])))
+    monkeypatch.setattr(demo, "CLIP", replace(demo.CLIP, **SMALL))
     (words,) = [words for words in commands(TUTORIAL, "The demo") if words[:2] == ["getagrip", "demo"]]
     for _ in range(2):  # it can be run again
         assert run(*words[1:])[0] == 0
@@ -69,6 +73,7 @@ def the_mug_is_found(out: Path) -> None:
 @pytest.mark.slow
 def test_a_benchmark(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(PRESETS, "clean", replace(PRESETS["clean"], **SMALL))
     follow("A benchmark", run, monkeypatch)
     assert (tmp_path / "out" / "bench" / "methods.md").is_file()
     assert (tmp_path / "out" / "bench" / "index.html").is_file()

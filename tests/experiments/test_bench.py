@@ -265,7 +265,7 @@ def test_scale_made_free_and_known_again() -> None:
 @pytest.mark.slow
 def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     out, written = tmp_path / "out", tmp_path / "all.json"
-    call = ("bench", made, "--out", out, "--workers", "1", "--inits", "8", "--json", written)
+    call = ("bench", made, "--out", out, "--workers", "1", "--inits", "4", "--json", written)
     status, text, err = run(*call, "--methods", "static")
     assert (status, err) == (0, "")
     assert "1 done, 0 already done" in text
@@ -348,7 +348,7 @@ def test_results_of_other_systems_are_rows(made: Path, tmp_path: Path, run: Run)
 
 @pytest.mark.slow
 def test_an_ablation_changes_clips_and_draws_a_plot(made: Path, tmp_path: Path, run: Run) -> None:
-    call = ("bench", made, "--out", tmp_path, "--workers", "1", "--inits", "8", "--clips", "1")
+    call = ("bench", made, "--out", tmp_path, "--workers", "1", "--inits", "4", "--clips", "1")
     status, _, _ = run(*call, "--ablation", "mask-noise", "--methods", "static")
     assert status == 0
     assert (tmp_path / "mask-noise.png").stat().st_size > 10_000
@@ -380,7 +380,7 @@ def test_hands_are_compared_on_the_frames_that_all_have(made: Path, tmp_path: Pa
         hand_file(tmp_path / "off", clip, [1, 2, 3], mm=6.0, side=np.array(clip.side))
     out, written = tmp_path / "out", tmp_path / "all.json"
     sources = (f"exact={tmp_path / 'exact'}", f"off={tmp_path / 'off'}")
-    call = ("bench", made, "--out", out, "--workers", "1", "--inits", "8", "--methods", "static", "--json", written)
+    call = ("bench", made, "--out", out, "--workers", "1", "--inits", "4", "--methods", "static", "--json", written)
     status, printed, err = run(*call, "--hands", *sources)
     assert (status, err) == (0, "")
     assert printed.count("2 done, 0 already done") == 2
@@ -417,7 +417,7 @@ def test_contact_is_measured_within_any_distance(made: Path, tmp_path: Path, run
     from getagrip.fitting import reconstruct as module
 
     out = tmp_path / "out"
-    call = ("bench", made, "--out", out, "--workers", "1", "--methods", "static", "--clips", "1", "--inits", "8")
+    call = ("bench", made, "--out", out, "--workers", "1", "--methods", "static", "--clips", "1", "--inits", "4")
     assert run(*call)[0] == 0
     assert "contact: object vertices within 10 mm" in (out / "methods.md").read_text()
     monkeypatch.setattr(module, "reconstruct", lambda *_: pytest.fail("reconstructed again"))
@@ -450,16 +450,16 @@ def test_the_list_beside_clips_says_what_contact_is(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_results_of_other_options_are_made_again(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     call = ("bench", made, "--out", tmp_path, "--workers", "1", "--methods", "static", "--clips", "1")
-    assert "1 done" in run(*call, "--inits", "8")[1]
-    assert "1 done" in run(*call, "--inits", "9")[1]
+    assert "1 done" in run(*call, "--inits", "4")[1]
+    assert "1 done" in run(*call, "--inits", "5")[1]
     monkeypatch.setattr(trials, "_code_changed", lambda: 1.0)
-    _, out, err = run(*call, "--inits", "9")
+    _, out, err = run(*call, "--inits", "5")
     assert "0 done, 1 already" in out
     assert err == ""
     record = next(tmp_path.glob("results/static/*/result.json"))
     os.utime(record, (0.0, 0.0))
-    assert "1 results are older" in run(*call, "--inits", "9")[2]
-    assert "1 done" in run(*call, "--inits", "9", "--overwrite")[1]
+    assert "1 results are older" in run(*call, "--inits", "5")[2]
+    assert "1 done" in run(*call, "--inits", "5", "--overwrite")[1]
 
 
 @pytest.mark.slow
@@ -480,7 +480,7 @@ def test_what_fails_is_named_and_the_rest_done(made: Path, tmp_path: Path, run: 
         return exact(clip, masks, options)
 
     monkeypatch.setattr(module, "reconstruct", sometimes)
-    call = ("bench", folder, "--out", tmp_path / "out", "--workers", "1", "--inits", "8")
+    call = ("bench", folder, "--out", tmp_path / "out", "--workers", "1", "--inits", "4")
     status, out, err = run(*call, "--methods", "one-dof", "static")
     assert status == 1
     assert "failed: can-right-0000" in err

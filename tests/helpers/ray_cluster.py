@@ -51,7 +51,7 @@ def _main(nodes: int) -> None:
     from ray.cluster_utils import Cluster
 
     store = 100 * 2**20
-    head = {"num_cpus": 1, "include_dashboard": False, "object_store_memory": store}
+    head = {"num_cpus": 1, "include_dashboard": False, "no_monitor": True, "object_store_memory": store}
     cluster = Cluster(initialize_head=True, head_node_args=head)
     there = [cluster.add_node(num_cpus=1, object_store_memory=store) for _ in range(nodes)]
     print(cluster.address, flush=True)

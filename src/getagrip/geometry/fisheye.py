@@ -65,7 +65,7 @@ class Fisheye624:
         r = np.linalg.norm(xy, axis=-1, keepdims=True)
         theta = np.arctan(r)
         m = self._radial(theta)[0] * xy / np.maximum(r, 1e-12)
-        return self.f * self._bent(m)[0] + self.c
+        return self.f * self._bent(m) + self.c
 
     def unproject(self, uv: Float[ndarray, "*batch 2"]) -> Float[ndarray, "*batch 3"]:
         """Points at depth 1 on the rays through pixel coordinates, by Newton's method.
@@ -75,8 +75,7 @@ class Fisheye624:
         d = (uv - self.c) / self.f
         m = d
         for _ in range(NEWTON_STEPS):
-            value, slope = self._bent(m)
-            m = m + np.linalg.solve(slope, (d - value)[..., None])[..., 0]
+            m = m + np.linalg.solve(self._bend(m), (d - self._bent(m))[..., None])[..., 0]
         length = np.linalg.norm(m, axis=-1, keepdims=True)
         theta = np.minimum(length, 1.3)
         for _ in range(NEWTON_STEPS):
@@ -92,19 +91,24 @@ class Fisheye624:
         slope = 1.0 + (powers @ (self.k * np.array([3, 5, 7, 9, 11, 13])))[..., None]
         return value, slope
 
-    def _bent(self, m: Float[ndarray, "*b 2"]) -> tuple[Float[ndarray, "*b 2"], Float[ndarray, "*b 2 2"]]:
-        """d and its derivative by m."""
+    def _bent(self, m: Float[ndarray, "*b 2"]) -> Float[ndarray, "*b 2"]:
+        """d."""
         square = np.sum(m * m, axis=-1, keepdims=True)
         dot = (m @ self.p)[..., None]
         prism = self.s.reshape(2, 2)
-        value = m + 2.0 * dot * m + square * self.p + square * prism[:, 0] + square**2 * prism[:, 1]
+        return np.asarray(m + 2.0 * dot * m + square * self.p + square * prism[:, 0] + square**2 * prism[:, 1])
+
+    def _bend(self, m: Float[ndarray, "*b 2"]) -> Float[ndarray, "*b 2 2"]:
+        """The derivative of d by m."""
+        square = np.sum(m * m, axis=-1, keepdims=True)
+        dot = (m @ self.p)[..., None]
+        prism = self.s.reshape(2, 2)
         by_square = self.p + prism[:, 0] + 2.0 * square * prism[:, 1]
-        slope = (
+        return np.asarray(
             (1.0 + 2.0 * dot)[..., None] * np.eye(2)
             + 2.0 * m[..., :, None] * self.p
             + by_square[..., :, None] * 2.0 * m[..., None, :]
         )
-        return value, slope
 
 
 @dataclass(frozen=True)
