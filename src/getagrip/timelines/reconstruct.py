@@ -12,6 +12,7 @@ from numpy import ndarray
 from threadpoolctl import threadpool_limits
 
 from getagrip.checks import LEAST_IOU
+from getagrip.checks.of_timeline import examine_timeline
 from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_masks
 from getagrip.errors import UsageError
 from getagrip.fitting import reconstruct as grasp
@@ -27,7 +28,9 @@ from getagrip.timelines.joint import Motion, joint
 
 METHOD = "soft-hinge"
 """How objects move in the grasps of a timeline."""
-UNCHECKED = "a timeline: inputs and result were not checked, and no probability of being right is known"
+CHOSEN = "the chain of segments with the least energy"
+UNEXPLAINED = "failed in part: masks are hardly met (mean IOU) in the segments {}"
+"""The status of a result some of whose segments are below ``LEAST_IOU``."""
 
 
 def reconstruct(
@@ -81,7 +84,8 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
     energy, other = motion.energy
     guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
     mean_iou = float(np.nanmean(iou))
-    status = "the chain of segments with the least energy"
+    examined = examine_timeline(clip.light(), footage.masks, motion.T_cam_hand, motion.T_cam_obj, scale, iou)
+    status = UNEXPLAINED.format(examined.failed) if examined.failed else CHOSEN
     if mean_iou < LEAST_IOU:
         status = grasp.UNEXPLAINED.format(mean_iou)
     return Reconstruction(
@@ -101,8 +105,14 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
         options=asdict(footage.options),
         seed=footage.options.seed,
         T_cam_hand=motion.T_cam_hand if moved else None,
-        notes=(UNCHECKED, *motion.notes, *footage.some.notes, *([guess] if clip.scale == "free" else [])),
-        segments=tuple(segment_record(clip, segment, motion, iou) for segment in clip.segments),
+        notes=(*motion.notes, *footage.some.notes, *([guess] if clip.scale == "free" else [])),
+        findings=examined.findings,
+        checks=examined.checks,
+        segments=tuple(
+            segment_record(clip, segment, motion, iou)
+            | {"checks": {name: None if np.isnan(value) else value for name, value in checks.items()}}
+            for segment, checks in zip(clip.segments, examined.of_segments, strict=True)
+        ),
     )
 
 

@@ -1,0 +1,129 @@
+"""The checks of a timeline: each segment by those that apply to its state, and the clip by the others.
+
+What holds of a stable grasp by itself holds of one in a timeline: hands and masks move together, hand and object touch.
+In other states the object need not be near the hand, which is as it was given there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.checks.evidence import Evidence
+from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Check, examine
+from getagrip.clip import Clip, Masks, Segment
+from getagrip.clip.sampling import frame_indices
+from getagrip.finding import Finding
+from getagrip.geometry import se3
+
+FRAMES = 30
+"""Of a segment that are looked at: as many as are fitted together."""
+WITH_HAND = ("mask-size", "seen-size", "frame-order", "masks-follow-hand", "contact-gap", "penetration")
+"""Checks that suppose a grasp, by the clip's own hand."""
+OF_MASKS = ("mask-fit", "worst-frame")
+"""Checks of any segment's result."""
+
+
+@dataclass(frozen=True)
+class Examined:
+    """What the checks of a timeline say.
+
+    Attributes:
+        checks: what was measured of the clip as a whole.
+        of_segments: what was measured of each segment.
+        findings: what is unusual; those of segments begin with the segment's state and first frame.
+        failed: the segments whose masks are hardly met, in words; empty: none.
+    """
+
+    checks: dict[str, float]
+    of_segments: tuple[dict[str, float], ...]
+    findings: tuple[Finding, ...]
+    failed: str
+
+
+def examine_timeline(
+    clip: Clip,
+    masks: Masks,
+    T_cam_hand: Float[ndarray, "T 4 4"],
+    T_cam_obj: Float[ndarray, "T 4 4"],
+    scale: float,
+    iou: Float[ndarray, "T"],
+) -> Examined:
+    """Check a timeline and its result: the poses that were found, hands corrected, and IOU, NaN where unobserved."""
+    T_hand_obj = se3.inverse(T_cam_hand) @ T_cam_obj
+    whole = Evidence(clip.with_hand_at(T_cam_hand), masks, T_hand_obj, scale, iou)
+    of_clip = [c for c in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP) if c.name not in (*WITH_HAND, *OF_MASKS)]
+    checks, findings = examine(of_clip, whole)
+    of_segments, failed = [], []
+    for segment in clip.segments:
+        measured, found = _examine(segment, clip, whole)
+        of_segments.append(measured)
+        name = f"{segment.state} from {clip.frames[segment.first]}"
+        findings += tuple(replace(one, message=f"{name}: {one.message}") for one in found)
+        if measured.get("mask-fit", 1.0) < LEAST_IOU:
+            failed.append(f"{name} ({measured['mask-fit']:.2f})")
+    return Examined(checks, tuple(of_segments), findings, ", ".join(failed))
+
+
+def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
+    """The checks of one segment."""
+    assert whole.iou is not None
+    assert whole.T_hand_obj is not None
+    iou = whole.iou[segment.rows]
+    if np.isnan(iou).all():
+        return {}, ()
+    rows = segment.rows[~np.isnan(iou)]
+    rows = rows[frame_indices(len(rows), FRAMES)]
+    result = Evidence(whole.clip.take(rows), whole.masks.take(rows), whole.T_hand_obj[rows], whole.scale, iou)
+    held = segment.state == "grasp" and segment.side == clip.side
+    checks = [c for c in RESULT_CHECKS if c.name in OF_MASKS or (held and c.name in WITH_HAND)]
+    measured, findings = examine([*checks, FLOATS] if segment.state == "static" else checks, result)
+    if not held:
+        return measured, findings
+    given = Evidence(clip.take(rows), result.masks)
+    of_input, before = examine([c for c in INPUT_CHECKS if c.name in WITH_HAND], given)
+    return of_input | measured, (*before, *findings)
+
+
+def jump(it: Evidence) -> float:
+    """Largest movement of the surface across a border of two segments, beyond the largest within one [diameters]."""
+    surface = _surface_in_world(it, frame_indices(len(it.clip.mesh.vertices), 100))
+    step = np.sqrt(np.mean(np.sum(np.diff(surface, axis=0) ** 2, axis=-1), axis=-1))
+    border = np.isin(np.arange(1, len(it.clip)), [segment.first for segment in it.clip.segments])
+    if not border.any():
+        return float("nan")
+    excess = step[border].max() - step[~border].max(initial=0.0)
+    return float(max(excess, 0.0)) / (it.scale * it.clip.mesh.diameter)
+
+
+def height(it: Evidence) -> float:
+    """Of the lowest point over the support plane, median over frames [mm]; NaN where the plane is not known."""
+    world = it.clip.world
+    if world is None or world.up is None or world.support is None:
+        return float("nan")
+    surface = _surface_in_world(it, np.arange(len(it.clip.mesh.vertices)))
+    return 1e3 * float(np.median((surface @ world.up).min(axis=1) - world.support))
+
+
+def _surface_in_world(it: Evidence, some: Int[ndarray, "n"]) -> Float[ndarray, "T n 3"]:
+    """Some of the object's vertices, posed in the world; without one, before the camera."""
+    assert it.T_hand_obj is not None
+    T = it.clip.hand.T_cam_hand @ it.T_hand_obj
+    if it.clip.world is not None:
+        T = it.clip.world.T_world_cam @ T
+    return np.asarray(se3.transform(T, it.scale * it.clip.mesh.vertices[some]))
+
+
+JUMP = Check(
+    "jump", jump, high=0.2,
+    fault="where segments meet, the object jumps by {value} diameters more than it moves anywhere else",
+    advice="the pose in one of the two is probably wrong; are the segments right?",
+)  # fmt: skip
+FLOATS = Check(
+    "floats", height, low=-15.0, high=15.0, serious=False,
+    fault="it lies {value} mm above the support plane",
+    advice="right if it lies on something else; else check world_support, the mesh's size and the camera",
+)  # fmt: skip
