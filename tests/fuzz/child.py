@@ -157,7 +157,9 @@ def _forbidden(event: str, args: tuple[Any, ...], home: tuple[Path, ...]) -> Ite
     if event in RUNS:
         yield f"{event} {args[:2]!r}"
     if event in FILES and isinstance(args[0], str | bytes):
-        path = Path(os.path.realpath(os.fsdecode(args[0])))
+        below = event in ("os.remove", "os.rmdir") and args[1] >= 0  # a path below a folder that is open
+        parent = os.readlink(f"/proc/self/fd/{args[1]}") if below else ""
+        path = Path(os.path.realpath(os.path.join(parent, os.fsdecode(args[0]))))
         writes = event != "open" or bool((args[2] or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC))
         inside = any(path.is_relative_to(each) for each in home)
         if writes and not inside and path != Path(os.devnull):

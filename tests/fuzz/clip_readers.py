@@ -107,6 +107,7 @@ def marks(folder: Path) -> None:
             """outlines, hidden, deleted) VALUES ('c', 't', 'now', 'k', 'v', 'ann', 'm', 3, '{"0": [1, 2]}', """
             """'{"o": {"of": "object", "closed": true, "points": [[1, 1], [1, 5], [5, 5]]}}', 0, 0)"""
         )
+    store.drafts.put("m", "masks", "basis", {3: {"object": [[[1, 1], [1, 5], [5, 5]]]}})
     store.close()
 
 
@@ -118,6 +119,8 @@ def use_marks(folder: Path) -> None:
     for keyframe in store.keyframes.standing():
         keyframe.labels()
     store.keyframes.history("k")
+    store.drafts.since("m", 0)
+    store.drafts.bases("m", "masks")
     store.close()
 
 
@@ -145,6 +148,15 @@ def grasp_lists(folder: Path) -> None:
     (folder / "b.json").write_text(json.dumps([GRASP]))
     (folder / "c.csv").write_text(f"{','.join(GRASP)}\n{','.join(map(str, GRASP.values()))}\n")
     (folder / "d.json").write_text(json.dumps([TIMELINE]))
+
+
+def use_list(path: Path) -> None:
+    """What is asked of a list."""
+    names = tuple(f"{n:05d}" for n in range(20))
+    for grasp in lists.read(path).grasps:
+        grasp.is_of("s01--box--left", "left", "box")
+        for frames, origin in ((names, None), (names, 3), (("a", "b"), None)):
+            grasp.positions(frames, origin)
 
 
 def each(read: Callable[[Path], object]) -> Callable[[Path], None]:
@@ -208,7 +220,7 @@ READERS: dict[str, Reader] = {
     "ledger": Reader(a_ledger, use_ledger),
     "marks": Reader(marks, use_marks),
     "labels": Reader(clicked, lambda folder: labels.read(folder / "labels.json")),
-    "grasp lists": Reader(grasp_lists, each(lists.read)),
+    "grasp lists": Reader(grasp_lists, each(use_list)),
     "candidates": Reader(candidates, each(tasks.read_tasks)),
     "poses": Reader(poses, each(read_pose_file)),
     "initial poses": Reader(learnt, use_learnt),

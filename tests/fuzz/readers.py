@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from fuzz import clip_readers, dataset_readers, estimate_readers
+from fuzz import clip_readers, dataset_readers, estimate_readers, service_readers, uncut_readers
 from fuzz.reader import Reader
 
-READERS: dict[str, Reader] = {**clip_readers.READERS, **estimate_readers.READERS, **dataset_readers.READERS}
+READERS: dict[str, Reader] = {
+    name: reader
+    for kind in (clip_readers, uncut_readers, estimate_readers, dataset_readers, service_readers)
+    for name, reader in kind.READERS.items()
+}
 """By name."""

@@ -40,7 +40,7 @@ class Store:
             self.database = Database(path, connection)
             with self.database.transaction() as db:
                 _prepare(path, db)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: a message that quotes damaged text
             raise InputError(path, "", f"a file that is no database of marks ({error})", "one made here") from error
         self.marks: Versions[Mark] = marks.versions(self.database)
         self.keyframes: Versions[KeyFrame] = keyframes.versions(self.database)

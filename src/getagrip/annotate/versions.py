@@ -72,7 +72,7 @@ class Database:
         try:
             with self.lock:
                 return self.connection.execute(query, values).fetchall()
-        except sqlite3.DatabaseError as error:
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter: a message of damaged text
             raise self.damaged(error) from error
 
     def damaged(self, error: Exception) -> InputError:

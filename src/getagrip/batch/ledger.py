@@ -204,6 +204,6 @@ class Ledger:
             yield
         except sqlite3.OperationalError as error:  # a full disk, no permission, no answer
             raise GetagripError(f"{self.path}: the ledger cannot be written ({error})") from error
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: a message that quotes damaged text
             given = f"a file that is no ledger ({error})"
             raise InputError(self.path, "", given, "a ledger, or none: results do without") from error
