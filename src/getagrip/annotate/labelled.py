@@ -22,6 +22,9 @@ from getagrip.geometry.depth import covered
 from getagrip.io import files
 from getagrip.io.images import write_image
 
+OWN_HAND = 3
+"""Value of pixels that show the holding hand itself. There is none: nobody draws it, and what the fitted hand covers is
+no evidence of where it is."""
 BESIDE = 0.004
 """The fitted hand is so far off its true silhouette: pixels beside it say nothing either [m]."""
 
@@ -84,7 +87,7 @@ def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = No
     return [
         *("clip", "new", video, "--interval", str(labels.first + 1), str(labels.last + 1), "--side", labels.side),
         *("--hands", str(out / "hand.npz"), "--masks", str(out / "masks")),
-        *("--object", str(OBJECT), "--ignore", str(FRONT)),
+        *("--object", str(OBJECT), "--ignore", str(FRONT), "--hand", str(OWN_HAND)),
         *(() if segments is None else ("--segments", str(segments))),
     ]
 
