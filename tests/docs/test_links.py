@@ -48,7 +48,12 @@ def test_the_navigation_has_every_page() -> None:
 
 
 def test_every_picture_is_shown() -> None:
-    shown = {(page.parent / target).resolve() for page in PAGES for target in targets(page) if target.endswith(".png")}
+    shown = {
+        (page.parent / target).resolve()
+        for page in PAGES
+        for target in targets(page)
+        if target.endswith((".png", ".webp"))
+    }
     assert set((DOCS / "images").iterdir()) <= shown
 
 

@@ -1,4 +1,7 @@
-"""A result as a film: over its images and turned, side by side, as fast as the clip."""
+"""A result as a film: over its images and turned, side by side, as fast as the clip.
+
+A timeline is not turned but shown in the world, with a bar of its segments.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,7 @@ from getagrip.view.curves import seconds
 from getagrip.view.stills import overlay, steady_windows, turned
 from getagrip.view.style import INK
 from getagrip.view.tiles import View
+from getagrip.view.world import Stage, captioned, font, segment_bar
 
 SIDE, STRIP, MARGIN = 540, 36, 12
 """Side of the two pictures, height of the line of words under them, and what is left free around it [px]."""
@@ -28,7 +32,9 @@ def write_film(view: View, path: Path) -> Path:
 
     Raises ``InputError`` for an image that cannot be read, ``GetagripError`` where PyAV has no encoder for H.264.
     """
-    write_video(path, _pictures(view), _rate(view), (2 * SIDE, SIDE + STRIP))
+    in_world = bool(view.clip.segments) and view.clip.world is not None
+    pictures = _timeline(view) if in_world else _pictures(view)
+    write_video(path, pictures, _rate(view), (2 * SIDE, SIDE + STRIP * (1 + in_world)))
     return path
 
 
@@ -42,22 +48,37 @@ def _rate(view: View) -> Fraction:
 
 def _pictures(view: View) -> Iterator[UInt8[ndarray, "H W 3"]]:
     crops = steady_windows(view, SIDE)
-    result, clip = view.result, view.clip
-    shared = [method_of(result.method).label, *["scale is a guess"] * (clip.scale == "free")]
-    shared += ["ambiguous"] * result.ambiguous
-    for n, (name, kind) in enumerate(zip(result.frames, result.frame_kind, strict=True)):
-        under = "  ·  ".join([f"frame {name}", *[kind] * (kind == "interpolated"), *shared, clip.name])
+    for n, under in enumerate(_under(view)):
         pair = np.concatenate([overlay(view, n, crops, n), turned(view, n, crops, n)], axis=1)
         yield np.concatenate([pair, _words(under)])
 
 
+def _timeline(view: View) -> Iterator[UInt8[ndarray, "H W 3"]]:
+    crops, stage = steady_windows(view, SIDE), Stage.of(view, SIDE)
+    for n, under in enumerate(_under(view)):
+        seen, placed = (
+            captioned(overlay(view, n, crops, n), "from the camera"),
+            captioned(stage.picture(n), "in the world"),
+        )
+        pair = np.concatenate([seen, placed], axis=1)
+        bar = segment_bar(view.clip.segments, len(view.clip), n, (2 * SIDE, STRIP))
+        yield np.concatenate([pair, bar, _words(under)])
+
+
+def _under(view: View) -> Iterator[str]:
+    """The line of words under each frame."""
+    result, clip = view.result, view.clip
+    shared = [method_of(result.method).label, *["scale is a guess"] * (clip.scale == "free")]
+    shared += ["ambiguous"] * result.ambiguous
+    for name, kind in zip(result.frames, result.frame_kind, strict=True):
+        yield "  ·  ".join([f"frame {name}", *[kind] * (kind == "interpolated"), *shared, clip.name])
+
+
 def _words(words: str) -> UInt8[ndarray, "STRIP W 3"]:
     """A line of words, cut where it is too long."""
-    from matplotlib import get_data_path
-    from PIL import Image, ImageDraw, ImageFont
+    from PIL import Image, ImageDraw
 
-    font = ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), STRIP // 2)
     strip = Image.new("RGB", (2 * SIDE, STRIP), "white")
     draw = ImageDraw.Draw(strip)
-    draw.text((MARGIN, STRIP / 2), words, fill=INK, font=font, anchor="lm")
+    draw.text((MARGIN, STRIP / 2), words, fill=INK, font=font(STRIP // 2), anchor="lm")
     return np.asarray(strip)
