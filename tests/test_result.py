@@ -173,6 +173,7 @@ def damaged_folder(tmp_path_factory: Any) -> Path:
 
 @pytest.mark.parametrize("file", ["result.json", "result.npz"])
 @given(data=st.data())
+@pytest.mark.slow
 def test_a_damaged_file_is_an_input_error_or_still_valid(damaged_folder: Path, file: str, data: st.DataObject) -> None:
     whole = (damaged_folder / file).read_bytes()
     broken = bytearray(whole)

@@ -102,6 +102,7 @@ def clicking(video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> It
     made.project.close()
 
 
+@pytest.mark.slow
 def test_what_was_clicked_is_there_when_the_file_is_opened_again(clicking: Clicking) -> None:
     clicking.click(4, joints={"0": [10, 20.126], "1": "unseen"}, outlines=disc(4))
     clicking.click(9, hidden=True)

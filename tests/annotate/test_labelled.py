@@ -96,6 +96,7 @@ def test_beyond_the_keys_too() -> None:
     assert np.linalg.norm(uv - truth, axis=-1).mean(axis=1).max() < 3.0
 
 
+@pytest.mark.slow
 def test_a_blank_image_moves_nothing() -> None:
     clicked = hands_from_clicks(labels_of(0, LAST).clicks, K, "right", 0, LAST)
     blank = np.full((*SIZE[::-1], 3), 90, np.uint8)
@@ -137,6 +138,7 @@ def test_labels_become_a_clip(tmp_path: Path, run: Run) -> None:
         assert not (masks.ignore[n] & masks.object[n]).any()
 
 
+@pytest.mark.slow
 def test_what_is_in_front_or_may_be_is_ignored(tmp_path: Path) -> None:
     front = scene(0).square + np.array([20.0, 0.0])
     given = labels_of(0)

@@ -120,6 +120,7 @@ def test_a_change_that_is_sent_twice_is_made_once(project: Project) -> None:
 
 @settings(max_examples=10)
 @given(st.lists(st.tuples(st.integers(0, 2), st.sampled_from(["start", "end", "side", "deleted"]), st.integers(0, 69))))
+@pytest.mark.slow
 def test_undo_goes_back_through_every_state(
     tmp_path_factory: Any, video: Path, steps: list[tuple[int, str, int]]
 ) -> None:

@@ -14,11 +14,14 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 
 import pytest
 
+from getagrip import cli
 from getagrip.batch.ledger import FILE
+from getagrip.cli import _parsed
 from getagrip.clip import Clip, write_clip
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
@@ -80,32 +83,37 @@ def test_a_disk_that_is_full_at_any_write(
     clips: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From then on or, at some, for this write alone."""
+    parsed = cache(_parsed)  # the call is the same one, in many folders
+    monkeypatch.setattr(cli, "_parsed", lambda args: parsed(tuple(args)))
 
     def with_disk(out: Path, first: int, last: int) -> tuple[int, int, str]:
+        out.parent.mkdir(exist_ok=True)
+        monkeypatch.chdir(out.parent)
         with monkeypatch.context() as patch:
             disk = FullDisk(patch, first, last)
-            status, _, err = run("reconstruct", clips / "a", clips / NAMES[2], "--out", out)
+            status, _, err = run("reconstruct", clips / "a", clips / NAMES[2], "--out", out.name)
         return disk.writes, status, err
 
     wanted = {"a", NAMES[2]}
-    count, status, _ = with_disk(tmp_path / "all", 1, 0)
+    count, status, _ = with_disk(tmp_path / "all" / "out", 1, 0)
     assert status == 0
     assert count > 30
     for k in range(1, count + 1):
         for last in [10**9] + [k] * (k % 3 == 0):
-            out = tmp_path / f"out-{k}-{last}"
+            out = tmp_path / f"{k}-{last}" / "out"
             _, status, err = with_disk(out, k, last)
             assert (status != 0 and err) or sound(out) == wanted, k  # without the last, the ledger's, all is done
             assert done(out) <= sound(out), k
             assert not [*out.glob(f"{leftovers.PREFIX}*")], k
     for k in range(1, count + 1, 6):
-        out = tmp_path / f"out-{k}-{10**9}"
+        out = tmp_path / f"{k}-{10**9}" / "out"
         assert with_disk(out, 1, 0)[1] == 0
         assert done(out) == sound(out) == wanted
 
 
 @pytest.mark.parametrize("what", ["hand.npz", "clip.json", "object.obj", "masks/object/0001.png"])
 @pytest.mark.parametrize("how", ["truncated", "edited", "removed"])
+@pytest.mark.slow
 def test_inputs_that_change_while_they_are_read(
     clips: Path, tmp_path: Path, run: Run, fitted: list[Callable[[Clip], None]], what: str, how: str
 ) -> None:
@@ -125,6 +133,7 @@ def test_inputs_that_change_while_they_are_read(
     assert sound(tmp_path / "out") == done(tmp_path / "out") == {*NAMES[1:]}
 
 
+@pytest.mark.slow
 def test_the_clock_may_jump(
     clips: Path, tmp_path: Path, run: Run, fitted: list[Callable[[Clip], None]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -188,6 +197,7 @@ def test_drivers_and_workers_killed_at_random_times(tmp_path: Path, seed: int) -
     assert done(tmp_path) == {*states}
 
 
+@pytest.mark.slow
 def test_a_torn_ledger_is_named_and_results_do_without(clips: Path, tmp_path: Path, run: Run) -> None:
     out = tmp_path / "out"
     run("reconstruct", clips, "--out", out)

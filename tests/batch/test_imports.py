@@ -28,6 +28,7 @@ SHARING = ("workers", "limit-seconds", "limit-gb", "fail-fast", "shard")
 
 
 @pytest.mark.parametrize("name", DATASETS)
+@pytest.mark.slow
 def test_a_subcommand_has_the_options_of_its_dataset_and_no_others(run: Run, name: str) -> None:
     status, out, _ = run("import", name, "--help")
     assert status == 0

@@ -162,6 +162,7 @@ def test_a_pattern_stands_for_the_clips_that_it_matches(
 
 
 @pytest.mark.parametrize("size", [100, 5_000, 40_000])
+@pytest.mark.slow
 def test_a_full_disk_leaves_no_broken_result(
     clips: Path, tmp_path: Path, run: Run, fitted: list[str], full_disk: FullDisk, size: int
 ) -> None:
@@ -197,6 +198,7 @@ def test_a_folder_that_may_not_be_written_is_named(clips: Path, run: Run, fitted
 
 
 @pytest.mark.parametrize("how", ["foreign", "text", "endless", "row"])
+@pytest.mark.slow
 def test_a_ledger_that_is_none_is_refused_in_one_line(
     clips: Path, tmp_path: Path, run: Run, fitted: list[str], how: str
 ) -> None:
@@ -241,6 +243,7 @@ def killed(tmp_path: Path) -> Iterator[Path]:
         yield target
 
 
+@pytest.mark.slow
 def test_what_a_killed_writer_leaves_is_swept_and_what_it_was_replacing_returns(
     killed: Path, clips: Path, run: Run, fitted: list[str]
 ) -> None:

@@ -13,8 +13,6 @@ from typing import Any
 import pytest
 
 from getagrip.clip import Clip, write_clip
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError
 from getagrip.io.files import to_json
 from getagrip.io.storage import Remote
@@ -24,6 +22,7 @@ from helpers.command_line import Run
 from helpers.egg_and_mug import perfect
 from helpers.folders import contents
 from helpers.object_store import BUCKET, s3_server
+from helpers.scenes import SHORT, scene
 
 needs_s3 = pytest.mark.skipif(
     not (find_spec("s3fs") and find_spec("moto")), reason="needs s3fs and a server: pip install s3fs 'moto[server]'"
@@ -71,6 +70,7 @@ def put_clips(store: str, tmp_path: Path, names: tuple[str, ...] = ("a", "b")) -
     return f"{store}/clips"
 
 
+@pytest.mark.slow
 def test_clips_and_results_in_a_store(store: str, tmp_path: Path, run: Run, fitted: list[str]) -> None:
     clips = put_clips(store, tmp_path)
     call = ("reconstruct", clips, "--out", f"{store}/out")
@@ -107,6 +107,7 @@ def test_either_may_be_on_a_disk(
 
 @pytest.mark.parametrize("which", ["result.npz", "result.json"])
 @pytest.mark.parametrize("replaces", [False, True])
+@pytest.mark.slow
 def test_half_a_result_is_none(
     store: str, tmp_path: Path, run: Run, fitted: list[str], monkeypatch: pytest.MonkeyPatch, which: str, replaces: bool
 ) -> None:
@@ -133,6 +134,7 @@ def test_half_a_result_is_none(
     assert len(fitted) == 2 + replaces
 
 
+@pytest.mark.slow
 def test_a_damaged_result_is_made_again(store: str, tmp_path: Path, run: Run, fitted: list[str]) -> None:
     clips = put_clips(store, tmp_path, ("a",))
     call = ("reconstruct", f"{clips}/a", "--out", f"{store}/out")
@@ -185,7 +187,7 @@ def test_a_server_of_s3_serves_as_well(tmp_path: Path, run: Run, monkeypatch: py
     """The same bits as on a disk; a bucket that is not there is named."""
     import s3fs
 
-    clip, masks = synthesise("can", 0, SceneOptions(frames=4))
+    clip, masks = scene("can", 0, SHORT)
     write_clip(replace(clip, name="can"), masks, tmp_path / "clips" / "can")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     with s3_server() as env:

@@ -93,6 +93,7 @@ def test_a_mirrored_hand_bends_the_other_way() -> None:
     assert np.isnan(bend(replace(right, hand=replace(right.hand, joints=None))))
 
 
+@pytest.mark.slow
 def test_a_failed_fit_says_what_was_wrong_with_its_inputs(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(problem: Problem, on_stage: OnStage) -> MethodResult:
         raise GetagripError("nothing can be rendered")

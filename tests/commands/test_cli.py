@@ -122,7 +122,7 @@ def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
     status, printed, _ = run("reconstruct", made / "can", "--out", out, *QUICK, "--seed", 3)
     assert status == 0
     assert "done again, since what was there is of another seed: IOU" in printed
-    assert run("reconstruct", made, "--out", out, *QUICK, "--overwrite", "--workers", 1)[0] == 0
+    assert run("reconstruct", made / "can", "--out", out, *QUICK, "--overwrite", "--workers", 1)[0] == 0
     for name, T_hand_obj in shared.items():
         np.testing.assert_array_equal(read_result(out / name)[0].T_hand_obj, T_hand_obj)
 

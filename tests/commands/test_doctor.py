@@ -64,6 +64,7 @@ def test_what_is_needed_and_missing_is_wrong(run: Run, monkeypatch: pytest.Monke
     assert "; make room" in out
 
 
+@pytest.mark.slow
 def test_mano_files_are_tried(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     (tmp_path / "MANO_RIGHT.pkl").write_bytes(python2(fake_mano(monkeypatch)))

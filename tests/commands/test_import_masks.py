@@ -262,6 +262,7 @@ def test_only_masks_are_overwritten(tmp_path: Path, run: Run) -> None:
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.slow
 def test_masks_that_the_disk_has_no_room_for_leave_the_clip_as_it_was(
     tmp_path: Path, run: Run, full_disk: FullDisk, overwrite: bool
 ) -> None:

@@ -124,6 +124,7 @@ def test_everything_at_once(made: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "guess" not in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_frames_without_a_hand_stay_and_get_one_later(made: Path, run: Run) -> None:
     numbers = np.array([3, 4, 6, 7, 8, 9])
     hand = generic.load("right").with_shape().with_pose()
@@ -243,6 +244,7 @@ def test_hands_and_what_clip_json_says_of_them_come_together_or_not_at_all(
     assert read_clip(path.parent).frames == ("000003", "000004", "000005", "000006")
 
 
+@pytest.mark.slow
 def test_a_hand_file_brings_its_frames_and_its_camera(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     hand = generic.load("left").with_shape().with_pose()
     joints = np.tile(hand.joints + AHEAD, (5, 1, 1))
@@ -278,6 +280,7 @@ def test_a_hand_file_brings_its_frames_and_its_camera(made: Path, capsys: pytest
         (["--mesh", "plates"], 1, "this package's shapes: bottle, bowl"),
     ],
 )
+@pytest.mark.slow
 def test_what_does_not_fit_is_named(
     made: Path, capsys: pytest.CaptureFixture[str], change: list[str], status: int, words: str
 ) -> None:

@@ -27,6 +27,7 @@ def lying(folder: Path, name: str = "lying") -> Clip:
     return clip
 
 
+@pytest.mark.slow
 def test_all_segments_are_written_and_the_assumption_is_said(tmp_path: Path, run: Run) -> None:
     clip = lying(tmp_path / "clips")
     status, out, err = run("segment", "--from-masks", tmp_path / "clips", "--out", tmp_path / "out", "--write")

@@ -35,6 +35,7 @@ def template(root: Path) -> arctic.Template:
     return artigrasp.read_template(root / "rsc" / "arctic" / "box")
 
 
+@pytest.mark.slow
 def test_wrong_frames_are_left_out_and_hands_are_where_they_are(root: Path) -> None:
     left, right = read(root)
     assert (left.side, right.side) == ("left", "right")
@@ -49,6 +50,7 @@ def test_wrong_frames_are_left_out_and_hands_are_where_they_are(root: Path) -> N
     assert np.degrees(se3.angle_between(T_hand_obj[:, :3, :3], expected[:, :3, :3]).max()) < 5.0
 
 
+@pytest.mark.slow
 def test_the_object_is_in_metres_and_its_top_turns_about_minus_z(root: Path) -> None:
     right = read(root)[1]
     T_template_obj = se3.inverse(template(root).T_neutral_template)
@@ -62,6 +64,7 @@ def test_the_object_is_in_metres_and_its_top_turns_about_minus_z(root: Path) -> 
     np.testing.assert_allclose(moved, true, atol=1e-6)  # a fixed camera keeps distances
 
 
+@pytest.mark.slow
 def test_meshes_have_enough_vertices_to_count_contact(root: Path) -> None:
     assert 2000 < len(read(root)[1].object(0.0).vertices) < 9000  # of boxes with 8 each
 

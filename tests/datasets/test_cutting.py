@@ -76,6 +76,7 @@ def numbers(folder: Path) -> tuple[int, int, int]:
     return int(frames[0]) - ORIGIN, int(frames[-1]) - ORIGIN, len(frames)
 
 
+@pytest.mark.slow
 def test_an_import_and_segment_agree_on_a_joint_that_drifts(tmp_path: Path) -> None:
     cut = Cut(Definition())
     (found,) = pieces([drifting()], print, cut)

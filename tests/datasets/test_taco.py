@@ -39,6 +39,7 @@ def test_the_true_surface_in_the_hand_frame(root: Path) -> None:
     assert "guess" in track.provenance["fps"]
 
 
+@pytest.mark.slow
 def test_grasps_are_found(root: Path) -> None:
     (piece,) = cutting.pieces([read(root)], print, Taco(root=root).cut(print))
     assert piece.track.numbers[0] == TAKEN

@@ -25,6 +25,7 @@ def read(file: Path) -> list[Track]:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.slow
 def test_the_object_is_where_it_is_in_the_hand(tmp_path: Path, side: Side) -> None:
     changes = {"joints_right": None} if side == "left" else {}
     (track,) = read(write(tmp_path, **{**changes, **content(side)}))
@@ -48,6 +49,7 @@ def test_the_order_of_the_joints_is_as_stated(tmp_path: Path) -> None:
     np.testing.assert_array_equal(ours.hand.vertices, theirs.hand.vertices)
 
 
+@pytest.mark.slow
 def test_an_assumed_camera_sees_hand_and_object_upright_and_is_called_a_guess(tmp_path: Path) -> None:
     (track,) = read(write(tmp_path))
     of = recording()
@@ -60,6 +62,7 @@ def test_an_assumed_camera_sees_hand_and_object_upright_and_is_called_a_guess(tm
     assert "a guess" in track.provenance["camera"]
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_given_is_taken(tmp_path: Path) -> None:
     K, T_cam_world = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]), np.eye(4)
     (track,) = read(write(tmp_path, K=K, size=[640, 480], T_cam_world=T_cam_world))
@@ -69,6 +72,7 @@ def test_a_camera_that_is_given_is_taken(tmp_path: Path) -> None:
     assert "guess" not in track.provenance["camera"]
 
 
+@pytest.mark.slow
 def test_unknown_frames_are_gaps(tmp_path: Path) -> None:
     joints, poses = recording().joints["right"].copy(), recording().T_world_obj.copy()
     joints[[3, 4]], poses[20] = np.nan, np.nan
@@ -77,6 +81,7 @@ def test_unknown_frames_are_gaps(tmp_path: Path) -> None:
     assert list(track.numbers) == [n for n in range(100, 100 + FRAMES) if n not in missing]
 
 
+@pytest.mark.slow
 def test_a_lid_turns_about_its_axis(tmp_path: Path) -> None:
     joint = [[0.0, -0.025, 0.025], [2.0, 0.0, 0.0]]
     (track,) = read(write(tmp_path, mesh_top="lid.obj", joint=joint, articulation=recording().angle))

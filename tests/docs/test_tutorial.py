@@ -50,7 +50,10 @@ def test_the_demo_and_a_video_of_ones_own(tmp_path: Path, run: Run, monkeypatch:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(demo, "CLIP", replace(demo.CLIP, **SMALL))
     (words,) = [words for words in commands(TUTORIAL, "The demo") if words[:2] == ["getagrip", "demo"]]
-    for _ in range(2):  # it can be run again
+    assert run(*words[1:])[0] == 0
+    again = read_result(tmp_path / "out" / "demo" / demo.clip_name(demo.CATEGORY, demo.SEED, demo.CLIP))[0]
+    with monkeypatch.context() as patch:  # it can be run again
+        patch.setattr(demo, "reconstruct", lambda *_, **__: again)
         assert run(*words[1:])[0] == 0
     the_mug_is_found(tmp_path / "out" / "demo")
     follow("A video of your own", run, monkeypatch)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import Clip, Masks, input_sha256, write_clip
@@ -82,6 +82,7 @@ def test_files_in_either_frame_say_the_same(
     same(evaluate_meshes(meshes, clip, masks, "")["metrics"], expected, 1e-3)
 
 
+@pytest.mark.slow
 def test_new_meshes_in_every_frame_are_compared_by_the_hand_s_points_only(scene: tuple[Clip, Masks]) -> None:
     clip, masks = scene
     metrics = evaluate_meshes(anew(true_meshes(clip)), clip, masks, "")["metrics"]
@@ -94,6 +95,7 @@ def test_new_meshes_in_every_frame_are_compared_by_the_hand_s_points_only(scene:
     assert metrics["iou_full"] == 1.0
 
 
+@settings(max_examples=8)
 @given(st.integers(0, 2**32 - 1))
 @pytest.mark.slow
 def test_the_order_of_vertices_and_faces_does_not_matter(seed: int) -> None:
@@ -169,6 +171,7 @@ def test_only_the_frames_of_our_result_count_where_there_is_one(
         assert theirs["metrics"]["frames_without_mesh"] == missing
 
 
+@pytest.mark.slow
 def test_bad_meshes_are_named_and_the_rest_is_done(scene: tuple[Clip, Masks], tmp_path: Path, run: Run) -> None:
     clip, _ = scene
     folder = write_clip(*scene, tmp_path / "clips" / NAME)
@@ -239,6 +242,7 @@ def test_folders_without_frames_are_reported(
     refused(lambda: read_meshes(tmp_path / "empty", clip, "hand"), "no mesh named like a frame", "000000.obj")
 
 
+@pytest.mark.slow
 def test_wrong_calls(scene: tuple[Clip, Masks], tmp_path: Path, run: Run) -> None:
     folder = write_clip(*scene, tmp_path / "clips" / NAME)
     (tmp_path / "none").mkdir()

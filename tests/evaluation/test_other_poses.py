@@ -78,6 +78,7 @@ KINDS = (
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.slow
 def test_every_file_gives_the_same_metrics(tmp_path: Path, moved: Any, kind: str) -> None:
     clip, masks, result = moved
     found = poses_of(of_file(kind, tmp_path, clip, result), "theirs", clip, masks)

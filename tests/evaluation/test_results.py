@@ -26,6 +26,7 @@ from getagrip.view.tiles import View
 from helpers.egg_and_mug import FRAMES, perfect, same, written
 
 
+@pytest.mark.slow
 def test_a_perfect_result(scene: tuple[Clip, Masks]) -> None:
     out = ev.evaluate(perfect(scene[0]), *scene)
     metrics = out["metrics"]
@@ -65,6 +66,7 @@ def test_only_what_is_wanted_is_computed(scene: tuple[Clip, Masks]) -> None:
         assert some[part] == {key: every[part][key] for key in ("iou", "add_mm")}
 
 
+@pytest.mark.slow
 def test_very_large_meshes_are_measured_with_fewer_faces(
     scene: tuple[Clip, Masks], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -144,6 +146,7 @@ def test_some_frames_of_a_clip(scene: tuple[Clip, Masks], tmp_path: Path) -> Non
     assert np.isnan(ev.evaluate_result(one)["metrics"]["sca_object_0mm"])
 
 
+@pytest.mark.slow
 def test_without_truth_or_masks(scene: tuple[Clip, Masks], tmp_path: Path) -> None:
     clip, masks = scene
     bare = write_clip(replace(clip, truth=None), masks, tmp_path / clip.name)

@@ -40,6 +40,7 @@ def trial(tmp_path: Path) -> SequenceTrial:
     return SequenceTrial(Sample("still", folder), "none", Options(), tmp_path / "results", overwrite=False)
 
 
+@pytest.mark.slow
 def test_what_is_found_and_what_is_true_is_scored_in_both_directions(trial: SequenceTrial) -> None:
     scores = run_sequence(trial)
     assert not scores.failure
@@ -52,6 +53,7 @@ def test_what_is_found_and_what_is_true_is_scored_in_both_directions(trial: Sequ
     assert record["in reverse"]["true"] == [[2, 7]]
 
 
+@pytest.mark.slow
 def test_what_the_same_code_has_found_is_kept(trial: SequenceTrial) -> None:
     run_sequence(trial)
     path = trial.results / "still.json"

@@ -15,6 +15,7 @@ from getagrip.timelines.ways import WAYS, moved
 from helpers.timelines import timeline
 
 
+@pytest.mark.slow
 def test_the_truth_is_right_and_does_not_jump() -> None:
     clip, _ = timeline()
     assert clip.truth is not None

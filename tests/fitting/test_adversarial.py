@@ -69,6 +69,7 @@ def test_cases_are_drawn_from_their_numbers_and_failures_counted(capsys: pytest.
     assert "how 29, FAIL 1" in out
 
 
+@pytest.mark.slow
 def test_a_method_that_dies_or_hangs_ends_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     def some_end_badly(case: Case) -> Iterator[tuple[str, bool, str]]:
         for method in case.methods:
@@ -96,6 +97,7 @@ def test_large_meshes_are_fitted_with_fewer_faces(monkeypatch: pytest.MonkeyPatc
     assert result.mean_iou > 0.8
 
 
+@pytest.mark.slow
 def test_clustering_keeps_a_large_meshs_shape() -> None:
     mesh = quartered(quartered(quartered(CATEGORIES["can"].make())))
     few = clustered(mesh, len(mesh.faces) // 6)

@@ -85,6 +85,7 @@ def test_a_true_hand_is_left_alone(made: tuple[Clip, Masks]) -> None:
     np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, made[0].hand.T_cam_hand)
 
 
+@pytest.mark.slow
 def test_a_constant_error_is_found(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
     found = correct_hand(clip, made[1])
@@ -109,6 +110,7 @@ def test_without_pixels_the_prior_decides(made: tuple[Clip, Masks]) -> None:
     assert correct_hand(clip, Masks(made[1].object, np.zeros_like(made[1].ignore))) is None
 
 
+@pytest.mark.slow
 def test_pixels_that_are_not_the_hand_move_nothing(made: tuple[Clip, Masks]) -> None:
     clip, masks = made
     everything = Masks(masks.object, ~masks.object)

@@ -335,6 +335,7 @@ def test_wrong_calls_of_learning_are_refused(
     assert not (tmp_path / "poses.npz").exists()
 
 
+@pytest.mark.slow
 def test_reconstruct_and_bench_refuse_a_file_without_a_way_to_use_it(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -42,7 +42,7 @@ def prepared(clip: Clip, options: Options, sampled: bool) -> Problem | str:
 frame_numbers = st.lists(st.integers(0, FRAMES - 1), max_size=FRAMES)
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(unseen=frame_numbers, hidden=frame_numbers, frames=st.integers(2, FRAMES + 3))
 @pytest.mark.slow
 def test_what_is_read_in_part_is_what_is_read_whole(

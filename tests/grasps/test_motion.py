@@ -58,6 +58,7 @@ def test_an_axis_that_turns_round_has_drifted() -> None:
     assert np.isnan(values["slip"])
 
 
+@pytest.mark.slow
 def test_the_correlation_time_of_a_slow_curve_is_longer() -> None:
     rng = np.random.default_rng(0)
     white = rng.normal(size=(3000, 3))

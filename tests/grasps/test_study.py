@@ -73,6 +73,7 @@ def each_energy(found: PosesInCamera, true: PosesInCamera, size: float) -> np.nd
 
 @settings(max_examples=6)
 @given(seeds)
+@pytest.mark.slow
 def test_angles_are_the_best_of_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
     R, c = noisy(rng, 0.5)
@@ -214,6 +215,7 @@ def turning(name: str = "turning", side: str = "right") -> Clip:
 DEFINITION = Definition(tau=0.3, contact=0.005, shortest=10)
 
 
+@pytest.mark.slow
 def test_a_grasp_with_known_answers() -> None:
     (found,) = study(turning(), DEFINITION)
     assert (found.clip, found.start, found.end) == ("turning", 0, 29)
@@ -273,6 +275,7 @@ def test_contact_is_compared_with_all_other_frames_of_the_grasp() -> None:
     assert np.isnan(kept_contact(np.eye(2), slice(0, 1), slice(0, 1))).all()
 
 
+@pytest.mark.slow
 def test_spread_leaves_out_what_has_no_value() -> None:
     assert Spread.of([1.0, np.nan, 3.0]) == Spread(2.0, 1.0, 1.5, 2.0, 2.5, 2)
     assert Spread.of([np.nan]).grasps == 0

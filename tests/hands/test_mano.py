@@ -35,6 +35,7 @@ def right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, dict[s
     return path, values
 
 
+@pytest.mark.slow
 def test_published_layout_is_read(right: tuple[Path, dict[str, Any]]) -> None:
     path, values = right
     hand = mano.load(path, "right")
@@ -76,6 +77,7 @@ def smplx_vertices(values: dict[str, Any], betas: np.ndarray, pose: np.ndarray) 
     return np.einsum("vj,jvk->vk", values["weights"], np.array(moved))
 
 
+@pytest.mark.slow
 def test_vertices_are_those_of_the_usual_layer(right: tuple[Path, dict[str, Any]]) -> None:
     path, values = right
     rng = np.random.default_rng(1)
@@ -85,6 +87,7 @@ def test_vertices_are_those_of_the_usual_layer(right: tuple[Path, dict[str, Any]
     np.testing.assert_array_equal(posed.joints[4::4], posed.vertices[[745, 317, 444, 556, 673]])
 
 
+@pytest.mark.slow
 def test_left_shape_space_is_repaired(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     values = fake_mano(monkeypatch, "left")
     path = tmp_path / "MANO_LEFT.pkl"
@@ -97,6 +100,7 @@ def test_left_shape_space_is_repaired(tmp_path: Path, monkeypatch: pytest.Monkey
         mano.load(path, "right")
 
 
+@pytest.mark.slow
 def test_pose_encodings(right: tuple[Path, dict[str, Any]]) -> None:
     path, values = right
     hand = mano.load(path, "right")
@@ -125,6 +129,7 @@ def test_second_time_comes_from_the_cache(right: tuple[Path, dict[str, Any]], ca
     np.testing.assert_array_equal(mano.load(path, "right").model.template, first.model.template)
 
 
+@pytest.mark.slow
 def test_fits_like_any_hand(right: tuple[Path, dict[str, Any]]) -> None:
     model: HandModel = mano.load(right[0], "right").model
     pose = np.zeros((4, 15, 3))
@@ -202,6 +207,7 @@ def test_damaged_pickles_are_refused(tmp_path: Path, content: bytes) -> None:
         ("kintree_table", np.zeros((2, 16), dtype=int), "kintree_table"),
     ],
 )
+@pytest.mark.slow
 def test_wrong_arrays_are_named(right: tuple[Path, dict[str, Any]], key: str, value: Any, message: str) -> None:
     path, values = right
     path.write_bytes(python2({k: v for k, v in {**values, key: value}.items() if v is not None}))

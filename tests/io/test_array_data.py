@@ -39,6 +39,7 @@ def one_of(kind: type[ArrayData]) -> Any:
 ARRAY_CLASSES = [Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, World]
 
 
+@pytest.mark.slow
 def test_all_public_dataclasses_with_arrays_are_meant() -> None:
     assert {kind for kind in DATACLASSES if issubclass(kind, ArrayData)} == {*ARRAY_CLASSES}
     others = {kind.__name__ for kind in DATACLASSES if not issubclass(kind, ArrayData)}

@@ -288,6 +288,7 @@ def test_distance_fields(seed: int) -> None:
 
 
 @given(SEEDS)
+@pytest.mark.slow
 def test_distances_are_rounded_correctly(seed: int) -> None:
     """Else the same clip would give other bits in other processes."""
     from scipy.ndimage import distance_transform_edt

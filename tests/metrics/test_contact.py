@@ -58,7 +58,7 @@ def test_stable_contact_area_of_one_set_of_disjoint_sets_and_of_none() -> None:
     assert np.isnan(stable_contact_area(pairwise_iou(same[:1])))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.1))
 @pytest.mark.slow
 def test_signed_distance_to_a_ball(seed: int, radius: float) -> None:

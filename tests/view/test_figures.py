@@ -196,6 +196,7 @@ def test_hands_are_where_the_result_has_them(made: Path) -> None:
     assert numbers(true, contact)[:2] == numbers(view.at(view.result.frames[1:3]), contact)[:2]
 
 
+@pytest.mark.slow
 def test_guesses_and_findings_are_named(made: Path) -> None:
     view = given(made, "true")[0].read()
     assert summary(view) == "1-DoF, ours  ·  mug in a right hand  ·  4 frames"

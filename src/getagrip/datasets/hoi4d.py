@@ -188,12 +188,12 @@ def _hand(files: list[Path], mano: Path, side: Side) -> HandTrack:
 
 def _masks(folder: Path, hand: Colour | None, number: int) -> FrameMasks:
     """The object, what is ignored and the hand, at half the size: a pixel is what two of its four are."""
-    image = read_colour_png(folder / f"{number:05d}.png", IMAGE)
+    red, green, blue = np.ascontiguousarray(np.moveaxis(read_colour_png(folder / f"{number:05d}.png", IMAGE), 2, 0))
 
     def of(colour: Colour) -> Bool[ndarray, "H W"]:
-        return np.asarray((image == np.array(colour, image.dtype)).all(axis=2))
+        return np.asarray((red == colour[0]) & (green == colour[1]) & (blue == colour[2]))
 
-    observed, labelled = of(OBJECT), image.any(axis=2)
+    observed, labelled = of(OBJECT), (red | green | blue) > 0
     seen = _halved(observed, 2)
     holding = None if hand is None else _halved(of(hand), 2) & ~seen
     return FrameMasks(seen, _halved(labelled & ~observed, 2) & ~seen, holding)

@@ -49,6 +49,8 @@ def read_colour_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"
     image, colours, bits = open_png(path, size)
     if bits > 8:
         raise InputError(path, "channels", f"{bits} bit {colours}", "8 bit")
+    if image.mode == "RGB":
+        return np.array(image)
     return np.ascontiguousarray(np.asarray(image.convert("RGBA"))[..., :3])  # by RGBA, palettes may be transparent
 
 

@@ -161,23 +161,29 @@ def moving_distance(
     inside, least = np.zeros(points.shape[1], dtype=bool), np.full(points.shape[1], -np.inf)
     out = np.full(points.shape[:2], np.inf)
     tree, winding, moved = igl.AABB(), igl.FastWindingNumberBVH(), np.inf
+    old_tree = old_winding = True
     for n, (x, surface) in enumerate(zip(points, vertices, strict=True)):
         if n > 0:
             moved = np.linalg.norm(surface - vertices[n - 1], axis=1).max()
             step = x - points[n - 1]
             least -= np.sqrt(np.einsum("pk,pk->p", step, step)) + moved + 1e-9
         if moved > 0.0:
-            tree.init(surface, faces)
-            winding.init(surface, faces)
+            old_tree = old_winding = True
         sides = np.maximum(surface.min(axis=0) - x, x - surface.max(axis=0))
         outside = np.maximum(np.maximum(sides[:, 0], sides[:, 1]), sides[:, 2])  # the bounding box, by so much
         boxed = outside <= 0.0
         unsure = np.flatnonzero(boxed & ((least <= 0.0) | (not closed)))
         if unsure.size:
+            if old_winding:
+                winding.init(surface, faces)
+                old_winding = False
             inside[unsure] = np.abs(winding.winding_number(x[unsure])) > 0.5
         inside &= boxed
         asked = np.flatnonzero((outside <= max_distance) & (inside | (least <= max_distance)))
         if asked.size:
+            if old_tree:
+                tree.init(surface, faces)
+                old_tree = False
             least[asked] = np.sqrt(tree.squared_distance(surface, faces, x[asked])[0])
             out[n, asked] = np.where(inside[asked], -least[asked], least[asked])
     return out

@@ -173,6 +173,7 @@ def test_the_authors_meshes_are_read_and_ours_stand_for_them(category: str) -> N
     assert 0.5 < ours.diameter / theirs.diameter < 2.0
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_reported_and_the_rest_is_done(run: Run, epic_folder: Path) -> None:
     write_table(
         epic_folder / "grasps.csv",

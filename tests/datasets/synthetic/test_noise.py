@@ -45,6 +45,7 @@ def test_no_noise_changes_nothing(made: tuple[Clip, Masks]) -> None:
     assert masks is made[1]
 
 
+@pytest.mark.slow
 def test_the_truth_keeps_the_true_hand(made: tuple[Clip, Masks]) -> None:
     clip, _ = perturbed(*made, NOISE["strong"], 3)
     assert clip.truth is made[0].truth
@@ -87,6 +88,7 @@ def test_more_noise_is_the_same_noise_larger(made: tuple[Clip, Masks]) -> None:
     np.testing.assert_allclose(large, 3.0 * small, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_depth_and_fingers_leave_the_other_errors_as_they_are(made: tuple[Clip, Masks]) -> None:
     plain = Noise(hand_bias_deg=2.0, hand_jitter_mm=1.0, mask_ragged_px=1.0)
     more = replace(plain, hand_bias_depth_mm=5.0, finger_bias_deg=10.0)

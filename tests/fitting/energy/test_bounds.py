@@ -16,6 +16,7 @@ from helpers.scenes import SHORT, scene
 
 
 @pytest.mark.parametrize("k", range(4))
+@pytest.mark.slow
 def test_a_bound_changes_nothing_within_it(k: int) -> None:
     problem = prepare(*scene("mug", 1, SHORT), Options(inits=4))
     poses = in_camera(initial_of(problem), problem.clip.hand.T_cam_hand)

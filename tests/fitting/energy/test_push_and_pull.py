@@ -41,6 +41,7 @@ def heights(mesh: Mesh, hand: HandContacts, poses: PosesInCamera, b: int, n: int
 
 
 @pytest.mark.parametrize("which", sorted(MESHES))
+@pytest.mark.slow
 def test_push_and_pull_are_what_the_specification_says(which: str) -> None:
     rng = np.random.default_rng(5)
     mesh, hand, poses = MESHES[which], contacts(rng, 3), random_poses(rng, 2, 3)

@@ -21,7 +21,7 @@ from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
 from getagrip.result import Reconstruction
 from helpers.clips import small_clip
-from helpers.scenes import SMALL, scene, scores
+from helpers.scenes import SHORT, SMALL, scene, scores
 
 BASELINES = ("single-frame", "homan", "contact-consistency")
 
@@ -64,7 +64,7 @@ def test_what_a_result_holds(method: str) -> None:
 
 @pytest.mark.slow
 def test_a_single_frame_knows_nothing_of_the_others() -> None:
-    clip, masks = scene("spoon", 1)
+    clip, masks = scene("spoon", 1, SHORT)
     back = np.arange(len(clip))[::-1]
     options = Options(method="single-frame", inits=12)
     forth = reconstruct(clip, masks, options)

@@ -265,6 +265,7 @@ def test_trackers_are_chosen_by_name() -> None:
         choose("hammer")
 
 
+@pytest.mark.slow
 def test_the_command_takes_what_the_table_lists(run: Run) -> None:
     status, out, _ = run("import", "hands", "--help")
     assert status == 0
@@ -547,7 +548,7 @@ def test_nested_and_lying_files(tmp_path: Path, mano_folder: Path, refused: Call
     refused(lambda: read([lying], Joints("openpose"), request("right")), str(lying))
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 @pytest.mark.slow
 def test_damaged_files_are_refused_or_read(tmp_path: Path, mano_folder: Path, data: st.DataObject) -> None:

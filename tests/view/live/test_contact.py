@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from getagrip.geometry import se3
 from getagrip.metrics.contact import contact_distances
@@ -15,6 +16,7 @@ from getagrip.view.live.patch import NOTHING
 from helpers.two_candidates import column
 
 
+@pytest.mark.slow
 def test_distances_are_those_of_the_metrics() -> None:
     it = column()
     clip, result = it.view.clip, it.view.result
@@ -28,6 +30,7 @@ def test_distances_are_those_of_the_metrics() -> None:
     assert touch.gap == min(touch.object.min(), touch.hand.min())
 
 
+@pytest.mark.slow
 def test_contact_is_marked_where_the_two_meet() -> None:
     it = column()
     surfaces, T_hand_obj = Surfaces(it), it.view.result.T_hand_obj[1]

@@ -48,6 +48,7 @@ def test_serious_findings_come_first_and_then_the_lowest_iou() -> None:
     assert sorted(given, key=lambda name: badness([given[name]])) == ["doubtful", "poor", "fine"]
 
 
+@pytest.mark.slow
 def test_a_folder_of_methods_is_listed_by_clip_the_worst_first(root: Path) -> None:
     problems: list[Exception] = []
     results, clips = found([root / "results"], problems)
