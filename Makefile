@@ -6,9 +6,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 KERNELS := $(shell grep -rl --include='*.py' '^@njit' src)
-# One process more than there are cores, since some tests wait; one thread of BLAS in each.
-TESTERS = $$(( $$($(BIN)/python -c 'import os; print(os.cpu_count())') + 1 ))
-PYTEST = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses $(TESTERS) --dist worksteal
+CORES = $$($(BIN)/python -c 'import os; print(os.cpu_count())')
+# One thread of BLAS in each process.
+PYTEST = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --dist worksteal --numprocesses
 
 .PHONY: help demo test quick check lint imports types fuzz docs bench lock clean
 
@@ -26,11 +26,12 @@ help:
 demo: $(VENV)/warm
 	$(BIN)/getagrip demo --out out/demo
 
+# One process more than there are cores, since some tests wait. The quick ones do not.
 test: $(VENV)/warm
-	$(PYTEST)
+	$(PYTEST) $$(( $(CORES) + 1 ))
 
 quick: $(VENV)/warm
-	$(PYTEST) -m 'not slow and not browser'
+	$(PYTEST) $(CORES) -m 'not slow and not browser'
 
 check: lint imports types
 

@@ -28,6 +28,11 @@ from helpers.command_line import Run  # noqa: E402
 from helpers.folders import FullDisk  # noqa: E402
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest tests first."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
+
+
 def pytest_collection_finish() -> None:
     """What is there by now stays until the end: the garbage collector need not look at it again and again.
 

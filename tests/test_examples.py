@@ -91,6 +91,7 @@ def test_a_real_dataset(printed: Call) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_method_of_ones_own_in_the_benchmark(tmp_path: Path) -> None:
     assert "coarse-static" in in_a_process(
         EXAMPLES["04"], tmp_path, "out", *QUICK

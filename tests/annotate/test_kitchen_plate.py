@@ -46,6 +46,7 @@ def test_the_labels_are_of_one_hand_and_one_plate() -> None:
 
 @needs(VIDEO)
 @pytest.mark.slow
+@pytest.mark.long
 def test_from_video_to_reconstruction(tmp_path: Path, run: Run) -> None:
     whole = labels.read(LABELS)
     first, last = 51, 57  # a part of it, for the sake of time

@@ -47,6 +47,7 @@ def wait_for(out: Path, count: int) -> None:
 
 @needs_ray
 @pytest.mark.slow
+@pytest.mark.long
 def test_whoever_is_killed_each_task_is_done_once_and_results_are_those_of_one_machine(
     tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -183,6 +183,7 @@ def test_a_missing_library_is_named(clip_folder: Path, run: Run, monkeypatch: py
 
 @needs_s3
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_server_of_s3_serves_as_well(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same bits as on a disk; a bucket that is not there is named."""
     import s3fs

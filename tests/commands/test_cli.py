@@ -102,6 +102,7 @@ def test_places_that_cannot_be_written_are_refused_first(run: Run, out: str, tmp
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     status, printed, _ = run("reconstruct", made, "--out", out, *QUICK, "--workers", 2)

@@ -21,7 +21,7 @@ POT = "P0003--c701bd11--coffee_pot--left"
 HOLDS = {POT: 34, "P0003--c701bd11--mug_white--right": 34, "P0002--273c2819--mouse--right": 15}
 """Frames of a pot lifted to pour, of a mug held still on the table, of a mouse moved about."""
 
-pytestmark = [needs(HOT3D), pytest.mark.slow]
+pytestmark = [needs(HOT3D), pytest.mark.slow, pytest.mark.long]
 
 
 def three_fingertips_and_more_are_at_the_object(clip: Clip) -> None:

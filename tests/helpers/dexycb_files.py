@@ -79,7 +79,7 @@ def write_sequence(root, sequence=SEQUENCE, lost=(LOST,)):
             seg = np.zeros((480, 640), np.uint8)
             seg.flat[:pixels] = 14
             seen = joints[n] + T[:3, 3]
-            np.savez(
+            np.savez_compressed(
                 folder / serial / f"labels_{n:06d}.npz",
                 seg=seg,
                 pose_y=np.stack([T @ beside[n], T @ T_cam_obj[n]])[:, :3].astype(np.float32),

@@ -49,6 +49,8 @@ def anchors(page: Path) -> frozenset[str]:
 
 def python(page: Path, info: str = "") -> list[str]:
     """A page's Python; with ``info`` only what is marked so."""
+    if "```python" not in page.read_text(encoding="utf-8"):  # as every process that collects tests asks
+        return []
     return [
         token.content
         for token in blocks(page)
