@@ -14,8 +14,15 @@ import numpy as np
 from numba import njit, types
 from numba.extending import intrinsic
 
-OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
-"""How all kernels are compiled; NaN and infinity keep their meaning."""
+OPTIONS = {
+    "cache": True, "nogil": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"},
+    "forceinline": True,
+}  # fmt: skip
+"""How all kernels are compiled; NaN and infinity keep their meaning.
+
+Kernels that others call become parts of these. Else each caller has a copy, optimised in its own way; of several copies
+in a process the first to be loaded counts, and that is another one where kernels come from the cache: other last bits.
+"""
 
 NEAR = 0.02
 """Objects nearer than this to the camera plane are not rendered [m]."""
