@@ -11,7 +11,8 @@ from getagrip.cli.command import Command, Inits, Method, Seed, hands_of, priors_
 from getagrip.cli.sharing import Sharing
 from getagrip.errors import UsageError
 from getagrip.experiments.sources import SOURCES, source_of
-from getagrip.experiments.sources.dexycb import DexYcbSequences, DexYcbTimelines
+from getagrip.experiments.sources.dexycb import DexYcbSequences
+from getagrip.experiments.sources.timelines import Timelines
 from getagrip.fitting.options import Init, Options
 from getagrip.io.arguments import Flag, Folder, OptionalFile, OptionalFolder, one_of
 
@@ -67,10 +68,10 @@ class Bench(Command):
     """Use N clips, evenly sampled."""
     preset: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_presets)] = None
     """synthetic: exact input, the noise assumed for a hand tracker, or that and a mean shape of unknown scale.
-    dexycb-segments: noise of hands and masks: none (the default), moderate, strong or estimated. dexycb-timelines:
+    dexycb-segments: noise of hands and masks: none (the default), moderate, strong or estimated. ...-timelines:
     exact, moderate, strong (hands only), ragged (strong, and masks) or all of them (the default)."""
     root: OptionalFolder = None
-    """dexycb, artigrasp...: the dataset's folder, as for import."""
+    """dexycb..., hot3d-timelines, artigrasp...: the dataset's folder, as for import."""
     meshes: OptionalFolder = None
     """dexycb: the folder of the YCB models."""
     shortest: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2)")] = None
@@ -108,7 +109,7 @@ class Bench(Command):
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
             priors=priors_of(self.priors, self.init), hands=hands_of(self.given_hands), every_frame=self.every_frame,
         )  # fmt: skip
-        if isinstance(source, DexYcbTimelines):
+        if isinstance(source, Timelines):
             return self._whole(source, options)
         hands = tuple(HandSource.of(text) for text in self.hands)
         systems = tuple(system_of(text) for text in self.others)
@@ -119,7 +120,7 @@ class Bench(Command):
         )  # fmt: skip
         return bench(plan, self.debug)
 
-    def _whole(self, source: DexYcbTimelines, options: Options) -> int:
+    def _whole(self, source: Timelines, options: Options) -> int:
         """The benchmarks of whole sequences: one method, and the definition of a grasp that the truth has."""
         from getagrip.commands.bench_segments import bench_segments
         from getagrip.commands.bench_sequences import Plan

@@ -12,7 +12,7 @@ from getagrip.batch.job import Outcome
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.errors import UsageError
 from getagrip.experiments.sources import Sample
-from getagrip.experiments.sources.dexycb import DexYcbTimelines
+from getagrip.experiments.sources.timelines import Timelines
 from getagrip.fitting.options import Options
 from getagrip.io.terminal import progress_bar
 
@@ -43,7 +43,7 @@ S = TypeVar("S", bound=Scores)
 class Plan:
     """What to run."""
 
-    source: DexYcbTimelines
+    source: Timelines
     out: Path
     options: Options
     count: int | None

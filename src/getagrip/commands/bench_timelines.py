@@ -1,4 +1,4 @@
-"""``getagrip bench dexycb-timelines``: whole sequences, from table to hand, reconstructed by their true segments."""
+"""``getagrip bench dexycb-timelines``, ``hot3d-timelines``: from table to hand, reconstructed by true segments."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from getagrip.batch.clips import print_outcome
 from getagrip.commands.bench_sequences import Plan, scored
 from getagrip.datasets.tracks import subject_of
+from getagrip.errors import UsageError
 from getagrip.experiments.sources import samples
 from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import estimate, resamples
@@ -22,7 +23,7 @@ HEADINGS = ("hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, gras
 def bench_timelines(plan: Plan, debug: bool) -> int:
     """Reconstruct every timeline every way and write the table; 1 if one failed, else 0.
 
-    Raises ``UsageError`` where the call is wrong or there are no timelines.
+    Raises ``UsageError`` where the call is wrong or no timeline has both a static segment and a stable grasp.
     """
     plan.out.mkdir(parents=True, exist_ok=True)
     found, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
@@ -33,6 +34,9 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
     trials = [TimelineTrial(sample, levels, plan.options, results, plan.overwrite) for sample in found]
     scores = scored(run_timeline, trials, plan.workers, debug)
     whole = [one for one in scores if one.by]
+    if scores and not whole:
+        given = f"{len(scores)} timelines, none with both a static segment and a stable grasp"
+        raise UsageError(f"{plan.source.dataset}: got {given}, expected one at least")
     if whole:
         text = _markdown(plan, whole, len(scores))
         print(text, end="")

@@ -10,6 +10,7 @@ from getagrip.errors import UsageError
 from getagrip.experiments.sources.artigrasp import ArtiGrasp, EstimatedArtiGrasp
 from getagrip.experiments.sources.dexycb import DexYcb, DexYcbSequences, DexYcbTimelines
 from getagrip.experiments.sources.folder import ClipFolder
+from getagrip.experiments.sources.hot3d import Hot3dTimelines
 from getagrip.experiments.sources.source import ClipSource, Sample
 from getagrip.experiments.sources.synthetic import Synthetic
 
@@ -21,6 +22,7 @@ SOURCES: dict[str, type[ClipSource]] = {
     "dexycb": DexYcb,
     "dexycb-segments": DexYcbSequences,
     "dexycb-timelines": DexYcbTimelines,
+    "hot3d-timelines": Hot3dTimelines,
     "artigrasp": ArtiGrasp,
     "artigrasp-estimated": EstimatedArtiGrasp,
 }

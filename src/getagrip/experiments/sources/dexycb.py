@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from getagrip.errors import UsageError
 from getagrip.experiments.sources.recorded import Recorded
+from getagrip.experiments.sources.timelines import Timelines
 
 if TYPE_CHECKING:
     from getagrip.datasets.dataset import Dataset
@@ -28,24 +27,8 @@ class DexYcb(Recorded):
 
 
 @dataclass(frozen=True)
-class DexYcbTimelines(DexYcb):
+class DexYcbTimelines(Timelines, DexYcb):
     """DexYCB's sequences, not cut, with their true segments."""
-
-    preset: str = "all"
-    """Level of noise, of ``timeline_trials.LEVELS``: it is added when a sequence is read, the clips are without."""
-
-    def __post_init__(self) -> None:
-        from getagrip.experiments.timeline_trials import ALL, LEVELS
-
-        self.check((ALL, *LEVELS))
-
-    def check(self, presets: Collection[str]) -> None:
-        """Raise ``UsageError`` for a preset that is none of these."""
-        if self.preset not in presets:
-            raise UsageError(f"--preset: got {self.preset!r}, expected one of {', '.join(presets)}")
-
-    def claim(self, clips: Path) -> None:
-        super(DexYcbTimelines, replace(self, preset=type(self).preset)).claim(clips)
 
     def reader(self, root: Path) -> Dataset:
         from getagrip.datasets.dexycb import reader
