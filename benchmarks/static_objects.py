@@ -4,7 +4,7 @@
 
 HOT3D is a folder as for ``getagrip import hot3d``. Of each recording, the objects whose surface stays within 3 mm of
 where it was in the first frame, in all frames: by the search for static segments of timelines, with masks rendered
-from the true poses, the object's size known, or free and the mesh too small. The head's motion is taken as it was
+from the true poses, the object's size known or free. The head's motion is taken as it was
 recorded, and scaled about its first place: the camera then looks at the object from where it would be, the object at
 the same place of the image. ``--write`` puts the table into docs/results.md.
 """
@@ -31,19 +31,20 @@ from getagrip.datasets.synthetic.noise import Noise, perturbed
 from getagrip.experiments.stamp import stamp
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.fisheye import pinhole
+from getagrip.geometry.mesh_files import read_mesh
 from getagrip.grasps.states import STILL
 from getagrip.metrics.pose import ObjectTrack, PoseErrors, best_symmetry, pose_errors
-from getagrip.metrics.symmetry import find_symmetries
+from getagrip.metrics.symmetry import Symmetries, find_symmetries
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.static_pose import FRAMES, static_hypotheses
 
 TIMES = (0.0, 1.0, 4.0, 16.0)
 """The head's displacement is scaled by these."""
-RAGGED = 2.0
-"""Masks are also taken with boundaries that are off by this, root mean square [px of 1280 to 1408]."""
-SMALLER = 1.2
-"""Where its size is free, the mesh is smaller than the object by this."""
+RAGGED = 1.0
+"""Masks are also taken with boundaries that are off by this, root mean square [px]."""
+SHRUNK = 2
+"""Images are so many times smaller than the cameras': 512 x 640 and 704 x 704 pixels."""
 CASES = ((0.0, "known"), (RAGGED, "known"), (0.0, "free"), (RAGGED, "free"))
 """How far masks are off, and what is known of the size."""
 SECTION, PAGE = "hot3d-static", "results.md"
@@ -64,7 +65,7 @@ class Found:
     errors: PoseErrors
     """In the world."""
     scale: float
-    """Of the object that was found, over the true one."""
+    """Of the object that was found; the true one is 1."""
     seconds: float
 
     @property
@@ -96,22 +97,26 @@ def still(recording: Recording, objects: Objects) -> Iterator[str]:
 
 def views(recording: Recording, objects: Objects, uid: str, times: float, folder: Path) -> tuple[Clip, Masks]:
     """An object in the frames that are fitted, the head's motion scaled."""
-    poses = recording.objects[uid]
+    poses, lens = recording.objects[uid], recording.camera.fisheye
+    width, height = lens.size
+    view = pinhole(lens, lens.f / SHRUNK, (height // SHRUNK, width // SHRUNK), quarter_turns=1)
     centre = se3.transform(poses.T_world_obj[0], objects.read(recording, lambda _: None)[uid].centre[None])[0]
-    camera = replace(recording.camera, T_world_cam=scaled(recording.camera.T_world_cam, times, centre))
+    moved = scaled(recording.camera.T_world_cam, times, centre)
+    camera = replace(recording.camera, T_world_cam=moved, pinhole=view)
     only = replace(recording, camera=camera)
     track = next(t for t in tracks(folder, only, objects, lambda _: None) if t.provenance["object_uid"] == uid)
     track = track.take(frame_indices(len(track), FRAMES))
     return known_clip(track), Masks.of(frame_masks(track, row) for row in range(len(track)))
 
 
-def measured(clip: Clip, masks: Masks, name: str, times: float, case: tuple[float, str]) -> Found:
+def measured(
+    clip: Clip, masks: Masks, symmetries: Symmetries, name: str, times: float, case: tuple[float, str]
+) -> Found:
     """The best static pose of a clip against the true ones."""
     assert clip.world is not None
     assert clip.truth is not None
     ragged, size = case
-    if size == "free":
-        clip = replace(clip, mesh=Mesh(clip.mesh.vertices / SMALLER, clip.mesh.faces), scale="free")
+    clip = replace(clip, scale="free" if size == "free" else "known")
     since = time.process_time()
     _, given = perturbed(clip, masks, Noise(mask_ragged_px=ragged), [0, *name.encode()])
     footage = Footage.of(clip.light(), given, Options())
@@ -119,17 +124,17 @@ def measured(clip: Clip, masks: Masks, name: str, times: float, case: tuple[floa
     assert found is not None
     seconds = time.process_time() - since
     T_world_cam = clip.world.T_world_cam
-    true = ObjectTrack(T_world_cam @ clip.truth.T_cam_obj, SMALLER if size == "free" else 1.0)
+    true = ObjectTrack(T_world_cam @ clip.truth.T_cam_obj, 1.0)
     best = ObjectTrack(found.T_world_obj(clip.mesh.centre)[0], float(found.scale[0]))
-    symmetry = best_symmetry(clip.mesh, best, true, find_symmetries(clip.mesh))
-    away = T_world_cam[:, :3, 3] - se3.transform(true.T_hand_obj[0], true.scale * clip.mesh.centre[None])[0]
+    symmetry = best_symmetry(clip.mesh, best, true, symmetries)
+    away = T_world_cam[:, :3, 3] - se3.transform(true.T_hand_obj[0], clip.mesh.centre[None])[0]
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     return Found(
         name, times, case,
         moved=float(np.linalg.norm(T_world_cam[:, :3, 3] - T_world_cam[0, :3, 3], axis=1).max()),
         parallax=float(np.arccos(np.clip(away @ away.T, -1.0, 1.0)).max()),
         errors=pose_errors(clip.mesh, best, true, symmetry),
-        scale=best.scale / true.scale,
+        scale=best.scale,
         seconds=seconds,
     )  # fmt: skip
 
@@ -174,11 +179,12 @@ def main(root: Path) -> str:
     for name, files in find(root).items():
         recording = read_recording(name, files)
         for uid in still(recording, objects):
+            symmetries = find_symmetries(read_mesh(objects.meshes[uid]))
             for times in TIMES:
                 clip, masks = views(recording, objects, uid, times, root)
                 called = f"{objects.names[uid]} ({recording.camera.device})"
                 for case in CASES:
-                    found.append(measured(clip, masks, called, times, case))
+                    found.append(measured(clip, masks, symmetries, called, times, case))
                     print(called, times, *case, f"{100.0 * found[-1].share:.1f} %", flush=True)
     return table(found)
 
