@@ -195,14 +195,6 @@ def test_an_interaction_becomes_a_timeline(root, tmp_path):
         list(clips(Hot3d(root=root, timelines=True, whole=True)))
 
 
-@pytest.mark.slow
-def test_a_benchmark_needs_timelines_that_lie_and_are_held(root, tmp_path, run):
-    call = ("bench", "hot3d-timelines", "--root", root, "--out", tmp_path / "out", "--split", "all", "--workers", "1")
-    status, _, err = run(*call)
-    assert status == 2
-    assert "hot3d-timelines: got 1 timelines, none with both a static segment and a stable grasp" in err
-
-
 def frames(clip):
     """The frames that a clip's folder names."""
     return tuple(json.loads((clip / "clip.json").read_text())["frames"])
