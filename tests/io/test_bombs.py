@@ -26,7 +26,7 @@ from getagrip.geometry import obj
 from getagrip.geometry.obj import parse_obj
 from getagrip.hands import mano
 from getagrip.hands.trackers import records
-from getagrip.io import arrays, files, json_stream
+from getagrip.io import archives, arrays, files, json_stream
 
 PATH = Path("a.file")
 LONG = 4_000_000
@@ -61,6 +61,31 @@ def test_a_list_of_one_array_many_times_is_counted_in_full(refused: Callable[...
     values = [np.zeros(100_000)] * 5000
     with memory(200):
         refused(lambda: records.numbers(PATH, {"joints": values}, "joints", (-1, 3)), "joints")
+
+
+@pytest.mark.parametrize(
+    ("method", "why"), [(zipfile.ZIP_DEFLATED, "Bad CRC-32"), (zipfile.ZIP_BZIP2, "than by deflate")]
+)
+def test_a_member_that_unpacks_to_more_than_it_says_takes_no_memory(tmp_path: Path, method: int, why: str) -> None:
+    size = 40 * 2**20
+    for path in (tmp_path / "a.npz", tmp_path / "a.zip"):
+        with zipfile.ZipFile(path, "w", method) as archive:
+            archive.writestr("a.npy" if path.suffix == ".npz" else "a.json", bytes(size))
+        path.write_bytes(path.read_bytes().replace(size.to_bytes(4, "little"), (100).to_bytes(4, "little")))
+    with memory(25):
+        with pytest.raises(InputError, match=why):
+            arrays.read(tmp_path / "a.npz", lambda _: True)
+        with pytest.raises(InputError, match="than by deflate" if why == "than by deflate" else "expected"):
+            json_stream.member(tmp_path / "a.zip", "a")
+
+
+def test_an_archive_of_too_many_members_is_not_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(archives, "MOST_MEMBERS", 2)
+    arrays.write(tmp_path / "a.npz", {name: np.zeros(1) for name in "ab"})
+    assert set(arrays.read(tmp_path / "a.npz", lambda _: True)) == {"a", "b"}
+    arrays.write(tmp_path / "a.npz", {name: np.zeros(1) for name in "abc"})
+    with pytest.raises(InputError, match="more than 2 members"):
+        arrays.read(tmp_path / "a.npz", lambda _: False)
 
 
 def test_lists_become_the_arrays_that_numpy_makes_of_them() -> None:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.io import files
+from getagrip.io import archives, files
 
 LARGEST = 2**29
 """Limit in bytes of the arrays of one file, unpacked, and of each once its numbers are floats of 8 bytes."""
@@ -32,7 +32,7 @@ def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray,
     content = files.read_bytes(path)
     out: dict[str, ndarray] = {}
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        with archives.archive(path, content) as archive:
             members = [m for m in archive.infolist() if m.filename.endswith(".npy") and wanted(m.filename[:-4])]
             unpacked = sum(member.file_size for member in members)
             if unpacked > LARGEST:
@@ -41,7 +41,7 @@ def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray,
                 key = member.filename[:-4]
                 if key in out:
                     raise InputError(path, key, "the array twice", "each array once")
-                out[key] = parse_npy(path, key, archive.read(member))  # reads file_size bytes at most, checks the CRC
+                out[key] = parse_npy(path, key, archives.content_of(archive, member))
     except InputError:
         raise
     except Exception as error:  # zipfile and its decompressors raise whatever they meet

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from getagrip.errors import InputError
+from getagrip.io import archives
 from getagrip.io.files import plain, shown
 
 LARGEST_ITEM = 4 * 2**20
@@ -89,10 +90,10 @@ def _opened(path: Path) -> Iterator[IO[bytes]]:
                 yield stream
             return
         with zipfile.ZipFile(path) as archive:
-            inside = [name for name in archive.namelist() if name.endswith(".json")]
+            inside = [it for it in archive.infolist() if it.filename.endswith(".json")]
             if len(inside) != 1:
                 raise InputError(path, "", f"{len(inside)} JSON files in it", "one")
-            with archive.open(inside[0]) as packed:
+            with archives.opened(archive, inside[0]) as packed:
                 yield packed
     except InputError:
         raise
