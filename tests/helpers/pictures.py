@@ -21,7 +21,10 @@ def read_picture(path: Path) -> np.ndarray:
 
 def pixels_of(picture: np.ndarray, colour: str) -> int:
     """The number of pixels that have nearly this colour."""
-    return int((np.abs(picture / 255.0 - to_rgb(colour)).max(axis=-1) < 0.06).sum())
+    near = np.ones(picture.shape[:2], dtype=bool)
+    for channel, value in zip(np.moveaxis(picture, -1, 0), to_rgb(colour), strict=True):
+        near &= (np.abs(np.arange(256) / 255.0 - value) < 0.06)[channel]
+    return int(near.sum())
 
 
 def texts(figure: Figure) -> set[str]:
