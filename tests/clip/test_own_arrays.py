@@ -75,7 +75,7 @@ def test_a_clip_in_no_folder_has_no_masks_to_read(refused: Refused) -> None:
 
 @pytest.mark.slow
 def test_a_result_of_some_frames_is_evaluated_against_the_whole_clip() -> None:
-    clip, masks = synthesise("mug", seed=3, options=SceneOptions(frames=9))
+    clip, masks = synthesise("mug", seed=3, options=SceneOptions(frames=9, size=(320, 240), focal=300.0))
     result = reconstruct(clip, masks, Options(inits=4, frames=4))
     index = clip.index_of(result.frames)
     assert clip.take(index).frames == result.frames

@@ -9,12 +9,14 @@ import pytest
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.fitting.schedule import THOROUGH, USUAL
-from helpers.scenes import scene
+from helpers.scenes import SHORT, scene
 
 
 @pytest.mark.slow
 def test_the_longer_search_finds_no_worse_and_says_what_it_was() -> None:
-    usual, longer = (reconstruct(*scene("mug", 2), Options(inits=20, thorough=thorough)) for thorough in (False, True))
+    usual, longer = (
+        reconstruct(*scene("mug", 2, SHORT), Options(inits=12, thorough=thorough)) for thorough in (False, True)
+    )
     assert longer.energy["total"] < 1.01 * usual.energy["total"]
     assert (usual.options["thorough"], longer.options["thorough"]) == (False, True)
 
