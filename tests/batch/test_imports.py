@@ -36,7 +36,7 @@ def test_a_subcommand_has_the_options_of_its_dataset_and_no_others(run: Run, nam
     if issubclass(DATASETS[name], TrackedDataset):
         named.remove("grasps")
         named += ["tau", "contact-mm", "points", "rule", "shortest", "intervals"]  # the same of all, as of segment
-    options = re.findall(r"^\W*(?:-h, )?--([a-z][a-z-]*)", out, re.MULTILINE)
+    options = re.findall(r"^\W{0,5}(?:-h, )?--([a-z][a-z-]*)", out, re.MULTILINE)
     assert sorted(options) == sorted(["help", "debug", "quiet", "out", *SHARING, *named])
     assert positional.upper() in out
     assert DATASETS[name].__doc__.split()[0] in out
