@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS
-from getagrip.checks.signs import SIGNS, contact_gap, energy_gap, mask_miss, off_axis_turn, read_signs
+from getagrip.checks.signs import SIGNS, contact_gap, energy_gap, off_axis_turn, pose_spread, read_signs
 from getagrip.clip import Masks
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
@@ -36,7 +36,8 @@ def mug() -> Solved:
     away = T @ se3.rigid(se3.exp_so3(np.array([0.5 * np.pi, 0.0, 0.0])), np.zeros(3))
     candidates = Candidates(np.stack([T, away]), np.ones(2), np.array([100.0, 150.0]))
     given = clip.hand.T_cam_hand
-    return Solved(clip, masks, T, 1.0, np.full(4, 0.9), candidates=candidates, axis=None, T_cam_hand_given=given)
+    iou = np.full(4, 0.9)
+    return Solved(clip, masks, T, 1.0, iou, candidates=candidates, axis=None, T_cam_hand_given=given, spread=0.05)
 
 
 def gap_of(energy: float, apart: int = 1) -> float:
@@ -70,7 +71,8 @@ def test_signs_of_the_truth_and_of_what_is_wrong() -> None:
     it = mug()
     away = replace(it, T_hand_obj=se3.rigid(None, np.array([0.0, 0.0, 0.1])) @ it.poses)
     assert contact_gap(it) < contact_gap(away)
-    assert mask_miss(it) < mask_miss(replace(it, iou=np.full(4, 0.5)))
+    assert pose_spread(it) < pose_spread(replace(it, spread=0.1))
+    assert "pose-spread" not in read_signs(replace(it, spread=np.nan))
     shaken = it.poses @ se3.rigid(
         se3.exp_so3(0.3 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])), np.zeros(3)
     )

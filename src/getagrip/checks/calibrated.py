@@ -10,7 +10,7 @@ CALIBRATIONS: dict[str, Calibration] = {
         weights={
             "energy-gap": Weight(3.487, 0.073892, 0.83666),
             "contact-gap": Weight(-0.89819, -4.914, -1.6695),
-            "mask-miss": Weight(-0.47205, -4.9271, -1.0004),
+            "pose-spread": Weight(0, -5, 0),
             "off-axis-turn": Weight(0, -5.1751, -2.473),
             "hand-shift": Weight(-69.058, 0, 0.046022),
             "hand-turn": Weight(-6.3077, 0, 0.18425),

@@ -45,9 +45,9 @@ def contact_gap(it: Solved) -> float:
     return _logarithm(np.clip(it.region_distance, 0.0, FARTHEST).mean() / it.diameter, 3e-3)
 
 
-def mask_miss(it: Solved) -> float:
-    """Mean 1 - IOU."""
-    return _logarithm(1.0 - float(np.nanmean(it.overlaps)), 1e-3)
+def pose_spread(it: Solved) -> float:
+    """How far the object could still be moved, by what masks and contact tell, in its diameters."""
+    return _logarithm(it.spread, 1e-4)
 
 
 def off_axis_turn(it: Solved) -> float:
@@ -81,7 +81,7 @@ def _logarithm(value: float | Float[ndarray, ""], least: float) -> float:
 SIGNS: tuple[Sign, ...] = (
     Sign("energy-gap", energy_gap, 1),
     Sign("contact-gap", contact_gap, -1),
-    Sign("mask-miss", mask_miss, -1),
+    Sign("pose-spread", pose_spread, -1),
     Sign("off-axis-turn", off_axis_turn, -1),
     Sign("hand-shift", hand_shift, -1),
     Sign("hand-turn", hand_turn, -1),
@@ -90,5 +90,6 @@ SIGNS: tuple[Sign, ...] = (
 
 
 def read_signs(it: Solved) -> dict[str, float]:
-    """Every sign of a result, by its name."""
-    return {sign.name: float(sign.measure(it)) for sign in SIGNS}
+    """Every sign of a result, by its name; those that are not known are left out."""
+    measured = {sign.name: float(sign.measure(it)) for sign in SIGNS}
+    return {name: value for name, value in measured.items() if not np.isnan(value)}

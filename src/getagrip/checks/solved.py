@@ -32,11 +32,13 @@ class Solved(Evidence):
         candidates: the best distinct solutions in these frames; the first is the one that was found.
         axis: the axis that was found, where the method has one.
         T_cam_hand_given: (T, 4, 4) poses of the hand as it was given.
+        spread: standard deviation of the pose that the energy leaves, in diameters; NaN where it is not known.
     """
 
     candidates: Candidates
     axis: Axis | None
     T_cam_hand_given: Float[ndarray, "T 4 4"]
+    spread: float
 
     @property
     def poses(self) -> Float[ndarray, "T 4 4"]:

@@ -17,6 +17,7 @@ from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
+from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem, prepare
 from getagrip.probability import Probability
 from getagrip.result import Candidates, Reconstruction
@@ -76,7 +77,7 @@ def reconstruct(
         solved = Solved(
             problem.clip, problem.given_masks, track.T_hand_obj[0], scale, track.iou,
             candidates=Candidates(track.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
-            T_cam_hand_given=sampled.hand.T_cam_hand,
+            T_cam_hand_given=sampled.hand.T_cam_hand, spread=pose_spread(problem, found),
         )  # fmt: skip
         of_result, more = examine(RESULT_CHECKS, replace(solved, iou=whole.iou))
         signs = read_signs(solved)
@@ -103,6 +104,8 @@ def probability_right(options: Options, signs: Mapping[str, float], findings: Se
         getattr(options, option.name) == option.default for option in fields(Options) if option.name not in CHOICES
     )
     if calibration is None or not as_usual or any(finding.serious for finding in findings):
+        return None
+    if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
         return None
     return calibration.probability(signs)
 

@@ -190,9 +190,7 @@ def _step(
     J_shared, J_local = motion.jacobian()
     S = J_shared.shape[-1]
     prior = motion.prior()
-    J = np.concatenate([J_shared, J_local], axis=-1)
-    R = T_cam_hand[:, :3, :3]
-    J_cam = np.concatenate([R @ J[..., :3, :], R @ J[..., 3:6, :], J[..., 6:, :]], axis=-2)
+    J_cam = _seen_from_camera(J_shared, J_local, T_cam_hand)
     Jt = np.swapaxes(J_cam, -1, -2)
     A = Jt @ (local.H @ J_cam)
     b = (Jt @ local.g[..., None])[..., 0]
@@ -209,6 +207,24 @@ def _step(
     turn, shift = np.linalg.norm(moved[..., 3:6], axis=-1), np.linalg.norm(moved[..., :3], axis=-1)
     shrink = np.minimum(1.0, LONGEST / np.maximum(np.maximum(turn, 10.0 * shift).max(axis=1), 1e-12))
     return shared * shrink[:, None], per_frame * shrink[:, None, None]
+
+
+def _seen_from_camera(
+    J_shared: Float[ndarray, "B N 7 S"], J_local: Float[ndarray, "B N 7 L"], T_cam_hand: Float[ndarray, "N 4 4"]
+) -> Float[ndarray, "B N 7 P"]:
+    """A motion's Jacobians side by side, of local 7-vectors in the camera's frame."""
+    J, R = np.concatenate([J_shared, J_local], axis=-1), T_cam_hand[:, :3, :3]
+    return np.concatenate([R @ J[..., :3, :], R @ J[..., 3:6, :], J[..., 6:, :]], axis=-2)
+
+
+def hessian(motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"]) -> Float[ndarray, "B N P P"]:
+    """The Gauss-Newton Hessian of each frame's terms by the shared parameters and those of the frame, in this order.
+
+    Without the motion's own prior, and without what ties frames to each other.
+    """
+    local = evaluate(motion, terms, T_cam_hand, np.full(len(motion.poses().scale), np.inf)).local
+    J = _seen_from_camera(*motion.jacobian(), T_cam_hand)
+    return np.asarray(np.swapaxes(J, -1, -2) @ (local.H @ J))
 
 
 def _between_frames(
