@@ -14,7 +14,8 @@ CALIBRATIONS: dict[str, Calibration] = {
             "off-axis-turn": Weight(0, -5.1751, -2.473),
             "hand-shift": Weight(-69.058, 0, 0.046022),
             "hand-turn": Weight(-6.3077, 0, 0.18425),
-            "hand-miss": Weight(0, 0, 0.14661),
+            "mask-misfit": Weight(0, 0, 1),
+            "solution-spread": Weight(0, -5, 0),
         },
         bias=-4.5403,
         data=(

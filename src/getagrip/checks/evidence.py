@@ -88,14 +88,10 @@ class Evidence:
     @cached_property
     def small_ignore(self) -> Bool[ndarray, "T h w"]:
         """The ignored pixels, as small."""
-        return self.small(self.masks.ignore)
-
-    def small(self, masks: Bool[ndarray, "T H W"]) -> Bool[ndarray, "T h w"]:
-        """Masks in images of the size in which hands are drawn."""
         width, height = self._small
         rows = ((np.arange(height) + 0.5) / self._zoom).astype(int)
         columns = ((np.arange(width) + 0.5) / self._zoom).astype(int)
-        return masks[:, rows[:, None], columns]
+        return self.masks.ignore[:, rows[:, None], columns]
 
     @property
     def _zoom(self) -> float:

@@ -19,6 +19,8 @@ ELSEWHERE = 0.03
 """A candidate that is farther apart than this is another solution [diameters]."""
 LARGEST_GAP = 0.7
 """Where there is no other solution, and at most: logarithm of the factor between two energies."""
+FARTHEST_SOLUTION = 0.5
+"""A solution counts as at most so far [diameters]."""
 FARTHEST = 0.03
 """A region that does not touch counts as at most so far [m]."""
 
@@ -40,6 +42,15 @@ def energy_gap(it: Solved) -> float:
     return float(np.sqrt(np.clip(factor, 0.0, LARGEST_GAP)))
 
 
+def solution_spread(it: Solved) -> float:
+    """How far the other solutions are, in diameters, each as probable as its energy says: mean over all solutions.
+
+    Energies that differ by that of one frame count as a factor of e.
+    """
+    probable = np.exp(-(it.energy_times - 1.0) * len(it.clip))
+    return _logarithm(probable @ np.minimum(it.apart, FARTHEST_SOLUTION) / probable.sum(), 3e-3)
+
+
 def contact_gap(it: Solved) -> float:
     """How far regions of the hand are from the object, mean over regions and frames, in its diameters."""
     return _logarithm(np.clip(it.region_distance, 0.0, FARTHEST).mean() / it.diameter, 3e-3)
@@ -48,6 +59,11 @@ def contact_gap(it: Solved) -> float:
 def pose_spread(it: Solved) -> float:
     """How far the object could still be moved, by what masks and contact tell, in its diameters."""
     return _logarithm(it.spread, 1e-4)
+
+
+def mask_misfit(it: Solved) -> float:
+    """How much worse the masks are explained than the object's own mesh would explain them (``fitting.misfit``)."""
+    return _logarithm(it.misfit, 0.05)
 
 
 def off_axis_turn(it: Solved) -> float:
@@ -68,11 +84,6 @@ def hand_turn(it: Solved) -> float:
     return it.hand_turn**2
 
 
-def hand_miss(it: Solved) -> float:
-    """How badly the hand meets its own pixels even so: 1 - IOU, squared."""
-    return it.hand_miss**2
-
-
 def _logarithm(value: float | Float[ndarray, ""], least: float) -> float:
     """Of a number that is never below zero, and hardly counts below ``least``."""
     return float(np.log(max(float(value), 0.0) + least))
@@ -80,12 +91,13 @@ def _logarithm(value: float | Float[ndarray, ""], least: float) -> float:
 
 SIGNS: tuple[Sign, ...] = (
     Sign("energy-gap", energy_gap, 1),
-    Sign("contact-gap", contact_gap, -1),
+    Sign("solution-spread", solution_spread, -1),
     Sign("pose-spread", pose_spread, -1),
+    Sign("mask-misfit", mask_misfit, -1),
+    Sign("contact-gap", contact_gap, -1),
     Sign("off-axis-turn", off_axis_turn, -1),
     Sign("hand-shift", hand_shift, -1),
     Sign("hand-turn", hand_turn, -1),
-    Sign("hand-miss", hand_miss, -1),
 )
 
 

@@ -32,12 +32,14 @@ class Solved(Evidence):
         candidates: the best distinct solutions in these frames; the first is the one that was found.
         axis: the axis that was found, where the method has one.
         T_cam_hand_given: (T, 4, 4) poses of the hand as it was given.
+        misfit: how much farther contours are from those of the masks than the object's own mesh would leave them.
         spread: standard deviation of the pose that the energy leaves, in diameters; NaN where it is not known.
     """
 
     candidates: Candidates
     axis: Axis | None
     T_cam_hand_given: Float[ndarray, "T 4 4"]
+    misfit: float
     spread: float
 
     @property
@@ -105,12 +107,3 @@ class Solved(Evidence):
         """By how much it was turned, mean over frames [rad]."""
         T, given = self.clip.hand.T_cam_hand, self.T_cam_hand_given
         return float(se3.angle_between(T[:, :3, :3], given[:, :3, :3]).mean())
-
-    @cached_property
-    def hand_miss(self) -> float:
-        """1 - IOU of the drawn hand and its own pixels, outside the object's masks; 0 where these are not known."""
-        own = self.masks.ignore if self.masks.hand is None else self.masks.hand
-        if not own.any():
-            return 0.0
-        seen, drawn = self.small(own), self.drawn_hands & ~self.small(self.masks.object)
-        return 1.0 - float((seen & drawn).sum() / max((seen | drawn).sum(), 1))

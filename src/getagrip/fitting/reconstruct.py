@@ -16,6 +16,7 @@ from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
 from getagrip.fitting.methods import METHODS
+from getagrip.fitting.misfit import misfit
 from getagrip.fitting.options import Options
 from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem, prepare
@@ -78,6 +79,7 @@ def reconstruct(
             problem.clip, problem.given_masks, track.T_hand_obj[0], scale, track.iou,
             candidates=Candidates(track.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
             T_cam_hand_given=sampled.hand.T_cam_hand, spread=pose_spread(problem, found),
+            misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
         )  # fmt: skip
         of_result, more = examine(RESULT_CHECKS, replace(solved, iou=whole.iou))
         signs = read_signs(solved)
