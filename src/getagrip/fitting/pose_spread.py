@@ -26,7 +26,7 @@ LEAST = 1e-6
 def pose_spread(problem: Problem, found: MethodResult) -> float:
     """Of the best solution: root mean square over the object's surface, in diameters, in the middle frame.
 
-    NaN for a method that has no motion of its own.
+    NaN for a method that has no motion of its own, and for one whose frames share nothing.
     """
     if found.motion is None or found.energy_of is None:
         return float("nan")
@@ -34,6 +34,8 @@ def pose_spread(problem: Problem, found: MethodResult) -> float:
     motion = found.motion.take(np.zeros(1, int))
     J_shared = motion.jacobian()[0]
     S = J_shared.shape[-1]
+    if S == 0:
+        return float("nan")
     H, prior = hessian(motion, found.energy_of(problem)(CROP, frames), T_cam_hand)[0], motion.prior()
     own = H[:, S:, S:] + np.diag(prior.diagonal) + LEAST * np.eye(H.shape[-1] - S)
     reduced = (H[:, :S, :S] - H[:, :S, S:] @ np.linalg.solve(own, H[:, S:, :S])).sum(axis=0)
