@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, replace
 from importlib.util import find_spec
 from pathlib import Path
+from shutil import make_archive
 from typing import Any
 
 import pytest
@@ -103,6 +104,18 @@ def test_either_may_be_on_a_disk(
         monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", lambda clip, *_: perfect(clip, clip.name))
         assert run("reconstruct", f"file://{tmp_path}/clips/a", "--out", f"{store}/out")[0] == 0
         assert (Remote(f"{store}/out/a") / "result.json").read(10_000) is not None
+
+
+@pytest.mark.parametrize("given", ["clips", "clips/*.zip", "clips/a.zip"])
+def test_a_clip_may_be_one_archive(store: str, tmp_path: Path, run: Run, fitted: list[str], given: str) -> None:
+    clip, masks = small_clip()
+    folder = write_clip(replace(clip, name="a"), masks, tmp_path / "clips" / "a")
+    packed = Path(make_archive(str(tmp_path / "a"), "zip", folder))
+    Remote(f"{store}/clips/a.zip").write(packed.read_bytes())
+    status, _, err = run("reconstruct", f"{store}/{given}", "--out", tmp_path / "out")
+    assert (status, fitted) == (0, ["a"]), err
+    assert read_result(tmp_path / "out" / "a")[1]["clip_folder"].endswith("/bucket/clips/a.zip")
+    assert "a: already done" in run("reconstruct", f"{store}/clips/a.zip", "--out", tmp_path / "out")[1]
 
 
 @pytest.mark.parametrize("which", ["result.npz", "result.json"])

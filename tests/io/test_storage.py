@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import stat
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -82,3 +85,47 @@ def test_a_folder_that_changes_while_it_is_copied_is_refused(
     monkeypatch.setattr(Remote, "_contents", meanwhile)
     with pytest.raises(InputError, match="files that changed while they were read"):
         FOLDER.copy_to(tmp_path / "copy")
+
+
+def zipped(*members: tuple[str | zipfile.ZipInfo, bytes]) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members:
+            archive.writestr(name, content)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("top", ["", "clip/"])
+def test_an_archive_is_unpacked_as_its_folder_would_be_copied(memory: Any, tmp_path: Path, top: str) -> None:
+    names = ("a", "b/c/d.png", "images/x.png", ".hidden")
+    FOLDER.write(zipped(*((top + name, name.encode()) for name in names)))
+    FOLDER.unpack_to(tmp_path / "copy", ("images",))
+    assert contents(tmp_path / "copy") == {"a": b"a", "b/c/d.png": b"b/c/d.png"}
+
+
+@pytest.mark.parametrize("name", ["../up", "a/../../up", "/up", "a\\b", "~/x", "/".join("abcdefghij")])
+def test_a_member_that_leads_out_is_refused(memory: Any, tmp_path: Path, name: str) -> None:
+    FOLDER.write(zipped(("a", b""), (name, b"")))
+    with pytest.raises(InputError, match="expected names of files inside the folder"):
+        FOLDER.unpack_to(tmp_path / "copy")
+    assert not any(tmp_path.iterdir())
+
+
+def test_links_doubles_bombs_and_damage_are_refused(
+    memory: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = zipfile.ZipInfo("a")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    with pytest.warns(UserWarning, match="Duplicate"):
+        twice = zipped(("a", b"1"), ("a", b"2"))
+    vast = zipped(("a", bytes(10**6)))
+    lying = vast.replace((10**6).to_bytes(4, "little"), (100).to_bytes(4, "little"))
+    monkeypatch.setattr(storage, "MOST_BYTES", 5 * 10**5)
+    given = {"a link": zipped((link, b"/etc/passwd")), "a name twice": twice, "1 files of 1000000 bytes": vast}
+    for why, content in (given | {"Bad CRC-32": lying, "does not unpack": vast[:-9], "not a zip file": b""}).items():
+        FOLDER.write(content)
+        with pytest.raises(InputError, match=why):
+            FOLDER.unpack_to(tmp_path / "copy")
+    with pytest.raises(InputError, match="no such archive"):
+        (FOLDER / "none.zip").unpack_to(tmp_path / "copy")
+    assert not any(tmp_path.iterdir())

@@ -14,7 +14,7 @@ from getagrip.batch.job import Outcome, failure
 from getagrip.clip import read_name
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.io import files
-from getagrip.io.storage import Place, Remote, place
+from getagrip.io.storage import ARCHIVE, Place, Remote, place
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def clips_in(path: Path) -> Iterator[Path]:
 def _in_store(path: Remote, failed: list[Outcome]) -> Iterator[tuple[str, Remote]]:
     """The clips that an address stands for: one, the folders in it, or those that match it. No clip is read yet.
 
-    A clip has its folder's name there, since to read so many names takes long.
+    A clip has its folder's or archive's name there, since to read so many names takes long.
     """
     try:
         found = _folders_in_store(path)
@@ -137,25 +137,28 @@ def _in_store(path: Remote, failed: list[Outcome]) -> Iterator[tuple[str, Remote
     except GetagripError as error:  # the whole store is out of reach
         raise UsageError(f"CLIP: {error}") from error
     if not found:
-        raise InputError(path.url, "", "no folder in it", "a clip, a folder of clips, or a pattern")
+        raise InputError(path.url, "", "no folder or archive in it", "a clip, a folder of clips, or a pattern")
     for clip in found:
-        if files.is_plain_name(clip.name):
-            yield clip.name, clip
+        name = clip.name.removesuffix(ARCHIVE)
+        if files.is_plain_name(name):
+            yield name, clip
         else:
             wrong = InputError(clip.url, "", f"the name {files.shown(clip.name)}", "a name that can name a folder")
             failed.append(failure("", wrong))
 
 
 def _folders_in_store(path: Remote) -> list[Remote]:
-    """The folders that may be clips."""
+    """The folders and archives that may be clips."""
     if glob.has_magic(path.url):
         return path.matches()
+    if path.name.endswith(ARCHIVE):
+        return [path]
     if path.name == "clip.json":
         return [path.parent]
     there = path.children()
     if ("clip.json", False) in there:
         return [path]
-    return [path / name for name, is_folder in there if is_folder]
+    return [path / name for name, is_folder in there if is_folder or name.endswith(ARCHIVE)]
 
 
 def _in_folder(path: Path) -> Iterator[Path]:

@@ -17,7 +17,7 @@ from getagrip.batch.job import Job, Outcome, Progress, failure, reconstruct_one
 from getagrip.clip import read_name
 from getagrip.errors import InputError
 from getagrip.io import files, leftovers
-from getagrip.io.storage import Place, Remote
+from getagrip.io.storage import ARCHIVE, Place, Remote
 
 if TYPE_CHECKING:
     from getagrip.fitting.options import Options
@@ -83,12 +83,14 @@ def _clip(job: StreamedJob, folder: Path) -> Path:
         return job.clip
     clip = folder / "clip" / job.name
     clip.mkdir(parents=True)
-    job.clip.copy_to(clip, LEFT_OUT)
+    if job.clip.name.endswith(ARCHIVE):
+        job.clip.unpack_to(clip, LEFT_OUT)
+    else:
+        job.clip.copy_to(clip, LEFT_OUT)
     name = read_name(clip)
     if name != job.name:
-        raise InputError(
-            clip / "clip.json", "name", f"the name {files.shown(name)}", f"{job.name}, as its folder is named"
-        )
+        expected = f"{job.name}, as its folder or archive is named"
+        raise InputError(clip / "clip.json", "name", f"the name {files.shown(name)}", expected)
     return clip
 
 

@@ -5,20 +5,24 @@ What lies there is untrusted, as files are: sizes are bounded before memory is t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import stat
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
+from zipfile import ZipFile, ZipInfo
 
 from getagrip.errors import GetagripError, InputError, UsageError
-from getagrip.io import extras, files
+from getagrip.io import archives, extras, files
 
 EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs"}
 """The extra of this package that reads a kind of address."""
 MOST_FILES, MOST_BYTES, DEEPEST = 20_000, files.LARGEST_FILE, 8
 """Of a folder that is copied: files, bytes in all, and levels."""
+ARCHIVE = ".zip"
+"""A clip may be one object of this kind."""
 TRIAL = ".getagrip.trial"
 """Name of an object that is written, and removed, to see whether that can be done."""
 
@@ -100,10 +104,25 @@ class Remote:
                 raise InputError(
                     self.url, "", "files that changed while they were read", "a folder that stays as it is"
                 )
-        for name, content in contents.items():
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            files.write_bytes(path, content)
+        _write(folder, contents)
+
+    def unpack_to(self, folder: Path, leave_out: Sequence[str] = ()) -> None:
+        """Copy what a zip archive holds into a new folder, as ``copy_to`` does; it may all be in one folder there.
+
+        Also raises ``InputError`` for damaged archives, links in them, and names that stand twice.
+        """
+        content = self.read(MOST_BYTES)
+        if content is None:
+            raise InputError(self.url, "", "no such archive", "a zip archive")
+        try:
+            with archives.archive(self.url, content) as archive:
+                members = self._members(archive, leave_out)
+                contents = {name: archives.content_of(archive, member) for name, member in members.items()}
+        except InputError:
+            raise
+        except Exception as error:  # zipfile and its decompressors raise whatever they meet
+            raise InputError(self.url, "", f"a file that does not unpack ({error})", "a zip archive") from error
+        _write(folder, contents)
 
     def fetch(self, names: Sequence[str], limit: int, folder: Path) -> None:
         """Copy objects below it by name, at once, each of at most ``limit`` bytes; those that are not there are not."""
@@ -131,19 +150,23 @@ class Remote:
         """What the store says of each file below it, by name, checked."""
         found = fs.find(root, detail=True).items()
         there = {name.removeprefix(f"{root}/"): entry for name, entry in found if name.startswith(f"{root}/")}
-        wanted = {}
-        for name, entry in there.items():
-            parts = name.split("/")
-            is_file = entry["type"] == "file" and parts[-1]  # some stores have objects that stand for folders
-            if not is_file or parts[0] in leave_out or any(map(_is_hidden, parts)):
-                continue
-            if len(parts) > DEEPEST or not all(map(files.is_plain_name, parts)):
-                raise InputError(self.url, "", f"the name {files.shown(name)}", "names of files inside the folder")
-            wanted[name] = entry
-        total = sum(entry["size"] for entry in wanted.values())
-        if len(wanted) > MOST_FILES or total > MOST_BYTES:
-            given = f"{len(wanted)} files of {total} bytes"
-            raise InputError(self.url, "", given, f"at most {MOST_FILES} files of {MOST_BYTES} bytes")
+        is_file = {name: entry["type"] == "file" and not name.endswith("/") for name, entry in there.items()}
+        wanted = {name: there[name] for name in wanted_names(self.url, filter(is_file.get, there), leave_out)}
+        check_size(self.url, [entry["size"] for entry in wanted.values()])
+        return wanted
+
+    def _members(self, archive: ZipFile, leave_out: Sequence[str]) -> dict[str, ZipInfo]:
+        """The files in an archive by name, without a folder that holds all of them, checked."""
+        members = [member for member in archive.infolist() if not member.is_dir()]
+        if any(stat.S_ISLNK(member.external_attr >> 16) for member in members):
+            raise InputError(self.url, "", "a link in it", "files only")
+        tops = {member.filename.partition("/")[0] + "/" for member in members}
+        shared = tops.pop() if len(tops) == 1 else ""
+        by_name = {member.filename.removeprefix(shared): member for member in members}
+        if len(by_name) < len(members):
+            raise InputError(self.url, "", "a name twice", "each file once")
+        wanted = {name: by_name[name] for name in wanted_names(self.url, by_name, leave_out)}
+        check_size(self.url, [member.file_size for member in wanted.values()])
         return wanted
 
     def _contents(self, fs: Any, wanted: Mapping[str, tuple[str, int]]) -> dict[str, bytes]:
@@ -200,11 +223,39 @@ def place(text: str) -> Place:
     return Remote(f"{kind}://{rest.rstrip('/')}")
 
 
+def wanted_names(source: str, names: Iterable[str], leave_out: Sequence[str]) -> list[str]:
+    """The names of a stranger's folder, but those that are hidden or to be left out. Raises ``InputError``."""
+    wanted = []
+    for name in names:
+        parts = name.split("/")
+        if parts[0] in leave_out or any(map(_is_hidden, parts)):
+            continue
+        if len(parts) > DEEPEST or not all(map(files.is_plain_name, parts)):
+            raise InputError(source, "", f"the name {files.shown(name)}", "names of files inside the folder")
+        wanted.append(name)
+    return wanted
+
+
+def check_size(source: str, sizes: Sequence[int]) -> None:
+    """Raise ``InputError`` for too many files of a folder, or too many bytes in all."""
+    if len(sizes) > MOST_FILES or sum(sizes) > MOST_BYTES:
+        given = f"{len(sizes)} files of {sum(sizes)} bytes"
+        raise InputError(source, "", given, f"at most {MOST_FILES} files of {MOST_BYTES} bytes")
+
+
 def on_disk(option: str, given: Place) -> Path:
     """A path, of an option that takes no other. Raises ``UsageError``."""
     if isinstance(given, Remote):
         raise UsageError(f"{option}: got {given}, expected only folders on a disk with it")
     return given
+
+
+def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
+    """Files into a folder, by name."""
+    for name, content in contents.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        files.write_bytes(path, content)
 
 
 def _name(entry: Mapping[str, Any]) -> str:
