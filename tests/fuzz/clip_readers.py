@@ -14,7 +14,7 @@ from fuzz.reader import Reader
 from getagrip.annotate import labels, tasks
 from getagrip.annotate.store import Store
 from getagrip.batch.ledger import Entry, Ledger
-from getagrip.clip import Joint, find_masks, input_sha256, read_clip, read_masks, write_clip
+from getagrip.clip import Joint, find_masks, input_sha256, read_clip, read_masks, segment_files, write_clip
 from getagrip.clip.data import World
 from getagrip.clip.masks import read_observed
 from getagrip.clip.reading import read_header
@@ -212,6 +212,19 @@ def candidates(folder: Path) -> None:
     (folder / "b.csv").write_text(f"{','.join(rows[0])}\n{','.join(map(str, rows[0].values()))}\n")
 
 
+def segments(folder: Path) -> None:
+    rows = [
+        {"state": "static", "first": "1", "last": "2"},
+        {"state": "grasp", "first": "3", "last": "9", "side": "left"},
+    ]
+    content = {"a": {"segments": rows, "source": "marked by ann", "still_camera": "as ann states"}}
+    (folder / "segments.json").write_text(json.dumps(content))
+
+
+def use_segments(folder: Path) -> None:
+    segment_files.read(folder / "segments.json", ["a"]).at([f"{n:04d}" for n in range(8)], has_world=True)
+
+
 READERS: dict[str, Reader] = {
     "clip": Reader(whole_clip, read_whole_clip),
     "result": Reader(a_result, lambda folder: read_result(folder / "result")),
@@ -220,6 +233,7 @@ READERS: dict[str, Reader] = {
     "ledger": Reader(a_ledger, use_ledger),
     "marks": Reader(marks, use_marks),
     "labels": Reader(clicked, lambda folder: labels.read(folder / "labels.json")),
+    "segments": Reader(segments, use_segments),
     "grasp lists": Reader(grasp_lists, each(use_list)),
     "candidates": Reader(candidates, each(tasks.read_tasks)),
     "poses": Reader(poses, each(read_pose_file)),

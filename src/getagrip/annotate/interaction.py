@@ -143,8 +143,9 @@ def is_whole(marks: Sequence[Mark]) -> bool:
 
 
 def interaction(task: Task, footage: Footage, marks: Sequence[Mark]) -> Interaction:
-    """That of one person's marks of a task."""
-    segments = sorted((mark for mark in marks if mark.start is not None), key=lambda mark: mark.start or 0)
+    """That of one person's marks of a task; those beyond the footage, which was longer once, are left out."""
+    inside = [mark for mark in marks if mark.start is not None and max(mark.start, mark.end or 0) < footage.frames]
+    segments = sorted(inside, key=lambda mark: mark.start or 0)
     still = any(mark.camera == STILL for mark in marks)
     return Interaction(task, footage, tuple(enumerate(segments, start=1)), still)
 

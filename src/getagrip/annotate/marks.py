@@ -91,6 +91,8 @@ def versions(database: Database) -> Versions[Mark]:
 
 def _mark(row: tuple[Any, ...]) -> Mark:
     values = dict(zip(COLUMNS, row, strict=True))
+    if (values["state"] or GRASP) not in STATES:
+        raise ValueError(f"state: {shown(values['state'])}")
     return Mark(**values | {"deleted": bool(values["deleted"]), "state": values["state"] or GRASP})
 
 
