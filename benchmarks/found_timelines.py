@@ -1,8 +1,8 @@
 """Found segments as a timeline against each found grasp by itself: ``python -m benchmarks.found_timelines CLIPS [N]``.
 
 CLIPS is what ``import dexycb --timelines`` has written; every N-th sequence (8) of the training subjects is taken, its
-segments and its camera's pose removed: the camera is guessed to stand still, and no plane is known. Exact hands and
-masks, and strong noise of both.
+segments removed. Exact hands and masks, and strong noise of both. Rows: level of noise; how; which segments (those
+found, or the true ones); how many have a mean ADD up to symmetries below a tenth of the diameter; its median.
 """
 
 from __future__ import annotations
@@ -50,9 +50,19 @@ def alone(clip: Clip, masks: Masks, found: Found) -> tuple[Poses, Poses]:
 
 
 def together(clip: Clip, masks: Masks, found: Found) -> tuple[Poses, Poses]:
-    """The whole interaction."""
+    """The whole interaction, before a camera that is guessed to stand still."""
+    return with_plane(replace(clip, world=None), masks, found)
+
+
+def with_plane(clip: Clip, masks: Masks, found: Found) -> tuple[Poses, Poses]:
+    """The whole interaction, where the camera's pose and the plane of the table are known."""
     whole = with_segments(clip, segment_list(clip, found))
     return poses(whole, reconstruct(whole, masks))
+
+
+WAYS: dict[str, Callable[[Clip, Masks, Found], tuple[Poses, Poses]]] = {
+    "alone": alone, "together": together, "together + plane": with_plane,
+}  # fmt: skip
 
 
 def right(clip: Clip, symmetries: Symmetries, found: tuple[Poses, Poses]) -> list[tuple[str, bool, float]]:
@@ -65,33 +75,32 @@ def main(clips: Path, every: int) -> None:
     names = sorted(folder.name for folder in clips.iterdir() if (folder / "clip.json").is_file())
     training = sorted({subject_of(name) for name in names})[::3]
     names = [name for name in names if subject_of(name) in training][::every]
-    ways: dict[str, Callable[[Clip, Masks, Found], tuple[Poses, Poses]]] = {"alone": alone, "together": together}
     for level in LEVELS:
-        scores = {way: list[tuple[str, bool, float]]() for way in (*ways, "together, true segments")}
-        seconds = dict.fromkeys(ways, 0.0)
+        scores = {(way, of): list[tuple[str, bool, float]]() for way in WAYS for of in ("found", "true")}
+        seconds = dict.fromkeys(WAYS, 0.0)
         for name in names:
             true = read_clip(clips / name)
             clip, masks = perturbed(true, read_masks(true), NOISE[level], [0, *name.encode()])
-            clip = replace(clip, segments=(), world=None)
-            found = find_segments(clip, masks)
+            clip = replace(clip, segments=())
+            found = find_segments(replace(clip, world=None), masks)
             symmetries = find_symmetries(clip.mesh)
             grasps = tuple(one.segment for one in found.segments if one.segment.state == "grasp")
-            for way, motion in ways.items():
+            for way, motion in WAYS.items():
                 since = time.process_time()
                 moved = motion(clip, masks, found)
                 seconds[way] += time.process_time() - since
-                scores[way] += right(replace(clip, segments=grasps), symmetries, moved)
-                if way == "together":
-                    scores["together, true segments"] += right(true, symmetries, moved)
-            print(f"{level} {name}: {[(way, scores[way][-max(len(grasps), 1) :]) for way in ways]}", file=sys.stderr)
-        for way, rows in scores.items():
+                these = right(replace(clip, segments=grasps), symmetries, moved)
+                print(level, name, way, *(f"{100 * add:.1f} %" for _, _, add in these), file=sys.stderr)
+                scores[way, "found"] += these
+                scores[way, "true"] += right(true, symmetries, moved) if way != "alone" else []
+        for (way, of), rows in scores.items():
             for kind in dict.fromkeys(kind for kind, _, _ in rows):
-                of = np.array([(ok, add) for k, ok, add in rows if k == kind], dtype=float)
-                share, median = f"{of[:, 0].sum():.0f} of {len(of)} right", 100 * np.median(of[:, 1])
-                print(f"{level} | {way} | {kind} | {share} | {median:.1f} %")
+                own = np.array([(ok, add) for k, ok, add in rows if k == kind], dtype=float)
+                share, median = f"{own[:, 0].sum():.0f} of {len(own)} right", 100 * np.median(own[:, 1])
+                print(f"{level} | {way} | {of} {kind} | {share} | {median:.1f} %")
         spent = ", ".join(f"{way} {value / len(names):.1f} s" for way, value in seconds.items())
         print(f"{level} | {len(names)} sequences | {spent} of CPU each; {Options().inits} initial poses", flush=True)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int((*sys.argv[2:], 8)[0]))
+    main(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 8)

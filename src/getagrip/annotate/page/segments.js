@@ -55,6 +55,7 @@ function draw() {
   $("amiss").replaceChildren(...overlaps.map(line("overlap")), ...hints.map(line("")));
   $("still").checked = state.marks.some((one) => one.camera);
   $("label-whole").disabled = !mark || overlaps.length > 0;
+  $("segments").hidden = !mark || overlaps.length > 0;
   $("segments").href = `/segments.json?${new URLSearchParams({ annotator: state.annotator })}`;
 }
 
