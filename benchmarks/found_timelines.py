@@ -1,8 +1,7 @@
 """Found segments as a timeline against each found grasp by itself: ``python -m benchmarks.found_timelines CLIPS [N]``.
 
 CLIPS is what ``import dexycb --timelines`` has written; every N-th sequence (8) of the training subjects is taken, its
-segments removed. Exact hands and masks, and strong noise of both. Rows: level of noise; how; which segments (those
-found, or the true ones); how many have a mean ADD up to symmetries below a tenth of the diameter; its median.
+segments removed. Exact hands and masks, and strong noise of both. The table goes into docs/results.md.
 """
 
 from __future__ import annotations
@@ -17,10 +16,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from benchmarks import page
 from getagrip.clip import Clip, Masks, read_clip, read_masks
 from getagrip.clip.segment_files import with_segments
 from getagrip.datasets.synthetic.noise import NOISE, perturbed
 from getagrip.datasets.tracks import subject_of
+from getagrip.experiments.stamp import stamp
 from getagrip.experiments.timeline_scores import segment_scores
 from getagrip.fitting.options import Options
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
@@ -30,6 +31,8 @@ from getagrip.segmentation.found import Found, find_segments
 from getagrip.timelines.reconstruct import reconstruct
 
 LEVELS = ("none", "strong")
+KINDS = ("static", "between", "grasp")
+HEADINGS = ("noise", "", "found grasps", *(f"true: {kind}" for kind in KINDS), "s")
 Poses = Float[ndarray, "T 4 4"]
 
 
@@ -71,10 +74,11 @@ def right(clip: Clip, symmetries: Symmetries, found: tuple[Poses, Poses]) -> lis
 
 
 def main(clips: Path, every: int) -> None:
-    """Print the table."""
+    """Put the table into docs/results.md."""
     names = sorted(folder.name for folder in clips.iterdir() if (folder / "clip.json").is_file())
     training = sorted({subject_of(name) for name in names})[::3]
     names = [name for name in names if subject_of(name) in training][::every]
+    rows: list[list[str]] = []
     for level in LEVELS:
         scores = {(way, of): list[tuple[str, bool, float]]() for way in WAYS for of in ("found", "true")}
         seconds = dict.fromkeys(WAYS, 0.0)
@@ -93,13 +97,18 @@ def main(clips: Path, every: int) -> None:
                 print(level, name, way, *(f"{100 * add:.1f} %" for _, _, add in these), file=sys.stderr)
                 scores[way, "found"] += these
                 scores[way, "true"] += right(true, symmetries, moved) if way != "alone" else []
-        for (way, of), rows in scores.items():
-            for kind in dict.fromkeys(kind for kind, _, _ in rows):
-                own = np.array([(ok, add) for k, ok, add in rows if k == kind], dtype=float)
-                share, median = f"{own[:, 0].sum():.0f} of {len(own)} right", 100 * np.median(own[:, 1])
-                print(f"{level} | {way} | {of} {kind} | {share} | {median:.1f} %")
-        spent = ", ".join(f"{way} {value / len(names):.1f} s" for way, value in seconds.items())
-        print(f"{level} | {len(names)} sequences | {spent} of CPU each; {Options().inits} initial poses", flush=True)
+        for way in WAYS:
+            kinds = [scores[way, "found"], *([r for r in scores[way, "true"] if r[0] == kind] for kind in KINDS)]
+            rows.append([level, way, *map(cell, kinds), f"{seconds[way] / len(names):.1f}"])
+    about = f"{len(names)} sequences; {Options().inits} initial poses; made {stamp()}"
+    page.write("found-timelines", f"{page.table(HEADINGS, rows)}\n\n{about}.", "results.md")
+
+
+def cell(scores: list[tuple[str, bool, float]]) -> str:
+    """How many are right, and the median error."""
+    if not scores:
+        return "–"
+    return f"{sum(ok for _, ok, _ in scores)} of {len(scores)}, {100 * np.median([add for *_, add in scores]):.1f} %"
 
 
 if __name__ == "__main__":
