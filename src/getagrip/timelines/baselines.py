@@ -25,7 +25,8 @@ from getagrip.geometry import se3
 from getagrip.result import FrameKind
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.held import prepared, solved
-from getagrip.timelines.joint import Motion, fill, put_grasp
+from getagrip.timelines.joint import fill, put_grasp
+from getagrip.timelines.motion import Motion
 from getagrip.timelines.static_pose import static_hypotheses
 
 

@@ -9,69 +9,27 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.clip import Segment
 from getagrip.errors import InputError
 from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.search import suppress_duplicates
-from getagrip.geometry import se3
-from getagrip.result import Axis, FrameKind
 from getagrip.timelines.between import between
 from getagrip.timelines.chain import best_chain, second_best
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.held import Held, Neighbour, in_all_frames, most, prepared, solved
 from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.links import followed_to, link_cost
+from getagrip.timelines.motion import Motion
+from getagrip.timelines.settled import settle
 from getagrip.timelines.static_pose import static_hypotheses
 
 REACH = 6
 """Frames of a grasp's problem that a link to it holds in."""
-
-
-@dataclass
-class Motion:
-    """An object's motion over a clip, as it is filled in; frames that are not yet known are NaN.
-
-    Attributes:
-        T_cam_obj: (T, 4, 4) poses of the mesh's own frame in the camera frame.
-        T_cam_hand: (T, 4, 4) poses of the hand, corrected in grasps.
-        kind: how each frame's pose was found.
-        axes: axis of each grasp, by its segment's first frame.
-        energy: of the chosen chain, and of the next best.
-        notes: what is to be known about it.
-    """
-
-    T_cam_obj: Float[ndarray, "T 4 4"]
-    T_cam_hand: Float[ndarray, "T 4 4"]
-    kind: list[FrameKind]
-    axes: dict[int, Axis] = field(default_factory=dict)
-    energy: tuple[float, float] = (0.0, float("inf"))
-    notes: list[str] = field(default_factory=list)
-
-    @staticmethod
-    def of(footage: Footage) -> Motion:
-        """Nothing known yet."""
-        T = len(footage)
-        hand = footage.clip.hand.T_cam_hand.copy()
-        return Motion(np.full((T, 4, 4), np.nan), hand, ["interpolated"] * T)
-
-    def put(self, footage: Footage, rows: Int[ndarray, "n"], found: Hypotheses, kind: FrameKind) -> None:
-        """The first hypothesis, in some frames; of ``kind`` where the object is seen."""
-        poses = found.T_world_obj(footage.clip.mesh.centre)[0]
-        self.T_cam_obj[rows] = footage.T_cam_world[rows] @ poses
-        for row in footage.observed(rows):
-            self.kind[row] = kind
-
-    def at(self, footage: Footage, row: int) -> Hypotheses:
-        """The pose of one frame, in the world."""
-        T = footage.T_world_cam[row] @ self.T_cam_obj[row]
-        centre = se3.transform(T, footage.clip.mesh.centre[None])
-        return Hypotheses(T[None, None, :3, :3], centre[None], np.ones(1), np.zeros(1))
 
 
 Anchor = tuple[Segment, Hypotheses, Held | None]
@@ -100,6 +58,7 @@ def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None
             motion.put(footage, segment.rows, hypotheses.take(np.array([k])), "sampled")
         else:
             put_grasp(motion, footage, held, k, near)
+            settle(motion, footage, segment.rows)
     on_stage("all frames")
     fill(motion, footage, [segment for segment, _, _ in anchors])
     on_stage("between")

@@ -24,7 +24,8 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.result import Candidates, Reconstruction
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.joint import Motion, joint
+from getagrip.timelines.joint import joint
+from getagrip.timelines.motion import Motion
 
 METHOD = "soft-hinge"
 """How objects move in the grasps of a timeline."""

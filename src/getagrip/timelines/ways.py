@@ -8,7 +8,8 @@ from getagrip.clip import Clip, Masks
 from getagrip.fitting.options import Options
 from getagrip.timelines.baselines import grasp_only, propagate, static_only
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.joint import Motion, joint
+from getagrip.timelines.joint import joint
+from getagrip.timelines.motion import Motion
 
 WAYS: dict[str, Callable[[Footage], Motion]] = {
     "grasp only": grasp_only,

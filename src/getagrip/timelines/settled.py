@@ -1,0 +1,83 @@
+"""A grasp's object as far away as its masks say, and the hand with it.
+
+One image hardly tells how far away a hand is: from frame to frame its depth errs by a centimetre, and so does an object
+that goes with it. The size of the object's masks, and a motion that does not jump, know better. The hand goes along the
+camera's ray as far as the object does, so that contact stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
+from getagrip.fitting.misfit import misfit, stiffened
+from getagrip.fitting.motion import Fixed, Frozen, Soft
+from getagrip.fitting.objective import mask_of
+from getagrip.fitting.solve import in_camera, minimise
+from getagrip.geometry import se3
+from getagrip.timelines.between import SMOOTH
+from getagrip.timelines.footage import Footage
+from getagrip.timelines.motion import Motion
+from getagrip.timelines.world_term import WorldTerm
+
+JITTER, LEAST = 0.01, 0.001
+"""Jitter of depth at which deviations are as stiff as ``RIDGE`` says, and below which nothing moves [m]."""
+ABRUPT = 0.01
+"""Motion that changes by more between frames: they are too far apart to tell it from jitter [m]."""
+RIDGE = (1e5, 1e4)
+"""Stiffness of a frame's deviation from the hinge in the hand [px^2 per m^2, per rad^2]: what is hidden stays there.
+
+It is more where the hand jitters less, by the square: such a hand is right about depth, which masks that are half
+hidden may not tell. Where the masks are met worse than the object's own mesh would, it is stiffer (``misfit``).
+"""
+STAGES = ((128, 6), (256, 4), (256, 4))
+"""Resolution [px] and iterations; before the last, it is known how well masks are met."""
+
+
+def settle(motion: Motion, footage: Footage, rows: Int[ndarray, "n"]) -> None:
+    """Move object and hand in those frames of a grasp that show the object; all are known."""
+    seen, centre = footage.observed(rows), footage.clip.mesh.centre
+    if len(seen) < 3:
+        return
+    problem, everywhere = footage.problem(seen), np.arange(len(seen))
+    before = se3.transform(motion.T_cam_obj[seen], centre[None])[:, 0]
+    jitter = depth_jitter(before)
+    if jitter < LEAST:
+        return
+    times = max(1.0, JITTER / jitter) ** 2
+    ridge = RIDGE[0] * times, RIDGE[1] * times
+    T_cam = se3.rigid(motion.T_cam_obj[seen, :3, :3], before)
+    still = Fixed(np.eye(3)[None], np.zeros((1, 3)), np.zeros(1), len(seen))
+    held, misfits = Frozen(Soft(still, np.zeros((1, len(seen), 6)), ridge)), 1.0
+    about = moments(footage.clip.mesh.vertices - centre)
+    energy, smooth = mask_of(problem), WorldTerm(SmoothnessTerm(about, SMOOTH), footage.T_world_cam[seen])
+    for level, iterations in STAGES:
+        held = Frozen(replace(held.core, ridge=stiffened(ridge, misfits)))
+        found = minimise(held, [*energy(level, everywhere), smooth], T_cam, iterations)
+        held = found.motion
+        if level == STAGES[-1][0]:
+            misfits = misfit(problem.observation, float(found.terms["mask"][0]) / len(seen))
+    poses = in_camera(held, T_cam)
+    moved = np.sum((poses.centre[0] - before) * before, axis=1) / np.sum(before**2, axis=1)
+    motion.T_cam_obj[seen] = se3.rigid(poses.R[0], poses.centre[0] - poses.R[0] @ centre)
+    motion.T_cam_hand[seen] = se3.rigid(None, moved[:, None] * before) @ motion.T_cam_hand[seen]
+
+
+def depth_jitter(places: Float[ndarray, "n 3"]) -> float:
+    """Standard deviation of errors of depth that differ from frame to frame [m]; places are in the camera frame.
+
+    Second differences show errors that remember a tenth of a second nearly in full. Motion has its share in them, which
+    is as large across the ray: what they have along the ray beyond that is jitter.
+    """
+    ray = places[1:-1] / np.linalg.norm(places[1:-1], axis=1, keepdims=True)
+    second = np.diff(places, 2, axis=0)
+    along = np.sum(second * ray, axis=1)
+    across = np.linalg.norm(second - along[:, None] * ray, axis=1) / np.sqrt(2.0)
+    if np.median(across) > ABRUPT:
+        return 0.0
+    excess = np.median(np.abs(along)) ** 2 - np.median(across) ** 2
+    return 1.48 * float(np.sqrt(max(excess, 0.0)))

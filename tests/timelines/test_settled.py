@@ -1,0 +1,41 @@
+"""A hand whose depth jitters: the object it holds goes back to its masks, and the hand with it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from getagrip.fitting.options import Options
+from getagrip.geometry import se3
+from getagrip.timelines.footage import Footage
+from getagrip.timelines.motion import Motion
+from getagrip.timelines.settled import depth_jitter, settle
+from helpers.timelines import timeline
+
+
+def test_depth_is_mended_and_contact_stays() -> None:
+    clip, masks = timeline()
+    assert clip.truth is not None
+    footage = Footage.of(clip.light(), masks, Options(inits=20))
+    rows = np.arange(7)  # the object lies still
+    true = clip.truth.T_cam_obj[rows]
+    middle = se3.transform(true, clip.mesh.centre[None])[:, 0]
+    ray = middle / np.linalg.norm(middle, axis=1, keepdims=True)
+    deeper = se3.rigid(None, 0.015 * np.where(rows % 2, 1.0, -1.0)[:, None] * ray)
+    motion = Motion.of(footage)
+    motion.T_cam_obj[rows], motion.T_cam_hand[rows] = deeper @ true, deeper @ clip.hand.T_cam_hand[rows]
+    settle(motion, footage, rows)
+    for found, right in ((motion.T_cam_obj, true), (motion.T_cam_hand, clip.hand.T_cam_hand[rows])):
+        off = np.abs(np.sum((found[rows, :3, 3] - right[:, :3, 3]) * ray, axis=1))
+        assert off.mean() < 0.007
+    aside = np.cross(motion.T_cam_hand[rows, :3, 3] - clip.hand.T_cam_hand[rows, :3, 3], ray)
+    np.testing.assert_allclose(aside, 0.0, atol=1e-9)
+
+
+def test_motion_is_no_jitter() -> None:
+    rng = np.random.default_rng(0)
+    places = np.array([0.0, 0.0, 0.6]) + np.cumsum(rng.normal(0.0, 0.01, (400, 3)), axis=0) * [1.0, 1.0, 0.9]
+    assert depth_jitter(places) < 0.003
+    still = np.tile([0.05, 0.0, 0.6], (400, 1))
+    assert depth_jitter(still) == 0.0
+    still[:, 2] += rng.normal(0.0, 0.005, 400)
+    assert 0.009 < depth_jitter(still) < 0.016  # second differences of white noise are sqrt(6) times as large
