@@ -13,6 +13,7 @@ from benchmarks import (
     reconstruct_speed,
     scaling,
     segment_speed,
+    two_threads,
 )
 
 SECTIONS = {
@@ -20,6 +21,7 @@ SECTIONS = {
     "beside-commit": beside_commit.section,
     "large-meshes": large_meshes.section,
     "busy-neighbour": busy_neighbour.section,
+    "two-threads": two_threads.section,
     "against-deodr": against_deodr.section,
     "scaling": scaling.section,
     "segment-speed": segment_speed.section,
