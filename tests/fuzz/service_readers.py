@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from shutil import make_archive
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -18,9 +19,11 @@ from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task
 from getagrip.batch.plan import Plan
 from getagrip.batch.streamed import LEFT_OUT
+from getagrip.clip import read_clip, write_clip
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import files
 from getagrip.io.storage import Remote
+from helpers.clips import small_clip
 
 CLIPS = Remote("s3://bucket/clips")
 
@@ -68,6 +71,27 @@ def use_listing(folder: Path) -> None:
         inside.mkdir()
         (CLIPS / "a").copy_to(inside, LEFT_OUT)
         assert [path.name for path in Path(out).iterdir()] == ["in"]
+
+
+def packed(folder: Path) -> None:
+    """A clip as one object."""
+    with TemporaryDirectory(dir=SHARED) as out:
+        clip = write_clip(*small_clip(), Path(out) / "small")
+        make_archive(str(folder / "small"), "zip", clip)
+
+
+def use_packed(folder: Path) -> None:
+    """What a batch does with it."""
+    content = files.read_bytes(folder / "small.zip", 2**24)
+    with pytest.MonkeyPatch.context() as patch, TemporaryDirectory(dir=SHARED) as out:
+        patch.setattr(Remote, "read", lambda self, limit: content)
+        inside = Path(out) / "in"
+        inside.mkdir()
+        try:
+            Remote("s3://bucket/clips/small.zip").unpack_to(inside, LEFT_OUT)
+            read_clip(inside)
+        finally:
+            assert [path.name for path in Path(out).iterdir()] == ["in"]
 
 
 def requests(folder: Path) -> None:
@@ -118,5 +142,9 @@ def answer(folder: Path) -> None:
         raise refused
 
 
-READERS: dict[str, Reader] = {"listing": Reader(a_listing, use_listing), "requests": Reader(requests, answer)}
+READERS: dict[str, Reader] = {
+    "listing": Reader(a_listing, use_listing),
+    "packed clip": Reader(packed, use_packed),
+    "requests": Reader(requests, answer),
+}
 """By name."""
