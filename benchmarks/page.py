@@ -33,7 +33,8 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def circumstances() -> str:
     """One line that says when, where, with what and how undisturbed a measurement was made."""
-    versions = ", ".join(f"{name} {metadata.version(name)}" for name in LIBRARIES)
+    there = {dist.name: dist.version for dist in metadata.distributions()}
+    versions = ", ".join(f"{name} {there[name]}" for name in LIBRARIES if name in there)
     load = os.getloadavg()[0]
     return (
         f"*{_processor()}, {os.cpu_count()} cores, load before the run {load:.1f}; one thread. "

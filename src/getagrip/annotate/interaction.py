@@ -132,7 +132,7 @@ class Interaction:
 
 
 ABOUT = ("mark", "start", "end", "start_number", "end_number", "side", "category")
-"""What the page is told of all of it."""
+"""What the page shows of all of it."""
 
 
 def is_whole(marks: Sequence[Mark]) -> bool:
