@@ -5,9 +5,7 @@ from getagrip.clip.data import (
     Clip,
     FrameMasks,
     HandTrack,
-    Joint,
     Masks,
-    Truth,
     World,
     check_masks,
     observed_frames,
@@ -16,6 +14,7 @@ from getagrip.clip.masks import find_masks, read_masks, read_observed
 from getagrip.clip.plausible import check_clip
 from getagrip.clip.reading import input_sha256, read_clip, read_name
 from getagrip.clip.timeline import Segment, State
+from getagrip.clip.truth import Joint, Truth
 from getagrip.clip.writing import write_clip
 
 __all__ = [

@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip.data import FINGERS, Clip, HandTrack, Joint, Truth
+from getagrip.clip.data import FINGERS, Clip, HandTrack
 from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
 from getagrip.clip.plausible import check_hand, check_in_hand, check_in_view, check_poses
 from getagrip.clip.timeline import at_frames, read_segments
+from getagrip.clip.truth import Joint, Truth
 from getagrip.errors import InputError
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import check_size, read_mesh

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 from numpy import ndarray
 
-from getagrip.clip.data import Clip, HandTrack, Masks, Truth
+from getagrip.clip.data import Clip, HandTrack, Masks
 from getagrip.clip.reading import VERSION
 from getagrip.clip.timeline import segment_fields
+from getagrip.clip.truth import Truth
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import arrays, files
 from getagrip.io.images import write_image, write_mask
