@@ -19,7 +19,7 @@ from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 
-CLIPS = 24
+CLIPS = 120
 SCENE = SceneOptions(frames=30, size=(854, 480))
 RUNS = {
     "one worker": ("--workers", "1"),
