@@ -8,15 +8,18 @@ from contextlib import contextmanager
 from typing import Any
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+PATIENCE = 30_000
+"""What is expected of a page may take so long [ms]."""
 WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 """Arguments with which it renders WebGL without a graphics card."""
 
 
 @contextmanager
 def chromium(*args: str) -> Iterator[Any]:
-    """The browser."""
-    from playwright.sync_api import sync_playwright
+    """The browser, and patience with a page on a busy machine."""
+    from playwright.sync_api import expect, sync_playwright
 
+    expect.set_options(timeout=PATIENCE)
     with sync_playwright() as started:
         browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *args])
         yield browser
