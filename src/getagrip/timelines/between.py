@@ -21,7 +21,7 @@ from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.world_term import WorldTerm
 
 RIDGE = (5e4, 300.0)
-"""Stiffness of a frame's deviation from the blended motion [px^2 per m^2, per rad^2]."""
+"""Stiffness of a frame's deviation from its free pose [px^2 per m^2, per rad^2]; the free poses are fitted, too."""
 SMOOTH = 2e5
 """Energy of a surface that moves from one frame to the next [px^2 / m^2]: 20 for a centimetre."""
 STAGES = ((128, 6), (256, 4))
