@@ -10,7 +10,7 @@ CORES = $$($(BIN)/python -c 'import os; print(os.cpu_count())')
 # One thread of BLAS in each process.
 PYTEST = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --dist worksteal --numprocesses
 
-.PHONY: help demo test quick check lint imports types fuzz docs bench lock clean
+.PHONY: help demo test quick ready check lint imports types fuzz docs bench lock clean
 
 help:
 	@echo "make demo    install, then reconstruct and evaluate a synthetic clip into out/demo"
@@ -27,11 +27,14 @@ demo: $(VENV)/warm
 	$(BIN)/getagrip demo --out out/demo
 
 # One process more than there are cores, since some tests wait. The quick ones do not.
-test: $(VENV)/warm
+test: ready
 	$(PYTEST) $$(( $(CORES) + 1 ))
 
-quick: $(VENV)/warm
+quick: ready
 	$(PYTEST) $(CORES) -m 'not slow and not browser'
+
+ready: $(VENV)/installed
+	@$(MAKE) --no-print-directory --jobs=2 $(VENV)/warm $(VENV)/collected
 
 check: lint imports types
 
@@ -79,6 +82,11 @@ $(VENV)/kernels: $(VENV)/installed $(KERNELS)
 # Compiled once here, not by every worker. A failure is told but stops nothing: kernels are also compiled when first used.
 $(VENV)/warm: $(VENV)/kernels
 	$(BIN)/getagrip doctor || echo "getagrip doctor found something wrong; see above" >&2
+	@touch $@
+
+# The tests' bytecode, with the checks of shapes in the package: written once here, not by every worker.
+$(VENV)/collected: $(VENV)/installed
+	@$(BIN)/python -m pytest --collect-only -qq > /dev/null || echo "not all tests can be collected" >&2
 	@touch $@
 
 lock:
