@@ -27,7 +27,7 @@ from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.evaluation import evaluate_result
 from getagrip.experiments import trials
 from getagrip.experiments.changes import AS_GIVEN, ScaleFree, ScaleKnown, TrueHands
-from getagrip.experiments.comparison import compare, groups
+from getagrip.experiments.comparison import COLUMNS, ERRORS, compare, groups
 from getagrip.experiments.hand_sources import HandSource
 from getagrip.experiments.settings import ABLATIONS, ablation_variants, method_variants
 from getagrip.experiments.sources import SOURCES, samples, source_of
@@ -67,6 +67,12 @@ def score(variant: str, value: float, failed: bool = False) -> Score:
 
 
 # ---------------------------------------------------------------- findings
+
+
+def test_the_papers_metrics_are_columns() -> None:
+    shares = "IOU|ADD|ADD sym.|SCA|truth's SCA|SCA-ADD|SCA-ADD sym.|SCA-IOU 0.8|SCA-IOU 0.6"
+    assert [metric.label for metric in COLUMNS] == shares.split("|")
+    assert [metric.label for metric in ERRORS] == ["ADD sym., mm", "rotation sym., °"]
 
 
 def test_findings_are_counted_for_each_variant() -> None:

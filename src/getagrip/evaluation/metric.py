@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Literal
 
 import numpy as np
@@ -29,6 +29,7 @@ class Metric:
     unit: Literal["%", "mm", "deg", "frames"] = "%"
     heading: str = ""
     """Its column in the tables of ``evaluate``; empty: none."""
+    _: KW_ONLY
     meaning: str = ""
     """Said below the table of ``evaluate`` where the column is there."""
     label: str = ""
@@ -75,7 +76,12 @@ def _penetration(
 
     return (
         Metric(
-            f"{name}_mm", lambda it, _: 1e3 * depth(it).max(axis=1), "mm", heading, meaning, needs_truth=needs_truth
+            f"{name}_mm",
+            lambda it, _: 1e3 * depth(it).max(axis=1),
+            "mm",
+            heading,
+            meaning=meaning,
+            needs_truth=needs_truth,
         ),
         Metric(f"{name}_max_mm", lambda it, _: float(np.nanmax(1e3 * depth(it))), "mm", needs_truth=needs_truth),
         Metric(f"{name}_inside_mm", lambda it, _: mean_inside(it), "mm", needs_truth=needs_truth),
@@ -107,12 +113,12 @@ ADD_MM = Metric(
     lambda it, _: 1e3 * it.errors.add,
     "mm",
     "ADD",
-    "ADD: mean distance to the truth, right if below 10 % of the diameter",
+    meaning="ADD: mean distance to the truth, right if below 10 % of the diameter",
     needs_truth=True,
 )
 ADD_SYM_MM = Metric(
-    "add_sym_mm", lambda it, _: 1e3 * it.errors_sym.add, "mm", "sym", "sym, rot, trans: errors up to symmetries",
-    "ADD sym., mm", needs_truth=True,
+    "add_sym_mm", lambda it, _: 1e3 * it.errors_sym.add, "mm", "sym",
+    meaning="sym, rot, trans: errors up to symmetries", label="ADD sym., mm", needs_truth=True,
 )  # fmt: skip
 ADD_SYM = Metric(
     "add_sym_success", lambda it, _: float(it.errors_sym.success), "%", "sym", label="ADD sym.", decimals=0,
@@ -147,7 +153,9 @@ METRICS: tuple[Metric, ...] = (
     Metric("add_sym_frame_success", lambda it, _: mean_of(it.errors_sym.frame_success), needs_truth=True),
     ROTATION_SYM,
     Metric("translation_sym_mm", lambda it, _: 1e3 * it.errors_sym.translation, "mm", "trans", needs_truth=True),
-    Metric("scale_error", lambda it, _: it.scale_error, "%", "scale", "scale: error of the size", needs_truth=True),
+    Metric(
+        "scale_error", lambda it, _: it.scale_error, "%", "scale", meaning="scale: error of the size", needs_truth=True,
+    ),
     Metric("diameter_mm", lambda it, _: 1e3 * it.errors.diameter, "mm", needs_truth=True),
     *_penetration("penetration_object", lambda it: it.depth("object"), "penetr.", "penetr.: deepest point in the hand"),
     *_penetration("penetration_hand", lambda it: it.depth("hand")),
@@ -156,12 +164,12 @@ METRICS: tuple[Metric, ...] = (
     SCA,
     TRUE_SCA,
     Metric(
-        "sca_add", lambda it, contact: it.contact(contact).sca * it.errors.success, "%", "SCA-ADD", "SCA-ADD",
-        by_contact=True, needs_truth=True,
+        "sca_add", lambda it, contact: it.contact(contact).sca * it.errors.success, heading="SCA-ADD",
+        meaning="SCA-ADD: SCA where ADD is right, else 0", label="SCA-ADD", by_contact=True, needs_truth=True,
     ),
     Metric(
-        "sca_add_sym", lambda it, contact: it.contact(contact).sca * it.errors_sym.success, "%",
-        "SCA-ADD\nsymmetric", "SCA-ADD sym.", by_contact=True, needs_truth=True,
+        "sca_add_sym", lambda it, contact: it.contact(contact).sca * it.errors_sym.success,
+        heading="SCA-ADD\nsymmetric", label="SCA-ADD sym.", by_contact=True, needs_truth=True,
     ),
     *(_sca_iou(least) for least in IOU_THRESHOLDS),
     Metric("sca_diagonal", lambda it, contact: it.contact(contact).diagonal, by_contact=True),
