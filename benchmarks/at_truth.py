@@ -1,20 +1,24 @@
-"""Search or energy? ``python -m benchmarks.at_truth DIR`` (as given to ``bench --out``) writes into docs/results.md.
+"""Search or energy? ``python -m benchmarks.at_truth DIR [ABLATION...]`` writes into docs/results.md. DIR: of ``bench``.
 
 For every clip on which soft-hinge failed: the energies after fitting with the last stage, for as long, from the poses
 that it found and from the true ones, and how far off each is. A lower energy at the true poses is a failure of the
 search, a higher one a failure of the energy; within ``ALIKE`` of each other the energy does not distinguish the two.
+For each setting of the ablations: how many failures there are of each kind.
 """
 
 from __future__ import annotations
 
 import sys
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks import page
-from getagrip.clip import read_clip
+from getagrip.clip import read_clip, read_masks
+from getagrip.experiments.settings import Variant, ablation_variants, method_variants
 from getagrip.experiments.stamp import stamp
 from getagrip.fitting.methods.all_frames import SOFT_RIDGE, coarse_energy, steady
 from getagrip.fitting.motion import Fixed, Hinge, PosesInHand, Soft
@@ -30,6 +34,34 @@ from getagrip.result import read_result
 LEVEL, ITERATIONS = 256, 40
 ALIKE = 0.02
 """Energies that differ by less, as a share of the lower one, are alike."""
+METHOD = "soft-hinge"
+KINDS = ("search", "energy", "energy: alike")
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A clip whose pose is wrong."""
+
+    clip: str
+    off: float
+    """ADD up to symmetries, as a share of the diameter."""
+    energy: float
+    """Per frame, after a fit from the poses found."""
+    off_from_truth: float
+    """As ``off``, after a fit from the true poses."""
+    energy_from_truth: float
+
+    @property
+    def blame(self) -> str:
+        """What is to blame: one of ``KINDS``."""
+        if abs(self.energy - self.energy_from_truth) < ALIKE * min(self.energy, self.energy_from_truth):
+            return "energy: alike"
+        return "energy" if self.energy < self.energy_from_truth else "search"
+
+    def row(self) -> list[str]:
+        """As a row of the table of failures."""
+        numbers = (100.0 * self.off, self.energy, 100.0 * self.off_from_truth, self.energy_from_truth)
+        return [self.clip, *(f"{number:.0f}" for number in numbers), self.blame]
 
 
 def settled(problem: Problem, start: ObjectTrack) -> tuple[float, ObjectTrack]:
@@ -55,38 +87,52 @@ def share_off(mesh: Mesh, track: ObjectTrack, true: ObjectTrack) -> float:
     return float(errors.add.mean()) / (mesh.diameter * true.scale)
 
 
-def blame(found: float, at_truth: float) -> str:
-    """The energy or the search."""
-    if abs(found - at_truth) < ALIKE * min(found, at_truth):
-        return "energy: alike"
-    return "energy" if found < at_truth else "search"
-
-
-def main(folder: Path) -> None:
-    """Put the table into the page."""
-    rows: list[list[str]] = []
-    for place in sorted((folder / "results" / "soft-hinge").iterdir()):
-        result, _ = read_result(place)
-        problem = prepare(read_clip(folder / "clips" / result.clip), None, Options())
-        clip = problem.clip
-        truth = clip.truth
-        assert truth is not None
-        true = ObjectTrack(se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj, truth.scale)
-        found = ObjectTrack(result.T_hand_obj, result.scale)
-        off = share_off(clip.mesh, found, true)
-        if off < SUCCESS:
+def failures(folder: Path, variant: Variant) -> tuple[int, list[Failure]]:
+    """How many results a variant has, and those that are wrong."""
+    places, wrong = sorted((folder / "results" / variant.folder).iterdir()), []
+    for place in places:
+        result, record = read_result(place)
+        if record["metrics"]["add_sym_success"] == 1.0:
             continue
-        (best, _), (at_truth, from_truth) = settled(problem, found), settled(problem, true)
-        best = min(best, result.energy["total"])
-        shares = [f"{100.0 * share:.0f}" for share in (off, share_off(clip.mesh, from_truth, true))]
-        energies = [f"{energy / len(clip):.0f}" for energy in (best, at_truth)]
-        rows.append([result.clip, shares[0], energies[0], shares[1], energies[1], blame(best, at_truth)])
+        clip = read_clip(folder / "clips" / result.clip)
+        problem = prepare(*variant.change(clip, read_masks(clip), variant.options.seed), variant.options)
+        clip = problem.clip
+        assert clip.truth is not None
+        true = ObjectTrack(se3.inverse(clip.hand.T_cam_hand) @ clip.truth.T_cam_obj, clip.truth.scale)
+        at = [list(result.frames).index(frame) for frame in clip.frames]
+        found = ObjectTrack(result.T_hand_obj[at], result.scale)
+        (energy, _), (energy_from_truth, from_truth) = settled(problem, found), settled(problem, true)
+        energy, off = min(energy, result.energy["total"]), share_off(clip.mesh, found, true)
+        per_frame = energy / len(clip), energy_from_truth / len(clip)
+        wrong.append(Failure(result.clip, off, per_frame[0], share_off(clip.mesh, from_truth, true), per_frame[1]))
+    return len(places), wrong
+
+
+def main(folder: Path, ablations: Sequence[str]) -> None:
+    """Put the tables into the page."""
+    plain = method_variants([METHOD], Options())
+    settings = {v.folder: v for name in ablations for v in ablation_variants(name, [METHOD], Options())}
+    count, wrong = failures(folder, plain[0])
+    kinds = Counter(failure.blame for failure in wrong)
+    words = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items()))
     header = ["clip", "ADD sym., % of diameter", "energy per frame", "from the truth: ADD", "energy", "to blame"]
-    kinds = Counter(row[-1] for row in rows)
-    summary = f"{len(rows)} failures: {', '.join(f'{n} {kind}' for kind, n in sorted(kinds.items()))}.\n\n"
-    page.write(f"{folder.name}-truth", f"*Made {stamp()}.*\n\n{summary}{page.table(header, rows)}", "results.md")
-    print(summary + page.table(header, rows))
+    text = f"*Made {stamp()}.*\n\n{len(wrong)} of {count} clips failed: {words}.\n\n"
+    text += page.table(header, [failure.row() for failure in wrong])
+    if settings:
+        rows = []
+        for variant in settings.values():
+            count, wrong = (count, wrong) if variant.folder == METHOD else failures(folder, variant)
+            kinds = Counter(failure.blame for failure in wrong)
+            right = f"{100.0 * (count - len(wrong)) / count:.1f}"
+            near = sum(failure.off_from_truth < SUCCESS for failure in wrong)
+            numbers = [right, *(str(n) for n in (len(wrong), *(kinds[kind] for kind in KINDS), near))]
+            rows.append([variant.step, *numbers])
+            print(rows[-1], flush=True)
+        header = ["setting", "right, %", "failures", "search", "energy", "energy: alike", "right from the truth"]
+        text += "\n\n" + page.table(header, rows)
+    page.write(f"{folder.name}-truth", text, "results.md")
+    print(text)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), sys.argv[2:])
