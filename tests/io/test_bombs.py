@@ -183,6 +183,25 @@ def test_messages_move_no_cursor_and_are_short() -> None:
     assert len(message) < 700
 
 
+def test_a_zip_of_json_with_too_many_members_is_not_listed(
+    tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.zip"
+    for count in (3, 4):
+        with zipfile.ZipFile(path, "w") as archive:
+            for n in range(count):
+                archive.writestr(f"{n}.txt" if n else "a.json", '{"b": {}}')
+        for length in (5, 2**20):  # entries that lie across two pieces are counted, too
+            with monkeypatch.context() as patch:
+                patch.setattr(archives, "MOST_MEMBERS", 3)
+                patch.setattr(archives, "PIECE", length)
+                if count == 3:
+                    assert json_stream.member(path, "b") == {}
+                    continue
+                refused(lambda: json_stream.member(path, "b"), "more than 3 members")
+                refused(lambda: archives.archive(path, path.read_bytes()), "more than 3 members")
+
+
 @pytest.mark.slow
 def test_a_small_zip_of_much_json_ends_soon(tmp_path: Path, refused: Callable[..., str]) -> None:
     path = tmp_path / "a.zip"

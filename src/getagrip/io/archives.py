@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, BinaryIO
 
 from getagrip.errors import InputError
 
@@ -14,13 +16,31 @@ METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """Ways of packing whose decompressors can be told how much to give: 1 kB of the others is gigabytes at once."""
 ENTRY = b"PK\x01\x02"
 """Begins each entry of an archive's list."""
+PIECE = 2**20
+"""Bytes of an archive that are searched at once."""
 
 
 def archive(path: Path | str, content: bytes) -> zipfile.ZipFile:
     """An archive in memory. Raises ``InputError`` for too many members, and what ``zipfile`` raises."""
-    if content.count(ENTRY) > MOST_MEMBERS:  # zipfile keeps all of them
-        raise InputError(path, "", f"an archive of more than {MOST_MEMBERS} members", "at most so many")
-    return zipfile.ZipFile(io.BytesIO(content))
+    return _of_few(path, io.BytesIO(content))
+
+
+@contextmanager
+def archive_at(path: Path) -> Iterator[zipfile.ZipFile]:
+    """An archive in a file. Raises as ``archive`` does, and ``OSError``."""
+    with path.open("rb") as stream, _of_few(path, stream) as found:
+        yield found
+
+
+def _of_few(path: Path | str, stream: BinaryIO) -> zipfile.ZipFile:
+    """The archive, unless there are more members than may be: ``zipfile`` keeps all of them in memory."""
+    entries, end = 0, b""
+    while piece := stream.read(PIECE):
+        entries += (end + piece).count(ENTRY)
+        end = piece[1 - len(ENTRY) :]
+        if entries > MOST_MEMBERS:
+            raise InputError(path, "", f"an archive of more than {MOST_MEMBERS} members", "at most so many")
+    return zipfile.ZipFile(stream)
 
 
 def opened(of: zipfile.ZipFile, member: zipfile.ZipInfo) -> IO[bytes]:

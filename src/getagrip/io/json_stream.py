@@ -89,7 +89,7 @@ def _opened(path: Path) -> Iterator[IO[bytes]]:
             with path.open("rb") as stream:
                 yield stream
             return
-        with zipfile.ZipFile(path) as archive:
+        with archives.archive_at(path) as archive:
             inside = [it for it in archive.infolist() if it.filename.endswith(".json")]
             if len(inside) != 1:
                 raise InputError(path, "", f"{len(inside)} JSON files in it", "one")
