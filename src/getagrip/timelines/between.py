@@ -11,7 +11,7 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
-from getagrip.fitting.motion import Free, Frozen, Soft
+from getagrip.fitting.motion import Free
 from getagrip.fitting.objective import mask_of
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
@@ -20,8 +20,6 @@ from getagrip.timelines.footage import Footage
 from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.world_term import WorldTerm
 
-RIDGE = (5e4, 300.0)
-"""Stiffness of a frame's deviation from its free pose [px^2 per m^2, per rad^2]; the free poses are fitted, too."""
 SMOOTH = 2e5
 """Energy of a surface that moves from one frame to the next [px^2 / m^2]: 20 for a centimetre."""
 STAGES = ((128, 6), (256, 4))
@@ -61,8 +59,7 @@ def _fitted(footage: Footage, rows: Int[ndarray, "n"], start: Hypotheses) -> Hyp
     at = np.searchsorted(rows, seen)
     problem = footage.problem(seen)
     about = footage.clip.mesh.vertices - footage.clip.mesh.centre
-    free = Free(start.R[:, at], start.centre[:, at], np.log(start.scale))
-    motion = Frozen(Soft(free, np.zeros((len(start.R), len(at), 6)), RIDGE))
+    motion = Free(start.R[:, at], start.centre[:, at], np.log(start.scale))
     energy = mask_of(problem)
     smooth = WorldTerm(SmoothnessTerm(moments(about), SMOOTH), footage.T_world_cam[seen])
     everywhere, T_cam_world = np.arange(len(at)), footage.T_cam_world[seen]
