@@ -200,12 +200,17 @@ def test_in_steps(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert clip.provenance["masks"].startswith("from masks")
     assert "000005" in clip.provenance["frames_without_hand"]
     assert main([*hands, "--clip", str(folder)]) == 2
-    assert main([*hands, "--clip", str(folder), "--overwrite"]) == 0
+    arrays.write(made / "joints.npz", {"joints": np.tile(joints, (2, 1, 1)), "frames": np.array([5, 7])})
+    assert main([*hands, "--clip", str(folder), "--overwrite", "--hold-ends"]) == 0
+    clip = read_clip(folder)
+    assert clip.frames == ("000003", "000004", "000005", "000007", "000008")
+    assert "a guess in the frames 000003 to 000004 and 000008 to 000008" in clip.provenance["hands_held"]
+    assert clip.provenance["frames_without_hand"].endswith(": 000006")
     arrays.write(made / "joints.npz", {"joints": np.tile(joints, (6, 1, 1))})
     assert main([*hands, "--clip", str(folder), "--overwrite"]) == 0
     clip = read_clip(folder)
     assert clip.frames == tuple(f"{n:06d}" for n in range(3, 9))
-    assert "frames_without_hand" not in clip.provenance
+    assert not {"frames_without_hand", "hands_held"} & set(clip.provenance)
     assert read_masks(clip).observed.all()
 
 

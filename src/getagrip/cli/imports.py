@@ -77,6 +77,9 @@ class ImportHands(Command):
     """With --out: instead of K, the focal length; the principal point is in the middle."""
     guess_focal: Flag = False
     """With --out: guess it. Depths and sizes are guesses then, too."""
+    hold_ends: Flag = False
+    """For a whole interaction: before the first and after the last frame in which it was found, the hand stands still
+    where it was then, marked as a guess. Else these frames are left out."""
     overwrite: Flag = False
     """Replace hands that are there already."""
 
@@ -87,7 +90,7 @@ class ImportHands(Command):
     def run(self) -> int:
         new = NewFrames(self.side, self.frames, self.size, Lens(self.K, self.focal, self.guess_focal))
         tracker = choose(self.source, vars(self.trackers))
-        return import_hands(self.paths, tracker, self.mano, self.clip, self.out, new, self.overwrite)
+        return import_hands(self.paths, tracker, self.mano, self.clip, self.out, new, self.hold_ends, self.overwrite)
 
 
 @dataclass(frozen=True, kw_only=True)

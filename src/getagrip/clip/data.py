@@ -59,6 +59,11 @@ class HandTrack(ArrayData):
             expected = "vertex ids of the pad of each fingertip"
             raise UsageError(f"HandTrack.regions: got no {', '.join(missing)}, expected {expected}")
 
+    def take(self, index: Int[ndarray, "n"]) -> HandTrack:
+        """The hand in some of the frames, in the given order."""
+        joints = None if self.joints is None else self.joints[index]
+        return replace(self, vertices=self.vertices[index], T_cam_hand=self.T_cam_hand[index], joints=joints)
+
 
 class FrameMasks(NamedTuple):
     """The masks of one frame, as ``Masks`` has them of all."""
@@ -239,12 +244,6 @@ class Clip(ArrayData):
 
     def take(self, index: Int[ndarray, "n"]) -> Clip:
         """The clip at some of its frames, in the given order."""
-        hand = replace(
-            self.hand,
-            vertices=self.hand.vertices[index],
-            T_cam_hand=self.hand.T_cam_hand[index],
-            joints=None if self.hand.joints is None else self.hand.joints[index],
-        )
         truth = self.truth and replace(
             self.truth,
             T_cam_obj=self.truth.T_cam_obj[index],
@@ -256,8 +255,8 @@ class Clip(ArrayData):
         world = self.world and self.world.take(index)
         segments = at_frames(self.segments, index)
         return replace(
-            self, frames=frames, K=self.K[index], hand=hand, truth=truth, times=self.time[index], world=world,
-            segments=segments,
+            self, frames=frames, K=self.K[index], hand=self.hand.take(index), truth=truth, times=self.time[index],
+            world=world, segments=segments,
         )  # fmt: skip
 
 

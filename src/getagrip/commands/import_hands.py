@@ -15,7 +15,7 @@ from getagrip.clip.reading import ClipHeader, read_header
 from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at
 from getagrip.errors import UsageError
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import Hands, Request, Tracker, read
+from getagrip.hands.trackers import HELD, Hands, Request, Tracker, read
 from getagrip.io import files
 from getagrip.io.terminal import report
 
@@ -47,21 +47,27 @@ def import_hands(
     clip: Path | None,
     out: Path | None,
     new: NewFrames,
+    hold_ends: bool,
     overwrite: bool,
 ) -> int:
-    """Add hands to a clip, or write a file of them. Raises ``UsageError`` for options that do not fit."""
+    """Add hands to a clip, or write a file of them. Raises ``UsageError`` for options that do not fit.
+
+    ``hold_ends``: with hands in the frames before the first and after the last one (``Hands.held_at_ends``).
+    """
     if not paths:
         raise UsageError("FILE: got none, expected the estimator's files")
     if clip is not None and out is None:
         if new.given:
             raise UsageError("--side, --frames, --size, --K: got some, expected none with --clip, which has them")
-        return into_clip(paths, tracker, mano, clip, overwrite)
+        return into_clip(paths, tracker, mano, clip, hold_ends, overwrite)
     if out is not None and clip is None:
-        return into_file(paths, tracker, mano, new, out, overwrite)
+        return into_file(paths, tracker, mano, new, out, hold_ends, overwrite)
     raise UsageError(f"--clip, --out: got {'both' if clip else 'neither'}, expected one of them")
 
 
-def into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder: Path, overwrite: bool) -> int:
+def into_clip(
+    paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder: Path, hold_ends: bool, overwrite: bool
+) -> int:
     """Add ``hand.npz`` to a clip's folder. Where frames lack a hand it names those that have one.
 
     The clip keeps its other frames, whose hands may come later. Raises ``UsageError`` where there are hands already.
@@ -73,6 +79,7 @@ def into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder
     side: Side = header.fields["side"]
     hands = read(paths, tracker, Request(side, header.frames, header.K, header.size, mano))
     check_in_view(paths[0], hands.track, header.K[list(hands.found)], header.size)
+    hands = hands.held_at_ends(header.frames) if hold_ends else hands
     if len(hands.found) < len(header.frames) and (header.folder / "truth.npz").exists():
         missing = len(header.frames) - len(hands.found)
         raise UsageError(f"{folder}: got no hand in {missing} frames, expected one in each, since it has a truth.npz")
@@ -85,7 +92,13 @@ def into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder
 
 
 def into_file(
-    paths: Sequence[Path], tracker: Tracker, mano: Path | None, new: NewFrames, out: Path, overwrite: bool
+    paths: Sequence[Path],
+    tracker: Tracker,
+    mano: Path | None,
+    new: NewFrames,
+    out: Path,
+    hold_ends: bool,
+    overwrite: bool,
 ) -> int:
     """Write a hand file for ``clip new`` and ``import epic``: a ``hand.npz`` with ``frames`` (T,) and ``K`` (3, 3)."""
     if new.side is None or new.numbers is None or new.size is None:
@@ -108,6 +121,7 @@ def into_file(
     many = np.tile(K, (len(names), 1, 1))
     hands = read(paths, tracker, Request(new.side, names, many, new.size, mano))
     check_in_view(paths[0], hands.track, many[list(hands.found)], new.size)
+    hands = hands.held_at_ends(names) if hold_ends else hands
     provenance = hands.provenance | {"camera": camera}
     extra = {"frames": numbers[list(hands.found)], "K": K, "side": np.array(new.side)}
     extra |= {f"provenance_{key}": np.array(text) for key, text in provenance.items()}
@@ -120,7 +134,7 @@ def into_file(
 
 def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
     """What ``clip.json`` says with the hands: where they come from, and which frames have none."""
-    known = {key: text for key, text in header.fields["provenance"].items() if key != WITHOUT_HAND}
+    known = {key: text for key, text in header.fields["provenance"].items() if key not in (WITHOUT_HAND, HELD)}
     return header.fields | {"provenance": known | hands.provenance | without_hand(header.frames, hands.found)}
 
 

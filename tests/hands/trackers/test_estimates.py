@@ -10,6 +10,7 @@ import struct
 import sys
 import types
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -299,6 +300,19 @@ def test_joints(tmp_path: Path, side: Side) -> None:
     write_npz(path, content | {"frames": np.array(["000009", "frame_9"])})
     with pytest.raises(InputError, match="a second hand in frame 000009"):
         read([path], Joints("ho3d"), request(side))
+
+
+def test_the_hand_stands_still_before_the_first_and_after_the_last_frame(tmp_path: Path) -> None:
+    path = write_npz(tmp_path / "j.npz", {"joints": Known("right", None).joints[[0, 2]], "frames": np.array([7, 9])})
+    found = replace(read([path], Joints("openpose"), request("right")), found=(2, 4))
+    held = found.held_at_ends(tuple("abcdefg"))
+    assert held.found == (0, 1, 2, 4, 5, 6)  # d lies between two hands
+    for given, at in ((found.track.T_cam_hand, held.track.T_cam_hand), (found.track.joints, held.track.joints)):
+        assert given is not None
+        np.testing.assert_array_equal(at, given[[0, 0, 0, 1, 1, 1]])
+    assert "a guess in the frames a to b and f to g" in held.provenance["hands_held"]
+    assert found.held_at_ends(tuple("abcde")).found == (0, 1, 2, 4)
+    assert replace(found, found=(0, 1)).held_at_ends(("a", "b")).provenance == found.provenance
 
 
 @pytest.mark.parametrize("flipped", [False, True])

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from getagrip.clip import HandTrack
 from getagrip.clip.plausible import check_in_hand, check_poses
 from getagrip.errors import InputError
@@ -14,6 +16,9 @@ from getagrip.hands.trackers.estimates import ONE_CAMERA, Estimate, Request
 from getagrip.hands.trackers.hand import track
 from getagrip.hands.trackers.records import listed
 from getagrip.hands.trackers.tracker import Tracker
+
+HELD = "hands_held"
+"""Key of a clip's provenance: frames in which the hand is not known, and stands still."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +29,21 @@ class Hands:
     found: tuple[int, ...]
     """These frames, rising, as indices into those of the ``Request``."""
     provenance: dict[str, str]
+
+    def held_at_ends(self, frames: Sequence[str]) -> Hands:
+        """The hand stands still, as a guess, before the first and after the last frame in which it was found.
+
+        ``frames`` are the names of those of the ``Request``. Frames between two hands stay without one.
+        """
+        first, last = self.found[0], self.found[-1]
+        ends = [end for end in (range(first), range(last + 1, len(frames))) if end]
+        if not ends:
+            return self
+        rows = sorted({*self.found, *(row for end in ends for row in end)})
+        nearest = np.searchsorted(self.found, np.clip(rows, first, last))
+        where = " and ".join(f"{frames[end[0]]} to {frames[end[-1]]}" for end in ends)
+        guess = f"a guess in the frames {where}, which have none: the hand of the nearest frame that has one"
+        return Hands(self.track.take(nearest), tuple(rows), self.provenance | {HELD: guess})
 
 
 def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
