@@ -307,9 +307,9 @@ def test_the_hand_stands_still_before_the_first_and_after_the_last_frame(tmp_pat
     found = replace(read([path], Joints("openpose"), request("right")), found=(2, 4))
     held = found.held_at_ends(tuple("abcdefg"))
     assert held.found == (0, 1, 2, 4, 5, 6)  # d lies between two hands
-    for given, at in ((found.track.T_cam_hand, held.track.T_cam_hand), (found.track.joints, held.track.joints)):
-        assert given is not None
-        np.testing.assert_array_equal(at, given[[0, 0, 0, 1, 1, 1]])
+    for there, at in ((found.track.T_cam_hand, held.track.T_cam_hand), (found.track.joints, held.track.joints)):
+        assert there is not None
+        np.testing.assert_array_equal(at, there[[0, 0, 0, 1, 1, 1]])
     assert "a guess in the frames a to b and f to g" in held.provenance["hands_held"]
     assert found.held_at_ends(tuple("abcde")).found == (0, 1, 2, 4)
     assert replace(found, found=(0, 1)).held_at_ends(("a", "b")).provenance == found.provenance
