@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import resource
+import shutil
 import sys
 import tempfile
 import time
@@ -85,7 +86,7 @@ def _tables(folder: Path) -> Iterator[str]:
 def _clip_costs(folder: Path) -> dict[str, Any]:
     """Medians over clips: processor seconds by step, bytes, requests; and what the mask term does."""
     rows: list[dict[str, float]] = []
-    requests: Counter[str] = Counter()
+    copying, unpacking, others = Counter[str](), Counter[str](), Counter[str]()
     masks = Masks()
     evaluate = MaskTerm.__call__
     for n in range(CLIPS + 1):  # the first one compiles and loads
@@ -96,12 +97,19 @@ def _clip_costs(folder: Path) -> dict[str, Any]:
         for path in made.rglob("*"):
             if path.is_file():
                 (there / str(path.relative_to(made))).write(path.read_bytes())
+        packed = Path(shutil.make_archive(str(made), "zip", made))
+        archive = Remote(f"s3://bucket/packed/{name}.zip")
+        archive.write(packed.read_bytes())
         local, result = folder / "clips" / name, folder / "results" / name
         times = [time.process_time()]
-        with _counted() as counted:
-            (out / RECORD).read(files.LARGEST_JSON)
+        with _counted() as unpacked:
+            archive.unpack_to(folder / "unpacked" / name, LEFT_OUT)
+        times.append(time.process_time())
+        with _counted() as copied:
             there.copy_to(local, LEFT_OUT)
-            times.append(time.process_time())
+        times.append(time.process_time())
+        with _counted() as besides:
+            (out / RECORD).read(files.LARGEST_JSON)
             outcome = reconstruct_one(Job(name, local, result, Options(), overwrite=False))
             times.append(time.process_time())
             for each in (POSES, RECORD):
@@ -111,44 +119,61 @@ def _clip_costs(folder: Path) -> dict[str, Any]:
         if n == 0:
             MaskTerm.__call__ = lambda term, poses, bound: masks.count(evaluate, term, poses, bound)  # type: ignore[method-assign]
             continue
-        requests += counted
-        steps = ("copy", "reconstruct", "upload")
+        copying, unpacking, others = copying + copied, unpacking + unpacked, others + besides
+        steps = ("unpack", "copy", "reconstruct", "upload")
         rows.append(dict(zip(steps, (b - a for a, b in pairwise(times)), strict=True)))
-        rows[-1] |= {"bytes in": _size(local), "bytes out": _size(result)}
+        rows[-1] |= {"bytes in": _size(local), "packed": packed.stat().st_size, "bytes out": _size(result)}
     MaskTerm.__call__ = evaluate  # type: ignore[method-assign]
     middle = {key: median(row[key] for row in rows) for key in rows[0]}
     total = sum(middle[key] for key in ("copy", "reconstruct", "upload"))
-    per_clip = {name: count / CLIPS for name, count in sorted(requests.items())}
+    requests = [copying + others, unpacking + others]
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return {**middle, "CPU": total, "requests": per_clip, "masks": masks, "memory": memory}
+    return {**middle, "CPU": total, "requests": requests, "masks": masks, "memory": memory}
 
 
 def _clip_tables(cost: dict[str, Any]) -> Iterator[str]:
-    requests, total = cost["requests"], cost["CPU"]
+    """Of a clip and of a million, each in a folder and as an archive."""
+    reading, sizes = (cost["copy"], cost["unpack"]), (cost["bytes in"], cost["packed"])
+    requests = [{name: of[name] / CLIPS for name in sorted(cost["requests"][0])} for of in cost["requests"]]
+    hours = [(cost["CPU"] - cost["copy"] + read) * MILLION / 3600.0 for read in reading]
+    asked = [sum(of.values()) for of in requests]
+    bills = [sum(PRICES[name] * count for name, count in of.items()) * MILLION for of in requests]
+
+    def row(label: str, form: str, *values: float) -> list[str]:
+        return [label, *(form.format(value) for value in (values if len(values) == 2 else 2 * values))]
+
     rows = [
-        ["copy the clip from the store, CPU s", f"{cost['copy']:.3f}"],
-        ["reconstruct, CPU s", f"{cost['reconstruct']:.3f}"],
-        ["copy the result to the store, CPU s", f"{cost['upload']:.3f}"],
-        ["bytes in, kB", f"{cost['bytes in'] / 1e3:.0f}"],
-        ["bytes out, kB", f"{cost['bytes out'] / 1e3:.0f}"],
-        *([f"requests: {name}", f"{count:.1f}"] for name, count in requests.items()),
-        ["memory of the process at most, MB", f"{cost['memory'] / 1e6:.0f}"],
+        row("copy the clip from the store, CPU s", "{:.3f}", *reading),
+        row("reconstruct, CPU s", "{:.3f}", cost["reconstruct"]),
+        row("copy the result to the store, CPU s", "{:.3f}", cost["upload"]),
+        row("bytes in, kB", "{:.0f}", *(size / 1e3 for size in sizes)),
+        row("bytes out, kB", "{:.0f}", cost["bytes out"] / 1e3),
+        *(row(f"requests: {name}", "{:.1f}", *(of[name] for of in requests)) for name in requests[0]),
+        row("memory of the process at most, MB", "{:.0f}", cost["memory"] / 1e6),
     ]
-    yield page.table([f"a clip of {SCENE.frames} frames, {SCENE.size[0]} x {SCENE.size[1]}", ""], rows)
-    hours = total * MILLION / 3600.0
-    bill = sum(PRICES[name] * count for name, count in requests.items()) * MILLION
+    form = ["in a folder", "as an archive"]
+    yield page.table([f"a clip of {SCENE.frames} frames, {SCENE.size[0]} x {SCENE.size[1]}", *form], rows)
+    a_second = [CORES[1] * MILLION / 3600.0 / each for each in hours]
     rows = [
-        ["core hours", f"{hours:,.0f}"],
-        *([f"hours on {cores:,} cores", f"{hours / cores:,.2f}"] for cores in CORES),
-        ["read, GB", f"{cost['bytes in'] * MILLION / 1e9:,.0f}"],
-        ["written, GB", f"{cost['bytes out'] * MILLION / 1e9:,.0f}"],
-        ["requests, millions", f"{sum(requests.values()) * MILLION / 1e6:,.0f}"],
-        [f"at {CORES[1]:,} cores: requests a second", f"{sum(requests.values()) * CORES[1] / total:,.0f}"],
-        [f"at {CORES[1]:,} cores: MB a second in", f"{cost['bytes in'] * CORES[1] / total / 1e6:,.0f}"],
-        [f"cores, at {PRICES['core']} USD an hour", f"{hours * PRICES['core']:,.0f} USD"],
-        ["requests, at the prices assumed", f"{bill:,.0f} USD"],
+        row("core hours", "{:,.0f}", *hours),
+        *(row(f"hours on {cores:,} cores", "{:,.2f}", *(each / cores for each in hours)) for cores in CORES),
+        row("read, GB", "{:,.0f}", *(size * MILLION / 1e9 for size in sizes)),
+        row("written, GB", "{:,.0f}", cost["bytes out"] * MILLION / 1e9),
+        row("requests, millions", "{:,.0f}", *(count * MILLION / 1e6 for count in asked)),
+        row(
+            f"at {CORES[1]:,} cores: requests a second",
+            "{:,.0f}",
+            *(n * t for n, t in zip(asked, a_second, strict=True)),
+        ),
+        row(
+            f"at {CORES[1]:,} cores: MB a second in",
+            "{:,.0f}",
+            *(n * t / 1e6 for n, t in zip(sizes, a_second, strict=True)),
+        ),
+        row(f"cores, at {PRICES['core']} USD an hour", "{:,.0f} USD", *(each * PRICES["core"] for each in hours)),
+        row("requests, at the prices assumed", "{:,.1f} USD", *bills),
     ]
-    yield page.table(["a million of them", ""], rows)
+    yield page.table(["a million of them", *form], rows)
 
 
 def _driver_table(driver: dict[str, dict[str, float]], clip: float) -> Iterator[str]:
