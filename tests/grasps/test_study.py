@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import FINGERS, Clip, HandTrack, Truth, write_clip
-from getagrip.commands import segment
+from getagrip.commands import each_clip
 from getagrip.datasets.dexycb.reader import DexYcb
 from getagrip.errors import InputError
 from getagrip.geometry import se3
@@ -327,7 +327,7 @@ def test_all_is_written_and_printed(run: Run, tmp_path: Path, monkeypatch: pytes
             assert pixels_of(half, INSIDE) > 1000  # six panels, the time of the grasp in blue
     assert pixels_of(picture, FOUND) > 200  # static
     assert pixels_of(picture, AXIS) > 200  # 1-DoF
-    monkeypatch.setattr(segment, "in_processes", crossing)
+    monkeypatch.setattr(each_clip, "in_processes", crossing)
     again = run("study", tmp_path / "clips", *options, "--workers", 2)
     assert again == (status, printed, err)  # a clip without grasps is none that failed
 

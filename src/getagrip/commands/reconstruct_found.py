@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from getagrip.batch.clips import Batch, print_outcome, reconstruct_clips
+from getagrip.batch.clips import Batch, reconstruct_clips
 from getagrip.batch.job import Outcome, Progress, failure
-from getagrip.batch.plan import ALL, by_name
+from getagrip.batch.plan import ALL
 from getagrip.clip import read_clip, read_masks
-from getagrip.commands.segment import outcomes
+from getagrip.commands.each_clip import each_clip
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
-from getagrip.io.terminal import progress_bar
 from getagrip.timelines.reconstruct import METHOD
 
 CLIPS = "clips"
@@ -55,28 +54,17 @@ def reconstruct_found(
     failure then. The clips that are reconstructed are written to ``out/clips``. Returns 1 if any failed. Raises
     ``UsageError`` as ``reconstruct_clips`` does, and for another method than timelines have.
     """
-    if not paths:
-        raise UsageError("CLIP: name at least one clip")
     if not alone and options.method != METHOD:
         raise UsageError(f"--method: got {options.method}, expected {METHOD}, or any with --cut-grasps")
-    clips, failed = by_name(paths)
-    for outcome in failed:
-        print_outcome(outcome, debug)
-    jobs = [FindJob(folder, out / CLIPS, options, alone) for name, folder in clips.items() if name in batch.shard]
-    done: dict[Path, FoundClip] = {}
-    failures = len(failed)
-    with progress_bar() as bar:
-        for job, result in outcomes(find_one, jobs, batch.workers, bar):
-            if isinstance(result, FoundClip):
-                done[job.clip] = result
-            else:
-                print_outcome(result, debug)
-                failures += 1
+
+    def job(name: str, folder: Path) -> FindJob | None:
+        return FindJob(folder, out / CLIPS, options, alone) if name in batch.shard else None
+
+    found, failures = each_clip(paths, job, find_one, batch.workers, debug)
     made: list[Path] = []
-    for job in jobs:
-        if job.clip in done:
-            made += done[job.clip].folders
-            print(done[job.clip])
+    for one in found:
+        made += one.folders
+        print(one)
     if not made:
         return 1 if failures else 0
     found_here = replace(batch, shard=ALL)  # their clips are this shard's

@@ -3,37 +3,23 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from getagrip.batch.clips import FEW, print_outcome
 from getagrip.batch.job import Outcome, Progress, failure
-from getagrip.batch.plan import by_name
-from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.clip import read_clip
-from getagrip.errors import UsageError
+from getagrip.commands.each_clip import each_clip
 from getagrip.grasps import lists
 from getagrip.grasps.cut import Cut, as_listed
 from getagrip.grasps.lists import ListedGrasp
-from getagrip.io.terminal import console, plain_table, progress_bar, report, show_stage
+from getagrip.io.terminal import console, plain_table, report
 
 if TYPE_CHECKING:
-    from rich.progress import Progress as Bar
     from rich.table import Table
 
-
-class ClipJob(Protocol):
-    """Something to do with a clip."""
-
-    @property
-    def clip(self) -> Path: ...
-
-
-J = TypeVar("J", bound=ClipJob)
-R = TypeVar("R")
 
 COLUMNS = ("sequence", "side", "object", "start", "end", "duration", "first", "last")
 """Of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames."""
@@ -83,28 +69,13 @@ def segment_clips(
     for each clip; ``json`` the list. Raises ``UsageError`` where there is nothing to do, and where two clips have the
     same name.
     """
-    if not paths:
-        raise UsageError("CLIP: name at least one clip")
-    if workers is not None and workers < 1:
-        raise UsageError(f"--workers: got {workers}, expected 1 or more")
-    clips, failed = by_name(paths)
-    for outcome in failed:
-        print_outcome(outcome, debug)
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-    jobs = {
-        folder: SegmentJob(folder, cut, None if out is None else out / f"{name}.png") for name, folder in clips.items()
-    }
-    found: dict[Path, SegmentedClip] = {}
-    failures = len(failed)
-    with progress_bar() as bar:
-        for job, result in outcomes(segment_one, list(jobs.values()), workers, bar):
-            if isinstance(result, SegmentedClip):
-                found[job.clip] = result
-            else:
-                print_outcome(result, debug)
-                failures += 1
-    in_order = [found[folder] for folder in jobs if folder in found]
+
+    def job(name: str, folder: Path) -> SegmentJob:
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+        return SegmentJob(folder, cut, None if out is None else out / f"{name}.png")
+
+    in_order, failures = each_clip(paths, job, segment_one, workers, debug)
     if in_order:
         _print(in_order, out)
     grasps = [grasp for one in in_order for grasp in one.listed]
@@ -130,28 +101,6 @@ def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> Segmen
         return SegmentedClip(clip.name, clip.side, clip.category, len(clip), clip.fps, tuple(grasps), listed)
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)
-
-
-def outcomes(
-    work: Callable[..., R | Outcome], jobs: Sequence[J], workers: int | None, bar: Bar
-) -> Iterator[tuple[J, R | Outcome]]:
-    """What becomes of each job, as they finish, while the bar shows it.
-
-    ``work`` takes a job and, where it is done in this process, a function to call with its progress.
-    """
-    if workers is None:
-        workers = min(len(jobs), cores()) if len(jobs) > FEW else 1
-    clips = bar.add_task("clips", total=len(jobs), visible=len(jobs) > 1)
-    if workers > 1:
-        for job, outcome in in_processes(work, jobs, workers):
-            died = Outcome(job.clip.name, "failed", DIED)
-            yield job, died if outcome is None else outcome
-            bar.advance(clips)
-        return
-    stage = bar.add_task("", total=1.0, visible=bool(jobs))
-    for job in jobs:
-        yield job, work(job, partial(show_stage, bar, stage, job.clip.name))
-        bar.advance(clips)
 
 
 def tell_missing(cut: Cut, found: int) -> None:

@@ -8,19 +8,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import Outcome, Progress, failure
-from getagrip.batch.plan import by_name
 from getagrip.clip import read_clip, segment_files
 from getagrip.clip.reading import read_header
-from getagrip.commands.segment import outcomes
-from getagrip.errors import UsageError
+from getagrip.commands.each_clip import each_clip
 from getagrip.grasps import lists
 from getagrip.grasps.cut import as_listed
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.lists import ListedGrasp
 from getagrip.io import files
-from getagrip.io.terminal import console, plain_table, progress_bar, report
+from getagrip.io.terminal import console, plain_table, report
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -77,24 +74,7 @@ def find_in_clips(
     ``clip.json`` has them, with margins, as ``segments.json``; ``json`` the list; ``write`` the clips' own. Raises
     ``UsageError`` where there is nothing to do, and where two clips have the same name.
     """
-    if not paths:
-        raise UsageError("CLIP: name at least one clip")
-    if workers is not None and workers < 1:
-        raise UsageError(f"--workers: got {workers}, expected 1 or more")
-    clips, failed = by_name(paths)
-    for outcome in failed:
-        print_outcome(outcome, debug)
-    jobs = [FindJob(folder, definition, write) for folder in clips.values()]
-    done: dict[Path, FoundClip] = {}
-    failures = len(failed)
-    with progress_bar() as bar:
-        for job, result in outcomes(find_one, jobs, workers, bar):
-            if isinstance(result, FoundClip):
-                done[job.clip] = result
-            else:
-                print_outcome(result, debug)
-                failures += 1
-    found = [done[job.clip] for job in jobs if job.clip in done]
+    found, failures = each_clip(paths, lambda _, folder: FindJob(folder, definition, write), find_one, workers, debug)
     if found:
         console().print(_table(found))
     for one in found:

@@ -9,17 +9,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import Outcome, Progress, failure
-from getagrip.batch.plan import by_name
 from getagrip.clip import read_clip
-from getagrip.commands.segment import SegmentJob, outcomes, tell_missing
-from getagrip.errors import UsageError
+from getagrip.commands.each_clip import each_clip
+from getagrip.commands.segment import SegmentJob, tell_missing
 from getagrip.grasps import lists
 from getagrip.grasps.cut import Cut
 from getagrip.grasps.study import MEASURES, TIMES, Spread, StudiedGrasp, mean_curves, study_grasp
 from getagrip.io import files
-from getagrip.io.terminal import console, plain_table, progress_bar
+from getagrip.io.terminal import console, plain_table
 
 ALL = "All"
 
@@ -31,26 +29,10 @@ def study_clips(paths: Sequence[Path], cut: Cut, out: Path, json: Path | None, w
     ``summary.csv`` and the list ``grasps.json``. Raises ``UsageError`` where there is nothing to do, and where two
     clips have the same name.
     """
-    if not paths:
-        raise UsageError("CLIP: name at least one clip")
-    if workers is not None and workers < 1:
-        raise UsageError(f"--workers: got {workers}, expected 1 or more")
-    clips, failed = by_name(paths)
-    for outcome in failed:
-        print_outcome(outcome, debug)
-    jobs = [SegmentJob(folder, cut) for folder in clips.values()]
-    done: dict[Path, list[StudiedGrasp]] = {}
-    failures = len(failed)
-    with progress_bar() as bar:
-        for job, result in outcomes(study_one, jobs, workers, bar):
-            if isinstance(result, Outcome):
-                print_outcome(result, debug)
-                failures += 1
-            else:
-                done[job.clip] = result
-    studied = [grasp for job in jobs for grasp in done.get(job.clip, [])]
+    done, failures = each_clip(paths, lambda _, folder: SegmentJob(folder, cut), study_one, workers, debug)
+    studied = [grasp for grasps in done for grasp in grasps]
     tell_missing(cut, len(studied))
-    print(f"{len(studied)} stable grasps in {sum(map(bool, done.values()))} of {len(done)} clips")
+    print(f"{len(studied)} stable grasps in {sum(map(bool, done))} of {len(done)} clips")
     if studied:
         _print(studied)
         _write(studied, cut, len(done), out)
