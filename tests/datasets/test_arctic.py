@@ -33,21 +33,10 @@ from helpers.held_ball import (
     posed,
     same_points,
     save_pickled,
-    write_mano,
 )  # fmt: skip
 from helpers.paths import folder_of
 
 CUT = Cut(Definition(tau=0.5, contact=0.0, shortest=20))
-
-
-@pytest.fixture(autouse=True)
-def _cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))  # names are checksums
-
-
-@pytest.fixture
-def mano(tmp_path: Path) -> Path:
-    return write_mano(tmp_path / "mano")
 
 
 @pytest.fixture

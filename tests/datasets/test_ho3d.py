@@ -17,18 +17,8 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands import generic
 from getagrip.hands.mano import load
-from helpers.held_ball import AT, BETAS, FRAMES, TAKEN, Hostile, bent, motion, write_mano
+from helpers.held_ball import AT, BETAS, FRAMES, TAKEN, Hostile, bent, motion
 from helpers.ho3d_files import HELD, LOST, save, write_ho3d
-
-
-@pytest.fixture(autouse=True)
-def _cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))  # names are checksums
-
-
-@pytest.fixture
-def mano(tmp_path: Path) -> Path:
-    return write_mano(tmp_path / "mano")
 
 
 @pytest.fixture

@@ -25,19 +25,8 @@ from helpers.held_ball import (
     motion,
     posed,
     same_points,
-    write_mano,
 )
 from helpers.hoi4d_files import INDEX, NAME, write_hoi4d, write_labels
-
-
-@pytest.fixture(autouse=True)
-def _cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))  # names are checksums
-
-
-@pytest.fixture
-def mano(tmp_path: Path) -> Path:
-    return write_mano(tmp_path / "mano")
 
 
 @pytest.fixture
