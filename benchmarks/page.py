@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 from getagrip.experiments.stamp import stamp
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
+NUMBER = re.compile(r"[0-9]+\.[0-9]")
 LIBRARIES = ("numpy", "numba", "scipy", "deodr")
 
 
@@ -29,6 +31,23 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table: the first column to the left, numbers to the right."""
     rule = ["---"] + ["---:"] * (len(header) - 1)
     return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
+
+
+def section(file: str, name: str) -> str:
+    """What stands between a section's markers. Raises ``ValueError`` where there is no such section."""
+    parts = (DOCS / file).read_text(encoding="utf-8").split(f"<!-- {name}: measured -->")
+    if len(parts) != 2:
+        raise ValueError(f"{file}: expected a section {name}")
+    return parts[1].split(f"<!-- {name}: end -->")[0]
+
+
+def numbers(file: str, name: str, columns: Sequence[str]) -> dict[str, tuple[float, ...]]:
+    """Some columns of the first table of a section, of all clips, by the rows' labels."""
+    text = section(file, name)
+    table = text[text.index("\n|") + 1 :].split("\n\n")[0]
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()]
+    places = [lines[0].index(column) for column in columns]
+    return {row[0]: tuple(float(NUMBER.findall(row[at])[0]) for at in places) for row in lines[2:]}
 
 
 def circumstances() -> str:
