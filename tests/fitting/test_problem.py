@@ -99,3 +99,12 @@ def test_frames_left_out_are_reported_once(tmp_path: Path) -> None:
     assert [note for note in problem.notes if "left out" in note] == [
         "1 frames without a visible object were left out of the fit: 0004"
     ]
+
+
+@pytest.mark.parametrize(
+    ("scale", "method", "times"), [("known", "static", 1), ("free", "static", 2), ("free", "paper", 1)]
+)
+def test_with_a_free_scale_there_are_twice_as_many_initial_poses(scale: Any, method: str, times: int) -> None:
+    clip, masks = small_clip()
+    options = Options(method=method, inits=7, hands="as-given")
+    assert prepare(replace(clip, scale=scale), masks, options).options == replace(options, inits=times * 7)

@@ -81,7 +81,7 @@ class Bench(Command):
     priors: OptionalFile = None
     """For clusters and priors: the file or folder, as for reconstruct."""
     inits: Inits = 50
-    """Number of initial poses; more is slower and safer."""
+    """Number of initial poses, twice as many where the scale is free; more is slower and safer."""
     every_frame: Flag = False
     """Evaluate every frame of the clips, not only the 30 that all methods fit together."""
     thorough: Flag = False

@@ -55,7 +55,7 @@ class Reconstruct(Command):
     exactly; static: not at all; dynamic: freely in each frame. paper is the paper's method to the letter, slow;
     paper-static and paper-dynamic likewise. The others are baselines."""
     inits: Inits = 50
-    """Number of initial poses: more is slower and safer."""
+    """Number of initial poses, twice as many where the scale is free: more is slower and safer."""
     init: Init = "uniform"
     """Rotations spread evenly (uniform); or first those that init learn has found (clusters) or that a folder holds by
     category and side, as the authors of the paper keep theirs (priors), and even ones for the rest."""

@@ -25,7 +25,7 @@ from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import RESAMPLES
 from getagrip.experiments.tables import as_json, latex, markdown, terminal, write_clips_csv, write_csv
 from getagrip.experiments.trials import Scores, Trial, run
-from getagrip.fitting.options import Options
+from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.io import files, leftovers
 from getagrip.io.terminal import console, progress_bar, report
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
@@ -190,8 +190,9 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     return [
         f"{plan.source.title}: {len(good)} clips"
         + (f", {len(scores) - len(good)} failed and skipped" if len(good) < len(scores) else ""),
-        f"{plan.options.inits} initial poses ({_initial_poses(plan.options)}), {_frames(plan.options)}, "
-        f"seed {plan.options.seed}; the same frames, masks and evaluation for all",
+        f"{plan.options.inits} initial poses ({_initial_poses(plan.options)}; {WITH_FREE_SCALE * plan.options.inits} "
+        f"where the scale is free), {_frames(plan.options)}, seed {plan.options.seed}; the same frames, masks and "
+        "evaluation for all",
         "per cent, means over clips, the best bold, the second best underlined; s: median seconds for a clip",
         f"in brackets: 95 % intervals from {RESAMPLES} bootstrap resamples of {units}",
         f"contact: {' and '.join(contact.description for contact in plan.contacts)}, unless the row says otherwise; a "

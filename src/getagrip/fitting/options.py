@@ -60,13 +60,18 @@ TO_THE_LETTER = Departures()
 """No departure."""
 
 
+WITH_FREE_SCALE = 2
+"""Times as many initial poses where the scale is free: another size makes up for a wrong turn for longer."""
+
+
 @dataclass(frozen=True)
 class Options:
     """How to reconstruct a clip.
 
     Attributes:
         method: a name in ``methods.METHODS``: how the object may move in the hand, or a baseline.
-        inits: number of initial poses; more is slower and safer, fewer than 50 is unsafe.
+        inits: number of initial poses, twice as many where the scale is free (but for the paper's method to the
+            letter); more is slower and safer, fewer than 50 is unsafe.
         init: where initial poses come from: uniform rotations only (``uniform``); before them, those that
             ``init learn`` has learnt (``clusters``), or a folder of poses by category and side, as the authors have
             theirs (``priors``).

@@ -18,7 +18,7 @@ from getagrip.fitting.hand_correction import correct_hand
 from getagrip.fitting.methods import method_of
 from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.observation import Observation, observe
-from getagrip.fitting.options import Options
+from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.result import Axis
 
@@ -33,7 +33,7 @@ class Problem:
         given_masks: the same as they were given; ``masks`` may ignore what the drawn hand covers besides.
         observation: its masks as crops, with contours.
         surface: surface of the object.
-        options: options of the reconstruction.
+        options: options of the reconstruction, with as many initial poses as there are.
         hand_drawn: whether pixels that the drawn hand covers are ignored, for want of ignore masks.
         prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations.
         hand_corrected: whether the clip's hand is no longer as it was given.
@@ -91,16 +91,20 @@ class MethodResult:
 def prepare(clip: Clip, masks: Masks | None, options: Options, threads: int = 1) -> Problem:
     """Leave out frames without an object, sample the rest linearly, crop.
 
-    Without ``masks``, those of the frames that are used are read from the clip's folder. Raises ``InputError`` for
-    fewer than 2 frames, and for initial poses as ``pose_priors.poses_for`` does.
+    Without ``masks``, those of the frames that are used are read from the clip's folder. With a free scale there are
+    ``WITH_FREE_SCALE`` times as many initial poses. Raises ``InputError`` for fewer than 2 frames, and for initial
+    poses as ``pose_priors.poses_for`` does.
     """
+    as_published = method_of(options.method).as_published
+    if clip.scale == "free" and not as_published:
+        options = replace(options, inits=WITH_FREE_SCALE * options.inits)
     clip, given = _sampled(clip, masks, options.frames)
     masks, notes = given, []
     if clip.left_out:
         names = ", ".join(clip.left_out)
         notes.append(f"{len(clip.left_out)} frames without a visible object were left out of the fit: {names}")
     correction = None
-    if options.hands == "corrected" and not method_of(options.method).as_published:
+    if options.hands == "corrected" and not as_published:
         correction = correct_hand(clip, masks)
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)

@@ -84,7 +84,7 @@ def reconstruct(
         of_result, more = examine(RESULT_CHECKS, replace(solved, iou=whole.iou))
         signs = read_signs(solved)
         clock("check of the result")
-    result = _reconstruction(problem, found, whole, clock.seconds())
+    result = _reconstruction(problem, options, found, whole, clock.seconds())
     return replace(
         result,
         notes=(*result.notes, *clip.mesh.stands_for(whole_mesh, "fitted")),
@@ -122,9 +122,11 @@ def _fitted(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> Me
         raise GetagripError("; ".join(map(str, (error, *findings)))) from error
 
 
-def _reconstruction(problem: Problem, found: MethodResult, track: Track, seconds: dict[str, float]) -> Reconstruction:
-    """A method's solutions, with all that is known about how they were found."""
-    clip, options, energy = problem.clip, problem.options, found.energy
+def _reconstruction(
+    problem: Problem, options: Options, found: MethodResult, track: Track, seconds: dict[str, float]
+) -> Reconstruction:
+    """A method's solutions, with all that is known about how they were found; ``options`` are those that were given."""
+    clip, energy = problem.clip, found.energy
     scale, mean_iou = float(found.poses.scale[0]), float(np.nanmean(track.iou))
     guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
     axis = None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle)
