@@ -35,7 +35,7 @@ def main() -> None:
         [label, *(f"{found[section][f'{method}, {setting}'][0]:.0f}" for method in METHODS)]
         for label, (section, setting) in ROWS.items()
     ]
-    text = f"{page.table(['input', *METHODS.values()], rows)}\n\nMeasured on {' and '.join(made)}."
+    text = f"{page.table(['input', *METHODS.values()], rows)}\n\nMeasured {' and '.join(made)}."
     page.write("summary", text, "../README.md")
     print(text)
 
