@@ -10,7 +10,7 @@ import re
 from benchmarks import page
 
 COLUMN = "ADD sym."
-METHODS = {"soft-hinge": "default", "one-dof": "axis alone, as in the paper"}
+METHODS = {"soft-hinge": "default", "one-dof": "`one-dof`, after the paper"}
 ROWS = {
     "as they are": ("hand-noise", "none"),
     "hands off by 10 mm and 8°": ("hand-noise", "10 mm, 8°"),
