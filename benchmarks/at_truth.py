@@ -128,7 +128,7 @@ def main(folder: Path, ablations: Sequence[str]) -> None:
             numbers = [right, *(str(n) for n in (len(wrong), *(kinds[kind] for kind in KINDS), near))]
             rows.append([variant.step, *numbers])
             print(rows[-1], flush=True)
-        header = ["setting", "right, %", "failures", "search", "energy", "energy: alike", "right from the truth"]
+        header = ["setting", "right, %", "failures", *KINDS, "right from the truth"]
         text += "\n\n" + page.table(header, rows)
     page.write(f"{folder.name}-truth", text, "results.md")
     print(text)

@@ -28,14 +28,13 @@ def main() -> None:
     """Update the README."""
     sections = sorted({section for section, _ in ROWS.values()})
     found = {name: page.numbers("results.md", f"dexycb-{name}", [COLUMN]) for name in sections}
-    made = sorted(
-        {" at commit ".join(MADE.findall(page.section("results.md", f"dexycb-{name}"))[0]) for name in sections}
-    )
+    made = sorted({MADE.findall(page.section("results.md", f"dexycb-{name}"))[0] for name in sections})
+    when = " and ".join(f"commit {commit} ({date})" for date, commit in made)
     rows = [
         [label, *(f"{found[section][f'{method}, {setting}'][0]:.0f}" for method in METHODS)]
         for label, (section, setting) in ROWS.items()
     ]
-    text = f"{page.table(['input', *METHODS.values()], rows)}\n\nMeasured {' and '.join(made)}."
+    text = f"{page.table(['input', *METHODS.values()], rows)}\n\nMeasured at {when}."
     page.write("summary", text, "../README.md")
     print(text)
 
