@@ -1,7 +1,7 @@
-"""The fit of a motion model to an energy by Adam (Kingma and Ba, 2015): the paper's setting, gradients only.
+"""The fit of a motion model to an energy by Adam (Kingma and Ba, 2015), by gradients only.
 
-The paper names no optimiser; its authors' later code uses Adam. Beside ``solve.minimise``, which is far quicker, this
-one minimises the same terms over the same parameters.
+The paper names no optimiser; its authors' later code uses Adam. This one minimises the same terms over the same
+parameters as ``solve.minimise``, which is far quicker.
 
 - **Parameters** are those of the motion model (``Motion.retract``): a step turns and shifts the current pose and axis,
   so that rotations stay rotations. Moments are kept in these local coordinates.
