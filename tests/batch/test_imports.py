@@ -10,7 +10,6 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from conftest import Run
 
 from getagrip.batch.imports import import_clips
 from getagrip.batch.ledger import FILE, Ledger
@@ -22,6 +21,7 @@ from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import clips
 from getagrip.errors import InputError
 from getagrip.io import leftovers
+from helpers.command_line import Run
 from helpers.library import Library, Shelf
 
 SHARING = ("workers", "limit-seconds", "limit-gb", "fail-fast", "shard")

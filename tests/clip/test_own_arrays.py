@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import small_clip
 
 from getagrip import Clip, Mesh, Reconstruction, UsageError, World, evaluate, reconstruct, synthesise, write_report
 from getagrip.clip import check_clip, check_masks, find_masks
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.options import Options
+from helpers.clips import small_clip
 
 Refused = Callable[..., str]
 CLIP, MASKS = small_clip()

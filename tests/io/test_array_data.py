@@ -12,12 +12,12 @@ from typing import Any, get_type_hints
 import jaxtyping
 import numpy as np
 import pytest
-from conftest import small_clip
 
 import getagrip
 from getagrip import Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, UsageError, World
 from getagrip.hands.model import HandModel, PosedHand, ShapedHand
 from getagrip.io.array_data import ArrayData, same
+from helpers.clips import small_clip
 
 DATACLASSES = [kind for name in getagrip.__all__ if is_dataclass(kind := getattr(getagrip, name))]
 

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
@@ -39,6 +38,7 @@ from getagrip.hands.trackers.mano_parameters import ManoParameters
 from getagrip.hands.trackers.weak_perspective import WeakPerspective
 from getagrip.hands.trackers.wilor import WiLoR
 from getagrip.io import arrays
+from helpers.command_line import Run
 from helpers.estimator_files import (
     FRAMES,
     SIZE,
