@@ -23,6 +23,7 @@ from getagrip.errors import InputError
 from getagrip.io import leftovers
 from helpers.command_line import Run
 from helpers.library import Library, Shelf
+from helpers.paths import ROOT
 
 SHARING = ("workers", "limit-seconds", "limit-gb", "fail-fast", "shard")
 
@@ -40,6 +41,23 @@ def test_a_subcommand_has_the_options_of_its_dataset_and_no_others(run: Run, nam
     assert sorted(options) == sorted(["help", "debug", "quiet", "out", *SHARING, *named])
     assert positional.upper() in out
     assert DATASETS[name].__doc__.split()[0] in out
+
+
+def test_the_definitions_of_grasps_are_those_of_the_documentation() -> None:
+    """The paper: tau 0.5 and 0 mm on ARCTIC, 0.3 and 10 mm on HOI4D, of any length. A clip has two frames at least."""
+    stated = {}
+    for line in (ROOT / "docs" / "datasets.md").read_text(encoding="utf-8").splitlines():
+        row = re.fullmatch(r"\| (`.+`) \| ([\d.]+|-) \| (\d+) mm.* \| ([a-z ]+) \| (\d+) frames \|.*", line)
+        for name in re.findall(r"`([\w-]+)`", row[1]) if row else ():
+            stated[name] = (row[2], float(row[3]), row[4].replace(" ", "-"), int(row[5]))
+    made = {}
+    for name, dataset in DATASETS.items():
+        if issubclass(dataset, TrackedDataset):
+            it = dataset(root=Path("nowhere")).grasps.definition()
+            made[name] = ("-" if it.rule == "touch" else f"{it.tau:g}", 1e3 * it.contact, it.rule, it.shortest)
+    assert made == stated
+    assert made["arctic"] == ("0.5", 0.0, "all-pairs", 2)
+    assert made["hoi4d"] == ("0.3", 10.0, "all-pairs", 2)
 
 
 @pytest.mark.slow

@@ -53,7 +53,7 @@ class Variant:
 
     label: str
     folder: str
-    """Arms with the same folder share their results."""
+    """Variants with the same folder share their results."""
     options: Options
     change: Change
     contact: ContactDefinition
