@@ -27,7 +27,7 @@ from getagrip.fitting.options import Options
 from getagrip.metrics.symmetry import Symmetries, find_symmetries
 from getagrip.result import Reconstruction
 from getagrip.segmentation.cut import segment_list
-from getagrip.segmentation.found import Found, find_segments
+from getagrip.segmentation.found import FoundSegments, find_segments
 from getagrip.timelines.reconstruct import reconstruct
 
 LEVELS = ("none", "strong")
@@ -42,7 +42,7 @@ def poses(clip: Clip, result: Reconstruction) -> tuple[Poses, Poses]:
     return hand @ result.T_hand_obj, hand
 
 
-def alone(clip: Clip, masks: Masks, found: Found) -> tuple[Poses, Poses]:
+def alone(clip: Clip, masks: Masks, found: FoundSegments) -> tuple[Poses, Poses]:
     """Each stable grasp by itself; not a number elsewhere."""
     T_cam_obj, T_cam_hand = np.full((len(clip), 4, 4), np.nan), clip.hand.T_cam_hand.copy()
     for first, last in found.grasps:
@@ -52,18 +52,18 @@ def alone(clip: Clip, masks: Masks, found: Found) -> tuple[Poses, Poses]:
     return T_cam_obj, T_cam_hand
 
 
-def together(clip: Clip, masks: Masks, found: Found) -> tuple[Poses, Poses]:
+def together(clip: Clip, masks: Masks, found: FoundSegments) -> tuple[Poses, Poses]:
     """The whole interaction, before a camera that is guessed to stand still."""
     return with_plane(replace(clip, world=None), masks, found)
 
 
-def with_plane(clip: Clip, masks: Masks, found: Found) -> tuple[Poses, Poses]:
+def with_plane(clip: Clip, masks: Masks, found: FoundSegments) -> tuple[Poses, Poses]:
     """The whole interaction, where the camera's pose and the plane of the table are known."""
     whole = with_segments(clip, segment_list(clip, found))
     return poses(whole, reconstruct(whole, masks))
 
 
-WAYS: dict[str, Callable[[Clip, Masks, Found], tuple[Poses, Poses]]] = {
+WAYS: dict[str, Callable[[Clip, Masks, FoundSegments], tuple[Poses, Poses]]] = {
     "alone": alone, "together": together, "together + plane": with_plane,
 }  # fmt: skip
 

@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.annotate import labels, marks, propagated_masks
-from getagrip.annotate.background import Background, Job
+from getagrip.annotate.background import Background, BackgroundJob
 from getagrip.annotate.labels import MOST_CORNERS
 from getagrip.annotate.project import Project
 from getagrip.annotate.server import LARGEST_BODY, Server
@@ -472,16 +472,16 @@ def test_a_ring_has_one_polygon_with_its_hole() -> None:
 def test_new_work_on_a_grasp_ends_the_old_and_errors_are_reported() -> None:
     background, begun = Background(), threading.Event()
 
-    def forever(job: Job) -> str:
+    def forever(job: BackgroundJob) -> str:
         begun.set()
         while True:
             job.report(1, 2)
             time.sleep(0.005)
 
-    def wrong(job: Job) -> str:
+    def wrong(job: BackgroundJob) -> str:
         raise GetagripError("no joints")
 
-    def broken(job: Job) -> str:
+    def broken(job: BackgroundJob) -> str:
         raise ZeroDivisionError
 
     background.start("a", "propagate", forever)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from getagrip.annotate import propagated_masks, reconstruction
-from getagrip.annotate.background import Job
+from getagrip.annotate.background import BackgroundJob
 from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import Change
@@ -298,7 +298,7 @@ def test_it_ends_in_a_reconstruction(
 ) -> None:
     """The clip is made as the commands make it; the fit, which takes its time, is left out here."""
 
-    def ran(words: Sequence[str], job: Job) -> str:
+    def ran(words: Sequence[str], job: BackgroundJob) -> str:
         if words[0] == "clip" and main([*words]):
             raise GetagripError(f"{words[words.index('--mesh') + 1]} is refused")
         if words[0] == "report":

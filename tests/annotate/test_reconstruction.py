@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from getagrip.annotate import reconstruction
-from getagrip.annotate.background import CancelledError, Job
+from getagrip.annotate.background import BackgroundJob, CancelledError
 from getagrip.annotate.reconstruction import Shape, reconstruct, shape_of
 from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError
@@ -28,7 +28,7 @@ def test_what_the_page_says_of_the_mesh() -> None:
 
 @pytest.mark.slow
 def test_a_command_that_fails_ends_it_with_its_words(tmp_path: Path) -> None:
-    job = Job("reconstruct")
+    job = BackgroundJob("reconstruct")
     with pytest.raises(GetagripError, match=r"^.*nothing.mp4.*no such file"):
         reconstruct(["clip", "new", str(tmp_path / "nothing.mp4")], Shape("plate", None), tmp_path, "it", job)
     assert job.message == "making the clip"
@@ -36,7 +36,7 @@ def test_a_command_that_fails_ends_it_with_its_words(tmp_path: Path) -> None:
 
 def test_work_that_is_not_wanted_any_more_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reconstruction, "ASKED", 0.001)
-    job = Job("reconstruct")
+    job = BackgroundJob("reconstruct")
     job.stop.set()
     with pytest.raises(CancelledError):
         reconstruction._run(["doctor"], job)

@@ -21,9 +21,9 @@ from hypothesis import strategies as st
 from getagrip.cli import main
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.clip.label_images import read_labels
+from getagrip.clip.mask_request import MaskRequest
 from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.segments import polygons, region, run_lengths
-from getagrip.clip.wanted_masks import Wanted
 from getagrip.commands.import_masks import write_masks
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays
@@ -58,8 +58,8 @@ def test_every_source_gives_the_same_masks(tmp_path: Path, source: str) -> None:
         arrays.write(path, {"labels": labels()[::-1].astype(np.uint8), "frames": np.array([4, 3])})
     else:
         path, chosen = coco(tmp_path / "c.json", source == "coco"), (("cup",), ("hand", "3"))
-    wanted = Wanted(FRAMES, SIZE, *chosen)
-    read, hand_too = open_masks(path, wanted), open_masks(path, replace(wanted, ignore=chosen[1][:1], hand=holding))
+    request = MaskRequest(FRAMES, SIZE, *chosen)
+    read, hand_too = open_masks(path, request), open_masks(path, replace(request, ignore=chosen[1][:1], hand=holding))
     for n in range(2):
         seen, ignored, unknown = read(n)
         np.testing.assert_array_equal(seen, labels()[n] == 1)
@@ -71,26 +71,26 @@ def test_every_source_gives_the_same_masks(tmp_path: Path, source: str) -> None:
 
 def test_several_labels_have_to_be_chosen_from(tmp_path: Path, refused: Callable[..., str]) -> None:
     folder = label_folder(tmp_path / "labels")
-    refused(lambda: open_masks(folder, Wanted(FRAMES, SIZE))(0), "labels", "--object")
-    refused(lambda: open_masks(coco(tmp_path / "c.json"), Wanted(FRAMES, SIZE))(0), "categories", "--object")
-    seen, *_ = open_masks(folder, Wanted(FRAMES, SIZE, (), ("2", "3")))(0)
+    refused(lambda: open_masks(folder, MaskRequest(FRAMES, SIZE))(0), "labels", "--object")
+    refused(lambda: open_masks(coco(tmp_path / "c.json"), MaskRequest(FRAMES, SIZE))(0), "categories", "--object")
+    seen, *_ = open_masks(folder, MaskRequest(FRAMES, SIZE, (), ("2", "3")))(0)
     np.testing.assert_array_equal(seen, labels()[0] == 1)
     with pytest.raises(UsageError, match="--object"):
-        open_masks(folder, Wanted(FRAMES, SIZE, ("cup",)))
+        open_masks(folder, MaskRequest(FRAMES, SIZE, ("cup",)))
 
 
 def test_labels_that_are_there_are_named_where_another_was_chosen(tmp_path: Path, refused: Callable[..., str]) -> None:
-    wanted = Wanted(FRAMES, SIZE, ("7",))
+    request = MaskRequest(FRAMES, SIZE, ("7",))
     for source, names in [
         (label_folder(tmp_path / "labels"), "0, 1, 2, 3"),
         (coco(tmp_path / "c.json"), "cup, hand, "),
     ]:
-        reader = open_masks(source, wanted)
+        reader = open_masks(source, request)
         refused(lambda read=reader: write_masks(read, FRAMES, tmp_path / "out"), f"there are {names}")
         shutil.rmtree(tmp_path / "out")
     (tmp_path / "jpg").mkdir()
     cv2.imwrite(str(tmp_path / "jpg" / "000001.jpg"), np.zeros((4, 4), np.uint8))
-    refused(lambda: open_masks(tmp_path / "jpg", wanted), "000001.jpg is no PNG")
+    refused(lambda: open_masks(tmp_path / "jpg", request), "000001.jpg is no PNG")
 
 
 def test_folders_of_a_thing_each_are_chosen_by_name(tmp_path: Path) -> None:
@@ -100,32 +100,32 @@ def test_folders_of_a_thing_each_are_chosen_by_name(tmp_path: Path) -> None:
         (folder / thing).mkdir(parents=True)
         for n, frame in enumerate(FRAMES):
             write_png(folder / thing / f"{frame}.png", 255 * (labels()[n] == value), 8, 0)
-    seen, ignored, hand = open_masks(folder, Wanted(FRAMES, SIZE, ("cup",), ("sleeve",), ("left-hand",)))(1)
+    seen, ignored, hand = open_masks(folder, MaskRequest(FRAMES, SIZE, ("cup",), ("sleeve",), ("left-hand",)))(1)
     np.testing.assert_array_equal(seen, labels()[1] == 1)
     np.testing.assert_array_equal(ignored, labels()[1] >= 2)
     np.testing.assert_array_equal(hand, labels()[1] == 2)
     for chosen, word in ((("mug",), "'mug'"), (("../things/cup",), "'../things/cup'"), ((), "'object'")):
         with pytest.raises(UsageError, match=f"--object: got {word}.*cup, left-hand"):
-            open_masks(folder, Wanted(FRAMES, SIZE, chosen))
+            open_masks(folder, MaskRequest(FRAMES, SIZE, chosen))
     (folder / "cup").rename(folder / "object")
     (folder / "left-hand").rename(folder / "hand")
-    seen, ignored, hand = open_masks(folder, Wanted(FRAMES, SIZE))(0)
+    seen, ignored, hand = open_masks(folder, MaskRequest(FRAMES, SIZE))(0)
     np.testing.assert_array_equal(seen, labels()[0] == 1)
     np.testing.assert_array_equal(ignored, labels()[0] == 2)
     np.testing.assert_array_equal(hand, ignored)
     for thing in ("table", "hand", "sleeve"):
         shutil.rmtree(folder / thing)
     (folder / "object").rename(folder / "1")
-    np.testing.assert_array_equal(open_masks(folder, Wanted(FRAMES, SIZE))(0)[0], labels()[0] == 1)
+    np.testing.assert_array_equal(open_masks(folder, MaskRequest(FRAMES, SIZE))(0)[0], labels()[0] == 1)
 
 
 def test_missing_frames_are_named(tmp_path: Path, refused: Callable[..., str]) -> None:
     folder = label_folder(tmp_path / "labels")
-    wanted = Wanted((*FRAMES, "000009"), SIZE, ("1",))
-    refused(lambda: open_masks(folder, wanted), str(folder), "000009")
-    refused(lambda: open_masks(coco(tmp_path / "c.json"), wanted), "images", "000009")
+    request = MaskRequest((*FRAMES, "000009"), SIZE, ("1",))
+    refused(lambda: open_masks(folder, request), str(folder), "000009")
+    refused(lambda: open_masks(coco(tmp_path / "c.json"), request), "images", "000009")
     (folder / "x_4.png").write_bytes((folder / "frame_4.png").read_bytes())
-    refused(lambda: open_masks(folder, Wanted(FRAMES, SIZE)), "second mask")
+    refused(lambda: open_masks(folder, MaskRequest(FRAMES, SIZE)), "second mask")
 
 
 def test_polygons_fill_the_pixels_whose_centres_they_hold() -> None:
@@ -207,7 +207,7 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path, data: st.DataObject) 
         content[a], content[b] = content[b], content[a]
     path.write_bytes(bytes(content))
     try:
-        seen, ignored, _ = open_masks(folder if kind == "png" else path, Wanted(FRAMES, SIZE, ("1",), ("2",)))(0)
+        seen, ignored, _ = open_masks(folder if kind == "png" else path, MaskRequest(FRAMES, SIZE, ("1",), ("2",)))(0)
     except InputError as error:
         assert path.name in str(error)  # noqa: PT017
     else:
@@ -223,10 +223,10 @@ def test_huge_images_take_no_memory(tmp_path: Path, refused: Callable[..., str])
         content[16:24] = struct.pack(">II", 100_000, 100_000)
         content[29:33] = struct.pack(">I", zlib.crc32(bytes(content[12:29])))
         (folder / f"{name}.png").write_bytes(bytes(content))
-    refused(lambda: open_masks(folder, Wanted(FRAMES, SIZE, ("1",)))(0), "size", "100000")
+    refused(lambda: open_masks(folder, MaskRequest(FRAMES, SIZE, ("1",)))(0), "size", "100000")
     bomb = tmp_path / "c.json"
     bomb.write_text('{"images":' + "[" * 200_000)
-    refused(lambda: open_masks(bomb, Wanted(FRAMES, SIZE)), str(bomb))
+    refused(lambda: open_masks(bomb, MaskRequest(FRAMES, SIZE)), str(bomb))
 
 
 def test_command_adds_masks_to_a_clip(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -292,24 +292,24 @@ def test_video_segments(tmp_path: Path, refused: Callable[..., str], protocol: A
         np.save(path, content, allow_pickle=True)  # type: ignore[arg-type]
     else:
         path.write_bytes(pickle.dumps(content, protocol=protocol))
-    wanted = Wanted(("000000", "000001"), SIZE, ("1",), ("2", "3"))
-    read = open_masks(path, wanted)
+    request = MaskRequest(("000000", "000001"), SIZE, ("1",), ("2", "3"))
+    read = open_masks(path, request)
     for n in range(2):
         seen, ignored, unknown = read(n)
         np.testing.assert_array_equal(seen, labels()[n] == 1)
         np.testing.assert_array_equal(ignored, np.isin(labels()[n], [2, 3] if n == 0 else [2]))
         assert unknown is None
-        _, same, hand = open_masks(path, replace(wanted, ignore=("2",), hand=("3",)))(n)
+        _, same, hand = open_masks(path, replace(request, ignore=("2",), hand=("3",)))(n)
         np.testing.assert_array_equal(same, ignored)
         np.testing.assert_array_equal(hand, (labels()[n] == 3) & (n == 0))
     for chosen, option in (((), "--object"), (("7",), "--object")):
         with pytest.raises(UsageError, match=f"{option}.*1, 2, 3"):
-            open_masks(path, replace(wanted, object=chosen))
+            open_masks(path, replace(request, object=chosen))
     for kind in ("ignore", "hand"):
         with pytest.raises(UsageError, match=f"--{kind}: got '7'"):
-            open_masks(path, replace(wanted, **{kind: ("7",)}))  # type: ignore[arg-type]
-    refused(lambda: open_masks(path, replace(wanted, size=(21, 14))), str(path), "0.1")
-    refused(lambda: open_masks(path, replace(wanted, frames=("000001", "000002"))), "nothing of 1 of 2 frames")
+            open_masks(path, replace(request, **{kind: ("7",)}))  # type: ignore[arg-type]
+    refused(lambda: open_masks(path, replace(request, size=(21, 14))), str(path), "0.1")
+    refused(lambda: open_masks(path, replace(request, frames=("000001", "000002"))), "nothing of 1 of 2 frames")
 
 
 @pytest.mark.parametrize(
@@ -318,7 +318,7 @@ def test_video_segments(tmp_path: Path, refused: Callable[..., str], protocol: A
 def test_what_are_no_video_segments(tmp_path: Path, refused: Callable[..., str], content: Any) -> None:
     path = tmp_path / "segments.pkl"
     path.write_bytes(pickle.dumps(content))
-    refused(lambda: open_masks(path, Wanted(("0",), SIZE)), str(path))
+    refused(lambda: open_masks(path, MaskRequest(("0",), SIZE)), str(path))
 
 
 def counted_from_zero(folder: Path, kind: str, count: int) -> Path:

@@ -16,7 +16,7 @@ from getagrip.datasets.dataset import clips
 from getagrip.datasets.dexycb import recording as files
 from getagrip.datasets.dexycb.calibration import intrinsics as intrinsics_of
 from getagrip.datasets.dexycb.reader import WITHIN_10_MM, DexYcb, fit_hand
-from getagrip.datasets.dexycb.recording import PACKED_K, Poses, Recording, bent_side, find
+from getagrip.datasets.dexycb.recording import PACKED_K, ObjectPoses, Recording, bent_side, find
 from getagrip.datasets.tracks import subject_of
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
@@ -251,7 +251,7 @@ def test_fingers_are_as_thick_as_the_hand_is_long(size):
     T_cam_hand, T_cam_obj, _ = scene()
     joints = se3.transform(T_cam_hand, posed.joints)
     known = np.ones(FRAMES, dtype=bool)
-    poses = {HELD: Poses(T_cam_obj, known)}
+    poses = {HELD: ObjectPoses(T_cam_obj, known)}
     recording = Recording(Path("x"), "s", "q", "", "right", HELD, poses, joints, known, PACKED_K)
     hand = fit_hand(recording)
     assert np.median(hand.residuals) < 0.002

@@ -64,7 +64,7 @@ def mesh(suffix: str) -> Reader:
         trimesh.Trimesh(shape.vertices, shape.faces).export(folder / f"a{suffix}")
 
     def read(folder: Path) -> None:
-        own_mesh.own_mesh(own_mesh.Wanted(folder / f"a{suffix}", 100.0, None, False))
+        own_mesh.own_mesh(own_mesh.MeshRequest(folder / f"a{suffix}", 100.0, None, False))
         parse_mesh(folder / f"a{suffix}")
         read_mesh(folder / f"a{suffix}")
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from fuzz.reader import Reader, mano_folder
+from getagrip.clip.mask_request import MaskRequest
 from getagrip.clip.mask_sources import open_masks
-from getagrip.clip.wanted_masks import Wanted
 from getagrip.hands import mano
 from getagrip.hands.trackers import Request, Tracker
 from getagrip.hands.trackers import read as read_hands
@@ -27,10 +27,10 @@ from getagrip.io import arrays
 from helpers import estimator_files, mask_files
 from helpers.estimator_files import Known, hamer_record, write_npz
 
-WANTED = Wanted(mask_files.FRAMES, mask_files.SIZE, ("1",), ("2", "3"))
+REQUEST = MaskRequest(mask_files.FRAMES, mask_files.SIZE, ("1",), ("2", "3"))
 
 
-def masks(name: str, write: Callable[[Path], object], wanted: Wanted = WANTED) -> Reader:
+def masks(name: str, write: Callable[[Path], object], wanted: MaskRequest = REQUEST) -> Reader:
     """Masks by another program."""
 
     def read(folder: Path) -> None:
@@ -126,11 +126,11 @@ def mano_files(folder: Path) -> None:
 
 READERS: dict[str, Reader] = {
     "masks labels": masks("labels", mask_files.label_folder),
-    "masks things": masks("things", thing_folders, replace(WANTED, object=(), ignore=())),
-    "masks coco": masks("a.json", mask_files.coco, replace(WANTED, object=("cup",), ignore=("hand", "3"))),
-    "masks coco lists": masks("a.json", lambda path: mask_files.coco(path, False), replace(WANTED, object=("cup",))),
+    "masks things": masks("things", thing_folders, replace(REQUEST, object=(), ignore=())),
+    "masks coco": masks("a.json", mask_files.coco, replace(REQUEST, object=("cup",), ignore=("hand", "3"))),
+    "masks coco lists": masks("a.json", lambda path: mask_files.coco(path, False), replace(REQUEST, object=("cup",))),
     "masks arrays": masks("a.npz", mask_arrays),
-    "masks sam2": masks("a.pkl", segments, replace(WANTED, frames=("000000", "000001"))),
+    "masks sam2": masks("a.pkl", segments, replace(REQUEST, frames=("000000", "000001"))),
     "hands hamer": hands(HaMeR(), hamer),
     "hands hamer demo": hands(HaMeR(), hamer_demo, with_mano=True),
     "hands wilor": hands(WiLoR(), hamer_pickles),

@@ -20,7 +20,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.metrics.contact import ContactDefinition
 from getagrip.result import Reconstruction, write_result
-from getagrip.view.figures import Given
+from getagrip.view.figures import GivenResult
 from getagrip.view.figures.aligned import RAMP, Aligned, _overlay
 from getagrip.view.figures.contact import Contact
 from getagrip.view.figures.gallery import Gallery
@@ -67,8 +67,8 @@ def _moved(result: Reconstruction) -> Reconstruction:
     return replace(result, T_hand_obj=T, method="dynamic")
 
 
-def given(root: Path, *names: str) -> list[Given]:
-    return [Given(folder) for name in names for folder in sorted((root / name).iterdir())]
+def given(root: Path, *names: str) -> list[GivenResult]:
+    return [GivenResult(folder) for name in names for folder in sorted((root / name).iterdir())]
 
 
 def never(error: Exception) -> None:
@@ -112,7 +112,7 @@ def test_an_object_far_from_the_hand_has_no_red(made: Path, tmp_path: Path) -> N
     T = se3.rigid(t=np.array([0.0, 0.0, 0.5])) @ view.result.T_hand_obj
     result = replace(view.result, T_hand_obj=T)
     write_result(result, tmp_path / "far", input_sha256(view.clip.origin), clip_folder=view.clip.origin)
-    figure = Contact(dpi=DPI, frames=1).draw([Given(tmp_path / "far")], never)
+    figure = Contact(dpi=DPI, frames=1).draw([GivenResult(tmp_path / "far")], never)
     assert sum(red(tile) for tile in drawn(figure)[:7]) == 0
     assert any("(SCA) 0.0 %" in words for words in texts(figure))
 
@@ -292,7 +292,7 @@ def test_figures_are_written_whole_or_not_at_all(run: Run, made: Path, tmp_path:
 
 def test_folders_are_told_apart_by_what_differs() -> None:
     def names(*paths: str) -> list[str]:
-        return distinct([Given(Path(path)) for path in paths])
+        return distinct([GivenResult(Path(path)) for path in paths])
 
     assert names("/r/a/clip", "/r/b/clip") == ["a", "b"]
     assert names("/r/a/x/clip", "/r/b/y/clip") == ["a/x", "b/y"]

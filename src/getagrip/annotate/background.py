@@ -16,7 +16,7 @@ class CancelledError(Exception):
 
 
 @dataclass
-class Job:
+class BackgroundJob:
     """A piece of work, and how far it is."""
 
     what: str
@@ -40,7 +40,7 @@ class Job:
         return {key: getattr(self, key) for key in ("what", "state", "done", "total", "message")}
 
 
-Work = Callable[[Job], str]
+Work = Callable[[BackgroundJob], str]
 """Does it, and says in words what was made."""
 
 
@@ -49,12 +49,12 @@ class Background:
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(1)
-        self._jobs: dict[str, Job] = {}
+        self._jobs: dict[str, BackgroundJob] = {}
         self._lock = Lock()
 
     def start(self, key: str, what: str, work: Work) -> None:
         """Begin work on something, and end what is being done to it."""
-        job = Job(what)
+        job = BackgroundJob(what)
         with self._lock:
             if (old := self._jobs.get(key)) is not None:
                 old.stop.set()
@@ -66,7 +66,7 @@ class Background:
         if (job := self._jobs.get(key)) is not None:
             job.stop.set()
 
-    def job(self, key: str) -> Job | None:
+    def job(self, key: str) -> BackgroundJob | None:
         """The last job."""
         return self._jobs.get(key)
 
@@ -77,7 +77,7 @@ class Background:
         self._pool.shutdown()
 
 
-def _run(job: Job, work: Work) -> None:
+def _run(job: BackgroundJob, work: Work) -> None:
     try:
         job.report(0, 0)
         job.state = "running"

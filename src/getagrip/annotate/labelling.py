@@ -17,7 +17,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from getagrip.annotate import keyframes, labels, reconstruction, versions
-from getagrip.annotate.background import Background, Job, Work
+from getagrip.annotate.background import Background, BackgroundJob, Work
 from getagrip.annotate.clicked_hands import FEWEST
 from getagrip.annotate.footage import Footage
 from getagrip.annotate.interaction import Interaction
@@ -170,7 +170,7 @@ class Labelling:
         if not given.clicks or not given.label_maps():
             raise RefusedError("a clip needs joints on one frame at least, and a polygon around the object on one")
 
-        def work(job: Job) -> str:
+        def work(job: BackgroundJob) -> str:
             job.message = "writing the files"
             self.write(grasp, given, job)
             words = clip_words(given, self.out / grasp.name, str(_path(grasp)), self._segments(grasp))
@@ -185,7 +185,7 @@ class Labelling:
             raise RefusedError("there is no result of this grasp yet")
         return path.read_bytes()
 
-    def write(self, grasp: Grasp, given: Labels, job: Job) -> str:
+    def write(self, grasp: Grasp, given: Labels, job: BackgroundJob) -> str:
         """Write ``labels-<name>.json``, and ``<name>/`` with hand and masks; the command that makes a clip of them.
 
         Of a whole interaction also ``segments-<name>.json``. Raises ``RefusedError`` where segments overlap.
@@ -221,7 +221,7 @@ class Labelling:
             n = int(found[1])
             return f"frame {grasp.footage.number(n) if n < grasp.footage.frames else n}"
 
-        def renumbered(job: Job) -> str:
+        def renumbered(job: BackgroundJob) -> str:
             try:
                 return work(job)
             except UsageError as error:
@@ -256,7 +256,7 @@ class Labelling:
                 number = grasp.footage.number(n)
                 raise RefusedError(f"frame {number} has {count} joints: click {FEWEST} at least, or delete them")
 
-    def _draft(self, grasp: Grasp, given: Labels, basis: Basis, job: Job) -> str:
+    def _draft(self, grasp: Grasp, given: Labels, basis: Basis, job: BackgroundJob) -> str:
         """Make drafts of both kinds where those that are there were made of something else."""
         from getagrip.annotate import drafting
 

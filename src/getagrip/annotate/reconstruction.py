@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from getagrip.annotate.background import CancelledError, Job
+from getagrip.annotate.background import BackgroundJob, CancelledError
 from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError
 from getagrip.io.files import shown
@@ -58,7 +58,7 @@ def result_folder(out: Path, name: str) -> Path:
     return out / RESULTS / name
 
 
-def reconstruct(new_clip: Sequence[str], shape: Shape, out: Path, name: str, job: Job) -> str:
+def reconstruct(new_clip: Sequence[str], shape: Shape, out: Path, name: str, job: BackgroundJob) -> str:
     """Make the clip with ``new_clip``, the words of ``clip new`` but for mesh and folder; reconstruct it, and report.
 
     Returns what was said of it. Raises ``GetagripError`` with what a command said against it, ``CancelledError``.
@@ -77,7 +77,7 @@ def reconstruct(new_clip: Sequence[str], shape: Shape, out: Path, name: str, job
     return said[1]
 
 
-def _run(words: Sequence[str], job: Job) -> str:
+def _run(words: Sequence[str], job: BackgroundJob) -> str:
     """Run a command; returns what it printed."""
     process = subprocess.Popen(
         [sys.executable, "-m", "getagrip", *words],

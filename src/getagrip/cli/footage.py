@@ -65,12 +65,12 @@ class ClipCommand(Command):
     def run(self) -> int:
         from getagrip.clip.intrinsics import Lens
         from getagrip.commands.new_clip import Ingredients, new_clip
-        from getagrip.commands.own_mesh import Wanted
+        from getagrip.commands.own_mesh import MeshRequest
 
         sizes = (self.size_mm, self.diameter_mm, self.known_scale)
         given = Ingredients(
             video=self.video, interval=self.interval, side=self.side, category=self.category,
-            mesh=None if self.mesh is None else Wanted(self.mesh, *sizes), masks=self.masks,
+            mesh=None if self.mesh is None else MeshRequest(self.mesh, *sizes), masks=self.masks,
             mask_of_first=self.mask_first, object=self.object, ignore=self.ignore, hand=self.hand,
             hands=self.hands, lens=Lens(self.K, self.focal, self.guess_focal), segments=self.segments,
             still_camera=self.still_camera,
@@ -135,7 +135,7 @@ class Annotate(Command):
 
     def run(self) -> int:
         from getagrip.clip.intrinsics import Lens
-        from getagrip.commands.annotate import Wanted, annotate
+        from getagrip.commands.annotate import AnnotateRequest, annotate
 
-        wanted = Wanted(self.import_labels, self.import_segments, self.annotator, self.export)
-        return annotate(self.source, self.videos, self.out, self.port, Lens(self.K, self.focal), wanted)
+        request = AnnotateRequest(self.import_labels, self.import_segments, self.annotator, self.export)
+        return annotate(self.source, self.videos, self.out, self.port, Lens(self.K, self.focal), request)

@@ -36,6 +36,6 @@ class Report(Command):
             raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
 
     def run(self) -> int:
-        from getagrip.commands.report import Wanted, report
+        from getagrip.commands.report import ReportRequest, report
 
-        return report(self.paths, Wanted(self.clips, self.mp4, self.index_only), self.workers, self.debug)
+        return report(self.paths, ReportRequest(self.clips, self.mp4, self.index_only), self.workers, self.debug)

@@ -157,13 +157,13 @@ class Evaluate(Command):
     def run(self) -> int:
         from getagrip.commands.evaluate import evaluate_results
         from getagrip.commands.evaluate_meshes import Meshes
-        from getagrip.commands.evaluate_poses import Poses
+        from getagrip.commands.evaluate_poses import OtherPoses
 
         poses = None
         if self.poses is not None:
             if self.clips is None:
                 raise UsageError("--poses: got no --clips, expected the clip, or the folder that holds the clips")
-            poses = Poses(self.poses, self.clips)
+            poses = OtherPoses(self.poses, self.clips)
         meshes = None
         if self.meshes is not None:
             if self.clips is None or self.mesh_frame is None:

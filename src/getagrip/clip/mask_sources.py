@@ -24,39 +24,39 @@ from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
 from getagrip.clip.label_images import label_value, read_labels
+from getagrip.clip.mask_request import MOST_NAMED, MaskReader, MaskRequest, without_object
 from getagrip.clip.naming import frame_of
 from getagrip.clip.segments import region, union
 from getagrip.clip.video_segments import video_segments
-from getagrip.clip.wanted_masks import MOST_NAMED, MaskReader, Wanted, without_object
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays, files
 
 LOSSY = {".jpg", ".jpeg", ".webp"}
 
 
-def open_masks(path: Path, wanted: Wanted) -> MaskReader:
+def open_masks(path: Path, request: MaskRequest) -> MaskReader:
     """A reader of the masks of some frames. Raises ``InputError`` for missing frames, ``UsageError`` for labels."""
     if path.suffix in {".pkl", ".pickle", ".npy"} and path.is_file():
-        return video_segments(path, wanted)
+        return video_segments(path, request)
     if path.is_dir():
-        wanted.check_numbers(path, (png.stem for png in sorted(path.rglob("*.png"))))
+        request.check_numbers(path, (png.stem for png in sorted(path.rglob("*.png"))))
         things = sorted(sub.name for sub in path.iterdir() if sub.is_dir() and any(sub.glob("*.png")))
         labels = "object" not in things and any(path.glob("*.png"))
-        return _thing_folders(path, wanted, things) if things and not labels else _label_folder(path, wanted)
+        return _thing_folders(path, request, things) if things and not labels else _label_folder(path, request)
     if path.suffix == ".npz":
-        return _arrays(path, wanted)
+        return _arrays(path, request)
     if path.suffix == ".json":
-        return _coco(path, wanted)
+        return _coco(path, request)
     given = "no folder, .json, .npz, .pkl or .npy" if path.exists() else "no such file or folder"
     raise InputError(path, "", given, "masks: a folder of PNG, COCO's JSON, arrays, or SAM 2's video_segments")
 
 
-def _thing_folders(folder: Path, wanted: Wanted, things: Sequence[str]) -> MaskReader:
+def _thing_folders(folder: Path, request: MaskRequest, things: Sequence[str]) -> MaskReader:
     """Masks of a thing each in folders of their names.
 
     An only one need not be named, nor those called ``object``, ``ignore`` and ``hand``.
     """
-    chosen = {"object": wanted.object, "ignore": wanted.ignore, "hand": wanted.hand}
+    chosen = {"object": request.object, "ignore": request.ignore, "hand": request.hand}
     if not any(chosen.values()):
         chosen = {"object": tuple(things[:1]), "ignore": (), "hand": ()}
         if len(things) > 1:
@@ -67,11 +67,11 @@ def _thing_folders(folder: Path, wanted: Wanted, things: Sequence[str]) -> MaskR
             given = "nothing" if wrong is None else repr(wrong)
             there = ", ".join(files.plain(name) for name in things[:MOST_NAMED])
             raise UsageError(f"--{kind}: got {given}, expected the name of a folder in {folder}: {there}")
-    paths = {kind: [_pngs(folder / name, wanted.frames) for name in names] for kind, names in chosen.items()}
+    paths = {kind: [_pngs(folder / name, request.frames) for name in names] for kind, names in chosen.items()}
 
     def read(n: int) -> FrameMasks:
         visible, hidden, hand = (
-            union([read_labels(each[n], wanted.size) != 0 for each in paths[kind]], wanted.size)
+            union([read_labels(each[n], request.size) != 0 for each in paths[kind]], request.size)
             for kind in ("object", "ignore", "hand")
         )
         return without_object(visible, hidden, hand if paths["hand"] else None)
@@ -79,10 +79,10 @@ def _thing_folders(folder: Path, wanted: Wanted, things: Sequence[str]) -> MaskR
     return MaskReader(folder, read)
 
 
-def _label_folder(folder: Path, wanted: Wanted) -> MaskReader:
+def _label_folder(folder: Path, request: MaskRequest) -> MaskReader:
     """A folder of label images."""
-    paths, choose = _pngs(folder, wanted.frames), _Chooser(wanted)
-    return MaskReader(folder, lambda n: choose(paths[n], read_labels(paths[n], wanted.size)), choose.others)
+    paths, choose = _pngs(folder, request.frames), _Chooser(request)
+    return MaskReader(folder, lambda n: choose(paths[n], read_labels(paths[n], request.size)), choose.others)
 
 
 def _pngs(folder: Path, frames: Sequence[str]) -> list[Path]:
@@ -106,10 +106,10 @@ def _pngs(folder: Path, frames: Sequence[str]) -> list[Path]:
 class _Chooser:
     """Picks the object and what hides it from labels."""
 
-    def __init__(self, wanted: Wanted) -> None:
-        self.object = [label_value(text, "--object") for text in wanted.object]
-        self.ignore = [label_value(text, "--ignore") for text in wanted.ignore]
-        self.hand = [label_value(text, "--hand") for text in wanted.hand]
+    def __init__(self, request: MaskRequest) -> None:
+        self.object = [label_value(text, "--object") for text in request.object]
+        self.ignore = [label_value(text, "--ignore") for text in request.ignore]
+        self.hand = [label_value(text, "--hand") for text in request.hand]
         self.only: int | None = None
         self.others: set[str] = set()
 
@@ -136,7 +136,7 @@ def _label_name(label: int) -> str:
     return str(label) if label < 2**16 else f"#{label:06x}"
 
 
-def _arrays(path: Path, wanted: Wanted) -> MaskReader:
+def _arrays(path: Path, request: MaskRequest) -> MaskReader:
     """Masks or labels in an ``.npz`` file."""
     given = arrays.read(path, {"object", "ignore", "hand", "labels", "frames"}.__contains__)
     key = "labels" if "labels" in given else "object"
@@ -144,14 +144,14 @@ def _arrays(path: Path, wanted: Wanted) -> MaskReader:
         raise InputError(path, "object", "no such array", "the array, or one called labels")
     if given[key].ndim != 3:
         raise InputError(path, key, f"{given[key].dtype} of shape {given[key].shape}", "masks of shape (n, H, W)")
-    width, height = wanted.size
+    width, height = request.size
     for name in (key, *(name for name in ("ignore", "hand") if name in given)):
         array = given[name]
         expected = f"whole numbers or booleans of shape ({len(given[key])}, {height}, {width})"
         if array.dtype.kind not in "biu" or array.shape != (len(given[key]), height, width):
             raise InputError(path, name, f"{array.dtype} of shape {array.shape}", expected)
-    rows = _rows(path, given, len(given[key]), wanted)
-    choose = _Chooser(wanted)
+    rows = _rows(path, given, len(given[key]), request)
+    choose = _Chooser(request)
     if key == "labels":
         return MaskReader(path, lambda n: choose(path, given["labels"][rows[n]].astype(np.int64)), choose.others)
 
@@ -162,9 +162,9 @@ def _arrays(path: Path, wanted: Wanted) -> MaskReader:
     return MaskReader(path, read)
 
 
-def _rows(path: Path, given: dict[str, ndarray], count: int, wanted: Wanted) -> list[int]:
+def _rows(path: Path, given: dict[str, ndarray], count: int, request: MaskRequest) -> list[int]:
     """The row of each frame."""
-    frames = wanted.frames
+    frames = request.frames
     if "frames" not in given:
         if count != len(frames):
             raise InputError(path, "frames", f"no such array, {count} masks", f"{len(frames)} masks, or their frames")
@@ -172,7 +172,7 @@ def _rows(path: Path, given: dict[str, ndarray], count: int, wanted: Wanted) -> 
     names = given["frames"]
     if names.dtype.kind not in "Uiu" or names.shape != (count,):
         raise InputError(path, "frames", f"{names.dtype} of shape {names.shape}", f"{count} names or numbers")
-    wanted.check_numbers(path, map(str, names))
+    request.check_numbers(path, map(str, names))
     found = {frame_of(str(name), frames): row for row, name in enumerate(names)}
     missing = next((frame for n, frame in enumerate(frames) if n not in found), None)
     if missing is not None:
@@ -180,27 +180,27 @@ def _rows(path: Path, given: dict[str, ndarray], count: int, wanted: Wanted) -> 
     return [found[n] for n in range(len(frames))]
 
 
-def _coco(path: Path, wanted: Wanted) -> MaskReader:
+def _coco(path: Path, request: MaskRequest) -> MaskReader:
     """COCO's annotations; a frame without any of the object shows nothing of it."""
     content = files.read_json(path)
     images, annotations = (_objects(path, content, key) for key in ("images", "annotations"))
     categories = _objects(path, content, "categories", needed=False)
     names = {str(item.get("id")): str(item.get("name")) for item in categories}
     index: dict[Any, int] = {}
-    wanted.check_numbers(
+    request.check_numbers(
         path, (_stem(image["file_name"]) for image in images if isinstance(image.get("file_name"), str))
     )
     for k, image in enumerate(images):
         name = image.get("file_name")
         if not isinstance(name, str) or not isinstance(image.get("id"), int | str):
             raise InputError(path, f"images[{k}]", files.shown(image), "an id and a file_name")
-        n = frame_of(_stem(name), wanted.frames)
+        n = frame_of(_stem(name), request.frames)
         if n is not None:
             size = image.get("width"), image.get("height")
-            if size != wanted.size:
-                raise InputError(path, f"images[{k}]", f"{size[0]} x {size[1]}", "{} x {}".format(*wanted.size))
+            if size != request.size:
+                raise InputError(path, f"images[{k}]", f"{size[0]} x {size[1]}", "{} x {}".format(*request.size))
             index[image["id"]] = n
-    missing = next((f for n, f in enumerate(wanted.frames) if n not in index.values()), None)
+    missing = next((f for n, f in enumerate(request.frames) if n not in index.values()), None)
     if missing is not None:
         raise InputError(path, "images", f"no image of frame {files.plain(missing)}", "an image for each frame")
     regions: dict[tuple[int, str], list[tuple[str, Any]]] = {}
@@ -210,19 +210,19 @@ def _coco(path: Path, wanted: Wanted) -> MaskReader:
             raise InputError(path, f"annotations[{k}]", files.shown(item), "an image_id and a category_id")
         if of in index:
             called = {str(category), names.get(str(category), "")}
-            chosen = "object" if called & {*wanted.object} or not wanted.object else ""
-            kind = "hand" if called & {*wanted.hand} else "ignore" if called & {*wanted.ignore} else chosen
+            chosen = "object" if called & {*request.object} or not request.object else ""
+            kind = "hand" if called & {*request.hand} else "ignore" if called & {*request.ignore} else chosen
             regions.setdefault((index[of], kind), []).append((f"annotations[{k}].segmentation", item))
     used = {str(item["category_id"]) for (_, kind), items in regions.items() if kind == "object" for _, item in items}
-    if not wanted.object and len(used) > 1:
+    if not request.object and len(used) > 1:
         raise InputError(path, "categories", f"several, {', '.join(sorted(used))}", "one, or --object names it")
 
     def drawn(n: int, kind: str) -> Bool[ndarray, "H W"]:
         found = regions.get((n, kind), [])
-        return union([region(path, key, item.get("segmentation"), wanted.size) for key, item in found], wanted.size)
+        return union([region(path, key, item.get("segmentation"), request.size) for key, item in found], request.size)
 
     def read(n: int) -> FrameMasks:
-        return without_object(drawn(n, "object"), drawn(n, "ignore"), drawn(n, "hand") if wanted.hand else None)
+        return without_object(drawn(n, "object"), drawn(n, "ignore"), drawn(n, "hand") if request.hand else None)
 
     there = {str(item["category_id"]) for item in annotations}
     return MaskReader(path, read, {names.get(label, label) for label in sorted(there)[:MOST_NAMED]})

@@ -10,9 +10,9 @@ from jaxtyping import Bool
 from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
+from getagrip.clip.mask_request import MOST_NAMED, MaskReader, MaskRequest, without_object
 from getagrip.clip.naming import frame_of
 from getagrip.clip.segments import union
-from getagrip.clip.wanted_masks import MOST_NAMED, MaskReader, Wanted, without_object
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files, pickles
 
@@ -21,45 +21,45 @@ LARGEST = 512 * 2**20
 WHAT = "SAM 2's video_segments, {frame: {object: mask}}"
 
 
-def video_segments(path: Path, wanted: Wanted) -> MaskReader:
+def video_segments(path: Path, request: MaskRequest) -> MaskReader:
     """A reader of the masks of objects by their numbers; in a frame without one, nothing of it is visible.
 
     Raises ``InputError`` for malformed and for missing frames, ``UsageError`` for labels.
     """
     given = pickles.read_file(path, WHAT, LARGEST)
-    wanted.check_numbers(path, given)
+    request.check_numbers(path, given)
     masks: dict[int, dict[str, ndarray]] = {}
     for name, of_frame in given.items():
-        n = frame_of(name, wanted.frames)
+        n = frame_of(name, request.frames)
         if n is not None:
             if not isinstance(of_frame, Mapping):
                 raise InputError(path, files.plain(name), files.shown(of_frame), WHAT)
-            masks[n] = {str(key): _mask(path, f"{name}.{key}", mask, wanted) for key, mask in of_frame.items()}
-    missing = [frame for n, frame in enumerate(wanted.frames) if n not in masks]
+            masks[n] = {str(key): _mask(path, f"{name}.{key}", mask, request) for key, mask in of_frame.items()}
+    missing = [frame for n, frame in enumerate(request.frames) if n not in masks]
     if missing:
-        lacks = f"nothing of {len(missing)} of {len(wanted.frames)} frames (first: {files.plain(missing[0])})"
+        lacks = f"nothing of {len(missing)} of {len(request.frames)} frames (first: {files.plain(missing[0])})"
         raise InputError(path, "", f"{lacks} in keys {_some(given)}", "all frames, by their numbers")
     there = sorted({key for of_frame in masks.values() for key in of_frame})
-    chosen = wanted.object or tuple(there[:1])
-    unknown = next((name for name in (*chosen, *wanted.ignore, *wanted.hand) if name not in there), None)
-    if unknown is not None or (len(there) > 1 and not wanted.object) or not chosen:
-        option = "--ignore" if unknown in wanted.ignore else "--hand" if unknown in wanted.hand else "--object"
+    chosen = request.object or tuple(there[:1])
+    unknown = next((name for name in (*chosen, *request.ignore, *request.hand) if name not in there), None)
+    if unknown is not None or (len(there) > 1 and not request.object) or not chosen:
+        option = "--ignore" if unknown in request.ignore else "--hand" if unknown in request.hand else "--object"
         said = "nothing" if unknown is None else repr(unknown)
         raise UsageError(f"{option}: got {said}, expected objects of {path}: {_some(there)}")
 
     def read(n: int) -> FrameMasks:
         visible, hidden, hand = (
-            union([masks[n][name] for name in names if name in masks[n]], wanted.size)
-            for names in (chosen, wanted.ignore, wanted.hand)
+            union([masks[n][name] for name in names if name in masks[n]], request.size)
+            for names in (chosen, request.ignore, request.hand)
         )
-        return without_object(visible, hidden, hand if wanted.hand else None)
+        return without_object(visible, hidden, hand if request.hand else None)
 
     return MaskReader(path, read)
 
 
-def _mask(path: Path, key: str, value: object, wanted: Wanted) -> Bool[ndarray, "H W"]:
+def _mask(path: Path, key: str, value: object, request: MaskRequest) -> Bool[ndarray, "H W"]:
     """One mask. Raises ``InputError``."""
-    width, height = wanted.size
+    width, height = request.size
     expected = f"a mask of booleans or whole numbers, ({height}, {width}) or (1, {height}, {width})"
     if not isinstance(value, ndarray) or value.dtype.kind not in "biu" or value.size != width * height:
         given = f"{value.dtype} of shape {value.shape}" if isinstance(value, ndarray) else files.shown(value)

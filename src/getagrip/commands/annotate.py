@@ -9,7 +9,7 @@ from pathlib import Path
 
 from getagrip.annotate import export, labels
 from getagrip.annotate.agreement import Agreement, agreements
-from getagrip.annotate.background import Job
+from getagrip.annotate.background import BackgroundJob
 from getagrip.annotate.labelled_footage import tasks_of
 from getagrip.annotate.labelling import Grasp
 from getagrip.annotate.labels import Labels
@@ -30,7 +30,7 @@ TOKEN = "token"
 
 
 @dataclass(frozen=True)
-class Wanted:
+class AnnotateRequest:
     """What the command is to do with its annotations, other than to serve the page."""
 
     labels: Path | None = None
@@ -43,7 +43,9 @@ class Wanted:
     """Write files."""
 
 
-def annotate(source: Path, videos: Path | None, out: Path, port: int | None, lens: Lens, wanted: Wanted) -> int:
+def annotate(
+    source: Path, videos: Path | None, out: Path, port: int | None, lens: Lens, request: AnnotateRequest
+) -> int:
     """Serve the page for a source; or take labels, or write what is marked and labelled as files into ``out``.
 
     Returns 1 where files could not be made of some grasp, else 0. Raises ``InputError`` for a source or database that
@@ -54,24 +56,24 @@ def annotate(source: Path, videos: Path | None, out: Path, port: int | None, len
     if absent:
         missing = f"no footage of {len(absent)} of them, as {files.plain(absent[0].video)}"
         print(f"{len(tasks)} candidates, {missing}", file=sys.stderr)
-    if wanted.export and wanted.labels is None and wanted.segments is None and not (out / DATABASE).is_file():
+    if request.export and request.labels is None and request.segments is None and not (out / DATABASE).is_file():
         raise UsageError(f"--export: nothing has been marked in {out}")
-    given = None if wanted.labels is None else read_labels(wanted.labels, tasks)
+    given = None if request.labels is None else read_labels(request.labels, tasks)
     out.mkdir(parents=True, exist_ok=True)
     project = Project(tasks, Store(out / DATABASE), lens)
     try:
         if lens.given and (there := next((task for task in tasks if task.path is not None), None)):
             intrinsics(lens, project.footage(there).size)  # refused now rather than once joints are clicked
         if given is not None:
-            grasp = take_labels(project, given, wanted)
+            grasp = take_labels(project, given, request)
             frames = f"{len(given.frames)} key frames of {grasp.task.key}, {grasp.mark.start_number}"
-            print(f"{wanted.annotator}: {frames} to {grasp.mark.end_number}")
-        if wanted.segments is not None:
-            count = take_segments(project, wanted.segments, wanted.annotator)
-            print(f"{wanted.annotator}: {count} segments; give the page this name to correct them")
-        if wanted.export:
+            print(f"{request.annotator}: {frames} to {grasp.mark.end_number}")
+        if request.segments is not None:
+            count = take_segments(project, request.segments, request.annotator)
+            print(f"{request.annotator}: {count} segments; give the page this name to correct them")
+        if request.export:
             return max(write_files(project, out), write_labels(project))
-        if given is None and wanted.segments is None:
+        if given is None and request.segments is None:
             serve(project, port)
         return 0
     finally:
@@ -88,13 +90,13 @@ def read_labels(path: Path, tasks: list[Task]) -> Labels:
     return given
 
 
-def take_labels(project: Project, given: Labels, wanted: Wanted) -> Grasp:
+def take_labels(project: Project, given: Labels, request: AnnotateRequest) -> Grasp:
     """Take labels that were read from a file. Raises ``InputError`` where they are not of the footage."""
     try:
-        return project.import_labels(given, wanted.annotator)
+        return project.import_labels(given, request.annotator)
     except RefusedError as error:
-        assert wanted.labels is not None
-        raise InputError(wanted.labels, "", f"labels that do not fit ({error})", "labels of the footage") from error
+        assert request.labels is not None
+        raise InputError(request.labels, "", f"labels that do not fit ({error})", "labels of the footage") from error
 
 
 def take_segments(project: Project, path: Path, annotator: str) -> int:
@@ -127,7 +129,7 @@ def write_labels(project: Project) -> int:
             continue
         written.add(grasp.name)
         try:
-            print(project.labelling.write(grasp, project.labelling.labels(grasp), Job("files")))
+            print(project.labelling.write(grasp, project.labelling.labels(grasp), BackgroundJob("files")))
         except GetagripError as error:
             print(f"{grasp.name}: labels only: {error}", file=sys.stderr)
             status = 1

@@ -13,7 +13,7 @@ from getagrip.batch.ledger import FILE as LEDGER
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.batch.summary import PAGE, TABLE
 from getagrip.commands.evaluate_meshes import Meshes, MeshJob, evaluate_clip_meshes, mesh_jobs
-from getagrip.commands.evaluate_poses import PoseJob, Poses, evaluate_clip_poses, pose_jobs
+from getagrip.commands.evaluate_poses import OtherPoses, PoseJob, evaluate_clip_poses, pose_jobs
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import contact_tables, evaluate_result, results_table, summary
 from getagrip.io import files
@@ -37,7 +37,7 @@ def evaluate_results(
     paths: Sequence[Path],
     clips: Path | None,
     meshes: Meshes | None,
-    poses: Poses | None,
+    poses: OtherPoses | None,
     contact: bool,
     json: Path | None,
     debug: bool,

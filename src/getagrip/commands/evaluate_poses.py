@@ -17,7 +17,7 @@ from getagrip.evaluation.pose_files import SUFFIXES
 
 
 @dataclass(frozen=True)
-class Poses:
+class OtherPoses:
     """Poses of another system."""
 
     root: Path
@@ -38,7 +38,7 @@ class PoseJob:
     """By the names of clips: the frames to evaluate, where not all are."""
 
 
-def pose_jobs(poses: Poses, frames: Mapping[str, tuple[str, ...]]) -> list[PoseJob]:
+def pose_jobs(poses: OtherPoses, frames: Mapping[str, tuple[str, ...]]) -> list[PoseJob]:
     """A job for each clip with poses. Raises ``InputError`` where there are none."""
     root, method = poses.root, poses.root.resolve().stem if poses.root.is_file() else poses.root.resolve().name
     if not root.exists():

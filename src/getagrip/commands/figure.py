@@ -10,7 +10,7 @@ from getagrip.batch.job import failure
 from getagrip.commands.evaluate import results_in
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
-from getagrip.view.figures import Given, Kind
+from getagrip.view.figures import GivenResult, Kind
 from getagrip.view.style import letters
 
 SUFFIXES = (".png", ".pdf")
@@ -30,11 +30,11 @@ def write_figure(kind: Kind, paths: Sequence[Path], clips: Path | None, out: Pat
     """
     if not paths:
         raise UsageError("RESULT: name at least one result")
-    given: list[Given] = []
+    given: list[GivenResult] = []
     problems: list[Exception] = []
     for path in paths:
         try:
-            given += [Given(folder, clips) for folder in results_in(path)]
+            given += [GivenResult(folder, clips) for folder in results_in(path)]
         except (InputError, OSError) as error:
             if len(paths) == 1:
                 raise

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from getagrip.clip.mask_request import MaskReader, MaskRequest
 from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.reading import read_header
-from getagrip.clip.wanted_masks import MaskReader, Wanted
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.images import write_mask
@@ -37,7 +37,7 @@ def into_clip(
             raise UsageError(f"--first: got {first}, expected none: the clip's frames have no numbers")
         names = tuple(f"{number - numbers[0] + first:06d}" for number in numbers)
     ask_first = "--first" if first is None else ""
-    reader = open_masks(source, Wanted(names, header.size, objects, ignore, hand, ask_first))
+    reader = open_masks(source, MaskRequest(names, header.size, objects, ignore, hand, ask_first))
     whence = header.fields["provenance"] | {"masks": provenance(source, objects, ignore, hand)}
     with files.new_folder(target, ("object",) if overwrite else ()) as new:
         visible = write_masks(reader, header.frames, new)

@@ -17,12 +17,12 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, HandTrack, read_clip, read_observed
 from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.clip.mask_request import MaskReader, MaskRequest
 from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.plausible import check_in_view, check_intrinsics
 from getagrip.clip.reading import read_hand
 from getagrip.clip.segment_files import SegmentList, read, with_segments
 from getagrip.clip.video import video_frames, video_info
-from getagrip.clip.wanted_masks import MaskReader, Wanted
 from getagrip.clip.writing import fill_folder, without_hand, write_hand_at
 from getagrip.commands import own_mesh
 from getagrip.commands.import_masks import provenance, write_masks
@@ -46,7 +46,7 @@ class Ingredients:
     side: Side | None
     category: str | None
     """What the object is; None for the kind of the mesh."""
-    mesh: own_mesh.Wanted | None
+    mesh: own_mesh.MeshRequest | None
     masks: Path | None
     mask_of_first: int | None
     """The number in the name of the first frame's mask; the frame's own where it is not given."""
@@ -234,7 +234,7 @@ def _masks(given: Ingredients, numbers: Int[ndarray, "T"], size: tuple[int, int]
     shift = 0 if given.mask_of_first is None else given.mask_of_first - given.interval[0]
     names = tuple(f"{n + shift:06d}" for n in numbers)
     ask_first = "--mask-first" if given.mask_of_first is None else ""
-    return open_masks(given.masks, Wanted(names, size, given.object, given.ignore, given.hand, ask_first))
+    return open_masks(given.masks, MaskRequest(names, size, given.object, given.ignore, given.hand, ask_first))
 
 
 def _write(

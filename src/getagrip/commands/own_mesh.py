@@ -16,7 +16,7 @@ from getagrip.geometry.mesh_files import LARGEST, SMALLEST, SUFFIXES, checked_me
 
 
 @dataclass(frozen=True)
-class Wanted:
+class MeshRequest:
     """The mesh options of a command."""
 
     path: Path
@@ -36,7 +36,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Found:
+class OwnMesh:
     """A mesh in metres."""
 
     mesh: Mesh
@@ -46,39 +46,39 @@ class Found:
     """Where it and its size come from."""
 
 
-def own_mesh(wanted: Wanted) -> Found:
+def own_mesh(request: MeshRequest) -> OwnMesh:
     """The mesh at its size.
 
     Raises ``InputError`` for a file that is missing or no mesh, ``UsageError`` for sizes that make no sense.
     """
-    if wanted.kind is not None and wanted.known_scale:
+    if request.kind is not None and request.known_scale:
         expected = "--size-mm or --diameter-mm: its size is not that of the one in your video"
-        raise UsageError(f"--known-scale: got it with this package's own {wanted.kind}, expected {expected}")
-    vertices, faces, provenance = _shape(wanted)
+        raise UsageError(f"--known-scale: got it with this package's own {request.kind}, expected {expected}")
+    vertices, faces, provenance = _shape(request)
     kept = with_area(vertices, faces)  # generated meshes are full of slivers
     if len(kept) < len(faces):
         provenance["mesh"] += f", {len(faces) - len(kept)} faces without area left out"
-    vertices, scale = _rescaled(vertices, wanted)
+    vertices, scale = _rescaled(vertices, request)
     if scale:
         provenance["scale"] = scale
-    return Found(checked_mesh(wanted.path, vertices, kept), bool(scale) or wanted.known_scale, provenance)
+    return OwnMesh(checked_mesh(request.path, vertices, kept), bool(scale) or request.known_scale, provenance)
 
 
-def _shape(wanted: Wanted) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], dict[str, str]]:
+def _shape(request: MeshRequest) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], dict[str, str]]:
     """Vertices, faces, and where they come from."""
-    if wanted.kind is not None:
-        made = CATEGORIES[wanted.kind].make()
-        return made.vertices, made.faces, {"mesh": f"this package's own {wanted.kind}: a guess of the object's shape"}
-    if not wanted.path.is_file():
+    if request.kind is not None:
+        made = CATEGORIES[request.kind].make()
+        return made.vertices, made.faces, {"mesh": f"this package's own {request.kind}: a guess of the object's shape"}
+    if not request.path.is_file():
         kinds = ", ".join(sorted(CATEGORIES))
         expected = f"a triangle mesh ({', '.join(SUFFIXES)}), or the name of one of this package's shapes: {kinds}"
-        raise InputError(wanted.path, "mesh", "no such file", expected)
-    return *parse_mesh(wanted.path), {"mesh": wanted.path.name}
+        raise InputError(request.path, "mesh", "no such file", expected)
+    return *parse_mesh(request.path), {"mesh": request.path.name}
 
 
-def _rescaled(vertices: Float[ndarray, "..."], wanted: Wanted) -> tuple[Float[ndarray, "..."], str]:
+def _rescaled(vertices: Float[ndarray, "..."], request: MeshRequest) -> tuple[Float[ndarray, "..."], str]:
     """Vertices at the size that is stated, and how they got it in words; "" where none is stated."""
-    sizes = {"--size-mm": wanted.side_mm, "--diameter-mm": wanted.diameter_mm}
+    sizes = {"--size-mm": request.side_mm, "--diameter-mm": request.diameter_mm}
     stated = [(option, value) for option, value in sizes.items() if value is not None]
     if not stated:
         return vertices, ""

@@ -27,7 +27,7 @@ DEEPEST = 4
 
 
 @dataclass(frozen=True)
-class Wanted:
+class ReportRequest:
     """What is written of results."""
 
     clips: Path | None = None
@@ -38,12 +38,12 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Job:
+class ReportJob:
     """A result to report on; ``root`` is the folder of the index, None for a result that was named itself."""
 
     folder: Path
     root: Path | None
-    wanted: Wanted
+    request: ReportRequest
 
     @property
     def name(self) -> str:
@@ -54,17 +54,17 @@ class Job:
 Reported = tuple[IndexRow, Outcome | None]
 
 
-def report(paths: Sequence[Path], wanted: Wanted, workers: int | None, debug: bool) -> int:
+def report(paths: Sequence[Path], request: ReportRequest, workers: int | None, debug: bool) -> int:
     """Write what is wanted of each path, a result or a folder of results; 1 if anything failed, else 0."""
     failed = False
     for path in filterfalse(of_batch, paths):
         try:
             if (path / "result.json").exists():
-                _, problem = report_one(Job(path, None, wanted))
+                _, problem = report_one(ReportJob(path, None, request))
                 problems = [problem] if problem is not None else []
-                written = [name for name in _files(wanted) if not problems]
+                written = [name for name in _files(request) if not problems]
             else:
-                problems = _folder(path, wanted, workers)
+                problems = _folder(path, request, workers)
                 written = [INDEX]
         except (InputError, OSError) as error:
             problems, written = [failure("", error)], []
@@ -93,7 +93,7 @@ def results_below(path: Path) -> list[Path]:
     return sorted(found)
 
 
-def report_one(job: Job) -> Reported:
+def report_one(job: ReportJob) -> Reported:
     """Write the pages of a result; its row of the index, and what went wrong. Raises nothing."""
     try:
         return _written(job), None
@@ -102,21 +102,21 @@ def report_one(job: Job) -> Reported:
         return _unwritten(job, outcome.message), outcome
 
 
-def _written(job: Job) -> IndexRow:
+def _written(job: ReportJob) -> IndexRow:
     """Write the pages of a result."""
-    folder, wanted = job.folder, job.wanted
-    result, clip, masks = read_evaluated(folder, wanted.clips)
+    folder, request = job.folder, job.request
+    result, clip, masks = read_evaluated(folder, request.clips)
     evaluation, view = evaluate(result, clip, masks), View.of(result, clip, masks)
-    if job.root is None or not wanted.index_only:
+    if job.root is None or not request.index_only:
         write_page(view, evaluation, read_record(folder), folder / PAGE)
     if job.root is None:
         write_report(result, clip, masks, folder / PICTURE, evaluation["metrics"])
-    if wanted.film:
+    if request.film:
         write_film(view, folder / FILM)
     return row(job.name, view, evaluation, (folder / PAGE).is_file())
 
 
-def _unwritten(job: Job, problem: str) -> IndexRow:
+def _unwritten(job: ReportJob, problem: str) -> IndexRow:
     """The row of a result whose pages could not be written: what its own files say, if they can be read."""
     try:
         result, record = read_result(job.folder)
@@ -125,9 +125,9 @@ def _unwritten(job: Job, problem: str) -> IndexRow:
         return IndexRow(job.name, problem=problem)
 
 
-def _folder(path: Path, wanted: Wanted, workers: int | None) -> list[Outcome]:
+def _folder(path: Path, request: ReportRequest, workers: int | None) -> list[Outcome]:
     """Report on all results in a folder and write their index; what went wrong."""
-    jobs = [Job(folder, path, wanted) for folder in results_below(path)]
+    jobs = [ReportJob(folder, path, request) for folder in results_below(path)]
     done: dict[Path, Reported] = {}
     with progress_bar(counted=True) as bar:
         task = bar.add_task("results", total=len(jobs))
@@ -141,7 +141,7 @@ def _folder(path: Path, wanted: Wanted, workers: int | None) -> list[Outcome]:
     return [problem for problem in problems if problem is not None]
 
 
-def _reported(jobs: Sequence[Job], workers: int | None) -> Iterator[tuple[Job, Reported | None]]:
+def _reported(jobs: Sequence[ReportJob], workers: int | None) -> Iterator[tuple[ReportJob, Reported | None]]:
     """Each job with what it gives, as they finish; many are shared out over processes."""
     count = min(len(jobs), workers or (1 if len(jobs) <= FEW else cores()))
     if count == 1:
@@ -149,6 +149,6 @@ def _reported(jobs: Sequence[Job], workers: int | None) -> Iterator[tuple[Job, R
     return in_processes(report_one, jobs, count)
 
 
-def _files(wanted: Wanted) -> list[str]:
+def _files(request: ReportRequest) -> list[str]:
     """What is written of a result that was named itself."""
-    return [PAGE, PICTURE, *[FILM] * wanted.film]
+    return [PAGE, PICTURE, *[FILM] * request.film]

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from getagrip.clip import Clip
     from getagrip.clip.segment_files import SegmentList
-    from getagrip.segmentation.found import Found
+    from getagrip.segmentation.found import FoundSegments
 
 SEGMENTS = "segments.json"
 COLUMNS = ("sequence", "side", "object", "state", "start", "end", "duration", "first", "last", "margin")
@@ -39,7 +39,7 @@ class Write:
 
 
 @dataclass(frozen=True)
-class FindJob:
+class SegmentJob:
     """A clip to find segments in."""
 
     clip: Path
@@ -48,7 +48,7 @@ class FindJob:
 
 
 @dataclass(frozen=True)
-class FoundClip:
+class SegmentedClip:
     """What was found in a clip."""
 
     clip: str
@@ -74,7 +74,9 @@ def find_in_clips(
     ``clip.json`` has them, with margins, as ``segments.json``; ``json`` the list; ``write`` the clips' own. Raises
     ``UsageError`` where there is nothing to do, and where two clips have the same name.
     """
-    found, failures = each_clip(paths, lambda _, folder: FindJob(folder, definition, write), find_one, workers, debug)
+    found, failures = each_clip(
+        paths, lambda _, folder: SegmentJob(folder, definition, write), find_one, workers, debug
+    )
     if found:
         console().print(_table(found))
     for one in found:
@@ -89,7 +91,7 @@ def find_in_clips(
     return 1 if failures else 0
 
 
-def find_one(job: FindJob, progress: Progress = lambda *_: None) -> FoundClip | Outcome:
+def find_one(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip | Outcome:
     """The segments of one clip, or how it failed. Raises nothing."""
     from getagrip.segmentation.cut import segment_list
     from getagrip.segmentation.found import find_segments
@@ -105,10 +107,10 @@ def find_one(job: FindJob, progress: Progress = lambda *_: None) -> FoundClip | 
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)
     grasps = tuple(as_listed(clip, first, last) for first, last in found.grasps)
-    return FoundClip(clip.name, tuple(_rows(clip, found)), _fields(listed, found), grasps)
+    return SegmentedClip(clip.name, tuple(_rows(clip, found)), _fields(listed, found), grasps)
 
 
-def _rows(clip: Clip, found: Found) -> list[dict[str, Any]]:
+def _rows(clip: Clip, found: FoundSegments) -> list[dict[str, Any]]:
     """The segments, by ``COLUMNS``."""
     return [
         {
@@ -127,12 +129,12 @@ def _rows(clip: Clip, found: Found) -> list[dict[str, Any]]:
     ]
 
 
-def _fields(listed: SegmentList, found: Found) -> dict[str, Any]:
+def _fields(listed: SegmentList, found: FoundSegments) -> dict[str, Any]:
     """The segments as ``clip.json`` has them, and beside them the margins and what was assumed."""
     return listed.fields | {"margins": [one.margin for one in found.segments], "notes": list(found.notes)}
 
 
-def _table(found: Sequence[FoundClip]) -> Table:
+def _table(found: Sequence[SegmentedClip]) -> Table:
     from rich.text import Text
 
     table = plain_table()
@@ -148,7 +150,7 @@ def _table(found: Sequence[FoundClip]) -> Table:
     return table
 
 
-def _write(found: Sequence[FoundClip], out: Path) -> None:
+def _write(found: Sequence[SegmentedClip], out: Path) -> None:
     """All segments, into the folder."""
     out.mkdir(parents=True, exist_ok=True)
     with (out / "segments.csv").open("w", encoding="utf-8", newline="") as stream:

@@ -24,7 +24,7 @@ MIDDLE_KNUCKLE = 9
 
 
 @dataclass(frozen=True)
-class Camera:
+class PosedCamera:
     """A pinhole that may move."""
 
     K: Float[ndarray, "3 3"]
@@ -34,7 +34,7 @@ class Camera:
     """What it is, for the provenance."""
 
 
-def assumed_camera(places: Float[ndarray, "T 3"], hands: Iterable[Float[ndarray, "T 21 3"]]) -> Camera:
+def assumed_camera(places: Float[ndarray, "T 3"], hands: Iterable[Float[ndarray, "T 21 3"]]) -> PosedCamera:
     """A fixed camera that looks at the median of an object's places from the side from which the forearms come.
 
     ``hands`` are joints in this package's order. All is in the world frame [m], where z is up.
@@ -51,12 +51,12 @@ def assumed_camera(places: Float[ndarray, "T 3"], hands: Iterable[Float[ndarray,
     return facing(np.stack([x, np.cross(z, x), z]), places, f"a guess: none is given; fixed, {side}")
 
 
-def facing(R_cam_world: Float[ndarray, "3 3"], places: Float[ndarray, "T 3"], described: str) -> Camera:
+def facing(R_cam_world: Float[ndarray, "3 3"], places: Float[ndarray, "T 3"], described: str) -> PosedCamera:
     """A fixed camera of some orientation that looks at the median of an object's places [m] from ``DISTANCE``."""
     T_cam_world = se3.rigid(R_cam_world, [0.0, 0.0, DISTANCE] - R_cam_world @ np.median(places, axis=0))
     K, size = pinhole()
     described += f", {DISTANCE:g} m from the object's median place, focal length {FOCAL:g} px"
-    return Camera(K, size, np.tile(T_cam_world, (len(places), 1, 1)), described)
+    return PosedCamera(K, size, np.tile(T_cam_world, (len(places), 1, 1)), described)
 
 
 def pinhole() -> tuple[Float[ndarray, "3 3"], tuple[int, int]]:

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import HandTrack, Joint, World
-from getagrip.datasets.assumed_camera import Camera, assumed_camera
+from getagrip.datasets.assumed_camera import PosedCamera, assumed_camera
 from getagrip.datasets.fitted_hands import describe_fit, fit_hand
 from getagrip.datasets.tracks import Track
 from getagrip.geometry import se3
@@ -46,7 +46,7 @@ class Motion:
     """Of the object, where it has one."""
     articulation: Float[ndarray, "T"] | None = None
     """Angle of the joint [rad]."""
-    camera: Camera | None = None
+    camera: PosedCamera | None = None
     """One is assumed where it is not known; then z is up in the world frame."""
 
 

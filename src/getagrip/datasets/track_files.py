@@ -33,7 +33,7 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import Joint
-from getagrip.datasets.assumed_camera import Camera
+from getagrip.datasets.assumed_camera import PosedCamera
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.joint_tracks import Motion, tracks
@@ -151,7 +151,7 @@ def _angles(file: Path, given: Arrays, T: int, rows: Int[ndarray, "n"]) -> Float
     return arrays.floats(file, given, "articulation", (T,))[rows] if "articulation" in given else None
 
 
-def _camera(file: Path, given: Arrays, T: int, rows: Int[ndarray, "n"]) -> Camera | None:
+def _camera(file: Path, given: Arrays, T: int, rows: Int[ndarray, "n"]) -> PosedCamera | None:
     """The file's camera in some of its frames; none where it has none."""
     has = [key for key in CAMERA if key in given]
     if not has:
@@ -165,7 +165,7 @@ def _camera(file: Path, given: Arrays, T: int, rows: Int[ndarray, "n"]) -> Camer
     T_cam_world = arrays.floats(file, given, "T_cam_world", (4, 4) if given["T_cam_world"].ndim == 2 else (T, 4, 4))
     if not se3.is_rigid(T_cam_world).all():
         raise InputError(file, "T_cam_world", "what is no rigid motion", "rotations and translations [m]")
-    return Camera(K, (int(width), int(height)), np.broadcast_to(T_cam_world, (T, 4, 4))[rows], "the file's own")
+    return PosedCamera(K, (int(width), int(height)), np.broadcast_to(T_cam_world, (T, 4, 4))[rows], "the file's own")
 
 
 def _numbers(file: Path, given: Arrays, T: int) -> Int[ndarray, "T"]:

@@ -16,10 +16,10 @@ from getagrip.clip.writing import fill_folder
 from getagrip.grasps.cut import as_listed
 from getagrip.grasps.lists import BETWEEN
 from getagrip.io import files
-from getagrip.segmentation.found import STILL, Found, FoundSegment
+from getagrip.segmentation.found import STILL, FoundSegment, FoundSegments
 
 
-def segment_list(clip: Clip, found: Found) -> SegmentList:
+def segment_list(clip: Clip, found: FoundSegments) -> SegmentList:
     """The segments, and where they come from."""
     least = min(one.margin for one in found.segments)
     source = f"found in masks and hands, each at least {least:.0f} nats before the next best"
@@ -27,7 +27,7 @@ def segment_list(clip: Clip, found: Found) -> SegmentList:
     return SegmentList.of(clip, [one.segment for one in found.segments], source, still)
 
 
-def write_timeline(clip: Clip, masks: Masks, found: Found, folder: Path) -> list[Path]:
+def write_timeline(clip: Clip, masks: Masks, found: FoundSegments, folder: Path) -> list[Path]:
     """Write the whole clip with its segments into ``folder/<clip>``, and return this folder, in a list.
 
     Images are copied where the clip's folder has them. The folder of an earlier call is replaced.
@@ -36,7 +36,7 @@ def write_timeline(clip: Clip, masks: Masks, found: Found, folder: Path) -> list
     return [_write(whole, masks, clip, np.arange(len(clip)), folder / clip.name)]
 
 
-def write_grasps(clip: Clip, masks: Masks, found: Found, folder: Path) -> list[Path]:
+def write_grasps(clip: Clip, masks: Masks, found: FoundSegments, folder: Path) -> list[Path]:
     """Write each stable grasp into ``folder/<clip>--<n>``, n from 1, and return these folders.
 
     Images are copied where the clip's folder has them. Folders of an earlier call are replaced.
@@ -47,7 +47,7 @@ def write_grasps(clip: Clip, masks: Masks, found: Found, folder: Path) -> list[P
     ]
 
 
-def _write_grasp(clip: Clip, masks: Masks, found: Found, one: FoundSegment, folder: Path) -> Path:
+def _write_grasp(clip: Clip, masks: Masks, found: FoundSegments, one: FoundSegment, folder: Path) -> Path:
     """One of them."""
     segment = one.segment
     provenance = {

@@ -54,7 +54,7 @@ class FoundSegment:
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundSegments:
     """All segments of a clip, which follow each other, and what was assumed."""
 
     segments: tuple[FoundSegment, ...]
@@ -72,7 +72,7 @@ def find_segments(
     definition: Definition = WITHIN_10_MM,
     options: Options | None = None,
     progress: Callable[[float], None] = lambda _: None,
-) -> Found:
+) -> FoundSegments:
     """What the object does from frame to frame; ``masks`` are read from the clip's folder where none are given.
 
     Without ``clip.world`` the camera is taken to stand still. The clip's own segments and truth are not read. Of
@@ -93,7 +93,7 @@ def find_segments(
     division = cheapest(cost)
     notes = () if clip.world is not None else ("the camera is taken to stand still: a guess",)
     margin = margins(cost, division)
-    return Found(tuple(_segments(clip, division, margin, held, moved.jitter, definition)), notes)
+    return FoundSegments(tuple(_segments(clip, division, margin, held, moved.jitter, definition)), notes)
 
 
 def moving_runs(clip: Clip, masks: Masks) -> list[tuple[int, int]]:

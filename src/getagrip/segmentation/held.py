@@ -91,7 +91,7 @@ def _tried(
     """Poses in the hand in the problem's frames, and their misfit [px of the image]."""
     motion = own_fit(problem, found, sampled, index)
     assert found.energy_of is not None
-    mask, *_ = found.energy_of(problem)(256, np.arange(len(index)))
+    mask = next(term for term in found.energy_of(problem)(256, np.arange(len(index))) if term.name == "mask")
     energy = mask(in_camera(motion, problem.clip.hand.T_cam_hand), np.full(1, np.inf)).value[0]
     here = np.arange(len(index))
     energy = energy + [motion.resampled(here, here[t : t + 1]).prior().value[0] for t in here]

@@ -67,7 +67,7 @@ MOST_FRAMES = 20_000
 
 
 @dataclass(frozen=True)
-class Poses:
+class ObjectPoses:
     """One object over a sequence."""
 
     T_cam_obj: Float[ndarray, "N 4 4"]
@@ -86,7 +86,7 @@ class Recording:
     side: Side
     held: str
     """Name of the object that is held."""
-    objects: dict[str, Poses]
+    objects: dict[str, ObjectPoses]
     """By name, the held one among them."""
     joints: Float[ndarray, "N 21 3"]
     """Joints in the camera frame [m], in this package's order."""
@@ -150,7 +150,7 @@ def _packed(path: Path) -> list[Sequence]:
         if not _is_name(obj):
             raise InputError(path, f"object[{i}]", shown(obj), "the name of an object")
         T_cam_obj = se3.rigid(se3.from_quaternion(np.roll(q[rows], 1, axis=1)), t[rows])
-        poses = Poses(T_cam_obj, np.ones(len(T_cam_obj), dtype=bool))
+        poses = ObjectPoses(T_cam_obj, np.ones(len(T_cam_obj), dtype=bool))
         read = partial(_packed_recording, path, subject, sequence, obj, poses, joints[rows], known[rows])
         sequences.append(Sequence(name, read))
     return sequences
@@ -161,7 +161,7 @@ def _packed_recording(
     subject: str,
     sequence: str,
     held: str,
-    poses: Poses,
+    poses: ObjectPoses,
     joints: Float[ndarray, "N 21 3"],
     known: Bool[ndarray, "N"],
 ) -> Recording:
@@ -210,7 +210,7 @@ def _read_folder(root: Path, folder: Path) -> Recording:
         camera=serial,
         side=sides[side],
         held=YCB[held],
-        objects={YCB[id_]: Poses(T_cam_obj[:, k], known[:, k]) for k, id_ in enumerate(ids)},
+        objects={YCB[id_]: ObjectPoses(T_cam_obj[:, k], known[:, k]) for k, id_ in enumerate(ids)},
         joints=joints,
         hand_known=~np.all(joints == -1.0, axis=(1, 2)),  # a hand that is not known is -1
         K=calibration.intrinsics(root / "calibration" / "intrinsics" / f"{serial}_{SIZE[0]}x{SIZE[1]}.yml"),

@@ -74,7 +74,7 @@ class HandFile:
 
 
 @dataclass(frozen=True)
-class Camera:
+class EpicCamera:
     """Where images of a video were taken with."""
 
     K: Float[ndarray, "3 3"]
@@ -143,7 +143,7 @@ def clip(
     frames: VisorFrames,
     mesh: Mesh,
     mesh_source: str,
-    camera: Camera,
+    camera: EpicCamera,
     hands: HandFile | None,
     has_mapping: bool,
     note: Note,
@@ -215,7 +215,7 @@ def _provenance(
     grasp: EpicGrasp,
     frames: Sequence[visor.Frame],
     mesh: str,
-    camera: Camera,
+    camera: EpicCamera,
     hands: HandFile | None,
     has_mapping: bool,
     segments: Sequence[Segment],
@@ -258,15 +258,15 @@ def hand_file(path: Path) -> HandFile:
     return HandFile(path, frames, K)
 
 
-def pinhole(focal: float | None = None) -> Camera:
+def pinhole(focal: float | None = None) -> EpicCamera:
     """A pinhole, its principal point in the middle; the focal length [px of 854 x 480] is guessed for want of one."""
     f = GUESSED_FOCAL * SIZE[0] if focal is None else focal
     K = np.array([[f, 0.0, SIZE[0] / 2], [0.0, f, SIZE[1] / 2], [0.0, 0.0, 1.0]])
     guess = f"a guess: the focal length {f:g} px, which HOMan takes for EPIC-KITCHENS"
-    return Camera(K, guess) if focal is None else Camera(K, "focal length as given")
+    return EpicCamera(K, guess) if focal is None else EpicCamera(K, "focal length as given")
 
 
-def read_camera(path: Path) -> Camera:
+def read_camera(path: Path) -> EpicCamera:
     """The camera of a video from EPIC-Fields (``<video>.json``), without its distortion. Raises ``InputError``.
 
     The principal point is put into the middle, as the authors of EPIC-Grasps do.
@@ -284,7 +284,7 @@ def read_camera(path: Path) -> Camera:
     K = np.diag([focal[0] * SIZE[0] / size[0], focal[1] * SIZE[1] / size[1], 1.0])
     K[:2, 2] = np.array(SIZE) / 2
     check_intrinsics(path, K[None], SIZE)
-    return Camera(K, "EPIC-Fields, its distortion left out")
+    return EpicCamera(K, "EPIC-Fields, its distortion left out")
 
 
 def category_mesh(category: str, folder: Path | None) -> tuple[Mesh, str]:

@@ -152,7 +152,7 @@ class VideoGrasps:
             yield Draft(grasp.name, make, lambda clip: self.images([int(name) for name in clip.frames]), hand)
 
     def _clip(
-        self, timeline: EpicTimeline, frames: clips.VisorFrames, camera: clips.Camera, note: Note
+        self, timeline: EpicTimeline, frames: clips.VisorFrames, camera: clips.EpicCamera, note: Note
     ) -> tuple[Clip, Masks] | None:
         grasp = timeline.span
         path = self._hands(grasp)
@@ -166,7 +166,7 @@ class VideoGrasps:
         path = None if self.options.hands is None else self.options.hands / f"{grasp.name}.npz"
         return path if path is not None and path.is_file() else None
 
-    def _camera(self, wanted: range) -> clips.Camera:
+    def _camera(self, wanted: range) -> clips.EpicCamera:
         """The camera of the video; for timelines, where it was in the frames that are ``wanted``."""
         if self.options.cameras is None:
             return clips.pinhole(self.options.focal)

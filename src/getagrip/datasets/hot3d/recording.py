@@ -55,7 +55,7 @@ class Hand:
 
 
 @dataclass(frozen=True)
-class Poses:
+class WorldPoses:
     """One object over a recording."""
 
     T_world_obj: Float[ndarray, "N 4 4"]
@@ -63,7 +63,7 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Camera:
+class HeadsetCamera:
     """The camera of a recording, and the pinhole that takes its place."""
 
     device: str
@@ -79,9 +79,9 @@ class Recording:
     name: str
     times: Int[ndarray, "N"]
     """Times of the frames [ns]."""
-    camera: Camera
+    camera: HeadsetCamera
     hands: dict[Side, Hand]
-    objects: dict[str, Poses]
+    objects: dict[str, WorldPoses]
     """By HOT3D's object uid."""
 
 
@@ -116,7 +116,7 @@ def read_recording(name: str, files: dict[str, Path]) -> Recording:
     if not 2 <= len(times) <= MOST_FRAMES:
         raise InputError(need("headset_trajectory.csv"), "", f"{len(times)} frames", f"2 to {MOST_FRAMES}")
     T_world_device, _ = _at(times, headset)
-    objects = {uid: Poses(*_at(times, poses)) for uid, poses in _poses_csv(need(*OBJECTS)).items()}
+    objects = {uid: WorldPoses(*_at(times, poses)) for uid, poses in _poses_csv(need(*OBJECTS)).items()}
     calibration = need("online_calibration.jsonl", "camera_models.json")
     camera = (
         _aria(calibration, times, T_world_device)
@@ -147,7 +147,7 @@ def _hands(path: Path, model: umetrack.UmeTrackHand, times: Int[ndarray, "N"]) -
     return hands
 
 
-def _aria(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "N 4 4"]) -> Camera:
+def _aria(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "N 4 4"]) -> HeadsetCamera:
     """The RGB camera, or else the left SLAM camera, calibrated online.
 
     The calibration is stamped by another clock than the poses. It drifts by little, so the clocks are set equal at the
@@ -170,10 +170,10 @@ def _aria(path: Path, times: Int[ndarray, "N"], T_world_device: Float[ndarray, "
     start = min(mounts)
     T_device_fisheye, _ = _at(times - times[0] + start, mounts)
     view = _upright(lenses[0])
-    return Camera("Aria", label, lenses[0], view, T_world_device @ T_device_fisheye @ view.T_fisheye_pinhole)
+    return HeadsetCamera("Aria", label, lenses[0], view, T_world_device @ T_device_fisheye @ view.T_fisheye_pinhole)
 
 
-def _quest(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> Camera:
+def _quest(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> HeadsetCamera:
     """The first large camera of a Quest 3, which is stream 1201-1."""
     try:
         cameras = json.loads(read_bytes(path, LARGEST_JSON))
@@ -187,7 +187,7 @@ def _quest(path: Path, T_world_device: Float[ndarray, "N 4 4"]) -> Camera:
         T_device_fisheye = _rigid([*mount["quaternion_wxyz"], *mount["translation_xyz"]])
         view = _upright(fisheye)
         label = str(camera["label"])
-    return Camera("Quest 3", label, fisheye, view, T_world_device @ T_device_fisheye @ view.T_fisheye_pinhole)
+    return HeadsetCamera("Quest 3", label, fisheye, view, T_world_device @ T_device_fisheye @ view.T_fisheye_pinhole)
 
 
 def _upright(fisheye: Fisheye624) -> Pinhole:

@@ -7,7 +7,7 @@ from getagrip.view.figures.aligned import Aligned
 from getagrip.view.figures.contact import Contact
 from getagrip.view.figures.gallery import Gallery
 from getagrip.view.figures.hands import Hands
-from getagrip.view.figures.kind import Given, Kind
+from getagrip.view.figures.kind import GivenResult, Kind
 from getagrip.view.figures.methods import Methods
 
 FIGURES: dict[str, type[Kind]] = {
@@ -18,4 +18,4 @@ FIGURES: dict[str, type[Kind]] = {
     "gallery": Gallery,
 }
 
-__all__ = ["FIGURES", "Given", "Kind"]
+__all__ = ["FIGURES", "GivenResult", "Kind"]

@@ -14,7 +14,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.render import Colour, Surface, render_rgb
-from getagrip.view.figures.kind import Count, Fail, Given, Kind, evenly, summary, the_one
+from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, evenly, summary, the_one
 from getagrip.view.looking import Eye, looking
 from getagrip.view.sheet import HEAD, Sheet, frame
 from getagrip.view.style import AXIS, HAND, OBJECT, PAPER_RGB, TRUE
@@ -52,7 +52,7 @@ class Aligned(Kind):
     frames: Count = 5
     """Frames to draw."""
 
-    def draw(self, results: Sequence[Given], fail: Fail) -> Figure:
+    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
         view = the_one(results, "aligned")
         chosen, colours = self._frames(view)
         width = 0.25 + max(len(chosen) * (SMALL + GAP), 4 * (LARGE + GAP)) + 0.17

@@ -16,7 +16,7 @@ from getagrip.metrics.contact import (
     stable_contact_area,
 )
 from getagrip.metrics.pose import ObjectTrack
-from getagrip.view.figures.kind import Count, Fail, Given, Kind, Millimetres, evenly, summary, the_one
+from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, Millimetres, evenly, summary, the_one
 from getagrip.view.matrix import IOU_RAMP
 from getagrip.view.sheet import HEAD, Sheet, frame
 from getagrip.view.style import FAINT, LINE, TRUE
@@ -46,7 +46,7 @@ class Contact(Kind):
     contact: Millimetres = 10.0
     """What is within MM of the other surface is in contact."""
 
-    def draw(self, results: Sequence[Given], fail: Fail) -> Figure:
+    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
         (definition,) = at_millimetres([self.contact])
         view = the_one(results, "contact")
         surfaces = touched(view, definition.threshold)

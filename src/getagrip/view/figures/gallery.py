@@ -13,7 +13,7 @@ from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, ROTATION_SYM, SCA, Metric
 from getagrip.fitting.methods import method_of
 from getagrip.metrics.contact import ContactDefinition
-from getagrip.view.figures.kind import Count, Fail, Given, Kind, doubts, guesses
+from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, doubts, guesses
 from getagrip.view.sheet import HEAD, Sheet
 from getagrip.view.style import AXIS, FAINT, FOUND, INK
 from getagrip.view.tiles import input_windows, over_image, rendered
@@ -40,7 +40,7 @@ MOST = 60
 class _Scored:
     """A result that can be read, its value of the metric, and the frame to show: its worst."""
 
-    given: Given
+    given: GivenResult
     value: float
     worst: int
 
@@ -61,7 +61,7 @@ class Gallery(Kind):
         if not 1 <= self.n <= MOST:
             raise UsageError(f"--n: got {self.n}, expected 1 to {MOST}")
 
-    def draw(self, results: Sequence[Given], fail: Fail) -> Figure:
+    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
         name, metric = METRICS[self.by]
         scored = self._scored(results, fail)
         order = sorted(scored, key=lambda one: one.value, reverse=metric.unit != "%")  # the worst first
@@ -93,7 +93,7 @@ class Gallery(Kind):
         sheet.legend(0.25, height - 0.34, lines)
         return sheet.figure
 
-    def _scored(self, results: Sequence[Given], fail: Fail) -> list[_Scored]:
+    def _scored(self, results: Sequence[GivenResult], fail: Fail) -> list[_Scored]:
         """The results that have a value of the metric; one at a time in memory, since masks are large."""
         out, errors = [], []
         for given in results:
@@ -107,7 +107,7 @@ class Gallery(Kind):
             fail(problem)
         return out
 
-    def _score(self, given: Given) -> _Scored:
+    def _score(self, given: GivenResult) -> _Scored:
         """A result's value of the metric, and its worst frame. Raises ``InputError`` where it has none."""
         metric, view = METRICS[self.by][1], given.read()
         method_of(view.result.method)

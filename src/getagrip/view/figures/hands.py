@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from getagrip.errors import UsageError
 from getagrip.metrics.contact import at_millimetres
-from getagrip.view.figures.kind import Count, Fail, Given, Kind, Millimetres, readable, summary
+from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, Millimetres, readable, summary
 from getagrip.view.figures.rows import Row, at_common_frames, distinct, draw_rows, numbers
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class Hands(Kind):
     contact: Millimetres = 10.0
     """Points of the object within MM of the hand's surface are in contact, in SCA."""
 
-    def draw(self, results: Sequence[Given], fail: Fail) -> Figure:
+    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
         (contact,) = at_millimetres([self.contact])
         read = readable(results, fail)
         views = at_common_frames(read)

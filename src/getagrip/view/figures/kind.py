@@ -27,7 +27,7 @@ DPI = 40, 600
 
 
 @dataclass(frozen=True)
-class Given:
+class GivenResult:
     """A result's folder, and where to look for its clip (None: where the result says)."""
 
     folder: Path
@@ -46,7 +46,7 @@ class Kind:
     dpi: Annotated[int, arg(metavar="N")] = 130
     """Pixels an inch."""
 
-    def draw(self, results: Sequence[Given], fail: Fail) -> Figure:
+    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
         """The figure. Raises ``GetagripError`` where there is nothing that it could show."""
         raise NotImplementedError
 
@@ -59,7 +59,7 @@ class Kind:
             raise UsageError(f"--frames: got {frames}, expected 1 to {MOST_FRAMES}")
 
 
-def the_one(results: Sequence[Given], kind: str) -> View:
+def the_one(results: Sequence[GivenResult], kind: str) -> View:
     """The result of a figure that shows one. Raises ``UsageError`` for more."""
     if len(results) != 1:
         first = ", ".join(str(given.folder) for given in results[:2])
@@ -67,9 +67,9 @@ def the_one(results: Sequence[Given], kind: str) -> View:
     return results[0].read()
 
 
-def readable(results: Sequence[Given], fail: Fail) -> list[tuple[Given, View]]:
+def readable(results: Sequence[GivenResult], fail: Fail) -> list[tuple[GivenResult, View]]:
     """The results that can be read; the others go to ``fail``. Raises the error where there is only one."""
-    out: list[tuple[Given, View]] = []
+    out: list[tuple[GivenResult, View]] = []
     for given in results:
         try:
             out.append((given, given.read()))

@@ -11,7 +11,7 @@ from getagrip.clip import input_sha256
 from getagrip.errors import InputError
 from getagrip.fitting.methods import method_of
 from getagrip.metrics.contact import at_millimetres
-from getagrip.view.figures.kind import Count, Fail, Given, Kind, Millimetres, about, readable
+from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, Millimetres, about, readable
 from getagrip.view.figures.rows import Row, at_common_frames, distinct, draw_rows, numbers
 from getagrip.view.tiles import View
 
@@ -30,7 +30,7 @@ class Methods(Kind):
     truth: bool = True
     """Draw the ground truth as the last row, where it is known."""
 
-    def draw(self, results: Sequence[Given], fail: Fail) -> Figure:
+    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
         (contact,) = at_millimetres([self.contact])
         read = readable(results, fail)
         views = at_common_frames(read)
@@ -45,7 +45,7 @@ class Methods(Kind):
         return draw_rows(rows, views[0].clip.name, under, self.frames, self.dpi, with_hand=False)
 
 
-def _check_inputs(read: Sequence[tuple[Given, View]]) -> None:
+def _check_inputs(read: Sequence[tuple[GivenResult, View]]) -> None:
     """Refuse results that were made with different hands, masks or meshes."""
     first, clip = read[0][0], read[0][1].clip
     for given, view in read[1:]:

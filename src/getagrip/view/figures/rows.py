@@ -16,7 +16,7 @@ from getagrip.errors import InputError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, SCA
 from getagrip.metrics.contact import ContactDefinition
-from getagrip.view.figures.kind import Given, doubts, evenly
+from getagrip.view.figures.kind import GivenResult, doubts, evenly
 from getagrip.view.sheet import HEAD, Sheet
 from getagrip.view.style import AXIS, FAINT, FOUND, HAND_LINE, TRUE
 from getagrip.view.tiles import View, input_windows, over_image, rendered
@@ -48,7 +48,7 @@ def numbers(view: View, contact: ContactDefinition) -> list[str]:
     return texts + doubts(view)
 
 
-def at_common_frames(results: Sequence[tuple[Given, View]]) -> list[View]:
+def at_common_frames(results: Sequence[tuple[GivenResult, View]]) -> list[View]:
     """The results at the frames that all of them have. Raises ``InputError`` where they are not of one clip."""
     first, one = results[0]
     for given, view in results[1:]:
@@ -66,7 +66,7 @@ def at_common_frames(results: Sequence[tuple[Given, View]]) -> list[View]:
     return [view.at(names) for _, view in results]
 
 
-def distinct(results: Sequence[Given]) -> list[str]:
+def distinct(results: Sequence[GivenResult]) -> list[str]:
     """What tells the folders of results apart: their paths without what all begin and end with."""
     paths = [given.folder.resolve().parts for given in results]
     if len(paths) == 1:

@@ -12,7 +12,7 @@ import numpy as np
 from getagrip.clip import find_masks, read_clip
 from getagrip.errors import GetagripError
 from getagrip.result import Reconstruction, read_result
-from getagrip.view.figures.kind import Given
+from getagrip.view.figures.kind import GivenResult
 from getagrip.view.figures.rows import at_common_frames, distinct
 from getagrip.view.live.column import Column, named
 
@@ -38,7 +38,7 @@ class Entry:
         if self.clip is not None:
             clip = read_clip(self.clip)
             return [Column.of_clip(clip, find_masks(clip))]
-        given = [Given(folder, self.clips) for folder in self.results]
+        given = [GivenResult(folder, self.clips) for folder in self.results]
         views = at_common_frames([(one, one.read()) for one in given])
         return named(list(zip(distinct(given), views, strict=True)))
 

@@ -41,7 +41,7 @@ class MaskReader:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class MaskRequest:
     """What to look for."""
 
     frames: tuple[str, ...]
