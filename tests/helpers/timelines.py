@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from getagrip.clip import Clip, Masks, Segment, Truth, World
+from getagrip.clip import Clip, HandTrack, Masks, OtherHand, Segment, Truth, World
 from getagrip.geometry import se3
 from getagrip.geometry.render import true_masks
 from helpers.scenes import SMALL, scene
@@ -50,3 +50,22 @@ def timeline(category: str = "mug", seed: int = 0) -> tuple[Clip, Masks]:
     return clip, Masks(
         np.concatenate([np.stack(seen), masks.object]), np.concatenate([np.stack(ignored), masks.ignore])
     )
+
+
+def by_other_hand() -> tuple[Clip, Masks]:
+    """The same, but the clip's own hand is the other one, which stands 30 cm aside; that which grasps is not known in
+    the first two frames, nor in one within the grasp."""
+    clip, masks = timeline()
+    assert clip.truth is not None
+    assert clip.hand.joints is not None
+    mirror = np.array([-1.0, 1.0, 1.0])
+    T = np.repeat(clip.hand.T_cam_hand[:1], len(clip), axis=0)
+    T[:, 0, 3] -= 0.3
+    own = HandTrack(
+        mirror * clip.hand.vertices, clip.hand.faces[:, ::-1], T, clip.hand.regions, mirror * clip.hand.joints
+    )
+    known = np.setdiff1d(np.arange(len(clip)), [0, 1, len(clip) - 3])
+    return replace(
+        clip, side="left", hand=own, other_hand=OtherHand.at(clip.hand.take(known), known, len(clip)),
+        truth=replace(clip.truth, T_cam_hand=T, hand_vertices=own.vertices),
+    ), masks  # fmt: skip

@@ -18,7 +18,7 @@ from getagrip.pages.report import _segments
 from getagrip.result import Reconstruction, read_result, write_result
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import scene
-from helpers.timelines import LIES, timeline
+from helpers.timelines import LIES, by_other_hand, timeline
 
 FEW = Options(inits=20)
 
@@ -86,6 +86,28 @@ def test_a_clip_without_segments_is_one_grasp(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(grasp, "reconstruct", lambda *arguments: given.append(arguments))
     reconstruct(clip, masks, FEW, None, 2)
     assert given == [(clip, masks, FEW, None, 2)]
+
+
+@pytest.mark.slow
+def test_a_grasp_of_the_other_hand_is_solved_with_that_hand(tmp_path: Path) -> None:
+    clip, masks = by_other_hand()
+    assert clip.truth is not None
+    assert clip.other_hand is not None
+    result, _ = read_result(write_result(reconstruct(clip, masks, FEW), tmp_path / "result"))
+    assert result.T_cam_other_hand is not None
+    hand = clip.hand.T_cam_hand if result.T_cam_hand is None else result.T_cam_hand
+    found, true = (se3.transform(T, clip.mesh.vertices[None]) for T in (hand @ result.T_hand_obj, clip.truth.T_cam_obj))
+    off = np.linalg.norm(found - true, axis=-1).mean(axis=-1)[clip.other_hand.known]
+    assert off.max() < 0.1 * clip.mesh.diameter
+    assert "axis_point" in result.segments[2]
+    assert (
+        result.frame_kind == ("sampled",) * LIES + ("fitted",) * 2 + ("sampled",) * 5 + ("fitted",) + ("sampled",) * 2
+    )
+    assert {"contact-gap", "hand-side"} < {*result.segments[2]["checks"]}
+
+    alone = reconstruct(replace(clip, other_hand=None), masks, FEW)
+    assert alone.segments[2]["followed"] is True
+    assert any(note.startswith("grasp from 000007 (right hand): the clip has no right hand") for note in alone.notes)
 
 
 def test_what_cannot_be_solved_is_said(tmp_path: Path) -> None:

@@ -21,8 +21,10 @@ from getagrip.geometry import se3
 
 FRAMES = 30
 """Of a segment that are looked at: as many as are fitted together."""
+HAND_SIDE = "hand-side"
+"""Of the other hand where that holds the object; of the clip's own it is a check of the whole."""
 WITH_HAND = ("mask-size", "seen-size", "frame-order", "masks-follow-hand", "contact-gap", "penetration")
-"""Checks that suppose a grasp, by the clip's own hand."""
+"""Checks that suppose a grasp, by the hand that holds the object."""
 OF_MASKS = ("mask-fit", "worst-frame")
 """Checks of any segment's result."""
 
@@ -51,10 +53,11 @@ def examine_timeline(
     T_cam_obj: Float[ndarray, "T 4 4"],
     scale: float,
     iou: Float[ndarray, "T"],
+    T_cam_other_hand: Float[ndarray, "T 4 4"] | None = None,
 ) -> Examined:
     """Check a timeline and its result: the poses that were found, hands corrected, and IOU, NaN where unobserved."""
     T_hand_obj = se3.inverse(T_cam_hand) @ T_cam_obj
-    whole = Evidence(clip.with_hand_at(T_cam_hand), masks, T_hand_obj, scale, iou)
+    whole = Evidence(clip.with_hand_at(T_cam_hand, T_cam_other_hand), masks, T_hand_obj, scale, iou)
     of_clip = [c for c in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP) if c.name not in (*WITH_HAND, *OF_MASKS)]
     checks, findings = examine(of_clip, whole)
     of_segments, failed = [], []
@@ -73,19 +76,33 @@ def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, f
     assert whole.iou is not None
     assert whole.T_hand_obj is not None
     iou = whole.iou[segment.rows]
-    if np.isnan(iou).all():
+    seen = segment.rows[~np.isnan(iou)]
+    if not len(seen):
         return {}, ()
-    rows = segment.rows[~np.isnan(iou)]
+    known = seen[clip.hand_known(segment.side)[seen]] if segment.state == "grasp" else seen[:0]
+    held, rows = len(known) > 0, known if len(known) else seen
     rows = rows[frame_indices(len(rows), FRAMES)]
-    result = Evidence(whole.clip.take(rows), whole.masks.take(rows), whole.T_hand_obj[rows], whole.scale, iou)
-    held = segment.state == "grasp" and segment.side == clip.side
+    by, of, T_hand_obj, masks = whole.clip, clip, whole.T_hand_obj, whole.masks.take(rows)
+    other = held and segment.side != clip.side
+    if other:
+        by, of = (_by_other(one) for one in (by, of))
+        T_hand_obj = se3.inverse(by.hand.T_cam_hand) @ whole.clip.hand.T_cam_hand @ T_hand_obj
+        masks = replace(masks, hand=None)
+    result = Evidence(by.take(rows), masks, T_hand_obj[rows], whole.scale, iou)
     checks = [c for c in RESULT_CHECKS if c.name in OF_MASKS or (held and c.name in WITH_HAND)]
     measured, findings = examine([*checks, FLOATS] if segment.state == "static" else checks, result)
     if not held:
         return measured, findings
-    given = Evidence(clip.take(rows), result.masks)
-    of_input, before = examine([c for c in INPUT_CHECKS if c.name in WITH_HAND], given)
+    given, wanted = Evidence(of.take(rows), masks), (*WITH_HAND, HAND_SIDE) if other else WITH_HAND
+    of_input, before = examine([c for c in INPUT_CHECKS if c.name in wanted], given)
     return of_input | measured, (*before, *findings)
+
+
+def _by_other(clip: Clip) -> Clip:
+    """The clip with the other hand for its own."""
+    swapped = clip.held_by("left" if clip.side == "right" else "right")
+    assert swapped is not None
+    return swapped
 
 
 def jump(it: Evidence) -> float:

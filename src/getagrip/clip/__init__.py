@@ -1,15 +1,14 @@
 """Clips: what they hold, and their folders (docs/formats.md)."""
 
 from getagrip.clip.data import (
-    FINGERS,
     Clip,
     FrameMasks,
-    HandTrack,
     Masks,
     World,
     check_masks,
     observed_frames,
 )
+from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
 from getagrip.clip.masks import find_masks, read_masks, read_observed
 from getagrip.clip.plausible import check_clip
 from getagrip.clip.reading import input_sha256, read_clip, read_name
@@ -24,6 +23,7 @@ __all__ = [
     "HandTrack",
     "Joint",
     "Masks",
+    "OtherHand",
     "Segment",
     "State",
     "Truth",

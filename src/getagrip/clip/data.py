@@ -11,58 +11,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.clip.timeline import Segment, at_frames, check_segments
+from getagrip.clip.hand_track import HandTrack, OtherHand
+from getagrip.clip.timeline import Segment, Side, at_frames, check_segments
 from getagrip.clip.truth import Truth
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh
-from getagrip.io.array_data import ArrayData, as_array, check_ids
+from getagrip.io.array_data import ArrayData
 from getagrip.io.files import shown
-
-FINGERS = ("thumb", "index", "middle", "ring", "pinky")
-
-
-@dataclass(frozen=True, eq=False)
-class HandTrack(ArrayData):
-    """A hand in every frame (``hand.npz``).
-
-    The hand frame is any frame that moves with the hand and has its origin there; that of ``getagrip.hands`` is the
-    frame of MANO's template. Vertex ids are counted from 0.
-
-    Attributes:
-        vertices: (T, V, 3) vertices in the hand frame [m].
-        faces: (F, 3) vertex ids of the corners of each face, counter-clockwise seen from outside.
-        T_cam_hand: (T, 4, 4) pose of the hand, hand frame to camera frame [m].
-        regions: contact regions by name, (n,) vertex ids each: the five ``FINGERS`` (the pads of the fingertips), then
-            any ``palm_*``.
-        joints: (T, 21, 3) joints in the hand frame [m]: wrist, then thumb, index, middle, ring and pinky, each from the
-            palm to the tip; None where they are not known.
-    """
-
-    vertices: Float[ndarray, "T V 3"]
-    faces: Int[ndarray, "F 3"]
-    T_cam_hand: Float[ndarray, "T 4 4"]
-    regions: dict[str, Int[ndarray, "_"]]
-    joints: Float[ndarray, "T 21 3"] | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        count = self.vertices.shape[1]
-        check_ids("HandTrack.faces", self.faces, count)
-        regions = {}
-        for name, ids in self.regions.items():
-            where = f"HandTrack.regions[{name!r}]"
-            regions[name] = as_array(where, ids, Int, ("n",), {})
-            check_ids(where, regions[name], count)
-        object.__setattr__(self, "regions", regions)
-        missing = [finger for finger in FINGERS if finger not in self.regions]
-        if count and missing:  # without vertices it stands for hands that are still to come
-            expected = "vertex ids of the pad of each fingertip"
-            raise UsageError(f"HandTrack.regions: got no {', '.join(missing)}, expected {expected}")
-
-    def take(self, index: Int[ndarray, "n"]) -> HandTrack:
-        """The hand in some of the frames, in the given order."""
-        joints = None if self.joints is None else self.joints[index]
-        return replace(self, vertices=self.vertices[index], T_cam_hand=self.T_cam_hand[index], joints=joints)
 
 
 class FrameMasks(NamedTuple):
@@ -153,6 +108,7 @@ class Clip(ArrayData):
         times: (T,) when each frame was taken [s], rising; None where it follows from ``fps`` (``time``).
         world: where the camera was; None where it is not known.
         segments: what the object does from frame to frame, in order; empty: one stable grasp.
+        other_hand: of a timeline, the hand of the other side, which may hold the object, too; None: not known.
         truth: the ground truth; None where it is not known.
         folder: folder of the clip, with its masks and images; None for a clip that is only in memory.
         provenance: where the data comes from, as JSON values; what is a guess is kept in the result's notes.
@@ -163,7 +119,7 @@ class Clip(ArrayData):
     mesh: Mesh
     K: Float[ndarray, "T 3 3"]
     size: tuple[int, int]
-    side: Literal["left", "right"]
+    side: Side
     scale: Literal["known", "free"] = "known"
     frames: tuple[str, ...] = ()
     name: str = "clip"
@@ -172,6 +128,7 @@ class Clip(ArrayData):
     times: Float[ndarray, "T"] | None = None
     world: World | None = None
     segments: tuple[Segment, ...] = ()
+    other_hand: OtherHand | None = None
     truth: Truth | None = None
     folder: Path | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -187,6 +144,8 @@ class Clip(ArrayData):
             counts["truth"] = len(self.truth.T_cam_obj)
         if self.world is not None:
             counts["world"] = len(self.world.T_world_cam)
+        if self.other_hand is not None:
+            counts["other_hand"] = len(self.other_hand.known)
         for name, given in counts.items():
             if given != count:
                 raise UsageError(f"Clip.{name}: got {given} frames, expected {count}, as many as the hand has")
@@ -234,9 +193,34 @@ class Clip(ArrayData):
             raise InputError(self.origin, "frames", f"the frame {shown(unknown)}", known)
         return np.array([place[name] for name in frames], dtype=np.int64)
 
-    def with_hand_at(self, T_cam_hand: Float[ndarray, "T 4 4"] | None) -> Clip:
-        """The clip with its hand elsewhere, as where a result has it; where that is None, the clip itself."""
-        return self if T_cam_hand is None else replace(self, hand=replace(self.hand, T_cam_hand=T_cam_hand))
+    def with_hand_at(
+        self, T_cam_hand: Float[ndarray, "T 4 4"] | None, T_cam_other: Float[ndarray, "T 4 4"] | None = None
+    ) -> Clip:
+        """The clip with its hand elsewhere, and the other one, as where a result has them; None: where it is."""
+        hand, other = self.hand, self.other_hand
+        if T_cam_hand is not None:
+            hand = replace(hand, T_cam_hand=T_cam_hand)
+        if T_cam_other is not None and other is not None:
+            other = replace(other, track=replace(other.track, T_cam_hand=T_cam_other))
+        return self if hand is self.hand and other is self.other_hand else replace(self, hand=hand, other_hand=other)
+
+    def held_by(self, side: Side | None) -> Clip | None:
+        """The clip with the hand of a side for its own; None where that hand is not known.
+
+        Of the other side it has no ground truth, and in some of its frames the hand may not be known (``hand_known``).
+        """
+        if side == self.side:
+            return self
+        if side is None or self.other_hand is None:
+            return None
+        other = OtherHand(self.hand, np.ones(len(self), dtype=bool))
+        return replace(self, hand=self.other_hand.track, side=side, other_hand=other, truth=None)
+
+    def hand_known(self, side: Side | None) -> Bool[ndarray, "T"]:
+        """The frames in which the hand of a side is known."""
+        if side == self.side:
+            return np.ones(len(self), dtype=bool)
+        return np.zeros(len(self), dtype=bool) if side is None or self.other_hand is None else self.other_hand.known
 
     def light(self) -> Clip:
         """The clip with a mesh that is not too large to fit, measure and draw (``Mesh.light``)."""
@@ -256,7 +240,7 @@ class Clip(ArrayData):
         segments = at_frames(self.segments, index)
         return replace(
             self, frames=frames, K=self.K[index], hand=self.hand.take(index), truth=truth, times=self.time[index],
-            world=world, segments=segments,
+            world=world, segments=segments, other_hand=self.other_hand and self.other_hand.take(index),
         )  # fmt: skip
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip.data import Clip, HandTrack
+from getagrip.clip.data import Clip
+from getagrip.clip.hand_track import HandTrack
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
@@ -28,16 +29,22 @@ OFF_ORIGIN = 0.25
 
 def check_clip(clip: Clip) -> None:
     """Raise ``InputError`` for what ``read_clip`` refuses in files: a clip may have been made of arrays instead."""
-    path, mesh = clip.origin, clip.mesh
-    hand = {"vertices": clip.hand.vertices, "T_cam_hand": clip.hand.T_cam_hand}
-    for key, array in {"K": clip.K, "mesh": mesh.vertices, "times": clip.time, **hand}.items():
+    path, mesh, hands = clip.origin, clip.mesh, [(clip.hand, clip.K)]
+    if clip.other_hand is not None and clip.other_hand.known.any():
+        known = np.flatnonzero(clip.other_hand.known)
+        hands.append((clip.other_hand.track.take(known), clip.K[known]))
+    arrays = [("K", clip.K), ("mesh", mesh.vertices), ("times", clip.time)]
+    for hand, _ in hands:
+        arrays += [("vertices", hand.vertices), ("T_cam_hand", hand.T_cam_hand)]
+    for key, array in arrays:
         if not np.isfinite(array).all():
             raise InputError(path, key, "NaN or infinite numbers", "finite numbers")
     check_intrinsics(path, clip.K, clip.size)
     if clip.world is not None:
         check_camera_poses(path, clip.world.T_world_cam, clip.frames)
-    check_hand(path, clip.hand)
-    check_in_view(path, clip.hand, clip.K, clip.size)
+    for hand, K in hands:
+        check_hand(path, hand)
+        check_in_view(path, hand, K, clip.size)
     check_size(path, "mesh", float(np.ptp(mesh.vertices, axis=0).max()), "the object")
     if mesh.is_closed and mesh.volume < 0:
         raise InputError(path, "mesh", "faces that look inward", "faces counter-clockwise seen from outside")

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip.data import FINGERS, Clip, HandTrack
+from getagrip.clip.data import Clip
+from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
 from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
 from getagrip.clip.plausible import check_hand, check_in_view
 from getagrip.clip.reading_truth import read_truth
@@ -28,6 +29,8 @@ OPTIONAL = {1: ("provenance",), 2: ("provenance", "times"), 3: ("provenance", "t
 CAMERA_KEYS = {1: CAMERA[:1], 2: CAMERA[:3], 3: CAMERA}
 """Keys of ``camera`` by the version; only the first must be there."""
 HANDS = "the hands of a clip, as getagrip import hands writes them"
+OTHER_HAND = "other_hand.npz"
+"""The hand of the other side, in a clip's folder."""
 LARGEST_SIDE, LARGEST_IMAGE = 16384, 40_000_000
 """Plausible side [px] and number of pixels of an image; of video, 8K has the most."""
 
@@ -54,6 +57,7 @@ def read_clip(folder: str | Path) -> Clip:
     where = world(path, fields["camera"], frames)
     segments = read_segments(path, fields.get("segments", []), frames, where is not None)
     check_in_view(folder / "hand.npz", hand, K, size)
+    other = _other_hand(folder, frames, rows, K, size)
     has_truth = (folder / "truth.npz").exists() or (folder / "truth.npz").is_symlink()
     return Clip(
         folder=folder,
@@ -71,6 +75,7 @@ def read_clip(folder: str | Path) -> Clip:
         times=when,
         world=None if where is None else where.take(rows),
         segments=at_frames(segments, rows),
+        other_hand=other,
         provenance=fields["provenance"],
     )
 
@@ -115,6 +120,8 @@ def input_sha256(folder: str | Path) -> str:
     hand = files.inside(folder, "hand.npz", "", HANDS)
     frames = frame_names(folder / "clip.json", fields["frames"])
     paths = {"clip.json": folder / "clip.json", "hand.npz": hand, fields["mesh"]: _mesh(folder, fields)}
+    if (folder / OTHER_HAND).exists():
+        paths[OTHER_HAND] = files.inside(folder, OTHER_HAND, "", HANDS)
     for kind in ("object", "ignore", "hand"):
         if (folder / "masks" / kind).exists():
             names = [f"masks/{kind}/{frames[row]}.png" for row in frames_with_hand(hand, frames)]
@@ -215,6 +222,24 @@ def frames_with_hand(path: Path, frames: tuple[str, ...]) -> Int[ndarray, "n"]:
     if given.ndim != 1 or not rows.size or (np.diff(rows) <= 0).any():
         raise InputError(path, "frames", f"{files.shown(' '.join(names)[:80])}", expected)
     return rows
+
+
+def _other_hand(
+    folder: Path, frames: tuple[str, ...], rows: Int[ndarray, "n"], K: Float[ndarray, "n 3 3"], size: tuple[int, int]
+) -> OtherHand | None:
+    """The hand of the other side in the clip's frames ``rows``, where there is a file of it. Raises ``InputError``."""
+    path = folder / OTHER_HAND
+    if not path.exists() and not path.is_symlink():
+        return None
+    path = files.inside(folder, OTHER_HAND, "", HANDS)
+    named = frames_with_hand(path, frames)
+    hand = read_hand(path, len(named))
+    _, here, found = np.intersect1d(rows, named, return_indices=True)
+    if not len(here):
+        expected = "the hand in one of the frames at least in which hand.npz has the clip's own"
+        raise InputError(path, "frames", f"{len(named)} frames, and none of these", expected)
+    check_in_view(path, hand.take(found), K[here], size)
+    return OtherHand.at(hand.take(found), here, len(rows))
 
 
 def read_hand(path: Path, frames: int) -> HandTrack:

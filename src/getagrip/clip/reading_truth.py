@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy import ndarray
 
-from getagrip.clip.data import HandTrack
+from getagrip.clip.hand_track import HandTrack
 from getagrip.clip.plausible import check_in_hand, check_poses
 from getagrip.clip.truth import Joint, Truth
 from getagrip.errors import InputError

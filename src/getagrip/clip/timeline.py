@@ -20,6 +20,7 @@ from getagrip.io import files
 
 State = Literal["static", "contact", "grasp", "free"]
 """Still in the world; in unstable contact with a hand; in a stable grasp; moving without a hand."""
+Side = Literal["left", "right"]
 STATES: tuple[State, ...] = get_args(State)
 KEYS = ("state", "first", "last", "side")
 """Of a segment in ``clip.json``."""
@@ -41,7 +42,7 @@ class Segment:
     state: State
     first: int
     last: int
-    side: Literal["left", "right"] | None = None
+    side: Side | None = None
 
     def __post_init__(self) -> None:
         if self.state not in STATES:

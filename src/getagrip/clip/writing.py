@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 from numpy import ndarray
 
-from getagrip.clip.data import Clip, HandTrack, Masks
-from getagrip.clip.reading import VERSION
+from getagrip.clip.data import Clip, Masks
+from getagrip.clip.hand_track import HandTrack
+from getagrip.clip.reading import OTHER_HAND, VERSION
 from getagrip.clip.timeline import segment_fields
 from getagrip.clip.truth import Truth
 from getagrip.geometry.mesh_files import write_mesh
@@ -51,6 +52,9 @@ def fill_folder(
     write_mesh(clip.mesh, folder / "object.obj")
     if clip.hand.vertices.size:
         write_hand(clip.hand, folder / "hand.npz")
+    if clip.other_hand is not None:
+        rows = np.flatnonzero(clip.other_hand.known)
+        write_hand_at(clip.other_hand.track.take(rows), clip.frames, rows.tolist(), folder / OTHER_HAND)
     if clip.truth is not None:
         arrays.write(folder / "truth.npz", _truth_arrays(clip, clip.truth))
     if masks is not None:

@@ -77,6 +77,8 @@ class Reconstruction(ArrayData):
             diameter); None where nothing is calibrated for such a fit.
         T_cam_hand: (T, 4, 4) pose of the corrected hand, hand frame to camera frame [m], which ``T_hand_obj`` and the
             axis are relative to; None where the hand is as the clip gives it.
+        T_cam_other_hand: (T, 4, 4) of a timeline, pose of the other hand, corrected where it holds the object; None
+            where the clip has no such hand.
         frame_kind: how the pose of each frame was found; by default, all frames were sampled.
         segments: of a timeline, what the object does and what was found, as JSON values (docs/formats.md); else none.
     """
@@ -101,6 +103,7 @@ class Reconstruction(ArrayData):
     signs: dict[str, float] = field(default_factory=dict)
     probability_right: Probability | None = None
     T_cam_hand: Float[ndarray, "T 4 4"] | None = None
+    T_cam_other_hand: Float[ndarray, "T 4 4"] | None = None
     frame_kind: tuple[FrameKind, ...] = ()
     segments: tuple[dict[str, Any], ...] = ()
 
@@ -131,6 +134,7 @@ class Reconstruction(ArrayData):
             axis=None if self.axis is None else replace(self.axis, angle=self.axis.angle[index]),
             candidates=replace(found, T_hand_obj=found.T_hand_obj[:, index]),
             T_cam_hand=None if self.T_cam_hand is None else self.T_cam_hand[index],
+            T_cam_other_hand=None if self.T_cam_other_hand is None else self.T_cam_other_hand[index],
         )
 
     @property

@@ -23,7 +23,7 @@ FILES = ("result.json", "result.npz")
 """Of a result's folder."""
 AXIS = ("axis_point", "axis_direction", "angle")
 ARRAYS = (
-    "T_hand_obj", "T_cam_hand", "scale", "frames", "frame_kind", "iou", *AXIS,
+    "T_hand_obj", "T_cam_hand", "T_cam_other_hand", "scale", "frames", "frame_kind", "iou", *AXIS,
     "candidate_T_hand_obj", "candidate_scale", "candidate_energy",
 )  # fmt: skip
 """What ``result.npz`` holds."""
@@ -91,6 +91,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
         signs=read_checks(folder / "result.json", fields["signs"], "signs"),
         probability_right=read_probability(folder / "result.json", fields["probability_right"]),
         T_cam_hand=_rigid(path, given, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in given else None,
+        T_cam_other_hand=_rigid(path, given, "T_cam_other_hand", (T, 4, 4)) if "T_cam_other_hand" in given else None,
         segments=_segments(folder / "result.json", fields["segments"]),
     )
     return result, fields
@@ -162,6 +163,8 @@ def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
     }
     if result.T_cam_hand is not None:
         out["T_cam_hand"] = result.T_cam_hand
+    if result.T_cam_other_hand is not None:
+        out["T_cam_other_hand"] = result.T_cam_other_hand
     if result.axis is not None:
         axis = result.axis
         out |= {"axis_point": axis.point, "axis_direction": axis.direction, "angle": axis.angle}

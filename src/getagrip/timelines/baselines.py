@@ -25,7 +25,7 @@ from getagrip.geometry import se3
 from getagrip.result import FrameKind
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.held import prepared, solved
-from getagrip.timelines.joint import fill, put_grasp
+from getagrip.timelines.joint import fill, put_grasp, runs
 from getagrip.timelines.motion import Motion
 from getagrip.timelines.static_pose import static_hypotheses
 
@@ -34,13 +34,12 @@ def grasp_only(footage: Footage) -> Motion:
     """Each grasp by itself. Static poses are those of the nearest frame of a grasp; elsewhere, the object goes with the
     hand. Raises ``InputError`` where no grasp shows the object.
     """
-    motion, known = Motion.of(footage), []
+    motion, known = Motion.of(footage), list[Segment]()
     for segment in footage.clip.segments:
-        if segment.state == "grasp" and segment.side == footage.clip.side:
-            problem = prepared(footage, segment)
-            if problem is not None:
-                put_grasp(motion, footage, solved(footage, segment, problem, []), 0, [])
-                known.append(segment)
+        problem = prepared(footage, segment) if segment.state == "grasp" else None
+        if problem is not None:
+            rows = put_grasp(motion, footage, solved(footage, segment, problem, []), 0, [])
+            known += runs(segment, rows)
     _carry(motion, footage, known)
     return motion
 

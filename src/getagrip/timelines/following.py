@@ -8,6 +8,7 @@ were proposed: deviations are under a ridge.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,7 +64,7 @@ def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypothe
     paths = Paths(Hypotheses(*room, start.scale, start.energy), np.arange(K))
     for n, row in enumerate(rows):
         if frame < len(seen) and row == seen[frame]:
-            carried = footage.T_world_hand[row] @ se3.inverse(footage.T_world_hand[last])
+            carried = footage.carried(last, int(row))
             motion, parent = _proposals(here, before, carried, footage.some.surface.axes)
             for times, steps in ROUNDS:
                 for level, iterations in steps:
@@ -83,11 +84,11 @@ def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypothe
 
 
 def _proposals(
-    here: Hypotheses, before: Hypotheses, carried: Float[ndarray, "4 4"], axes: Float[ndarray, "3 3"]
+    here: Hypotheses, before: Hypotheses, carried: Sequence[Float[ndarray, "4 4"]], axes: Float[ndarray, "3 3"]
 ) -> tuple[Frozen[Soft[Fixed]], Int[ndarray, "M"]]:
     """Where paths may go on, one frame each, and which path each proposal is of.
 
-    Half a step on, a whole one with its turn, with the hand (``carried``), or turned about one of the axes.
+    Half a step on, a whole one with its turn, with a hand (``carried``), or turned about one of the axes.
     """
     R, centre, n = here.R[:, 0], here.centre[:, 0], len(here.R)
     step, turn = centre - before.centre[:, 0], R @ np.swapaxes(before.R[:, 0], -1, -2)
@@ -95,7 +96,7 @@ def _proposals(
     places = [
         (R, centre + 0.5 * step),
         (turn @ R, centre + step),
-        (carried[:3, :3] @ R, se3.transform(carried, centre)),
+        *((T[:3, :3] @ R, se3.transform(T, centre)) for T in carried),
         *((r, centre) for r in turned),
     ]
     every = Fixed(

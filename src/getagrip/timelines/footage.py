@@ -8,10 +8,24 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks, World
+from getagrip.clip import Clip, Masks, Segment, World
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare
 from getagrip.geometry import se3
+
+
+def held(clip: Clip, masks: Masks, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
+    """A grasp as a clip of the hand that holds the object, its masks, and its frames: those in which the hand is known.
+
+    None where fewer than two of them show the object. The other hand's pixels are not known apart from all ignored.
+    """
+    by, rows = clip.held_by(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
+    if by is None or not len(rows):
+        return None
+    of_grasp = masks.take(rows)
+    if of_grasp.observed.sum() < 2:
+        return None
+    return by.take(rows), of_grasp if by is clip else replace(of_grasp, hand=None), rows
 
 
 @dataclass(frozen=True)
@@ -52,6 +66,18 @@ class Footage:
     def T_world_hand(self) -> Float[ndarray, "T 4 4"]:
         """The given hand in the world."""
         return self.T_world_cam @ self.clip.hand.T_cam_hand
+
+    def carried(self, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
+        """What moves with a given hand from one frame to another, moves so in the world: by the clip's own hand, and by
+        the other one if it is known in both frames."""
+        T_world_hands, other = [self.T_world_hand], self.clip.other_hand
+        if other is not None and other.known[before] and other.known[after]:
+            T_world_hands.append(self.T_world_cam @ other.track.T_cam_hand)
+        return [T[after] @ se3.inverse(T[before]) for T in T_world_hands]
+
+    def held(self, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
+        """A grasp as a clip (``held``)."""
+        return held(self.clip, self.masks, segment)
 
     def observed(self, rows: Int[ndarray, "n"]) -> Int[ndarray, "m"]:
         """Those of some frames whose masks show the object."""

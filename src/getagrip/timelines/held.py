@@ -68,10 +68,9 @@ class Held:
 
 
 def prepared(footage: Footage, segment: Segment) -> Problem | None:
-    """The problem of a grasp; None where fewer than two of its frames show the object."""
-    if len(footage.observed(segment.rows)) < 2:
-        return None
-    return prepare(footage.clip.take(segment.rows), footage.masks.take(segment.rows), footage.options)
+    """The problem of a grasp; None where its hand is not known or fewer than two frames show the object."""
+    held = footage.held(segment)
+    return None if held is None else prepare(held[0], held[1], footage.options)
 
 
 def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Sequence[Neighbour]) -> Held:
@@ -92,8 +91,9 @@ def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Seq
 
 @dataclass(frozen=True)
 class HeldTrack:
-    """A grasp in all of its frames."""
+    """A grasp in all of its frames in which its hand is known."""
 
+    rows: Int[ndarray, "n"]
     T_cam_hand: Float[ndarray, "n 4 4"]
     T_hand_obj: Float[ndarray, "n 4 4"]
     kind: tuple[FrameKind, ...]
@@ -109,10 +109,12 @@ def in_all_frames(footage: Footage, held: Held, k: int, neighbours: Sequence[Nei
     problem, found = held.problem, result_of(solution, motion.core, soft_energy)
     if neighbours:
         found = _polished(problem, found, neighbours)
-    clip, masks = footage.clip.take(held.segment.rows), footage.masks.take(held.segment.rows)
+    given = footage.held(held.segment)
+    assert given is not None
+    clip, masks, rows = given
     track = at_every_frame(clip, masks, problem, found, at_sampled_frames(problem, found))
     axis = None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle)
-    return HeldTrack(track.T_cam_hand, track.T_hand_obj[0], track.kind, axis, problem.notes)
+    return HeldTrack(rows, track.T_cam_hand, track.T_hand_obj[0], track.kind, axis, problem.notes)
 
 
 def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Segment
@@ -43,7 +44,7 @@ def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None
     anchors, neighbours = _with_grasps(footage, static)
     on_stage("grasps")
     if not anchors:
-        given = "no static segment and no grasp of the clip's hand that shows the object in two frames"
+        given = "no static segment and no grasp by a known hand that shows the object in two frames"
         raise InputError(footage.clip.origin, "segments", given, "one at least")
     pairs = zip(itertools.pairwise(anchors), itertools.pairwise(neighbours), strict=True)
     links = [_link(footage, *ends, near) for ends, near in pairs]
@@ -53,27 +54,40 @@ def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None
     copies = [_copies(footage, found, k) for (_, found, _), k in zip(anchors, chosen, strict=True)]
     motion = Motion.of(footage)
     motion.energy = energy, second_best(energies, links, copies)
+    known = list[Segment]()
     for (segment, hypotheses, held), k, near in zip(anchors, chosen, neighbours, strict=True):
         if held is None:
             motion.put(footage, segment.rows, hypotheses.take(np.array([k])), "sampled")
+            known.append(segment)
         else:
-            put_grasp(motion, footage, held, k, near)
-            settle(motion, footage, segment.rows)
+            rows = put_grasp(motion, footage, held, k, near)
+            settle(motion, footage, rows, held.problem.clip.side)
+            known += runs(segment, rows)
     on_stage("all frames")
-    fill(motion, footage, [segment for segment, _, _ in anchors])
+    fill(motion, footage, known)
     on_stage("between")
     return motion
 
 
-def put_grasp(motion: Motion, footage: Footage, held: Held, k: int, neighbours: list[Neighbour]) -> None:
-    """A solution of a grasp, in all of its frames."""
-    rows, track = held.segment.rows, in_all_frames(footage, held, k, neighbours)
-    motion.T_cam_obj[rows], motion.T_cam_hand[rows] = track.T_cam_hand @ track.T_hand_obj, track.T_cam_hand
+def put_grasp(motion: Motion, footage: Footage, held: Held, k: int, neighbours: list[Neighbour]) -> Int[ndarray, "n"]:
+    """A solution of a grasp, in all of its frames in which its hand is known, and which these are."""
+    track = in_all_frames(footage, held, k, neighbours)
+    rows = track.rows
+    motion.T_cam_obj[rows] = track.T_cam_hand @ track.T_hand_obj
+    motion.T_cam_hands[held.problem.clip.side][rows] = track.T_cam_hand
     for row, kind in zip(rows, track.kind, strict=True):
         motion.kind[row] = kind
     motion.notes += [f"grasp from {footage.clip.frames[rows[0]]}: {note}" for note in track.notes]
+    motion.held.add(held.segment.first)
     if track.axis is not None:
         motion.axes[held.segment.first] = track.axis
+    return rows
+
+
+def runs(segment: Segment, rows: Int[ndarray, "n"]) -> list[Segment]:
+    """The parts of a segment that have no gaps: some of its frames, which rise."""
+    parts = np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1)
+    return [replace(segment, first=int(part[0]), last=int(part[-1])) for part in parts]
 
 
 def fill(motion: Motion, footage: Footage, known: list[Segment]) -> None:
@@ -96,9 +110,7 @@ def _static(footage: Footage, support: bool) -> dict[Segment, Hypotheses]:
 
 def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> tuple[list[Anchor], list[list[Neighbour]]]:
     """Static segments and grasps in their order, and the links that each grasp was searched with."""
-    problems = {
-        s: prepared(footage, s) for s in footage.clip.segments if s.state == "grasp" and s.side == footage.clip.side
-    }
+    problems = {s: prepared(footage, s) for s in footage.clip.segments if s.state == "grasp"}
     order = [s for s in footage.clip.segments if s in static or problems.get(s) is not None]
     anchors: list[Anchor] = []
     neighbours: list[list[Neighbour]] = []

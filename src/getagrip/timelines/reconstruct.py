@@ -23,7 +23,7 @@ from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.result import Candidates, Reconstruction
-from getagrip.timelines.footage import Footage
+from getagrip.timelines.footage import Footage, held
 from getagrip.timelines.joint import joint
 from getagrip.timelines.motion import Motion
 
@@ -70,22 +70,23 @@ def reconstruct(
 
 def scale_of(clip: Clip, masks: Masks, options: Options) -> float:
     """The object's scale: that of the longest grasp, where hand and camera tell it. Raises ``InputError``."""
-    held = [s for s in clip.segments if s.state == "grasp" and s.side == clip.side]
-    rows = max(held, key=len).rows if held else np.arange(len(clip))
-    problem = prepare(clip.take(rows), masks.take(rows), options)
+    grasps = [held(clip, masks, s) for s in clip.segments if s.state == "grasp"]
+    longest = max((grasp for grasp in grasps if grasp is not None), key=lambda grasp: len(grasp[2]), default=None)
+    problem = prepare(*(longest[:2] if longest else (clip, masks)), options)
     return float(soft_hinges(problem, lambda _: None).motion.poses().scale[0])
 
 
 def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, seconds: dict[str, float]) -> Reconstruction:
     """The motion as a result; the mesh of ``footage`` is the clip's at its scale."""
     T_hand_obj = se3.inverse(motion.T_cam_hand) @ motion.T_cam_obj
-    posed = footage.clip.with_hand_at(motion.T_cam_hand)
+    posed, other_hand = footage.clip.with_hand_at(motion.T_cam_hand), motion.T_cam_other_hand
     iou = np.where(footage.masks.observed, image_iou(posed, footage.masks, T_hand_obj, 1.0), np.nan)
     moved = not np.array_equal(motion.T_cam_hand, clip.hand.T_cam_hand)
     energy, other = motion.energy
     guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
     mean_iou = float(np.nanmean(iou))
-    examined = examine_timeline(clip.light(), footage.masks, motion.T_cam_hand, motion.T_cam_obj, scale, iou)
+    hands = motion.T_cam_hand, motion.T_cam_obj, scale, iou, other_hand
+    examined = examine_timeline(clip.light(), footage.masks, *hands)
     status = UNEXPLAINED.format(examined.failed) if examined.failed else CHOSEN
     if mean_iou < LEAST_IOU:
         status = grasp.UNEXPLAINED.format(mean_iou)
@@ -106,7 +107,13 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
         options=asdict(footage.options),
         seed=footage.options.seed,
         T_cam_hand=motion.T_cam_hand if moved else None,
-        notes=(*motion.notes, *footage.some.notes, *([guess] if clip.scale == "free" else [])),
+        T_cam_other_hand=other_hand,
+        notes=(
+            *motion.notes,
+            *followed(clip, footage),
+            *footage.some.notes,
+            *([guess] if clip.scale == "free" else []),
+        ),
         findings=examined.findings,
         checks=examined.checks,
         segments=tuple(
@@ -115,6 +122,18 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
             for segment, checks in zip(clip.segments, examined.of_segments, strict=True)
         ),
     )
+
+
+def followed(clip: Clip, footage: Footage) -> list[str]:
+    """What is to be known about grasps that could not be solved as such."""
+    out = []
+    for segment in clip.segments:
+        if segment.state == "grasp" and footage.held(segment) is None:
+            name = f"grasp from {clip.frames[segment.first]} ({segment.side} hand)"
+            known = clip.hand_known(segment.side)[segment.rows].any()
+            why = "the object is not seen in two frames" if known else f"the clip has no {segment.side} hand there"
+            out.append(f"{name}: {why}, so it was followed by the masks as in unstable contact, without an axis")
+    return out
 
 
 def segment_record(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> dict[str, Any]:
@@ -132,6 +151,8 @@ def segment_record(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndar
     if segment.state == "static" and clip.world is not None:
         out["T_world_obj"] = (clip.world.T_world_cam[rows[0]] @ motion.T_cam_obj[rows[0]]).tolist()
     axis = motion.axes.get(segment.first)
+    if segment.state == "grasp" and segment.first not in motion.held:
+        out["followed"] = True
     if segment.state == "grasp" and axis is not None:
         out |= {"axis_point": axis.point.tolist(), "axis_direction": axis.direction.tolist()}
     return out

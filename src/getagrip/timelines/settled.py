@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip.clip.timeline import Side
 from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.fitting.misfit import misfit, stiffened
 from getagrip.fitting.motion import Fixed, Frozen, Soft
@@ -38,8 +39,8 @@ STAGES = ((128, 6), (256, 4), (256, 4))
 """Resolution [px] and iterations; before the last, it is known how well masks are met."""
 
 
-def settle(motion: Motion, footage: Footage, rows: Int[ndarray, "n"]) -> None:
-    """Move object and hand in those frames of a grasp that show the object; all are known."""
+def settle(motion: Motion, footage: Footage, rows: Int[ndarray, "n"], side: Side) -> None:
+    """Move object and hand in those frames of a grasp, by the hand of ``side``, that show the object; all are known."""
     seen, centre = footage.observed(rows), footage.clip.mesh.centre
     if len(seen) < 3:
         return
@@ -64,7 +65,8 @@ def settle(motion: Motion, footage: Footage, rows: Int[ndarray, "n"]) -> None:
     poses = in_camera(held, T_cam)
     moved = np.sum((poses.centre[0] - before) * before, axis=1) / np.sum(before**2, axis=1)
     motion.T_cam_obj[seen] = se3.rigid(poses.R[0], poses.centre[0] - poses.R[0] @ centre)
-    motion.T_cam_hand[seen] = se3.rigid(None, moved[:, None] * before) @ motion.T_cam_hand[seen]
+    hand = motion.T_cam_hands[side]
+    hand[seen] = se3.rigid(None, moved[:, None] * before) @ hand[seen]
 
 
 def depth_jitter(places: Float[ndarray, "n 3"]) -> float:

@@ -71,7 +71,7 @@ class View:
     @staticmethod
     def of(result: Reconstruction, clip: Clip, masks: Masks | None) -> View:
         """A result with a clip and masks at its frames, its hand and mesh as they are to be drawn."""
-        return View(clip.light().with_hand_at(result.T_cam_hand), masks, result)
+        return View(clip.light().with_hand_at(result.T_cam_hand, result.T_cam_other_hand), masks, result)
 
     def image_file(self, n: int) -> Path | None:
         """The frame's image, where the clip has one."""
@@ -87,6 +87,7 @@ class View:
             frames=tuple(frames),
             T_hand_obj=result.T_hand_obj[index],
             T_cam_hand=None if result.T_cam_hand is None else result.T_cam_hand[index],
+            T_cam_other_hand=None if result.T_cam_other_hand is None else result.T_cam_other_hand[index],
             iou=result.iou[index],
             frame_kind=tuple(result.frame_kind[n] for n in index),
             axis=None if axis is None else replace(axis, angle=axis.angle[index]),

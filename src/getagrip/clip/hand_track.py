@@ -1,0 +1,87 @@
+"""Hands in every frame of a clip: its own, and the other one where that is known, too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip.errors import UsageError
+from getagrip.io.array_data import ArrayData, as_array, check_ids
+
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+
+
+@dataclass(frozen=True, eq=False)
+class HandTrack(ArrayData):
+    """A hand in every frame (``hand.npz``).
+
+    The hand frame is any frame that moves with the hand and has its origin there; that of ``getagrip.hands`` is the
+    frame of MANO's template. Vertex ids are counted from 0.
+
+    Attributes:
+        vertices: (T, V, 3) vertices in the hand frame [m].
+        faces: (F, 3) vertex ids of the corners of each face, counter-clockwise seen from outside.
+        T_cam_hand: (T, 4, 4) pose of the hand, hand frame to camera frame [m].
+        regions: contact regions by name, (n,) vertex ids each: the five ``FINGERS`` (the pads of the fingertips), then
+            any ``palm_*``.
+        joints: (T, 21, 3) joints in the hand frame [m]: wrist, then thumb, index, middle, ring and pinky, each from the
+            palm to the tip; None where they are not known.
+    """
+
+    vertices: Float[ndarray, "T V 3"]
+    faces: Int[ndarray, "F 3"]
+    T_cam_hand: Float[ndarray, "T 4 4"]
+    regions: dict[str, Int[ndarray, "_"]]
+    joints: Float[ndarray, "T 21 3"] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count = self.vertices.shape[1]
+        check_ids("HandTrack.faces", self.faces, count)
+        regions = {}
+        for name, ids in self.regions.items():
+            where = f"HandTrack.regions[{name!r}]"
+            regions[name] = as_array(where, ids, Int, ("n",), {})
+            check_ids(where, regions[name], count)
+        object.__setattr__(self, "regions", regions)
+        missing = [finger for finger in FINGERS if finger not in self.regions]
+        if count and missing:  # without vertices it stands for hands that are still to come
+            expected = "vertex ids of the pad of each fingertip"
+            raise UsageError(f"HandTrack.regions: got no {', '.join(missing)}, expected {expected}")
+
+    def take(self, index: Int[ndarray, "n"]) -> HandTrack:
+        """The hand in some of the frames, in the given order."""
+        joints = None if self.joints is None else self.joints[index]
+        return replace(self, vertices=self.vertices[index], T_cam_hand=self.T_cam_hand[index], joints=joints)
+
+
+@dataclass(frozen=True, eq=False)
+class OtherHand(ArrayData):
+    """The hand of the other side, in those frames of a clip in which it is known (``other_hand.npz``).
+
+    Attributes:
+        track: the hand in every frame; where it is not known, as it is in the nearest frame in which it is.
+        known: (T,) frames in which it is.
+    """
+
+    track: HandTrack
+    known: Bool[ndarray, "T"]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.known) != len(self.track.vertices):
+            given, expected = f"got {len(self.known)} frames", f"{len(self.track.vertices)}, as many as the hand has"
+            raise UsageError(f"OtherHand.known: {given}, expected {expected}")
+
+    @staticmethod
+    def at(hand: HandTrack, rows: Int[ndarray, "n"], frames: int) -> OtherHand:
+        """A hand that is known in the frames ``rows``, one at least, of so many."""
+        near = np.round(np.interp(np.arange(frames), rows, np.arange(len(rows)))).astype(int)
+        return OtherHand(hand.take(near), np.isin(np.arange(frames), rows))
+
+    def take(self, index: Int[ndarray, "n"]) -> OtherHand:
+        """In some of the frames, in the given order."""
+        return OtherHand(self.track.take(index), self.known[index])
