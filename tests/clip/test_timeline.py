@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.clip import Clip, Segment, State, World, read_clip, write_clip
+from getagrip.clip import Clip, OtherHand, Segment, State, World, input_sha256, read_clip, write_clip
 from getagrip.clip.reading import read_header
 from getagrip.clip.timeline import STATES, at_frames
 from getagrip.clip.writing import write_hand
@@ -46,6 +46,26 @@ def test_what_is_written_is_read(timeline: Clip, folder: Path) -> None:
     assert json.loads((folder / "clip.json").read_text())["segments"][1] == {
         "state": "contact", "first": "0002", "last": "0002", "side": "right",
     }  # fmt: skip
+
+
+def test_the_other_hand_is_kept_in_its_own_frames(timeline: Clip, tmp_path: Path) -> None:
+    rows = np.array([1, 4, 5])
+    other = OtherHand.at(timeline.hand.take(rows), rows, len(timeline))
+    folder = write_clip(replace(timeline, other_hand=other), None, tmp_path / "two")
+    back = read_clip(folder)
+    assert back.other_hand == other
+    np.testing.assert_array_equal(other.track.T_cam_hand, timeline.hand.T_cam_hand[[1, 1, 1, 4, 4, 5, 5, 5]])
+    assert timeline.side == "right"
+    assert back.take(np.array([1, 6])).hand_known("left").tolist() == [True, False]
+    swapped = back.held_by("left")
+    assert swapped is not None
+    assert (swapped.hand, swapped.side) == (other.track, "left")
+    checksum = input_sha256(folder)
+    (folder / "other_hand.npz").write_bytes((folder / "hand.npz").read_bytes())
+    assert input_sha256(folder) != checksum
+    (folder / "other_hand.npz").write_bytes(b"")
+    with pytest.raises(InputError, match=r"other_hand\.npz"):
+        read_clip(folder)
 
 
 def test_older_versions_have_none(folder: Path) -> None:

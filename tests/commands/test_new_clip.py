@@ -212,6 +212,14 @@ def test_in_steps(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert clip.frames == tuple(f"{n:06d}" for n in range(3, 9))
     assert not {"frames_without_hand", "hands_held"} & set(clip.provenance)
     assert read_masks(clip).observed.all()
+    two = {"joints": np.tile([-1.0, 1.0, 1.0] * hand.joints + AHEAD, (2, 1, 1)), "frames": np.array([4, 7])}
+    arrays.write(made / "joints.npz", two)
+    assert main([*hands, "--clip", str(folder), "--other-hand"]) == 0
+    other = read_clip(folder).other_hand
+    assert other is not None
+    np.testing.assert_array_equal(np.flatnonzero(other.known), [1, 4])
+    assert main([*hands, "--clip", str(folder), "--other-hand"]) == 2
+    assert main([*hands, "--clip", str(folder), "--other-hand", "--hold-ends"]) == 2
 
 
 def test_only_a_clip_is_overwritten(made: Path, run: Run) -> None:

@@ -174,6 +174,10 @@ def test_whole_recordings_show_what_is_outside_of_the_holds(root, tmp_path, run)
     assert (clip.name, clip.frames) == (HOLD, frames(tmp_path / "out" / HOLD))
     assert clip.frames == tuple(f"{n:06d}" for n in range(FRAMES))
     assert segment(clip, Definition(contact=0.005, points="area", shortest=5))[1] == [(2, 13)]
+    other = replace(piece.track.take(np.array([1, 4])), side="left")
+    both, _ = cutting.clip(replace(piece, other=other), HOLDS.shortest, print)
+    assert np.flatnonzero(both.other_hand.known).tolist() == [1, 4]
+    np.testing.assert_array_equal(both.other_hand.track.T_cam_hand[:2], clip.hand.T_cam_hand[[1, 1]])
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from getagrip.view.tiles import View
 from getagrip.view.world import Stage, segment_bar
 from helpers.egg_and_mug import perfect
 from helpers.pictures import pixels_of
-from helpers.timelines import LIES, timeline
+from helpers.timelines import LIES, by_other_hand, timeline
 
 SIZE = 160
 
@@ -57,12 +57,32 @@ def test_without_up_there_is_no_ground() -> None:
 def test_the_bar_has_each_segment_and_a_mark() -> None:
     view = given()
     segments = view.clip.segments[1:]  # what comes before is unknown
-    bar = segment_bar(segments, len(view.clip), 3, (300, 30))
+    view = replace(view, clip=replace(view.clip, segments=segments))
+    bar = segment_bar(view, 3, (300, 30))
     assert bar.shape == (30, 300, 3)
     for state in ("unknown", "contact", "grasp"):
         assert pixels_of(bar, STATE[state]) > 100
     marked = np.flatnonzero((bar[0] == [*bytes.fromhex(INK[1:])]).all(axis=1))
     assert abs(marked.mean() - 300 * 3.5 / len(view.clip)) < 1.0
+
+
+def test_the_bar_says_which_grasp_was_followed_by_its_masks_only() -> None:
+    view = given()
+    records = ({"state": "grasp", "first": view.clip.frames[view.clip.segments[2].first], "followed": True},)
+    followed = replace(view, result=replace(view.result, segments=records))
+    plain, marked = (segment_bar(one, 0, (900, 30)) for one in (view, followed))
+    half = 450
+    assert (plain[:, half:] != marked[:, half:]).any()
+    np.testing.assert_array_equal(plain[:, : half // 2], marked[:, : half // 2])
+
+
+def test_the_other_hand_is_drawn_where_it_is_known() -> None:
+    clip, masks = by_other_hand()
+    view = View.of(perfect(clip), clip, masks)
+    assert [len(view.hands(n)) for n in (1, 2)] == [1, 2]
+    stage = Stage.of(view, SIZE)
+    alone = replace(stage, view=replace(view, clip=replace(clip, other_hand=None)))
+    assert [(stage.picture(n) != alone.picture(n)).any() for n in (1, 2)] == [False, True]
 
 
 def test_a_film_of_a_timeline_has_a_bar_of_segments() -> None:

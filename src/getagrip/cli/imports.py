@@ -80,6 +80,9 @@ class ImportHands(Command):
     hold_ends: Flag = False
     """For a whole interaction: before the first and after the last frame in which it was found, the hand stands still
     where it was then, marked as a guess. Else these frames are left out."""
+    other_hand: Flag = False
+    """With --clip: the hand of the other side, which holds the object in some of a timeline's grasps. Frames may lack
+    it."""
     overwrite: Flag = False
     """Replace hands that are there already."""
 
@@ -90,7 +93,8 @@ class ImportHands(Command):
     def run(self) -> int:
         new = NewFrames(self.side, self.frames, self.size, Lens(self.K, self.focal, self.guess_focal))
         tracker = choose(self.source, vars(self.trackers))
-        return import_hands(self.paths, tracker, self.mano, self.clip, self.out, new, self.hold_ends, self.overwrite)
+        how = self.hold_ends, self.other_hand, self.overwrite
+        return import_hands(self.paths, tracker, self.mano, self.clip, self.out, new, *how)
 
 
 @dataclass(frozen=True, kw_only=True)

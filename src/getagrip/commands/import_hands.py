@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,14 +11,16 @@ import numpy as np
 
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.clip.plausible import check_in_view
-from getagrip.clip.reading import ClipHeader, read_header
+from getagrip.clip.reading import OTHER_HAND, ClipHeader, frames_with_hand, read_header
 from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at
-from getagrip.errors import UsageError
+from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
 from getagrip.hands.trackers import HELD, Hands, Request, Tracker, read
 from getagrip.io import files
 from getagrip.io.terminal import report
 
+PREFIX = "other_"
+"""Of what a clip's provenance says of the other hand."""
 MOST_FRAMES = 20_000
 """Of a hand file."""
 
@@ -48,17 +50,24 @@ def import_hands(
     out: Path | None,
     new: NewFrames,
     hold_ends: bool,
+    other: bool,
     overwrite: bool,
 ) -> int:
     """Add hands to a clip, or write a file of them. Raises ``UsageError`` for options that do not fit.
 
     ``hold_ends``: with hands in the frames before the first and after the last one (``Hands.held_at_ends``).
+    ``other``: the hand of the other side than the clip's.
     """
+    if other and (hold_ends or clip is None):
+        given = "--hold-ends" if hold_ends else "no --clip"
+        raise UsageError(f"--other-hand: got {given}, expected --clip, and the hand in the frames that have it")
     if not paths:
         raise UsageError("FILE: got none, expected the estimator's files")
     if clip is not None and out is None:
         if new.given:
             raise UsageError("--side, --frames, --size, --K: got some, expected none with --clip, which has them")
+        if other:
+            return other_into_clip(paths, tracker, mano, clip, overwrite)
         return into_clip(paths, tracker, mano, clip, hold_ends, overwrite)
     if out is not None and clip is None:
         return into_file(paths, tracker, mano, new, out, hold_ends, overwrite)
@@ -88,6 +97,36 @@ def into_clip(
         files.write_json(fields, _fields(header, hands))
     _report(hands, header.frames)
     print(target)
+    return 0
+
+
+def other_into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder: Path, overwrite: bool) -> int:
+    """Add ``other_hand.npz``, in the frames in which it was found. Raises ``UsageError`` where there is one already,
+    and ``InputError`` where none of these frames has the clip's own hand."""
+    header = read_header(folder)
+    target = header.folder / OTHER_HAND
+    if target.exists() and not overwrite:
+        raise UsageError(f"{target}: exists already; --overwrite replaces it")
+    own = frames_with_hand(files.inside(header.folder, "hand.npz", "", "the clip's own hand first"), header.frames)
+    side: Side = "left" if header.fields["side"] == "right" else "right"
+    hands = read(paths, tracker, Request(side, header.frames, header.K, header.size, mano))
+    check_in_view(paths[0], hands.track, header.K[list(hands.found)], header.size)
+    alone = sorted({*hands.found} - {*own.tolist()})
+    if len(alone) == len(hands.found):
+        given = f"the {side} hand in {len(alone)} frames, in none of which the clip has its own"
+        raise InputError(paths[0], "", given, "some in which it has: frames without it are left out (--hold-ends)")
+    known = {key: text for key, text in header.fields["provenance"].items() if not key.startswith(PREFIX)}
+    provenance = {PREFIX + key: text for key, text in hands.provenance.items()}
+    with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
+        write_hand_at(hands.track, header.frames, hands.found, hand)
+        files.write_json(fields, header.fields | {"provenance": known | provenance})
+    for key, text in provenance.items():
+        report(f"{'warning: ' if 'guess' in text else ''}{key}: {text}")
+    print(f"{target}: the {side} hand in {len(hands.found)} of {len(header.frames)} frames")
+    if alone:
+        some = _some(header.frames[row] for row in alone)
+        left_out = f"{len(alone)} frames have the {side} hand only and are left out, as all without the clip's own"
+        print(f"warning: {left_out}: {some}", file=sys.stderr)
     return 0
 
 
@@ -145,5 +184,10 @@ def _report(hands: Hands, frames: Sequence[str]) -> None:
         report(f"{mark}{key}: {text}")
     missing = [name for n, name in enumerate(frames) if n not in hands.found]
     if missing:
-        some = ", ".join(missing[:5]) + (", ..." if len(missing) > 5 else "")
-        print(f"warning: no hand in {len(missing)} of {len(frames)} frames, skipped: {some}", file=sys.stderr)
+        print(f"warning: no hand in {len(missing)} of {len(frames)} frames, skipped: {_some(missing)}", file=sys.stderr)
+
+
+def _some(names: Iterable[str]) -> str:
+    """The first few of them."""
+    given = list(names)
+    return ", ".join(given[:5]) + (", ..." if len(given) > 5 else "")

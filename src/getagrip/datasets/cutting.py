@@ -17,7 +17,7 @@ from jaxtyping import Bool, Int
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.clip import Clip, FrameMasks, Masks, Segment, Truth
+from getagrip.clip import Clip, FrameMasks, Masks, OtherHand, Segment, Truth
 from getagrip.clip.plausible import FARTHEST, NEAREST, check_in_view
 from getagrip.clip.timeline import at_frames
 from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
@@ -216,12 +216,27 @@ def clip(piece: Piece, shortest: int, note: Note) -> tuple[Clip, Masks | None] |
     if piece.grasp is not None:
         provenance["grasp"] = piece.grasp.row()
     made = known_clip(track, piece.name, provenance, segments)
+    if piece.other is not None:
+        made = replace(made, other_hand=_other_hand(piece.other, track))
     try:
         check_in_view(track.file, made.hand, made.K, track.size)
     except InputError:
         note(f"{piece.name}: the hand is outside the image in every frame: skipped")
         return None
     return made, masks
+
+
+def _other_hand(other: Track, track: Track) -> OtherHand | None:
+    """The other hand in a track's frames; None where it is never in the image."""
+    _, rows, source = np.intersect1d(track.numbers, other.numbers, return_indices=True)
+    if not len(rows):
+        return None
+    hand = (other.given_hand or other.hand).take(source)
+    try:
+        check_in_view(other.file, hand, np.tile(track.K, (len(rows), 1, 1)), track.size)
+    except InputError:
+        return None
+    return OtherHand.at(hand, rows, len(track))
 
 
 def _visible(track: Track) -> tuple[Int[ndarray, "n"], Masks]:

@@ -159,6 +159,8 @@ class Piece:
     masks: bool = True
     segments: tuple[Segment, ...] = ()
     """What the object does, where the piece is a timeline."""
+    other: Track | None = None
+    """Of a timeline, the object with the hand of the other side, in the frames in which that is known."""
 
 
 @dataclass(frozen=True)

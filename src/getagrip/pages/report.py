@@ -110,7 +110,9 @@ def _segments(result: Reconstruction) -> list[str]:
     for segment in result.segments:
         iou = segment.get("iou")
         met = f", IOU {iou:.2f}" if isinstance(iou, float) else ""
-        out.append(f"{segment['state']}: frames {segment['first']} to {segment['last']}{met}")
+        side = f" ({segment['side']} hand)" if segment.get("side") else ""
+        how = ", followed by the masks only" if segment.get("followed") else ""
+        out.append(f"{segment['state']}{side}: frames {segment['first']} to {segment['last']}{met}{how}")
     return out
 
 

@@ -61,7 +61,7 @@ def _timeline(view: View) -> Iterator[UInt8[ndarray, "H W 3"]]:
             captioned(stage.picture(n), "in the world"),
         )
         pair = np.concatenate([seen, placed], axis=1)
-        bar = segment_bar(view.clip.segments, len(view.clip), n, (2 * SIDE, STRIP))
+        bar = segment_bar(view, n, (2 * SIDE, STRIP))
         yield np.concatenate([pair, bar, _words(under)])
 
 

@@ -42,8 +42,8 @@ def smoothed(track: Float[ndarray, "T k"], over: float) -> Float[ndarray, "T k"]
 def overlay(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
     """Frame ``n`` in window ``k``, with the contours of hand and object."""
     picture, K = image_in(view, n, crops, k), intrinsics_of(view, n, crops, k)
-    hand = silhouette_lines(view.hand(n), view.clip.hand.faces, K, crops.size)
-    _draw(picture, hand, HAND_LINE, crops.size / 400.0)
+    for hand in view.hands(n):
+        _draw(picture, silhouette_lines(*hand, K, crops.size), HAND_LINE, crops.size / 400.0)
     found = silhouette_lines(view.object(n), view.clip.mesh.faces, K, crops.size)
     _draw(picture, found, FOUND, max(1.5, crops.size / 320.0))
     return picture

@@ -63,6 +63,14 @@ class View:
         """The hand in the camera frame [m]."""
         return se3.transform(self.clip.hand.T_cam_hand[n], self.clip.hand.vertices[n])
 
+    def hands(self, n: int) -> list[Surface]:
+        """The hands in the camera frame: the clip's own, and the other one in the frames in which it is known."""
+        other = self.clip.other_hand
+        shown = [(self.hand(n), self.clip.hand.faces)]
+        if other is not None and other.known[n]:
+            shown.append((se3.transform(other.track.T_cam_hand[n], other.track.vertices[n]), other.track.faces))
+        return shown
+
     def object(self, n: int) -> Float[ndarray, "V 3"]:
         """The reconstructed object in the camera frame [m]."""
         T_cam_obj = self.clip.hand.T_cam_hand[n] @ self.result.T_hand_obj[n]
@@ -138,7 +146,8 @@ def over_image(axes: Axes, view: View, n: int, crops: Crops, k: int, with_hand: 
     show(axes, image_in(view, n, crops, k))
     K = intrinsics_of(view, n, crops, k)
     if with_hand:
-        contour(axes, view.hand(n), view.clip.hand.faces, K, crops.size, HAND_LINE)
+        for hand in view.hands(n):
+            contour(axes, *hand, K, crops.size, HAND_LINE)
     contour(axes, view.object(n), view.clip.mesh.faces, K, crops.size, FOUND)
 
 
@@ -175,11 +184,13 @@ def posed(
         R = se3.exp_so3(np.array([0.0, -SIDE_VIEW, 0.0]))
         T_view_cam = se3.rigid(R, np.array([0.0, 0.0, np.linalg.norm(middle)]) - R @ middle)
         K = np.array([[K[0, 0], 0.0, size / 2.0], [0.0, K[1, 1], size / 2.0], [0.0, 0.0, 1.0]])
+    others = [(se3.transform(T_view_cam, v), faces) for v, faces in view.hands(n)[1:]]
     hand, held = se3.transform(T_view_cam, hand), se3.transform(T_view_cam, held)
     if from_side:  # an object far before or behind the hand would be cut off
         reach = np.abs(project(K, np.concatenate([hand, held])) - size / 2.0).max()
         K[:2, :2] *= min(1.0, 0.48 * size / reach)
     meshes = [(hand, view.clip.hand.faces, HAND), (held, view.clip.mesh.faces, OBJECT)]
+    meshes += [(*other, HAND) for other in others]
     picture = render_rgb(meshes, K, (size, size), PAPER_RGB)
     if view.result.axis is None:
         return picture, None

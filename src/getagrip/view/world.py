@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +12,6 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 from scipy.spatial import ConvexHull, QhullError
 
-from getagrip.clip import Segment
 from getagrip.geometry import se3
 from getagrip.geometry.render import nearest_surface, render_rgb
 from getagrip.view.style import HAND, INK, OBJECT, PAPER_RGB, STATE
@@ -60,7 +59,7 @@ class Stage:
         world = view.clip.world
         assert world is not None
         frames = range(len(view.result.frames))
-        points = [np.concatenate([view.hand(n), view.object(n)]) for n in frames]
+        points = [np.concatenate([*(v for v, _ in view.hands(n)), view.object(n)]) for n in frames]
         seen = np.concatenate([se3.transform(world.T_world_cam[n], points[n]) for n in frames])
         middle = (seen.min(axis=0) + seen.max(axis=0)) / 2.0
         reach = float(np.linalg.norm(seen - middle, axis=1).max())
@@ -76,15 +75,15 @@ class Stage:
         return Stage(view, T_eye_world, K, size, world.up, height, ground)
 
     def picture(self, n: int) -> UInt8[ndarray, "size size 3"]:
-        """Hand and object in frame ``n``, with their shadows."""
+        """Hands and object in frame ``n``, with their shadows."""
         view = self.view
         T = self.T_eye_world @ view.clip.world.T_world_cam[n]  # type: ignore[union-attr]
-        hand, held = view.hand(n), view.object(n)
+        hands, held = view.hands(n), view.object(n)
         meshes: list[Mesh3] = [(se3.transform(self.T_eye_world, v), f, c) for v, f, c in self.ground]
         if self.ground:
-            in_world = [se3.transform(view.clip.world.T_world_cam[n], v) for v in (hand, held)]  # type: ignore[union-attr]
+            in_world = [se3.transform(view.clip.world.T_world_cam[n], v) for v in (*(v for v, _ in hands), held)]  # type: ignore[union-attr]
             meshes += [(se3.transform(self.T_eye_world, v), f, SHADOW) for v, f in map(self._shadow, in_world)]
-        meshes.append((se3.transform(T, hand), view.clip.hand.faces, HAND))
+        meshes += [(se3.transform(T, hand), faces, HAND) for hand, faces in hands]
         meshes.append((se3.transform(T, held), view.clip.mesh.faces, OBJECT))
         return render_rgb(meshes, self.K, (self.size, self.size), PAPER_RGB)
 
@@ -177,21 +176,23 @@ def _ground(seen: Float[ndarray, "n 3"], right: Float[ndarray, "3"], up: Float[n
     return vertices, faces, colours
 
 
-def segment_bar(segments: Sequence[Segment], frames: int, n: int, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
-    """The segments in their colours and words, frame ``n`` marked; width and height in pixels."""
+def segment_bar(view: View, n: int, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
+    """The segments of a view in their colours and words, frame ``n`` marked; width and height in pixels."""
     from PIL import Image, ImageDraw
 
     width, height = size
     picture = Image.new("RGB", size, "white")
     draw, letters = ImageDraw.Draw(picture), font(int(0.4 * height))
-    edge = np.linspace(0, width, frames + 1)
+    edge = np.linspace(0, width, len(view.clip) + 1)
+    followed = {record["first"] for record in view.result.segments if record.get("followed")}
     top, bottom = int(0.15 * height), int(0.85 * height)
     draw.rectangle((0, top, width, bottom), STATE["unknown"])
-    for segment in segments:
+    for segment in view.clip.segments:
         left, right = float(edge[segment.first]), float(edge[segment.last + 1])
         draw.rectangle((left + 1, top, right - 2, bottom), STATE[segment.state])
         words = segment.state if segment.side is None else f"{segment.state}, {segment.side} hand"
-        for said in (words, segment.state):
+        by_masks = f"{words}, by masks only"
+        for said in (by_masks,) if view.clip.frames[segment.first] in followed else (words, segment.state):
             if draw.textlength(said, letters) < right - left - 8:
                 draw.text(((left + right) / 2, height / 2), said, "white", letters, "mm")
                 break

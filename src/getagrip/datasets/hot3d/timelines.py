@@ -7,6 +7,7 @@ the true poses, or as the authors' list has them.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -37,10 +38,10 @@ def pieces(tracks: Iterable[Track], note: Note, cut: Cut) -> Iterator[Piece]:
         else:
             sides = [track.side for track in hands]
             found = [piece for track in hands for piece in _listed(track, sides, cut.listed.timelines, cut.description)]
-        for piece in found:
+        for piece in (replace(piece, other=_other(piece.track, hands)) for piece in found):
             if not any(segment.state == "static" for segment in piece.segments):
                 note(f"{piece.name}: the object is never static")
-        yield from found
+            yield piece
 
 
 def _derived(hands: Sequence[Track], cut: Cut) -> Iterator[Piece]:
@@ -93,6 +94,11 @@ def _listed(track: Track, sides: Sequence[Side], timelines: Sequence[Timeline], 
             held = {side: sum(len(s) for s in cut if s.state == "grasp" and s.side == side) for side in sides}
             if _main(held) == track.side:
                 yield _piece(known.take(rows), cut, f"a timeline of {source}")
+
+
+def _other(track: Track, hands: Sequence[Track]) -> Track | None:
+    """That of the other hand, if it is known."""
+    return next((other for other in hands if other.side != track.side and len(other)), None)
 
 
 def _main(frames: Mapping[Side, int]) -> Side | None:

@@ -43,7 +43,8 @@ class Overlays:
         view, mesh = self.column.view, self.column.view.clip.mesh
         K = intrinsics_of(view, n, self._crops, n)
         out = np.ascontiguousarray(image_in(view, n, self._crops, n))
-        _draw(out, silhouette_lines(view.hand(n), view.clip.hand.faces, K, SIZE), HAND_LINE)
+        for hand in view.hands(n):
+            _draw(out, silhouette_lines(*hand, K, SIZE), HAND_LINE)
         if with_truth and self._truth is not None:
             _draw(out, silhouette_lines(self._truth.object(n), mesh.faces, K, SIZE), TRUE)
         if self.column.posed:

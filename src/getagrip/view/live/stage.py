@@ -60,6 +60,8 @@ class Stage:
         hand_faces, empty = surfaces.hand_faces, (np.zeros((3, 3)), np.array([[0, 1, 2]]))
         mesh("hand", surfaces.hand(0), hand_faces, HAND)
         mesh("contact on hand", *empty, FOUND)
+        if (other := column.view.clip.other_hand) is not None:
+            mesh("other hand", other.track.vertices[0], other.track.faces, HAND)
         if column.posed:
             mesh("object", surfaces.object.vertices, surfaces.object.faces, OBJECT)
             mesh("contact on object", *empty, FOUND)
@@ -92,6 +94,9 @@ class Stage:
         T = se3.rigid(np.eye(3), self._beside) @ self._T_scene_cam[n]
         hand, held = T @ self.column.T_cam_hand[n], T @ self.column.T_cam_obj[n]
         self._place("hand", hand, "hand" in look.parts, self._surfaces.hand(n))
+        if (other := self.column.view.clip.other_hand) is not None:
+            shown = bool(other.known[n]) and "hand" in look.parts
+            self._place("other hand", T @ other.track.T_cam_hand[n], shown, other.track.vertices[n])
         self._place("object", held, "object" in look.parts)
         self._place("axis", hand, "axis" in look.parts)
         self._place("camera", T, "camera" in look.parts)
