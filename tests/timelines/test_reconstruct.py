@@ -76,7 +76,7 @@ def test_one_scale_is_found_for_all_segments() -> None:
 def test_the_report_names_the_segments(found: Reconstruction) -> None:
     words = _segments(found)
     assert words[0].startswith("static: frames 000000 to 000004, IOU 0.9")
-    assert [line.split(":")[0] for line in words] == ["static", "contact", "grasp"]
+    assert [line.split(":")[0] for line in words] == ["static", "contact (right hand)", "grasp (right hand)"]
 
 
 @pytest.mark.slow
