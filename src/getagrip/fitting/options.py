@@ -9,6 +9,7 @@ from typing import Literal
 
 from getagrip.errors import UsageError
 from getagrip.fitting.methods import method_of
+from getagrip.io.choices import check_values
 
 Hands = Literal["corrected", "as-given"]
 Init = Literal["uniform", "clusters", "priors"]
@@ -106,6 +107,7 @@ class Options:
 
     def __post_init__(self) -> None:
         method_of(self.method)
+        check_values(self)
         if self.departures != TO_THE_LETTER and self.method != "paper":
             raise UsageError(f"departures: got some with method {self.method!r}, expected none but with 'paper'")
         if self.inits < 1 or self.frames < 2:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from getagrip.errors import UsageError
+from getagrip.io.choices import check_values
 
 Points = Literal["vertices", "area", "fragments"]
 Rule = Literal["all-pairs", "first", "consecutive", "touch"]
@@ -34,6 +35,7 @@ class Definition:
     shortest: int = 20
 
     def __post_init__(self) -> None:
+        check_values(self)
         if not 0.0 <= self.tau < 1.0:
             raise UsageError(f"tau: got {self.tau:g}, expected at least 0 and below 1")
         if not 0.0 <= self.contact <= 0.05:

@@ -29,6 +29,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.definition import RULES, Definition, Points, Rule
+from getagrip.io.choices import check_word
 from getagrip.metrics.contact import AREA_POINTS, close_holes, moving_distance
 from getagrip.metrics.symmetry import at_places, surface_places
 
@@ -64,8 +65,9 @@ def contact_sets(
     """Which points of the object touch the true hand in each frame: signed distance to it at most ``threshold`` [m].
 
     An object with a joint has it as it truly was (``Truth.joint``). Holes of the hand (MANO's wrist) are closed. Raises
-    ``InputError`` for a clip without ground truth.
+    ``InputError`` for a clip without ground truth, ``UsageError`` for unknown ``points``.
     """
+    check_word("points", points, Points)
     truth = clip.truth
     if truth is None:
         raise InputError(clip.origin / "truth.npz", "", "no such file", "the true poses, from which grasps are found")

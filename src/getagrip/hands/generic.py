@@ -19,6 +19,7 @@ from getagrip.geometry.mesh import edge_table, vertex_normals
 from getagrip.hands.generic_skeleton import Finger, metacarpal_base, rest_fingers, rest_joints
 from getagrip.hands.generic_surface import FILE
 from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, Side, mirrored_model
+from getagrip.io.choices import check_word
 
 SHAPES = (
     "size",
@@ -43,7 +44,8 @@ SPREAD = 0.1
 
 @lru_cache
 def load(side: Side) -> HandModel:
-    """The generic hand of one side; the left one is the right one mirrored in x."""
+    """The generic hand of one side; the left one is the right one mirrored in x. Raises ``UsageError`` for no side."""
+    check_word("side", side, Side)
     if side == "left":
         return mirrored_model(load("right"))
     with np.load(FILE, allow_pickle=False) as file:

@@ -25,6 +25,7 @@ from getagrip.hands.mano_pickle import read_pickle
 from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, Side
 from getagrip.hands.regions import contact_regions, position_on_palm
 from getagrip.io import arrays, files, pickles
+from getagrip.io.choices import check_word
 
 ARRAYS = {
     "v_template": (778, 3),
@@ -82,8 +83,9 @@ def load(path: str | Path, side: Side) -> Mano:
     """Read a published MANO file safely: no code in it is run.
 
     The arrays are kept as ``.npz`` in the user's cache folder, named by the file's SHA-256. Raises ``InputError`` for
-    a missing, hostile or malformed file, and for one that holds the other hand.
+    a missing, hostile or malformed file, and for one that holds the other hand, ``UsageError`` for no side.
     """
+    check_word("side", side, Side)
     path = Path(path)
     content = files.read_bytes(path, pickles.LARGEST)
     cache = _cache_folder() / f"mano-{hashlib.sha256(content).hexdigest()}.npz"

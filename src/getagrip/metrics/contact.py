@@ -25,6 +25,7 @@ from numpy import ndarray
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, edge_table
+from getagrip.io.choices import check_values
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.metrics.symmetry import surface_points
 
@@ -51,6 +52,9 @@ class ContactDefinition:
 
     side: Side
     threshold: float
+
+    def __post_init__(self) -> None:
+        check_values(self)
 
     @property
     def distance(self) -> str:

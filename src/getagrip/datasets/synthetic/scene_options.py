@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from getagrip.datasets.synthetic.noise import Noise
+from getagrip.io.choices import check_values
 
 
 @dataclass(frozen=True)
@@ -66,3 +67,6 @@ class SceneOptions(Noise):
     residual_deg: float = 1.0
     residual_mm: float = 1.0
     other_hand: bool = False
+
+    def __post_init__(self) -> None:
+        check_values(self)

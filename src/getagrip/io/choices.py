@@ -1,0 +1,37 @@
+"""Options that come from Python: what no field can hold is refused where it is given, not taken for something else."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from numbers import Integral, Real
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from getagrip.errors import UsageError
+
+
+def check_word(name: str, given: object, words: Any) -> None:
+    """Raise ``UsageError`` for what is none of the words of a ``Literal``."""
+    if not (isinstance(given, str) and given in get_args(words)):
+        raise UsageError(f"{name}: got {given!r}, expected one of {', '.join(get_args(words))}")
+
+
+def check_values(options: object) -> None:
+    """Raise ``UsageError`` where a field of a dataclass holds no word of its ``Literal``, or no (finite) number.
+
+    Fields of other types are not looked at.
+    """
+    kind: type = type(options)
+    for name, hint in _hints(kind).items():
+        value = getattr(options, name)
+        if get_origin(hint) is Literal:
+            check_word(name, value, hint)
+        elif hint is int and (not isinstance(value, Integral) or isinstance(value, bool)):
+            raise UsageError(f"{name}: got {value!r}, expected a whole number")
+        elif hint is float and not (isinstance(value, Real) and math.isfinite(value)):
+            raise UsageError(f"{name}: got {value!r}, expected a finite number")
+
+
+@cache
+def _hints(data: type) -> dict[str, Any]:
+    return get_type_hints(data)
