@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, settings
 
 from helpers.shapes import check_package, next_test
 
+gc.disable()  # until all tests are collected, since what is made until then stays
 check_package()  # before anything of the package is imported
 
 # The same examples on every machine, however busy it is.
@@ -38,9 +39,9 @@ def pytest_collection_finish() -> None:
 
     For the rest it comes more seldom than usual, after so many new objects.
     """
-    gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)

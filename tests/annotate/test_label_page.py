@@ -22,14 +22,10 @@ from getagrip.commands.annotate import DATABASE
 from getagrip.errors import GetagripError
 from getagrip.io.images import write_image
 from helpers.annotation_page import Served, saved
-from helpers.browser import CHROMIUM, chromium, until
+from helpers.browser import IN_BROWSER, chromium, expect, until
 from helpers.labelled_scene import circle, joints, middle, write_scene
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine"),
-]
+pytestmark = IN_BROWSER
 
 FIRST, LAST = 2, 9
 MARK = "the-marked-grasp"
@@ -82,7 +78,7 @@ def opened(context: Any, served: Served, who: str | None = "ann") -> Any:
 
 
 def shows(page: Any, frame: int) -> None:
-    playwright.expect(page.locator("#frame")).to_have_text(str(frame + 1))
+    expect(page.locator("#frame")).to_have_text(str(frame + 1))
     until(page, "!document.getElementById('waiting').classList.contains('on')")
 
 
@@ -135,7 +131,6 @@ def click_joints(page: Any, frame: int) -> None:
 
 def test_joints_are_clicked_in_order_corrected_and_not_lost(context: Any, served: Served) -> None:
     page, points = opened(context, served), joints(FIRST)
-    expect = playwright.expect
     expect(page.locator("#joint")).to_have_text("Next: Wrist")
     click(page, points[0])
     expect(page.locator("#joint")).to_have_text("Next: Thumb root, at the wrist")
@@ -199,7 +194,7 @@ def test_a_polygon_is_drawn_closed_and_edited(context: Any, served: Served) -> N
     saved(page)
     assert [len(shape) for shape in kept(served)[FIRST].polygons("object")] == [8]
     assert [len(shape) for shape in kept(served)[FIRST].polygons("front")] == [5]
-    playwright.expect(page.locator("#outline-list li")).to_have_count(2)
+    expect(page.locator("#outline-list li")).to_have_count(2)
     page.locator("#outline-list li.front button").click()
     saved(page)
     assert not kept(served)[FIRST].polygons("front")
@@ -210,7 +205,7 @@ def test_points_are_placed_where_the_zoomed_and_moved_picture_shows_them(context
     x, y = on_screen(page, [150, 90])
     page.mouse.move(x, y)
     page.mouse.wheel(0, -900)
-    playwright.expect(page.locator("#zoom")).not_to_have_text("100 %")
+    expect(page.locator("#zoom")).not_to_have_text("100 %")
     assert near(on_screen(page, [150, 90]), [x, y], 3.0)  # what is under the mouse stays there
     drag(page, [150, 90], [160, 95])  # nothing is there to be moved: the picture is
     assert kept(served) == {}
@@ -223,7 +218,7 @@ def test_two_tabs_that_label_lose_nothing(context: Any, served: Served) -> None:
     one = opened(context, served)
     two = opened(context, served, None)
     click(one, [100, 100])
-    playwright.expect(two.locator("#joint")).to_have_text("Next: Thumb root, at the wrist")  # without a reload
+    expect(two.locator("#joint")).to_have_text("Next: Thumb root, at the wrist")  # without a reload
     click(two, [120, 100])
     two.keyboard.press("o")
     draw(two, circle(FIRST, 6))
@@ -231,7 +226,7 @@ def test_two_tabs_that_label_lose_nothing(context: Any, served: Served) -> None:
     saved(one)
     saved(two)
     for page in (one, two):
-        playwright.expect(page.locator("#keyframes li")).to_contain_text("2 joints · 1 polygon")
+        expect(page.locator("#keyframes li")).to_contain_text("2 joints · 1 polygon")
     state = kept(served)[FIRST]
     assert near(state.joints["0"], [90, 80])
     assert near(state.joints["1"], [120, 100])
@@ -242,7 +237,7 @@ def test_clicks_made_while_the_server_is_away_are_kept(context: Any, served: Ser
     page = opened(context, served)
     served.stop()
     click(page, [100, 100])
-    playwright.expect(page.locator("#saved")).to_contain_text("Not saved")
+    expect(page.locator("#saved")).to_contain_text("Not saved")
     page.close()
     served.start()
     again = context.new_page()
@@ -253,7 +248,7 @@ def test_clicks_made_while_the_server_is_away_are_kept(context: Any, served: Ser
 
 
 def test_from_clicks_to_files(context: Any, served: Served, tmp_path: Path) -> None:
-    page, expect = opened(context, served), playwright.expect
+    page = opened(context, served)
     for frame in (FIRST, LAST):
         goto(page, frame)
         click_joints(page, frame)
@@ -309,7 +304,7 @@ def test_it_ends_in_a_reconstruction(
         return f"{words[0]}: done"
 
     monkeypatch.setattr(reconstruction, "_run", ran)
-    page, expect = opened(context, served), playwright.expect
+    page = opened(context, served)
     expect(page.locator("#reconstruct")).to_be_disabled()
     click_joints(page, FIRST)
     page.keyboard.press("o")
@@ -331,7 +326,7 @@ def test_it_ends_in_a_reconstruction(
 
 
 def test_the_next_step_is_shown_and_the_grasp_can_be_left(context: Any, served: Served) -> None:
-    page, expect = opened(context, served), playwright.expect
+    page = opened(context, served)
     expect(page.locator("#label-next")).to_contain_text("click the joints")
     page.keyboard.press("g")
     expect(page.locator("#problem")).to_contain_text("nothing to fill in yet")
@@ -377,7 +372,7 @@ def test_nothing_moves_when_something_is_refused(context: Any, served: Served) -
     page = opened(context, served)
     before = page.evaluate("JSON.stringify(document.getElementById('screen').getBoundingClientRect())")
     page.keyboard.press("g")
-    playwright.expect(page.locator("#problem")).to_be_visible()
+    expect(page.locator("#problem")).to_be_visible()
     assert page.evaluate("JSON.stringify(document.getElementById('screen').getBoundingClientRect())") == before
 
 
@@ -388,11 +383,11 @@ def test_what_was_just_moved_is_kept_when_another_clip_is_opened(context: Any, s
     before = kept(served)[FIRST].joints["0"]
     page.keyboard.press("Shift+d")
     page.keyboard.press("n")
-    playwright.expect(page.locator("#where")).to_have_text("another")
-    playwright.expect(page.locator("#definition")).to_be_visible()
+    expect(page.locator("#where")).to_have_text("another")
+    expect(page.locator("#definition")).to_be_visible()
     saved(page)
     assert kept(served)[FIRST].joints["0"][0] > before[0]
-    playwright.expect(page.locator("#problem")).to_be_hidden()
+    expect(page.locator("#problem")).to_be_hidden()
 
 
 def test_what_was_changed_elsewhere_is_not_undone(context: Any, served: Served) -> None:
@@ -402,5 +397,5 @@ def test_what_was_changed_elsewhere_is_not_undone(context: Any, served: Served) 
     store, state = served.project.store.keyframes, kept(served)[FIRST]
     store.apply(Change("elsewhere", "another-tab", {}), state, lambda old, _: replace(old, hidden=True))
     page.keyboard.press("u")
-    playwright.expect(page.locator("#problem")).to_contain_text("another tab")
+    expect(page.locator("#problem")).to_contain_text("another tab")
     assert kept(served)[FIRST].joints

@@ -11,14 +11,10 @@ import pytest
 from getagrip.annotate.tasks import Task
 from getagrip.commands.annotate import DATABASE
 from helpers.annotation_page import Served, saved
-from helpers.browser import CHROMIUM, chromium
+from helpers.browser import IN_BROWSER, chromium, expect
 from helpers.numbered_footage import BITS, FRAMES, write_video
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine"),
-]
+pytestmark = IN_BROWSER
 
 READ_CANVAS = f"""() => {{
   const canvas = document.getElementById("picture"), context = canvas.getContext("2d");
@@ -74,7 +70,7 @@ def opened(context: Any, served: Served, who: str | None = "ann") -> Any:
 
 def shows(page: Any, number: int) -> None:
     """Wait until a frame is on the screen, and see that it is that frame."""
-    playwright.expect(page.locator("#frame")).to_have_text(str(number))
+    expect(page.locator("#frame")).to_have_text(str(number))
     assert page.evaluate(READ_CANVAS) == number - 1
 
 
@@ -90,7 +86,7 @@ def mark(page: Any, start: int, end: int) -> None:
     for _ in range((end - start) % 10):
         page.keyboard.press("ArrowRight")
     page.keyboard.press("e")
-    playwright.expect(page.locator("#marks li").first).to_contain_text(f"– {end + 1}")
+    expect(page.locator("#marks li").first).to_contain_text(f"– {end + 1}")
     saved(page)
 
 
@@ -116,11 +112,11 @@ def test_step_mark_reload_nothing_is_lost(context: Any, served: Served) -> None:
     assert served.grasps() == [(3, 25, "left", "plate")]
     page.reload()
     shows(page, 1)
-    playwright.expect(page.locator("#marks li")).to_contain_text("4 – 26")
-    playwright.expect(page.locator("#category")).to_have_value("plate")
+    expect(page.locator("#marks li")).to_contain_text("4 – 26")
+    expect(page.locator("#category")).to_have_value("plate")
     for _ in range(4):  # hand, object, end, start
         page.keyboard.press("u")
-    playwright.expect(page.locator("#marks li")).to_have_count(0)
+    expect(page.locator("#marks li")).to_have_count(0)
     saved(page)
     assert served.grasps() == []
     here = f"http://127.0.0.1:{served.port}/"
@@ -131,8 +127,8 @@ def test_step_mark_reload_nothing_is_lost(context: Any, served: Served) -> None:
 def test_nothing_is_said_of_the_zoom_before_there_is_a_picture(context: Any, served: Served) -> None:
     page = context.new_page()
     page.goto(served.server.url)
-    playwright.expect(page.locator("#name")).to_be_visible()
-    playwright.expect(page.locator("#zoom")).to_have_text("–")
+    expect(page.locator("#name")).to_be_visible()
+    expect(page.locator("#zoom")).to_have_text("–")
     page.fill("#name-field", "ann")
     page.keyboard.press("Enter")
     shows(page, 1)
@@ -143,7 +139,7 @@ def test_two_tabs_at_once(context: Any, served: Served) -> None:
     one = opened(context, served)
     two = opened(context, served, None)
     mark(one, 3, 25)
-    playwright.expect(two.locator("#marks li")).to_have_count(1)  # without a reload
+    expect(two.locator("#marks li")).to_have_count(1)  # without a reload
     two.keyboard.press("End")
     shows(two, FRAMES)
     two.locator("#marks li").click()
@@ -155,8 +151,8 @@ def test_two_tabs_at_once(context: Any, served: Served) -> None:
     saved(one)
     saved(two)
     for page in (one, two):
-        playwright.expect(page.locator("#marks li")).to_contain_text("5 – 26")
-        playwright.expect(page.locator("#marks li")).to_contain_text("bowl")
+        expect(page.locator("#marks li")).to_contain_text("5 – 26")
+        expect(page.locator("#marks li")).to_contain_text("bowl")
     assert served.grasps() == [(4, 25, "right", "bowl")]
 
 
@@ -164,7 +160,7 @@ def test_marks_made_while_the_server_is_away_are_kept(context: Any, served: Serv
     page = opened(context, served)
     served.stop()
     page.keyboard.press("s")
-    playwright.expect(page.locator("#saved")).to_contain_text("Not saved")
+    expect(page.locator("#saved")).to_contain_text("Not saved")
     served.start()
     saved(page)
     assert [grasp[0] for grasp in served.grasps()] == [0]
@@ -174,12 +170,12 @@ def test_marks_made_while_the_server_is_away_outlive_the_tab(context: Any, serve
     page = opened(context, served)
     served.stop()
     page.keyboard.press("s")
-    playwright.expect(page.locator("#saved")).to_contain_text("Not saved")
+    expect(page.locator("#saved")).to_contain_text("Not saved")
     page.close()
     served.start()
     again = opened(context, served, None)
     saved(again)
-    playwright.expect(again.locator("#marks li")).to_have_count(1)
+    expect(again.locator("#marks li")).to_have_count(1)
     assert [grasp[0] for grasp in served.grasps()] == [0]
 
 
@@ -189,7 +185,7 @@ def test_marks_do_not_go_to_another_database(context: Any, served: Served, tmp_p
     own, served.database = served.database, tmp_path / "other.sqlite"
     served.start()
     page.keyboard.press("s")
-    playwright.expect(page.locator("#saved")).to_contain_text("the address that getagrip annotate has")
+    expect(page.locator("#saved")).to_contain_text("the address that getagrip annotate has")
     assert served.grasps() == []
     served.stop()
     served.database = own
@@ -218,10 +214,10 @@ def test_a_whole_interaction_is_marked_state_by_state(context: Any, served: Serv
         page.keyboard.press(key)
     saved(page)
     assert segments(served) == [("static", 0, 19), ("contact", 20, 24), ("grasp", 25, 60)]
-    playwright.expect(page.locator("#bars div")).to_have_text(["1 lies still", "2 unstable contact", "3 stable grasp"])
-    playwright.expect(page.locator("#amiss li")).to_contain_text(["the camera must be known"])
+    expect(page.locator("#bars div")).to_have_text(["1 lies still", "2 unstable contact", "3 stable grasp"])
+    expect(page.locator("#amiss li")).to_contain_text(["the camera must be known"])
     page.check("#still")
-    playwright.expect(page.locator("#amiss li")).to_have_count(0)
+    expect(page.locator("#amiss li")).to_have_count(0)
     page.locator("#marks li").first.click()  # its end moves, and with it the start of what adjoins it
     go(page, 18)
     page.keyboard.press("e")
@@ -232,29 +228,29 @@ def test_a_whole_interaction_is_marked_state_by_state(context: Any, served: Serv
     assert segments(served) == [("static", 0, 17), ("contact", 18, 21), ("grasp", 22, 60)]
     page.locator("#marks li").nth(1).click()
     page.keyboard.press("Delete")
-    playwright.expect(page.locator("#amiss li")).to_contain_text(["Frames 19 to 22 are in no segment, between 1 and 2"])
+    expect(page.locator("#amiss li")).to_contain_text(["Frames 19 to 22 are in no segment, between 1 and 2"])
     page.keyboard.press("l")  # all of it
-    playwright.expect(page.locator("#label-title")).to_have_text("Frames 1 – 61")
+    expect(page.locator("#label-title")).to_have_text("Frames 1 – 61")
 
 
 def test_candidates_are_gone_through_and_discarded(context: Any, served: Served) -> None:
     page = opened(context, served)
     page.keyboard.press("n")
     shows(page, 11)  # where the candidate may begin
-    playwright.expect(page.locator("#category")).to_have_value("mug")
-    playwright.expect(page.locator("#side [aria-checked=true]")).to_have_text("Left")
+    expect(page.locator("#category")).to_have_value("mug")
+    expect(page.locator("#side [aria-checked=true]")).to_have_text("Left")
     page.keyboard.press("3")
     saved(page)
-    playwright.expect(page.locator("#progress")).to_have_text("1 of 2 done")
+    expect(page.locator("#progress")).to_have_text("1 of 2 done")
     page.keyboard.press("s")
-    playwright.expect(page.locator("#next-step")).to_contain_text("discarded")
+    expect(page.locator("#next-step")).to_contain_text("discarded")
     page.keyboard.press("3")
     page.keyboard.press("s")
     saved(page)
     assert served.grasps() == [(10, None, "left", "mug")]
     page.reload()  # comes back to the clip that was open
     shows(page, 11)
-    playwright.expect(page.locator("#marks li")).to_have_count(1)
+    expect(page.locator("#marks li")).to_have_count(1)
 
 
 def test_playback_shows_frames_in_order_and_stops_at_the_end(context: Any, served: Served) -> None:
@@ -265,8 +261,8 @@ def test_playback_shows_frames_in_order_and_stops_at_the_end(context: Any, serve
         .observe(document.getElementById("frame"), {childList: true, characterData: true, subtree: true}); }"""
     )
     page.keyboard.press(" ")
-    playwright.expect(page.locator("#frame")).to_have_text(str(FRAMES), timeout=20_000)
+    expect(page.locator("#frame")).to_have_text(str(FRAMES), timeout=20_000)
     shows(page, FRAMES)
     seen = page.evaluate("seen")
     assert seen == sorted(seen)
-    playwright.expect(page.locator("#play")).to_contain_text("Play")
+    expect(page.locator("#play")).to_contain_text("Play")

@@ -18,13 +18,20 @@ from getagrip.export.lerobot_stats import image_stats, statistics
 from getagrip.export.stage import Stage
 from getagrip.geometry import se3
 from getagrip.io.images import write_image
+from helpers.needs import needs
 
-parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed: pip install 'getagrip[lerobot]'")
+pytestmark = needs("pyarrow", "lerobot")
 DATA, EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
 
 
 def read(folder: Path, name: str) -> Any:
     return json.loads((folder / "meta" / name).read_text())
+
+
+def table_in(path: Path) -> Any:
+    from pyarrow import parquet
+
+    return parquet.read_table(path)
 
 
 def with_images(scene: Scene, folder: Path, size: tuple[int, int] = (64, 48)) -> Scene:
@@ -38,7 +45,7 @@ def with_images(scene: Scene, folder: Path, size: tuple[int, int] = (64, 48)) ->
 
 def test_rows_are_the_frames(scene: Scene, tmp_path: Path) -> None:
     folder = export(scene, tmp_path / "out", "lerobot")
-    info, table = read(folder, "info.json"), parquet.read_table(folder / DATA)
+    info, table = read(folder, "info.json"), table_in(folder / DATA)
     columns = {name: np.array(table[name].to_pylist()) for name in table.column_names}
     assert {*info["features"]} == {*columns}
     for name, feature in info["features"].items():
@@ -69,10 +76,10 @@ def test_rows_are_the_frames(scene: Scene, tmp_path: Path) -> None:
 def test_records_agree_with_the_rows(scene: Scene, tmp_path: Path) -> None:
     folder = export(scene, tmp_path / "out", "lerobot")
     info, stats = read(folder, "info.json"), read(folder, "stats.json")
-    tasks = parquet.read_table(folder / "meta" / "tasks.parquet")
+    tasks = table_in(folder / "meta" / "tasks.parquet")
     assert tasks.to_pydict() == {"task_index": [0], "task": ["hold the box with the right hand"]}
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
-    (episode,) = parquet.read_table(folder / EPISODES).to_pylist()
+    (episode,) = table_in(folder / EPISODES).to_pylist()
     assert episode["tasks"] == tasks["task"].to_pylist()
     assert (episode["dataset_from_index"], episode["dataset_to_index"], episode["length"]) == (0, 3, 3)
     assert {*stats} == {name for name, feature in info["features"].items() if feature["dtype"] != "string"}
@@ -89,7 +96,7 @@ def test_the_video_shows_each_frame_at_its_timestamp(scene: Scene, tmp_path: Pat
     info, stats = read(folder, "info.json"), read(folder, "stats.json")
     assert info["features"][CAMERA]["shape"] == [48, 64, 3]
     path = folder / info["video_path"].format(video_key=CAMERA, chunk_index=0, file_index=0)
-    stamps = parquet.read_table(folder / DATA)["timestamp"].to_pylist()
+    stamps = table_in(folder / DATA)["timestamp"].to_pylist()
     with av.open(str(path)) as film:
         frames = list(film.decode(film.streams.video[0]))
         assert [frame.time for frame in frames] == pytest.approx(stamps, abs=1e-4)
@@ -98,7 +105,7 @@ def test_the_video_shows_each_frame_at_its_timestamp(scene: Scene, tmp_path: Pat
     assert [picture.mean() for picture in seen] == pytest.approx([50.0, 100.0, 150.0], abs=3.0)
     assert np.shape(stats[CAMERA]["mean"]) == (3, 1, 1)
     np.testing.assert_allclose(stats[CAMERA]["mean"], 100.0 / 255.0)
-    (episode,) = parquet.read_table(folder / EPISODES).to_pylist()
+    (episode,) = table_in(folder / EPISODES).to_pylist()
     assert episode[f"videos/{CAMERA}/to_timestamp"] == pytest.approx(3 / info["fps"])
 
 

@@ -17,12 +17,15 @@ from getagrip.export.mujoco import convex_pieces
 from getagrip.export.stage import Stage
 from getagrip.geometry import se3
 from helpers.clips import box
+from helpers.needs import needs
 from helpers.true_result import true_result
 
-mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed: pip install 'getagrip[mujoco]'")
+pytestmark = needs("mujoco", "mujoco")
 
 
 def loaded(scene: Scene, folder: Path) -> tuple[Any, Any]:
+    import mujoco
+
     model = mujoco.MjModel.from_xml_path(str(export(scene, folder, "mujoco") / "scene.xml"))
     return model, mujoco.MjData(model)
 
@@ -33,6 +36,8 @@ def posed(data: Any, body: str) -> ndarray:
 
 @pytest.mark.slow
 def test_keys_replay_every_frame(scene: Scene, tmp_path: Path) -> None:
+    import mujoco
+
     model, data = loaded(scene, tmp_path / "out")
     T_stage_obj, T_stage_hand = Stage.of(scene).poses(scene)
     assert model.nkey == 3
@@ -79,6 +84,8 @@ def held() -> Scene:
 @pytest.mark.slow
 @pytest.mark.parametrize("follows", [True, False])
 def test_a_stepped_simulation_does_not_explode(held: Scene, tmp_path: Path, follows: bool) -> None:
+    import mujoco
+
     """With the weld, the object goes where the reconstruction has it; without, it may fall, and no faster."""
     model, data = loaded(held, tmp_path / "out")
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -101,6 +108,8 @@ def test_a_stepped_simulation_does_not_explode(held: Scene, tmp_path: Path, foll
 
 @pytest.mark.slow
 def test_a_hand_without_joints_is_its_mesh(scene: Scene, tmp_path: Path) -> None:
+    import mujoco
+
     model, data = loaded(replace(scene, joints=None), tmp_path / "out")
     mujoco.mj_resetDataKeyframe(model, data, 2)
     mujoco.mj_forward(model, data)

@@ -15,13 +15,15 @@ from getagrip.export.stage import Stage
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.io import extras
+from helpers.needs import needs
 
-Usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed: pip install 'getagrip[usd]'")
-UsdGeom = pytest.importorskip("pxr.UsdGeom", reason="usd-core is not installed: pip install 'getagrip[usd]'")
+pytestmark = needs("pxr", "usd")
 
 
 @pytest.mark.slow
 def test_usd_reads_back_every_pose_and_point(scene: Scene, tmp_path: Path) -> None:
+    from pxr import Usd, UsdGeom
+
     stage = Usd.Stage.Open(str(export(scene, tmp_path / "out", "usd") / "scene.usdc"))
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
     assert UsdGeom.GetStageUpAxis(stage) == "Z"

@@ -12,6 +12,7 @@ from getagrip.annotate.project import Project
 from getagrip.annotate.server import Server
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task
+from helpers.browser import expect
 
 
 class Served:
@@ -55,6 +56,4 @@ def ask(
 
 def saved(page: Any) -> None:
     """Wait until the server has everything."""
-    from playwright.sync_api import expect
-
     expect(page.locator("#saved")).to_have_text("All saved")

@@ -41,22 +41,16 @@ def next_test() -> None:
 def in_first_call(it: Any, check: Callable[[Any], Any]) -> Any:
     """A function that is checked in its first call of every test, or a dataclass whose first instance is."""
     if isinstance(it, type):
-        plain = it.__init__  # type: ignore[misc]
-        check(it)
-        it.__init__ = first_call(plain, it.__init__)  # type: ignore[misc]
+        it.__init__ = in_first_call(it.__init__, check)  # type: ignore[misc]
         return it
-    return first_call(it, check(it))
+    checked = cache(lambda: check(it))  # made when it is first called: most never are
 
-
-def first_call(function: Callable[..., Any], checked: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that is replaced by a checked one in its first call of every test."""
-
-    @wraps(function)
+    @wraps(it)
     def call(*args: Any, **kwargs: Any) -> Any:
-        if function in _called:
-            return function(*args, **kwargs)
-        _called.add(function)
-        return checked(*args, **kwargs)
+        if it in _called:
+            return it(*args, **kwargs)
+        _called.add(it)
+        return checked()(*args, **kwargs)
 
     return call
 

@@ -16,14 +16,10 @@ from getagrip.commands.report import ReportRequest, report
 from getagrip.finding import Finding
 from getagrip.geometry import se3
 from getagrip.result import Axis, Candidates, write_result
-from helpers.browser import CHROMIUM, WEBGL, chromium, until
+from helpers.browser import IN_BROWSER, WEBGL, chromium, until
 from helpers.egg_and_mug import egg_and_mug, perfect
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine"),
-]
+pytestmark = IN_BROWSER
 EVIL = "<img src=x onerror=hacked=1><script>hacked=1<"
 """As a clip's name; with a slash it could not name a folder."""
 FRAMES_SEEN = """() => {

@@ -19,10 +19,10 @@ from getagrip.view.live.page import Page
 from getagrip.view.live.panel import Heard
 from getagrip.view.live.server import Served, serve
 from getagrip.view.live.stage import Look
+from helpers.needs import needs
 from helpers.two_candidates import column, two_candidates
 
-pytest.importorskip("viser", reason="viser is not installed")
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, needs("viser", "view")]
 
 
 class Listed(Entry):

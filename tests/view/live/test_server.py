@@ -11,8 +11,9 @@ import pytest
 
 from getagrip.errors import GetagripError, UsageError
 from getagrip.view.live.server import LOOPBACK, Served, serve
+from helpers.needs import needs
 
-viser = pytest.importorskip("viser", reason="viser is not installed")
+pytestmark = needs("viser", "view")
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +43,7 @@ def test_the_page_is_below_the_secret_and_nowhere_else(served: Served) -> None:
 
 
 def test_what_is_shown_comes_only_below_the_secret(served: Served) -> None:
+    import viser
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
 
@@ -88,6 +90,7 @@ def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_viser_that_serves_in_another_way_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    import viser
     import websockets.asyncio.server as sockets
 
     from getagrip.view.live import server

@@ -14,16 +14,11 @@ from PIL import Image
 from getagrip.view.live.entries import Entry
 from getagrip.view.live.page import Page
 from getagrip.view.live.server import serve
-from helpers.browser import CHROMIUM, WEBGL, chromium
+from helpers.browser import IN_BROWSER, WEBGL, chromium
+from helpers.needs import needs
 from helpers.two_candidates import column
 
-pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytest.importorskip("viser", reason="viser is not installed")
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine"),
-]
+pytestmark = [*IN_BROWSER, needs("viser", "view"), pytest.mark.slow]
 
 PATIENCE = 60_000
 """On a busy machine a page takes its time [ms]."""
