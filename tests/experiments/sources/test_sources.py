@@ -1,0 +1,77 @@
+"""Where the clips of a benchmark come from, and which of them belong to a split."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from getagrip.clip import write_clip
+from getagrip.datasets.synthetic.scene import synthesise
+from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.errors import InputError, UsageError
+from getagrip.experiments.sources import samples, source_of
+from getagrip.experiments.sources.source import Split
+from getagrip.grasps import lists
+from helpers.scenes import SHORT, scene
+
+
+def test_a_folder_of_synthetic_clips_belongs_to_one_preset(tmp_path: Path) -> None:
+    clean, clips = source_of("synthetic"), tmp_path / "clips"
+    found, _ = samples(clean, clips, None, debug=False)
+    assert len({sample.name for sample in found}) == len(found) > 100
+    assert not list(clips.glob("*/"))  # clips are made when they are needed
+    assert len(samples(clean, clips, 7, debug=False)[0]) == 7
+    both = {sample.name for sample in samples(replace(clean, split="all"), clips, None, debug=False)[0]}
+    train = {sample.name for sample in samples(replace(clean, split="train"), clips, None, debug=False)[0]}
+    assert both - train == {sample.name for sample in found}
+    with pytest.raises(UsageError, match="another dataset"):
+        samples(source_of("synthetic", preset="wild"), clips, None, debug=False)
+
+
+@pytest.mark.slow
+def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
+    folder = tmp_path / "clips"
+    clip, masks = scene("can", 0, SHORT)
+    for n in range(7):
+        name = f"subject-{n}--sequence--can"
+        write_clip(replace(clip, name=name), masks, folder / name)
+    source = source_of("dexycb", root=tmp_path)
+    (folder / "imported").touch()  # as if from somewhere
+    part = {
+        which: [sample.name[8] for sample in samples(replace(source, split=which), folder, None, debug=False)[0]]
+        for which in ("train", "test", "all")
+    }
+    assert part == {"train": list("036"), "test": list("1245"), "all": list("0123456")}
+
+
+@pytest.mark.slow
+def test_subjects_of_arctic_are_split_whichever_are_there(tmp_path: Path) -> None:
+    folder = tmp_path / "clips"
+    clip, masks = synthesise("can", 0, SceneOptions(frames=2, size=(64, 48), focal=60.0))
+    for subject in ("s1", "s5", "s7"):
+        name = f"{subject}--box_use_01--box--left"
+        write_clip(replace(clip, name=name), masks, folder / name)
+    (folder / "imported").touch()
+    source = source_of("artigrasp", root=tmp_path)
+
+    def subjects(which: Split) -> list[str]:
+        return [s.name.split("-")[0] for s in samples(replace(source, split=which), folder, None, debug=False)[0]]
+
+    assert [subjects(which) for which in ("train", "test", "all")] == [["s1", "s7"], ["s5"], ["s1", "s5", "s7"]]
+    for path in (folder / "s1--box_use_01--box--left", folder / "s7--box_use_01--box--left"):
+        shutil.rmtree(path)
+    with pytest.raises(UsageError, match="no clip of artigrasp"):
+        subjects("train")
+
+
+def test_the_list_beside_clips_says_what_contact_is(tmp_path: Path) -> None:
+    source = source_of(str(tmp_path))
+    assert source.contact_mm == 10.0
+    lists.write(tmp_path / "grasps.json", [], {"contact": 0.0})
+    assert source.contact_mm == 0.0
+    lists.write(tmp_path / "grasps.json", [], {"contact": "wide"})
+    with pytest.raises(InputError, match=r"grasps\.json: cut\.contact"):
+        _ = source.contact_mm

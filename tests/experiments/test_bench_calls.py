@@ -1,0 +1,79 @@
+"""Wrong calls of ``getagrip bench`` are refused, and its help names what there is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from getagrip.cli import main
+from getagrip.clip import write_clip
+from getagrip.datasets.synthetic.splits import PRESETS
+from getagrip.experiments.settings import ABLATIONS
+from getagrip.experiments.sources import SOURCES
+from helpers.command_line import Run
+from helpers.scenes import SHORT, scene
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: Any) -> Path:
+    """A folder of two clips; nothing in it is changed by tests."""
+    folder: Path = tmp_path_factory.mktemp("made") / "clips"
+    for category in ("can", "box"):
+        write_clip(*scene(category, 0, SHORT), folder / category)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("args", "word"),
+    [
+        (("--init", "clusters"), "--init"),
+        (("--workers", "0"), "--workers"),
+        (("--clips", "0"), "--clips"),
+        (("--split", "train"), "--split"),
+        (("--root", "x"), "--root"),
+        (("--preset", "wild"), "--preset"),
+        (("--ablation", "none"), "expected one of physical"),
+        (("--json", "nowhere/x.json"), "--json"),
+        (("--inits", "0"), "inits"),
+        (("--with", "x=nowhere"), "--with"),
+        (("--with", "static=."), "another one than those of the methods"),
+        (("--with", "x=.", "--ablation", "scale"), "--with"),
+    ],
+)
+def test_wrong_calls_are_refused(made: Path, tmp_path: Path, run: Run, args: tuple[str, ...], word: str) -> None:
+    status, _, err = run("bench", made, "--out", tmp_path / "out", *args)
+    assert status == 2
+    assert word in err
+
+
+def test_folders_that_are_no_clips_are_refused(tmp_path: Path, run: Run) -> None:
+    status, _, err = run("bench", tmp_path / "nowhere", "--out", tmp_path / "out")
+    assert status != 0
+    assert "nowhere" in err
+    assert main(["bench", "dexycb", "--out", str(tmp_path / "out")]) == 2
+
+
+@pytest.mark.parametrize(
+    ("preset", "message"),
+    [
+        ("tame", "preset: got 'tame', expected one of clean"),
+        ("hamer", "preset: 'hamer' is now called 'moderate'"),
+        ("frankmocap", "preset: 'frankmocap' is now called 'strong'"),
+    ],
+)
+def test_an_unknown_preset_is_refused_before_a_folder_is_claimed(
+    preset: str, message: str, tmp_path: Path, run: Run
+) -> None:
+    status, _, err = run("bench", "synthetic", "--out", tmp_path / "out", "--preset", preset)
+    assert status == 2
+    assert message in err
+    assert not (tmp_path / "out" / "clips").exists()
+
+
+def test_the_commands_ablations_are_those_that_exist(run: Run) -> None:
+    _, out, _ = run("bench", "--help")
+    assert all(
+        name in out.replace(" ", "").replace("\n", "").replace("│", "") for name in (*ABLATIONS, *PRESETS, *SOURCES)
+    )

@@ -1,0 +1,118 @@
+"""Comparisons of methods: best and second, paired differences, failures, tables."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from getagrip.experiments.comparison import COLUMNS, ERRORS, compare, groups
+from getagrip.experiments.settings import ABLATIONS, ablation_variants, method_variants
+from getagrip.experiments.tables import LATEX, latex, markdown
+from getagrip.experiments.trials import Score, Scores
+from getagrip.fitting.options import Options
+from helpers.scores import score
+
+
+def test_the_papers_metrics_are_columns() -> None:
+    shares = "IOU|ADD|ADD sym.|SCA|truth's SCA|SCA-ADD|SCA-ADD sym.|SCA-IOU 0.8|SCA-IOU 0.6"
+    assert [metric.label for metric in COLUMNS] == shares.split("|")
+    assert [metric.label for metric in ERRORS] == ["ADD sym., mm", "rotation sym., °"]
+
+
+def test_findings_are_counted_for_each_variant() -> None:
+    variants = method_variants(("static",), Options())
+    doubted = replace(score("static", 1.0), serious=("mask-fit", "hand-side"), noted=("penetration",))
+    scores = [Scores(name, scores=(s,)) for name, s in (("a", doubted), ("b", score("static", 0.0)))]
+    (row,) = compare(scores, variants)[0].rows
+    assert row.serious == {"mask-fit": 1, "hand-side": 1}
+    assert row.noted == {"penetration": 1}
+    assert (row.doubtful, row.doubtful_right) == (1, 1)
+    assert "1 of 2" in markdown(compare(scores, variants), "Methods", [])
+
+
+def test_best_second_and_paired_differences() -> None:
+    variants = method_variants(["one-dof", "soft-hinge", "static"], Options())
+    hinge = [0.5, 0.7, 0.6, 0.4, 0.5]
+    values = {
+        "one-dof": hinge,
+        "soft-hinge": [x + 0.1 + 0.01 * n for n, x in enumerate(hinge)],
+        "static": [0.1, 0.2, 0.9, 0.3, 0.2],
+    }
+    scores = [Scores(f"c{n}", "can", "", True, tuple(score(m, v[n]) for m, v in values.items())) for n in range(5)]
+    (table,) = compare(scores, variants)
+    iou = table.columns[0]
+    assert table.ranks(iou) == [2, 1, 0]
+    difference = table.rows[1].differences["IOU"]
+    assert difference.mean == pytest.approx(0.12)  # about ten points on every clip: certain, though the values spread
+    assert 0.1 < difference.low < difference.high < 0.14
+    assert table.rows[0].values["IOU"].high > table.rows[1].values["IOU"].low
+    assert table.rows[0].differences == {}
+    truth = next(column for column in table.columns if column.label == "truth's SCA")
+    assert table.ranks(truth) == [0, 0, 0]
+
+
+def test_a_failed_method_scores_zero_and_a_failed_clip_nothing() -> None:
+    variants = method_variants(["one-dof", "static"], Options())
+    scores = [
+        Scores("a", "can", "", True, (score("one-dof", 1.0), score("static", 0.0, failed=True))),
+        Scores("b", "can", "", True, (score("one-dof", 1.0), score("static", 1.0))),
+        Scores("c", failure="no masks"),
+    ]
+    (table,) = compare(scores, variants)
+    assert table.clips == 2
+    assert [row.values["ADD"].mean for row in table.rows] == [1.0, 0.5]
+    assert [row.failed for row in table.rows] == [0, 1]
+    assert "static (1 failed)" in markdown([table], "Methods", [])
+
+
+def test_medians_and_ambiguous_results_are_of_the_clips_that_were_done() -> None:
+    def result(n: int, mm: float, ambiguous: bool) -> Scores:
+        metrics = {"iou": 0.9, "add_sym_mm": mm, "add_sym_success": float(mm < 10.0)}
+        one = Score("one-dof", metrics, 1.0, 2.0, ambiguous, "stopped")
+        return Scores(f"c{n}", "can", "", True, (one, score("static", 0.0, failed=True)))
+
+    scores = [result(n, mm, mm > 15.0 or mm < 2.0) for n, mm in enumerate([1.0, 3.0, 12.0, 20.0, 30.0])]
+    (table,) = compare(scores, method_variants(["one-dof", "static"], Options()))
+    row, nothing = table.rows
+    assert row.medians["ADD sym., mm"] == 12.0
+    assert (row.ambiguous, row.wrong_ambiguous, row.wrong) == (3, 2, 3)
+    assert np.isnan(nothing.medians["ADD sym., mm"])
+    assert (nothing.ambiguous, nothing.wrong) == (0, 0)
+    page = markdown([table], "Methods", [])
+    assert "| one-dof | 12.0 | 3 of 5 | 2 of 3 |" in page  # no rotation is known, so there is no column of it
+
+
+def test_a_table_for_each_category() -> None:
+    variants = method_variants(["one-dof"], Options())
+    scores = [Scores(f"{c}{n}", c, "", True, (score("one-dof", n / 2),)) for c in ("can", "mug") for n in range(3)]
+    tables = compare(scores, variants)
+    assert [(table.title, table.clips) for table in tables] == [("all", 6), ("can", 3), ("mug", 3)]
+
+
+def test_subjects_are_the_groups_where_every_clip_has_one() -> None:
+    two = [Scores("a", subject="s1"), Scores("b", subject="s2"), Scores("c", subject="s2")]
+    assert groups(two) == ["s1", "s2", "s2"]
+    assert groups([*two, Scores("d")]) == ["a", "b", "c", "d"]
+    assert groups([Scores("a", subject="s"), Scores("b", subject="s")]) == ["a", "b"]
+
+
+def test_columns_without_truth_are_left_out() -> None:
+    metrics = {"iou": 0.9, "sca_object_10mm": 0.5}
+    scores = [Scores("a", "can", "", False, (Score("one-dof", metrics, 1.0, 2.0, False, "stopped"),))]
+    (table,) = compare(scores, method_variants(["one-dof"], Options()))
+    assert [column.label for column in table.columns] == ["IOU", "SCA"]
+
+
+def test_latex_braces_match_and_symbols_are_spelt() -> None:
+    variants = ablation_variants("physical", ["one-dof"], Options())
+    scores = [
+        Scores(f"c{n}", "a_b", "", True, tuple(score(variant.folder, n / 7) for variant in variants)) for n in range(7)
+    ]
+    text = latex(compare(scores, variants), ABLATIONS["physical"].title, [])
+    tables = text[text.index(r"\begin{table}") :]
+    assert tables.count("{") == tables.count("}")
+    assert tables.count(r"\begin") == tables.count(r"\end")
+    assert tables.isascii()
+    assert LATEX.text("a_b 5 %") == r"a\_b 5 \%"
