@@ -1,0 +1,44 @@
+"""Hands from HaWoR's files: written by its own formulas from a known hand, they come back as it was."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from getagrip.errors import UsageError
+from getagrip.geometry import se3
+from getagrip.hands.model import Side
+from getagrip.hands.trackers import read
+from getagrip.hands.trackers.hawor import HaWoR
+from helpers.estimator_files import (
+    SIZE,
+    K,
+    Known,
+)
+from helpers.tracked_hands import SIDES, joints_of, request
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.slow
+def test_hawor(tmp_path: Path, mano_folder: Path, side: Side) -> None:
+    """A focal length other than the clip's is divided out: the hand is seen where it was, at the clip's own depth."""
+    known = Known(side, mano_folder)
+    focal, centre = 900.0, np.array(SIZE) / 2.0
+    u = K[:2, 2] + K[0, 0] * known.t[:, :2] / known.t[:, 2:]
+    z = known.t[:, 2] * focal / K[0, 0]
+    record = {
+        "init_root_orient": known.R[None],
+        "init_hand_pose": se3.exp_so3(known.pose.reshape(3, 15, 3))[None],
+        "init_betas": known.betas[None],
+        "init_trans": np.column_stack([z[:, None] * (u - centre) / focal, z])[None],
+    }
+    for name, first in (("6_8.json", 1), ("0_2.json", 7)):  # it counts from 0
+        path = tmp_path / name
+        path.write_text(json.dumps({key: value.tolist() for key, value in record.items()}))
+        hands = read([path], HaWoR(focal, first), request(side, mano_folder))
+        np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
+    with pytest.raises(UsageError, match="--estimator-focal"):
+        read([path], HaWoR(first=7), request(side, mano_folder))

@@ -1,0 +1,49 @@
+"""Plain joints give the hand that they are of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from getagrip.errors import InputError
+from getagrip.hands.fit import ORDERS
+from getagrip.hands.model import Side
+from getagrip.hands.trackers import read
+from getagrip.hands.trackers.joints import Joints
+from helpers.estimator_files import (
+    Known,
+    write_npz,
+)
+from helpers.tracked_hands import SIDES, joints_of, request
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_joints(tmp_path: Path, side: Side) -> None:
+    """Joints of a generic hand give that hand back but for what the prior takes, in whatever order the frames are."""
+    known = Known(side, None)
+    given_joints = np.empty_like(known.joints)
+    given_joints[:, ORDERS["ho3d"]] = known.joints
+    content = {"joints": given_joints[[2, 0]], "frames": np.array(["000009", "frame_7"])}
+    path = write_npz(tmp_path / "j.npz", content)
+    hands = read([path], Joints("ho3d"), request(side))
+    assert hands.found == (0, 2)
+    assert np.abs(joints_of(hands) - known.joints[[0, 2]]).max() < 0.01
+    write_npz(path, content | {"frames": np.array(["000009", "frame_9"])})
+    with pytest.raises(InputError, match="a second hand in frame 000009"):
+        read([path], Joints("ho3d"), request(side))
+
+
+def test_the_hand_stands_still_before_the_first_and_after_the_last_frame(tmp_path: Path) -> None:
+    path = write_npz(tmp_path / "j.npz", {"joints": Known("right", None).joints[[0, 2]], "frames": np.array([7, 9])})
+    found = replace(read([path], Joints("openpose"), request("right")), found=(2, 4))
+    held = found.held_at_ends(tuple("abcdefg"))
+    assert held.found == (0, 1, 2, 4, 5, 6)  # d lies between two hands
+    for there, at in ((found.track.T_cam_hand, held.track.T_cam_hand), (found.track.joints, held.track.joints)):
+        assert there is not None
+        np.testing.assert_array_equal(at, there[[0, 0, 0, 1, 1, 1]])
+    assert "a guess in the frames a to b and f to g" in held.provenance["hands_held"]
+    assert found.held_at_ends(tuple("abcde")).found == (0, 1, 2, 4)
+    assert replace(found, found=(0, 1)).held_at_ends(("a", "b")).provenance == found.provenance
