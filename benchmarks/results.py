@@ -12,9 +12,12 @@ from pathlib import Path
 
 from benchmarks import page
 
-PAGES = ("results.md", "arctic.md")
+PAGES = ("results.md", "arctic.md", "checks.md")
 CATEGORIES = "dexycb-methods"
 """The section that shows each category; the others' are in the files that ``bench`` writes."""
+FINDINGS = "synthetic-train-wrong-input"
+"""The section that shows only what the checks have found."""
+DOUBTS = "Results that the checks doubt"
 
 
 def main(folders: list[Path]) -> None:
@@ -31,6 +34,10 @@ def main(folders: list[Path]) -> None:
 def section(name: str, tables: Path) -> str:
     """A page of ``bench`` without its title, the plot beside it moved to the pictures of the docs."""
     body = tables.read_text(encoding="utf-8").split("\n", 1)[1].strip()
+    if name == FINDINGS:
+        head, *_ = body.split("\n\n")
+        kept = "\n".join(line for line in head.splitlines() if line.startswith(("- synthetic", "- made")))
+        return f"{kept}\n\n{DOUBTS}{body.split(DOUBTS)[1].split('<details>')[0].rstrip()}"
     if name != CATEGORIES:
         body = body.split("<details>")[0].strip()
     plot = tables.with_suffix(".png")

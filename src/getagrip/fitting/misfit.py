@@ -13,7 +13,7 @@ from getagrip.fitting.observation import Observation
 
 PIXEL, CROP_PIXEL = 0.4, 0.15
 """Mean distance between the contour of the object's own mesh and that of a mask: pixels of the image, plus pixels of
-the crop. Right grasps of DexYCB's training subjects have 0.7 to 1.3 times as much.
+the crop. Right grasps of DexYCB's training subjects have about as much (docs/method.md).
 """
 POWER = 3.0
 """Stiffness grows with this power of the misfit; 4 held measured motions too stiffly."""
