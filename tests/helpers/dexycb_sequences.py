@@ -1,0 +1,31 @@
+"""DexYCB's sequences as tests read them."""
+
+import numpy as np
+
+from getagrip.datasets.cutting import pieces
+from getagrip.datasets.dataset import clips
+from getagrip.datasets.dexycb.reader import WITHIN_10_MM, DexYcb
+from helpers.dexycb_files import (
+    SERIALS,
+)
+
+
+def read(root, meshes=None, note=lambda _: None):
+    """The clips of the stable grasps."""
+    return clips(DexYcb(root=root, meshes=meshes), note)
+
+
+def grasps(sequence, note=lambda _: None):
+    """The stable grasps of a sequence, as pieces of its track."""
+    return list(pieces(sequence.read(note), note, WITHIN_10_MM.cut(note)))
+
+
+def write_extrinsics(root, T_master_cam, T_master_tag):
+    folder = root / "calibration" / "extrinsics_20200702_151821"
+    folder.mkdir(exist_ok=True)
+    rows = {SERIALS[0]: T_master_cam, SERIALS[1]: np.eye(4), "apriltag": T_master_tag}
+    text = f"master: '{SERIALS[1]}'\nextrinsics:\n"
+    for key, T in rows.items():
+        text += f"  '{key}': {T[:3].ravel().tolist()}\n"
+    (folder / "extrinsics.yml").write_text(text)
+    return folder / "extrinsics.yml"
