@@ -1,0 +1,148 @@
+"""The server of the page: frames and marks, for those with the token on this machine only."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from getagrip.annotate.project import Project
+from getagrip.annotate.server import LARGEST_BODY, Server, first_free, kept_token
+from getagrip.annotate.store import Store
+from getagrip.annotate.tasks import Task
+from getagrip.commands.annotate import DATABASE
+from getagrip.errors import UsageError
+from helpers.annotation_page import ask
+from helpers.command_line import Run
+from helpers.marking import VIDEO, change, new
+from helpers.numbered_footage import FRAMES, number_in, write_images
+
+
+@pytest.fixture
+def server(project: Project) -> Iterator[Server]:
+    with Server(project, 0) as made:
+        thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        yield made
+        made.shutdown()
+        thread.join()
+
+
+def test_frames_and_marks_over_http(server: Server) -> None:
+    for n in (0, 33, FRAMES - 1, 12):
+        status, head, image = ask(server, f"/frame?task={VIDEO}&n={n}")
+        assert (status, head["X-Number"], number_in(image)) == (200, str(n + 1), n)
+    status, _, answer = ask(server, "/api/change", change(new(), {"start": 4}))
+    assert (status, json.loads(answer)["marks"][0]["start"]) == (200, 4)
+    info = json.loads(ask(server, "/api/task?task=candidate")[2])
+    assert (info["first"], info["last"], info["contact"]) == (10, 59, 19)
+    for path in ("/", "/page.js", "/player.js", "/saving.js", "/page.css"):
+        status, head, text = ask(server, path)
+        assert status == 200
+        assert b"http" not in text.replace(b"http-equiv", b"")  # nothing from elsewhere
+        assert "default-src 'self'" in head["Content-Security-Policy"]
+
+
+def test_the_page_is_for_this_machine_only(server: Server) -> None:
+    assert server.server_address[0] == "127.0.0.1"
+    own = f"127.0.0.1:{server.server_port}"
+    sent = change(new(), {"start": 4})
+    foreign: list[dict[str, str]] = [
+        {"Host": "evil.example"}, {"Host": f"evil.example:{server.server_port}"}, {"Host": "127.0.0.1"},
+        {"Origin": "http://evil.example"}, {"Origin": "null"}, {"Origin": f"https://{own}"},
+        {"Origin": "http://127.0.0.1:1"}, {"Sec-Fetch-Site": "cross-site"}, {"Sec-Fetch-Site": "same-site"},
+    ]  # fmt: skip
+    for head in foreign:
+        assert ask(server, "/api/change", sent, head)[0] == 403
+        assert ask(server, f"/frame?task={VIDEO}&n=0", head=head)[0] == 403
+    assert server.project.store.marks.standing() == []
+    assert ask(server, "/api/change", sent, {"Origin": f"http://{own}"})[0] == 200
+    assert ask(server, "/", head={"Host": f"localhost:{server.server_port}"})[0] == 200
+    through_ssh = {"Host": "localhost:9000", "Origin": "http://localhost:9000"}
+    assert ask(server, "/api/change", change(new(), {"start": 5}), through_ssh)[0] == 200
+
+
+def test_the_address_with_the_token_opens_the_page(server: Server) -> None:
+    """Others who work on the machine reach the server, but nothing of what is in it."""
+    stranger = {"Cookie": ""}
+    for path in ("/", "/page.js", "/api/tasks?annotator=ann", "/?token=another", f"/page.js?token={server.token}"):
+        status, _, answer = ask(server, path, head=stranger)
+        assert (status, b"the address that getagrip annotate has printed" in answer) == (401, True)
+    for cookie in (f"{server.cookie}=another", f"other={server.token}", f"{server.cookie}", "a=\xff"):
+        assert ask(server, "/api/change", change(new(), {"start": 4}), {"Cookie": cookie})[0] == 401
+    assert server.project.store.marks.standing() == []
+    status, head, _ = ask(server, server.url.removeprefix(f"http://127.0.0.1:{server.server_port}"), head=stranger)
+    assert (status, head["Location"]) == (303, "/")
+    assert "HttpOnly" in head["Set-Cookie"]
+    assert ask(server, "/", head={"Cookie": head["Set-Cookie"].partition(";")[0]})[0] == 200
+
+
+def test_the_token_stays_over_restarts_and_is_its_owners(tmp_path: Path) -> None:
+    token = kept_token(tmp_path / "token")
+    assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
+    assert kept_token(tmp_path / "token") == token
+    (tmp_path / "token").chmod(0o644)  # others may have read it
+    assert kept_token(tmp_path / "token") != token
+
+
+def test_another_port_is_taken_where_the_usual_one_is_not_free(project: Project, monkeypatch: Any) -> None:
+    with Server(project, 0) as busy:
+        monkeypatch.setattr("getagrip.annotate.server.PORT", busy.server_port)
+        with first_free(project, "a-token") as other:
+            assert other.server_port != busy.server_port
+        with pytest.raises(UsageError, match="--port"):
+            Server(project, busy.server_port)
+
+
+@pytest.mark.parametrize(
+    ("path", "content", "expected"),
+    [
+        ("/frame?task=nothing&n=0", None, 409), (f"/frame?task={VIDEO}&n=70", None, 409),
+        (f"/frame?task={VIDEO}&n=-1", None, 400), (f"/frame?task={VIDEO}", None, 400), ("/frame", None, 400),
+        ("/../cli.py", None, 404), ("/page.js/../store.py", None, 404), ("/api/marks", None, 409),
+        ("/api/tasks?annotator=..%2Fx", None, 409), ("/grasps.csv?annotator=", None, 409),
+        ("/api/change", b"{", 400), ("/api/change", b"[]", 400), ("/api/change", b"[" * 60_000, 400),
+        ("/api/change", b"\xff\xfe", 400), ("/api/change", {}, 409), ("/api/undo", {}, 409), ("/api/other", {}, 404),
+        ("/api/change", b" " * (LARGEST_BODY + 1), 400),
+    ],
+)  # fmt: skip
+def test_bad_requests_are_answered_in_words(server: Server, path: str, content: object, expected: int) -> None:
+    status, head, answer = ask(server, path, content)
+    assert (status, head["Content-Type"]) == (expected, "application/json")
+    assert set(json.loads(answer)) == {"error"}
+
+
+def test_forms_of_other_sites_cannot_be_sent(server: Server) -> None:
+    """A form can be sent across sites without asking; JSON cannot."""
+    head = {"Content-Type": "text/plain"}
+    assert ask(server, "/api/change", change(new(), {"start": 1}), head)[0] == 400
+
+
+def test_a_database_that_cannot_be_written_is_reported(server: Server) -> None:
+    other = sqlite3.connect(server.project.store.path)
+    server.project.store.database.connection.execute("PRAGMA busy_timeout = 50")
+    other.execute("BEGIN EXCLUSIVE")
+    sent = change(new(), {"start": 4})
+    assert ask(server, "/api/change", sent)[0] == 503
+    other.execute("ROLLBACK")
+    other.close()
+    assert ask(server, "/api/change", sent)[0] == 200
+
+
+def test_a_port_in_use_is_reported(server: Server, video: Path, run: Run, tmp_path: Path) -> None:
+    status, _, err = run("annotate", video, "--out", tmp_path / "other", "--port", server.server_port)
+    assert status == 2
+    assert "--port" in err
+
+
+def test_a_folder_of_images_is_served(tmp_path: Path) -> None:
+    folder = write_images(tmp_path / "P01_01", [7, 8, 9])
+    project = Project([Task("P01_01", "P01_01", folder)], Store(tmp_path / DATABASE))
+    image, _, number = project.frame("P01_01", 2)
+    assert (number_in(image), number) == (9, 9)
+    project.close()
