@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from getagrip.clip import Masks
+from getagrip.clip import HandTrack, Masks, OtherHand
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
 from getagrip.grasps.definition import Definition
@@ -43,6 +43,21 @@ def test_segments_cover_the_clip_and_are_better_than_the_next_best() -> None:
     assert all(s.margin > 0.0 for s in found().segments)
     assert {s.side for s in segments if s.state == "grasp"} == {"right"}
     assert not found().notes
+
+
+@pytest.mark.slow
+def test_a_grasp_of_the_other_hand_is_found_as_its() -> None:
+    clip, masks = from_table()
+    mirror, T = np.array([-1.0, 1.0, 1.0]), np.repeat(clip.hand.T_cam_hand[:1], len(clip), axis=0)
+    T[:, 0, 3] -= 0.12
+    own = HandTrack(mirror * clip.hand.vertices, clip.hand.faces[:, ::-1], T, clip.hand.regions)
+    known = np.arange(LYING - 4, len(clip))
+    other = OtherHand.at(clip.hand.take(known), known, len(clip))
+    both = replace(clip, truth=None, hand=own, side="left", other_hand=other)
+    segments = [s.segment for s in find_segments(both, masks, DEFINITION, Options(inits=6, frames=8)).segments]
+    assert (segments[-1].state, segments[-1].side) == ("grasp", "right")
+    assert abs(segments[-1].first - LYING) <= 3
+    assert segments[0].state == "static"
 
 
 def test_an_object_that_never_moves_is_static_and_no_fit_is_needed() -> None:

@@ -29,7 +29,7 @@ def fit(first: int, last: int, right: slice, frames: np.ndarray | None = None) -
     misfit = np.full(T, 30.0)
     misfit[right] = 0.8
     eye = np.tile(np.eye(4), (len(frames), 1, 1))
-    return Held(frames, eye, eye, misfit[frames], np.ones(len(frames)), 1.0)
+    return Held(frames, eye, eye, misfit[frames], np.ones(len(frames)), 1.0, "right")
 
 
 def states(held: list[Held], motion: ImageMotion | None = None) -> list[tuple[int, int, int]]:

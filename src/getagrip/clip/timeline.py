@@ -21,6 +21,7 @@ from getagrip.io import files
 State = Literal["static", "contact", "grasp", "free"]
 """Still in the world; in unstable contact with a hand; in a stable grasp; moving without a hand."""
 Side = Literal["left", "right"]
+SIDES: tuple[Side, ...] = get_args(Side)
 STATES: tuple[State, ...] = get_args(State)
 KEYS = ("state", "first", "last", "side")
 """Of a segment in ``clip.json``."""

@@ -106,7 +106,8 @@ def find_one(job: SegmentJob, progress: Progress = lambda *_: None) -> Segmented
             segment_files.into_clip(read_header(job.clip), listed)
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)
-    grasps = tuple(as_listed(clip, first, last) for first, last in found.grasps)
+    held = [(clip.held_by(one.segment.side), one.segment) for one in found.segments if one.segment.state == "grasp"]
+    grasps = tuple(as_listed(by or clip, segment.first, segment.last) for by, segment in held)
     return SegmentedClip(clip.name, tuple(_rows(clip, found)), _fields(listed, found), grasps)
 
 

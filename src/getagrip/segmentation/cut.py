@@ -50,14 +50,19 @@ def write_grasps(clip: Clip, masks: Masks, found: FoundSegments, folder: Path) -
 def _write_grasp(clip: Clip, masks: Masks, found: FoundSegments, one: FoundSegment, folder: Path) -> Path:
     """One of them."""
     segment = one.segment
+    by = clip.held_by(segment.side)
+    assert by is not None
+    if by is not clip:
+        masks = replace(masks, hand=None)
+    rows = segment.rows[clip.hand_known(segment.side)[segment.rows]]
     provenance = {
         **clip.provenance,
-        "grasp": as_listed(clip, segment.first, segment.last).row(),
+        "grasp": as_listed(by, segment.first, segment.last).row(),
         "found": f"in the masks of {clip.name}, {one.margin:.0f} nats before the next best",
         **{f"assumed {n}": note for n, note in enumerate(found.notes, start=1)},
     }
-    part = replace(clip.take(segment.rows), name=folder.name, segments=(), provenance=provenance)
-    return _write(part, masks.take(segment.rows), clip, segment.rows, folder)
+    alone = replace(by, name=folder.name, segments=(), other_hand=None, provenance=provenance)
+    return _write(alone.take(rows), masks.take(rows), clip, rows, folder)
 
 
 def _write(part: Clip, masks: Masks, clip: Clip, rows: Int[ndarray, "n"], folder: Path) -> Path:

@@ -7,12 +7,12 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 from threadpoolctl import threadpool_limits
 
 from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_masks
-from getagrip.clip.timeline import State
+from getagrip.clip.timeline import SIDES, Side, State
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
 from getagrip.grasps.definition import Definition
@@ -122,16 +122,27 @@ def _fits(
     options: Options,
     progress: Callable[[float], None],
 ) -> list[Held]:
-    """A fit wherever the object does not lie still; none where nothing can be fitted."""
-    parts, fits = list(pieces(runs, LONGEST, LEAST)), []
+    """A fit to each known hand wherever the object does not lie still; none where nothing can be fitted."""
+    hands, parts, fits = _hands(clip, masks), list(pieces(runs, LONGEST, LEAST)), []
     for k, frames in enumerate(parts):
         before = parts[k - 1][-1] + 1 - INTO if k else 0
         after = parts[k + 1][0] + INTO if k + 1 < len(parts) else len(clip)
         around = np.arange(max(0, before, frames[0] - AROUND), min(len(clip), after, frames[-1] + 1 + AROUND))
-        with suppress(NothingToFitError):
-            fits.append(held_in(clip, masks, frames, around, options))
+        for by, seen, known in hands:
+            with suppress(NothingToFitError):
+                fits.append(held_in(by, seen, frames[known[frames]], around[known[around]], options))
         progress((k + 1) / len(parts))
     return fits
+
+
+def _hands(clip: Clip, masks: Masks) -> list[tuple[Clip, Masks, Bool[ndarray, "T"]]]:
+    """The clip with each known hand for its own, and the frames in which that is known."""
+    hands = [(clip, masks, clip.hand_known(clip.side))]
+    for side in SIDES:
+        by = clip.held_by(side)
+        if by is not None and by is not clip:  # its own pixels are not known apart
+            hands.append((by, replace(masks, hand=None), clip.hand_known(side)))
+    return hands
 
 
 def _segments(
@@ -150,13 +161,19 @@ def _segments(
     spans, motions = division.spans, [MOTIONS[state] for state in division.states]
     lengths = spans[:, 1] + 1 - spans[:, 0]
     owner = np.repeat(np.arange(len(spans)), lengths)
-    stable = np.full(len(clip), -1)
+    stable, sides = np.full(len(clip), -1), dict[int, Side]()
     lying = np.where(np.array(motions) == "static", lengths, 0)
     for k in np.flatnonzero(np.array(motions) == "held"):
         first, last = (int(n) for n in spans[k])
         before, after = (int(lying[n]) if 0 <= n < len(spans) else 0 for n in (k - 1, k + 1))
-        found = reconstructed(clip, chosen(held, first, last, jitter), first, last, before, after)
-        for n, (a, b) in enumerate(stable_in(clip, found, definition)):
+        fit = chosen(held, first, last, jitter)
+        by, known = clip.held_by(fit.side), clip.hand_known(fit.side)
+        assert by is not None
+        before = before - int(np.flatnonzero(~known[first - before : first]).max(initial=-1)) - 1
+        after = int(np.argmin([*known[last + 1 : last + 1 + after], False]))
+        sides[int(k)] = fit.side
+        found = reconstructed(by, fit, first, last, before, after)
+        for n, (a, b) in enumerate(stable_in(by, found, definition)):
             taken = np.arange(a, b + 1)
             taken = taken[stable[a : b + 1] < 0]
             owner[taken], stable[taken] = k, n
@@ -165,5 +182,5 @@ def _segments(
     for rows in np.split(np.arange(len(clip)), breaks):
         k = owner[rows[0]]
         state = "grasp" if stable[rows[0]] >= 0 else OTHERWISE[motions[k]]
-        side = clip.side if state in ("grasp", "contact") else None
+        side = sides.get(int(k)) if state in ("grasp", "contact") else None
         yield FoundSegment(Segment(state, int(rows[0]), int(rows[-1]), side), float(margin[k]))

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
+from getagrip.clip.timeline import Side
 from getagrip.errors import GetagripError
 from getagrip.fitting.every_frame import hand_everywhere, own_fit, placed
 from getagrip.fitting.methods import METHODS
@@ -52,6 +53,8 @@ class Held:
     misfit: Float[ndarray, "n"]
     expected: Float[ndarray, "n"]
     scale: float
+    side: Side
+    """Whose hand it is."""
 
 
 def held_in(clip: Clip, masks: Masks, frames: Int[ndarray, "n"], around: Int[ndarray, "m"], options: Options) -> Held:
@@ -82,7 +85,7 @@ def held_in(clip: Clip, masks: Masks, frames: Int[ndarray, "n"], around: Int[nda
     for t in np.setdiff1d(np.arange(n), seen):
         T_hand_obj[t] = T_hand_obj[seen[np.argmin(np.abs(seen - t))]]
     T_cam_hand = part.hand.T_cam_hand
-    return Held(around, T_cam_hand @ T_hand_obj, T_cam_hand, misfit, expected, float(found.poses.scale[0]))
+    return Held(around, T_cam_hand @ T_hand_obj, T_cam_hand, misfit, expected, float(found.poses.scale[0]), clip.side)
 
 
 def _tried(
