@@ -149,7 +149,7 @@ def run(case: Case) -> list[Row]:
     return rows
 
 
-def collect(file: Path, every: Sequence[Case], workers: int) -> list[Row]:
+def collect(file: Path, every: Sequence[Case], workers: int, run: Callable[[Case], list[Row]] = run) -> list[Row]:
     """The rows of all cases: those of the file, and those that are missing there, which are added to it."""
     file.parent.mkdir(parents=True, exist_ok=True)
     rows = read(file) if file.exists() else []

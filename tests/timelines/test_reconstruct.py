@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from getagrip.clip import write_clip
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.fitting import reconstruct as grasp
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
@@ -48,6 +48,7 @@ def test_all_frames_are_answered(found: Reconstruction) -> None:
     ]
     np.testing.assert_allclose(found.segments[0]["T_world_obj"], lying[0], atol=1e-9)
     assert np.linalg.norm(found.segments[2]["axis_direction"]) == pytest.approx(1.0)
+    assert ["signs" in segment for segment in found.segments] == [False, False, True]
 
 
 @pytest.mark.slow
@@ -117,5 +118,7 @@ def test_what_cannot_be_solved_is_said(tmp_path: Path) -> None:
     only_contact = replace(clip, segments=clip.segments[1:2])
     with pytest.raises(InputError, match="segments: got no static segment"):
         reconstruct(only_contact, masks, FEW)
+    with pytest.raises(GetagripError, match=r"no static segment.*bend"):
+        reconstruct(replace(only_contact, side="left" if clip.side == "right" else "right"), masks, FEW)
     folder = write_clip(only_contact, masks, tmp_path / "clip")
     assert folder.is_dir()

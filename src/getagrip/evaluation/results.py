@@ -22,6 +22,12 @@ from getagrip.metrics.mask import MaskIou, iou_of_poses
 from getagrip.metrics.pose import ObjectTrack
 from getagrip.result import Reconstruction, read_result
 
+OF_TIMELINE = (
+    "a timeline: poses are compared in the frame of the clip's own hand, and contact is with that hand, in all frames, "
+    "also in those in which it does not hold the object"
+)
+"""What is to be known about the metrics of one."""
+
 
 def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> dict[str, Any]:
     """All metrics of one result folder against its clip.
@@ -65,7 +71,8 @@ def evaluate(
     symmetry = None if clip.truth is None else it.symmetries.describe()
     made = evaluation(it, result.method, symmetry, wanted)
     made |= {"frame_kind": list(result.frame_kind), "findings": [str(finding) for finding in result.findings]}
-    if notes := clip.mesh.stands_for(whole_mesh, "measured"):
+    notes = [*clip.mesh.stands_for(whole_mesh, "measured"), *([OF_TIMELINE] if result.segments else [])]
+    if notes:
         made["notes"] = notes
     fitted = result.frames_of("sampled", "fitted")
     if 0 < len(fitted) < len(clip):

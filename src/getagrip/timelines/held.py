@@ -93,6 +93,11 @@ def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Seq
 class HeldTrack:
     """A grasp in all of its frames in which its hand is known."""
 
+    held: Held
+    chosen: int
+    """Which of its solutions."""
+    found: MethodResult
+    """That, fitted once more with its links, at the problem's frames."""
     rows: Int[ndarray, "n"]
     T_cam_hand: Float[ndarray, "n 4 4"]
     T_hand_obj: Float[ndarray, "n 4 4"]
@@ -114,7 +119,7 @@ def in_all_frames(footage: Footage, held: Held, k: int, neighbours: Sequence[Nei
     clip, masks, rows = given
     track = at_every_frame(clip, masks, problem, found, at_sampled_frames(problem, found))
     axis = None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle)
-    return HeldTrack(rows, track.T_cam_hand, track.T_hand_obj[0], track.kind, axis, problem.notes)
+    return HeldTrack(held, k, found, rows, track.T_cam_hand, track.T_hand_obj[0], track.kind, axis, problem.notes)
 
 
 def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:

@@ -78,7 +78,7 @@ def put_grasp(motion: Motion, footage: Footage, held: Held, k: int, neighbours: 
     for row, kind in zip(rows, track.kind, strict=True):
         motion.kind[row] = kind
     motion.notes += [f"grasp from {footage.clip.frames[rows[0]]}: {note}" for note in track.notes]
-    motion.held.add(held.segment.first)
+    motion.held[held.segment.first] = track
     if track.axis is not None:
         motion.axes[held.segment.first] = track.axis
     return rows

@@ -11,10 +11,10 @@ from jaxtyping import Float
 from numpy import ndarray
 from threadpoolctl import threadpool_limits
 
-from getagrip.checks import LEAST_IOU
-from getagrip.checks.of_timeline import examine_timeline
+from getagrip.checks import INPUT_CHECKS, LEAST_IOU, Evidence, examine
+from getagrip.checks.of_timeline import WITH_HAND, examine_timeline
 from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_masks
-from getagrip.errors import UsageError
+from getagrip.errors import GetagripError, UsageError
 from getagrip.fitting import reconstruct as grasp
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.methods.all_frames import soft_hinges
@@ -26,6 +26,7 @@ from getagrip.result import Candidates, Reconstruction
 from getagrip.timelines.footage import Footage, held
 from getagrip.timelines.joint import joint
 from getagrip.timelines.motion import Motion
+from getagrip.timelines.signs import signs_of
 
 METHOD = "soft-hinge"
 """How objects move in the grasps of a timeline."""
@@ -64,7 +65,14 @@ def reconstruct(
             light = replace(light, mesh=Mesh(scale * light.mesh.vertices, light.mesh.faces), scale="known", truth=None)
         footage = Footage.of(light, masks, options)
         clock("prepare")
-        motion = joint(footage, on_stage=clock)
+        try:
+            motion = joint(footage, on_stage=clock)
+        except GetagripError as error:
+            of_clip = [check for check in INPUT_CHECKS if check.name not in WITH_HAND]
+            serious = [finding for finding in examine(of_clip, Evidence(light, masks))[1] if finding.serious]
+            if not serious:
+                raise
+            raise GetagripError("; ".join(map(str, (error, *serious)))) from error
     return result_of(clip, footage, motion, scale, clock.seconds())
 
 
@@ -83,6 +91,9 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
     iou = np.where(footage.masks.observed, image_iou(posed, footage.masks, T_hand_obj, 1.0), np.nan)
     moved = not np.array_equal(motion.T_cam_hand, clip.hand.T_cam_hand)
     energy, other = motion.energy
+    of_clip = footage.some.notes
+    notes = [note for note in motion.notes if not note.endswith(tuple(f": {one}" for one in of_clip))]
+    notes += [*followed(clip, footage), *of_clip]
     guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
     mean_iou = float(np.nanmean(iou))
     hands = motion.T_cam_hand, motion.T_cam_obj, scale, iou, other_hand
@@ -108,16 +119,12 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
         seed=footage.options.seed,
         T_cam_hand=motion.T_cam_hand if moved else None,
         T_cam_other_hand=other_hand,
-        notes=(
-            *motion.notes,
-            *followed(clip, footage),
-            *footage.some.notes,
-            *([guess] if clip.scale == "free" else []),
-        ),
+        notes=(*notes, *([guess] if clip.scale == "free" else [])),
         findings=examined.findings,
         checks=examined.checks,
         segments=tuple(
             segment_record(clip, segment, motion, iou)
+            | evidence(segment, motion, footage)
             | {"checks": {name: None if np.isnan(value) else value for name, value in checks.items()}}
             for segment, checks in zip(clip.segments, examined.of_segments, strict=True)
         ),
@@ -134,6 +141,12 @@ def followed(clip: Clip, footage: Footage) -> list[str]:
             why = "the object is not seen in two frames" if known else f"the clip has no {segment.side} hand there"
             out.append(f"{name}: {why}, so it was followed by the masks as in unstable contact, without an axis")
     return out
+
+
+def evidence(segment: Segment, motion: Motion, footage: Footage) -> dict[str, Any]:
+    """The signs of a grasp that was solved as such; nothing of other segments."""
+    track = motion.held.get(segment.first)
+    return {} if track is None else {"signs": signs_of(footage, track)}
 
 
 def segment_record(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> dict[str, Any]:
