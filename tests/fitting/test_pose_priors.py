@@ -1,138 +1,36 @@
-"""Starting poses: what clustering finds, what files may hold, and that nobody starts from their own grasps."""
+"""Initial poses from files and folders: whose they are, and what is wrong with them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.cli import main
-from getagrip.clip import Clip, read_clip, write_clip
+from getagrip.clip import Clip
 from getagrip.errors import InputError, UsageError
-from getagrip.fitting import learn_priors as clusters
 from getagrip.fitting import pose_priors as priors
 from getagrip.fitting.initial_poses import initial_poses
-from getagrip.fitting.learn_priors import LearntGrasps, clustered, hold, karcher_mean, learn
+from getagrip.fitting.learn_priors import LearntGrasps, hold
 from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.fitting.pose_priors import poses_for, read_folder, read_learnt
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from helpers.clips import small_clip
+from helpers.grasp_priors import held, old_file, rotations
 from helpers.paths import DATA, needs
 
 REAL = DATA / "epic" / "pose_priors"
-SEEDS = st.integers(0, 2**32 - 1)
-
-
-def rotations(n: int, seed: int = 0) -> ndarray:
-    return se3.from_quaternion(np.random.default_rng(seed).normal(size=(n, 4)))
-
-
-def near(R: ndarray, n: int, degrees: float, seed: int = 0) -> ndarray:
-    """n rotations about so far from R."""
-    return se3.exp_so3(np.radians(degrees) * np.random.default_rng(seed).normal(size=(n, 3)) / np.sqrt(3.0)) @ R
-
-
-def held(name: str, subject: str = "", seed: int = 0, category: str = "box") -> Clip:
-    """A clip of somebody's, in which the object is held still in some way."""
-    clip = small_clip()[0]
-    T_hand_obj = se3.rigid(rotations(1, seed)[0], np.array([0.01 * seed, 0.02, -0.03]))
-    assert clip.truth is not None
-    truth = replace(clip.truth, T_cam_obj=clip.truth.T_cam_hand @ T_hand_obj)
-    return replace(clip, name=name, category=category, truth=truth, provenance={"subject": subject} if subject else {})
 
 
 def poses_file(path: Path, *clips: Clip) -> Options:
     """Options that start from the poses learnt from some clips."""
     LearntGrasps(tuple(hold(clip) for clip in clips), k=10).write(path)
     return Options(init="clusters", priors=priors.given(path, "clusters"), inits=12)
-
-
-def old_file(path: Path, *clips: Clip) -> Options:
-    """The same by a file of the first version, which holds poses."""
-    learnt = learn([hold(clip) for clip in clips], k=10)
-    names = {name: np.array(getattr(learnt, name), np.str_) for name in priors.NAMES}
-    np.savez(path, version=np.array(1), T_hand_obj=learnt.T_hand_obj, **names)  # type: ignore[arg-type]
-    return Options(init="clusters", priors=priors.given(path, "clusters"), inits=12)
-
-
-@pytest.mark.parametrize("way", ["geodesic", "axis-angle"])
-def test_planted_clusters_are_found_the_fullest_first(way: clusters.Way) -> None:
-    centres = se3.exp_so3(np.array([[0.5, 0.0, 0.0], [0.0, -1.5, 0.0], [0.3, 0.4, 2.0]]))
-    R = np.concatenate([near(R, n, 4.0, n) for R, n in zip(centres, (20, 9, 14), strict=True)])
-    found = clustered(R, 3, way)
-    assert np.degrees(se3.angle_between(found, centres[[0, 2, 1]])).max() < 4.0
-
-
-@given(SEEDS)
-@pytest.mark.slow
-def test_clusters_on_so3_turn_with_what_they_are_made_of(seed: int) -> None:
-    R, (hand, cad) = rotations(20, seed), rotations(2, seed + 1)
-    assert np.allclose(clustered(hand @ R @ cad, 5), hand @ clustered(R, 5) @ cad, atol=1e-6)
-
-
-def test_half_turns_about_opposite_directions_are_one_cluster_but_for_rotation_vectors() -> None:
-    R = se3.exp_so3(np.array([[0.0, 0.0, np.pi - 0.01], [0.0, 0.0, -np.pi + 0.01]]))
-    assert np.degrees(se3.angle_between(clustered(R, 1), R)).max() < 1.0
-    assert np.degrees(se3.angle_between(clustered(R, 1, "axis-angle"), R)).min() > 170.0
-
-
-@given(SEEDS, st.integers(1, 12), st.integers(1, 12))
-@pytest.mark.slow
-def test_no_more_clusters_than_asked_for_or_than_there_are_rotations(seed: int, n: int, k: int) -> None:
-    R = rotations(n, seed)
-    twice = np.concatenate([R, R])
-    assert len(clustered(twice, k)) <= min(n, k)
-    alike = clustered(twice, 2 * n)
-    assert len(alike) == n
-    assert se3.angle_between(R[:, None], alike[None]).min(axis=1).max() < 1e-6
-
-
-@given(SEEDS)
-@pytest.mark.slow
-def test_the_mean_rotation_has_the_least_mean_squared_angle(seed: int) -> None:
-    R = near(rotations(1, seed)[0], 7, 40.0, seed)
-    mean = karcher_mean(R)
-
-    def spread(M: ndarray) -> float:
-        return float(np.sum(se3.angle_between(M, R) ** 2))
-
-    assert all(spread(mean) <= spread(near(mean, 1, 3.0, k)[0]) for k in range(10))
-    assert np.allclose(karcher_mean(R[:2]), R[0] @ se3.exp_so3(se3.log_so3(R[0].T @ R[1]) / 2.0), atol=1e-7)
-
-
-@given(SEEDS)
-@pytest.mark.slow
-def test_a_learnt_object_is_at_the_mean_place_of_the_grasps_wherever_its_cad_has_its_origin(seed: int) -> None:
-    clips = [held("a", seed=1), held("b", seed=2)]
-    shift = np.random.default_rng(seed).uniform(-0.2, 0.2, 3)
-    centres = []
-    for moved in (np.zeros(3), shift):
-        there = []
-        for clip in clips:
-            assert clip.truth is not None
-            truth = replace(clip.truth, T_cam_obj=clip.truth.T_cam_obj @ se3.rigid(t=-moved))
-            there.append(hold(replace(clip, mesh=Mesh(clip.mesh.vertices + moved, clip.mesh.faces), truth=truth)))
-        learnt = learn(there, k=2)
-        centres.append(se3.transform(learnt.T_hand_obj, (clips[0].mesh.centre + moved)[None])[:, 0])
-    assert np.allclose(centres[0], centres[1])
-    assert np.allclose(centres[0], [0.015, 0.02, -0.03])
-
-
-def test_categories_and_sides_are_learnt_apart() -> None:
-    clips = [held("a"), held("b", seed=1, category="mug"), replace(held("c", seed=2), side="left")]
-    learnt = learn([hold(clip) for clip in clips], k=5)
-    assert [len(learnt.of(*key)) for key in (("box", "right"), ("box", "left"), ("mug", "right"))] == [1, 1, 1]
-    assert not len(learnt.of("mug", "left"))
-    assert np.allclose(learnt.of("mug", "right")[0, :3, :3], rotations(1, 1)[0])
 
 
 def test_a_file_holds_what_was_learnt(tmp_path: Path) -> None:
@@ -295,62 +193,6 @@ def test_starts_without_their_file_and_files_without_use_are_wrong(init: Init) -
 @pytest.mark.parametrize("init", ["clusters", "priors"])
 def test_what_is_not_there_is_named(tmp_path: Path, refused: Callable[..., str], init: Init) -> None:
     refused(lambda: priors.given(tmp_path / "nothing", init), "nothing")
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """Clips of two subjects, of nobody in particular, and one without truth."""
-    for clip in (held("a", "Ann"), held("b", "Bob", 1), held("c", "", 2), replace(held("d", "Ann"), truth=None)):
-        write_clip(clip, small_clip()[1], tmp_path / "clips" / clip.name)
-    return tmp_path / "clips"
-
-
-def test_learning_from_folders(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "poses.npz"
-    assert main(["init", "learn", str(folder), "--out", str(out), "--leave-out", "Bob"]) == 1
-    printed = capsys.readouterr()
-    assert "truth.npz" in printed.err
-    assert "1 clips name no subject" in printed.err
-    assert "box, right: 2 poses from 2 grasps" in printed.out
-    learnt = read_learnt(out)
-    assert isinstance(learnt, LearntGrasps)
-    assert [(h.clip, h.subject) for h in learnt.holds] == [("a", "Ann"), ("c", "")]
-    clip = read_clip(folder / "b")
-    assert len(poses_for(clip, Options(init="clusters", priors=priors.given(out, "clusters")))[0]) == 2
-
-
-@pytest.mark.parametrize(
-    ("args", "status", "word"),
-    [
-        (("--leave-out", "Dan"), 2, "Ann, Bob"),
-        (("--k", "0"), 2, "--k"),
-        (("--out", "nowhere/poses.npz"), 2, "--out"),
-    ],
-)
-def test_wrong_calls_of_learning_are_refused(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], args: tuple[str, ...], status: int, word: str
-) -> None:
-    assert main(["init", "learn", str(folder), "--out", str(tmp_path / "poses.npz"), *args]) == status
-    assert word in capsys.readouterr().err
-    assert not (tmp_path / "poses.npz").exists()
-
-
-@pytest.mark.slow
-def test_reconstruct_and_bench_refuse_a_file_without_a_way_to_use_it(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for command in ("reconstruct", "bench"):
-        calls: tuple[list[Any], ...] = (["--init", "clusters"], ["--init", "priors"], ["--priors", tmp_path])
-        for args in calls:
-            assert main([command, str(folder), "--out", str(tmp_path / "out"), *map(str, args)]) == 2
-            assert "--priors" in capsys.readouterr().err
-
-
-def test_own_grasps_are_refused_clip_by_clip(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    old_file(tmp_path / "poses.npz", held("a", "Ann"))
-    args = ["--out", tmp_path / "out", "--init", "clusters", "--priors", tmp_path / "poses.npz"]
-    assert main(["reconstruct", *map(str, (folder / "a", *args))]) == 1
-    assert "learnt from a itself" in capsys.readouterr().err
 
 
 def test_an_empty_list_of_poses_is_no_file_of_poses(tmp_path: Path) -> None:
