@@ -30,6 +30,7 @@ KNOWN = "THREE.Clock: This module has been deprecated"
 def url() -> Iterator[str]:
     served = serve()
     page = Page(served.viser, [Entry("one")], [column()])
+    served.viser.scene.configure_environment_map(None)  # takes seconds without a graphics card
     thread = threading.Thread(target=page.run)
     thread.start()
     yield served.url
