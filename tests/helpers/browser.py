@@ -20,8 +20,10 @@ IN_BROWSER = [
     needs("playwright"),
 ]
 """Marks of tests that use it."""
-WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-"""Arguments with which it renders WebGL without a graphics card."""
+WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing")
+"""Arguments with which it renders WebGL without a graphics card, and all else without WebGL."""
+READS_BACK = "GPU stall due to ReadPixels"
+"""What it warns of then."""
 
 
 @contextmanager
