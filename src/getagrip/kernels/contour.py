@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from getagrip.kernels.silhouette import OPTIONS
+from getagrip.kernels.silhouette import OPTIONS, fma
 
 U, V, Z, NX, NY, DISTANCE, WEIGHT = range(7)
 """Rows of a table of contour points: position [px of the full crop], depth [m], outward normal, distance, weight."""
@@ -22,46 +22,47 @@ _ONE = np.uint64(1)
 
 
 @njit(**OPTIONS)
-def sample_contour(uvz, edges, n_edges, zoom, step, bits, valid, points):
+def sample_contour(uvz, edges, n_edges, zoom, step, bits, valid, lines, points):
     """Sample the visible contour every ``step`` pixels of the level into points (7, M); return how many.
 
-    ``zoom`` is level pixels per pixel of the full crop. Points in ignored pixels are dropped.
+    ``zoom`` is level pixels per pixel of the full crop. Points in ignored pixels are dropped. lines (12, E) is scratch.
     """
-    size, most = bits.shape[0], points.shape[1]
-    n, rest = 0, 0.5 * step
+    most = points.shape[1]
     for k in range(n_edges):
-        a, b = edges[0, k], edges[1, k]
-        x0, y0, x1, y1 = uvz[0, a] * zoom, uvz[1, a] * zoom, uvz[0, b] * zoom, uvz[1, b] * zoom
-        dx, dy = x1 - x0, y1 - y0
+        a, b = np.uint64(edges[0, k]), np.uint64(edges[1, k])
+        x0, y0 = uvz[0, a] * zoom, uvz[1, a] * zoom
+        dx, dy = uvz[0, b] * zoom - x0, uvz[1, b] * zoom - y0
         length = np.sqrt(dx * dx + dy * dy)
-        if rest >= length:
-            rest -= length
-            continue
+        inverse = 1.0 / length
         flip = 1.0 if edges[2, k] > 0 else -1.0
-        nx, ny = -flip * dy / length, flip * dx / length
-        w0, w1 = 1.0 / uvz[2, a], 1.0 / uvz[2, b]
-        while rest < length:
-            t = rest / length
-            rest += step
-            x, y = x0 + t * dx, y0 + t * dy
-            if not (0.0 <= x < size and 0.0 <= y < size):
-                continue
-            i, j = int(y), int(x)
-            if not (valid[i, j >> 6] >> np.uint64(j & 63)) & _ONE:
-                continue
-            ox, oy = x + 0.75 * nx, y + 0.75 * ny
-            if 0.0 <= ox < size and 0.0 <= oy < size:
-                i, j = int(oy), int(ox)
-                if (bits[i, j >> 6] >> np.uint64(j & 63)) & _ONE:
-                    continue
-            if n == most:
-                return n
-            points[U, n], points[V, n] = x / zoom, y / zoom
-            points[Z, n] = 1.0 / (w0 + t * (w1 - w0))
-            points[NX, n], points[NY, n] = nx, ny
-            n += 1
-        rest -= length
+        w0 = 1.0 / uvz[2, a]
+        lines[0, k], lines[1, k], lines[2, k], lines[3, k], lines[4, k] = x0, y0, dx, dy, length
+        lines[5, k], lines[6, k], lines[7, k] = inverse, -flip * dy * inverse, flip * dx * inverse
+        lines[8, k], lines[9, k] = w0, 1.0 / uvz[2, b] - w0
+        lines[10, k], lines[11, k] = 0.75 * lines[6, k], 0.75 * lines[7, k]
+    n, k, rest = 0, 0, 0.5 * step
+    while k < n_edges and n < most:  # a step along an edge or on to the next, without branches: none is predictable
+        length = lines[4, k]
+        t = rest * lines[5, k]
+        x, y = fma(t, lines[2, k], lines[0, k]), fma(t, lines[3, k], lines[1, k])
+        ox, oy = x + lines[10, k], y + lines[11, k]
+        points[U, n], points[V, n] = x / zoom, y / zoom
+        points[Z, n] = 1.0 / fma(t, lines[9, k], lines[8, k])
+        points[NX, n], points[NY, n] = lines[6, k], lines[7, k]
+        on_edge = rest < length
+        n += on_edge & _is_set(valid, x, y) & (not _is_set(bits, ox, oy))
+        rest = rest + step if on_edge else rest - length
+        k += not on_edge
     return n
+
+
+@njit(**OPTIONS)
+def _is_set(bits, x, y):
+    """Whether (x, y) lies in a pixel of a square mask whose bit is set."""
+    size = float(bits.shape[0])
+    inside = (x >= 0.0) & (x < size) & (y >= 0.0) & (y < size)
+    i, j = np.uint64(min(max(0.0, y), size - 1.0)), np.uint64(min(max(0.0, x), size - 1.0))  # 0 where it is no number
+    return inside & ((bits[i, j >> np.uint64(6)] >> (j & np.uint64(63))) & _ONE == _ONE)
 
 
 @njit(**OPTIONS)
@@ -88,23 +89,30 @@ def match_boundary(points, n, targets, gate, strength, delta, matched):
     its residual along its own normal as the distance; weight 0 where nothing is near. Returns the term's value, the
     sum of length times distance, distances capped at the square root of the gate.
     """
-    value = 0.0
-    for q in range(len(targets)):
-        x, y, nx, ny, length = targets[q, 0], targets[q, 1], targets[q, 2], targets[q, 3], targets[q, 4]
-        nearest, at = gate, -1
-        for k in range(n):
-            dx, dy = points[U, k] - x, points[V, k] - y
-            alike = nx * points[NX, k] + ny * points[NY, k]
+    Q = len(targets)
+    lanes = (Q + 7) // 8 * 8
+    aims, least, at = np.zeros((4, lanes)), np.full(lanes, gate), np.full(lanes, -1)
+    aims[:, :Q] = targets[:, :4].T
+    for k in range(n):  # targets inside: they go side by side, eight at once
+        u, v, mx, my = points[U, k], points[V, k], points[NX, k], points[NY, k]
+        for q in range(lanes):
+            dx, dy = u - aims[0, q], v - aims[1, q]
+            alike = aims[2, q] * mx + aims[3, q] * my
             cost = dx * dx + dy * dy + gate * (1.0 - alike)
-            if cost < nearest:
-                nearest, at = cost, k
-        matched[:, q] = 0.0
-        matched[Z, q] = 1.0
-        value += strength * length * np.sqrt(nearest)
-        if at >= 0:
+            nearer = cost < least[q]
+            at[q] = k if nearer else at[q]
+            least[q] = cost if nearer else least[q]
+    value = 0.0
+    matched[:] = 0.0
+    matched[Z] = 1.0
+    for q in range(Q):
+        length = targets[q, 4]
+        value += strength * length * np.sqrt(least[q])
+        if at[q] >= 0:
+            k = at[q]
             for row in range(5):
-                matched[row, q] = points[row, at]
-            d = (points[U, at] - x) * points[NX, at] + (points[V, at] - y) * points[NY, at]
+                matched[row, q] = points[row, k]
+            d = (points[U, k] - targets[q, 0]) * points[NX, k] + (points[V, k] - targets[q, 1]) * points[NY, k]
             matched[DISTANCE, q] = d
             matched[WEIGHT, q] = strength * length / max(abs(d), delta)
     return value

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from getagrip.kernels.contour import WEIGHT, U, V, Z, sample_contour, sample_field
-from getagrip.kernels.silhouette import NEAR, OPTIONS, PLANES, mismatch, project, rasterise, silhouette_edges
+from getagrip.kernels.silhouette import OPTIONS, PLANES, mismatch, project, rasterise, silhouette_edges
 
 
 @njit(**OPTIONS)
@@ -26,13 +26,14 @@ def contours(vertices, faces, edges, closed, K, observed, valid, field, step, de
     planes = np.zeros((4, len(faces)))
     sign = np.empty(len(faces) + 1, np.int64)
     edge = np.empty((3, edges.shape[1] + 1), np.int64)
-    counters = np.empty((PLANES, observed.shape[1], observed.shape[2]), np.uint64)
+    lines = np.empty((12, edges.shape[1] + 1))
+    counters = np.empty((observed.shape[1], observed.shape[2], PLANES), np.uint64)
     here, origin = np.eye(3), np.zeros(3)
     for n in range(len(vertices)):
         X = vertices[n]
         points[n] = 0.0
         nearest[n] = 0
-        if project(X, here, origin, 1.0, K[n], uvz) < NEAR:
+        if not project(X, here, origin, 1.0, K[n], uvz):
             bits[n] = np.uint64(0)
             value[n] = np.inf
             continue
@@ -44,9 +45,9 @@ def contours(vertices, faces, edges, closed, K, observed, valid, field, step, de
                 X[0, a] * (by * cz - bz * cy) + X[1, a] * (bz * cx - bx * cz) + X[2, a] * (bx * cy - by * cx)
             )
         count = silhouette_edges(planes, edges, here, origin, 1.0, sign, edge)
-        rasterise(uvz, edge, count, closed, 1.0, counters, bits[n])
+        rasterise(uvz, edge, count, closed, 1.0, lines, counters, bits[n])
         value[n] = mismatch(bits[n], observed[n], valid[n])
-        found = sample_contour(uvz, edge, count, 1.0, step, bits[n], valid[n], points[n])
+        found = sample_contour(uvz, edge, count, 1.0, step, bits[n], valid[n], lines, points[n])
         sample_field(points[n], found, field[n], 1.0, step, delta)
         points[n, WEIGHT, found:] = 0.0
         for k in range(found):

@@ -42,24 +42,40 @@ def popcount(typingctx, word):
     return types.uint64(types.uint64), codegen
 
 
+@intrinsic
+def fma(typingctx, a, b, c):
+    """``a b + c``, rounded once: sums of these keep their order, however the loop around them is compiled."""
+
+    def codegen(context, builder, signature, args):
+        return builder.fma(*args)
+
+    return types.float64(types.float64, types.float64, types.float64), codegen
+
+
 @njit(**OPTIONS)
 def project(vertices, R, centre, scale, K, uvz):
-    """Project centred vertices (3, V), posed as ``scale R x + centre``, into uvz (3, V); return the smallest depth."""
+    """Project centred vertices (3, V), posed as ``scale R x + centre``, into uvz (3, V).
+
+    Returns whether the object can be rendered: no vertex is nearer than ``NEAR``.
+    """
     fx, fy, cx, cy = K[0], K[1], K[2], K[3]
     r00, r01, r02 = scale * R[0, 0], scale * R[0, 1], scale * R[0, 2]
     r10, r11, r12 = scale * R[1, 0], scale * R[1, 1], scale * R[1, 2]
     r20, r21, r22 = scale * R[2, 0], scale * R[2, 1], scale * R[2, 2]
     t0, t1, t2 = centre[0], centre[1], centre[2]
-    nearest = np.inf
+    too_near = 0  # loops that write one array each, and a count in place of a minimum: all go side by side
     for i in range(vertices.shape[1]):
         x, y, z = vertices[0, i], vertices[1, i], vertices[2, i]
-        depth = r20 * x + r21 * y + r22 * z + t2
-        inverse = 1.0 / depth
-        uvz[0, i] = fx * (r00 * x + r01 * y + r02 * z + t0) * inverse + cx
-        uvz[1, i] = fy * (r10 * x + r11 * y + r12 * z + t1) * inverse + cy
+        depth = fma(r22, z, fma(r21, y, fma(r20, x, t2)))
         uvz[2, i] = depth
-        nearest = min(nearest, depth)
-    return nearest
+        too_near += depth < NEAR
+    for i in range(vertices.shape[1]):
+        x, y, z = vertices[0, i], vertices[1, i], vertices[2, i]
+        uvz[0, i] = fma(fx * fma(r02, z, fma(r01, y, fma(r00, x, t0))), 1.0 / uvz[2, i], cx)
+    for i in range(vertices.shape[1]):
+        x, y, z = vertices[0, i], vertices[1, i], vertices[2, i]
+        uvz[1, i] = fma(fy * fma(r12, z, fma(r11, y, fma(r10, x, t1))), 1.0 / uvz[2, i], cy)
+    return too_near == 0
 
 
 @njit(**OPTIONS)
@@ -79,53 +95,64 @@ def silhouette_edges(planes, edges, R, centre, scale, sign, out):
     n = 0
     for e in range(edges.shape[1]):
         out[0, n] = e
-        n += sign[edges[2, e]] != sign[edges[3, e]]
+        n += sign[np.uint64(edges[2, e])] != sign[np.uint64(edges[3, e])]
     for k in range(n):
-        e = out[0, k]
-        out[0, k], out[1, k], out[2, k] = edges[0, e], edges[1, e], sign[edges[2, e]] - sign[edges[3, e]]
+        at = np.uint64(out[0, k])
+        weight = sign[np.uint64(edges[2, at])] - sign[np.uint64(edges[3, at])]
+        out[0, k], out[1, k], out[2, k] = edges[0, at], edges[1, at], weight
     return n
 
 
 @njit(**OPTIONS)
-def rasterise(uvz, edges, n_edges, closed, zoom, planes, bits):
+def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):
     """Scan-convert the first n silhouette edges (coordinates times zoom) into bits (height, words), 64 pixels a word.
 
-    planes (4, height, words) is scratch. Pixel j of a row is bit j % 64 of word j // 64.
+    lines (5, E) and planes (height, words, 4) are scratch. Pixel j of a row is bit j % 64 of word j // 64.
     """
     height, words = bits.shape
-    width = 64 * words
-    planes[:] = _ZERO
-    for k in range(n_edges):
-        a, b, weight = edges[0, k], edges[1, k], edges[2, k]
+    width = np.uint64(64 * words)
+    n, top, bottom = 0, float(height), 0.0
+    for k in range(n_edges):  # those that cross the middle of a row, without branches: none is predictable
+        a, b, weight = np.uint64(edges[0, k]), np.uint64(edges[1, k]), edges[2, k]
         x0, y0, x1, y1 = uvz[0, a] * zoom, uvz[1, a] * zoom, uvz[0, b] * zoom, uvz[1, b] * zoom
-        if y0 > y1:
-            x0, y0, x1, y1, weight = x1, y1, x0, y0, -weight
-        first = max(0.0, np.ceil(y0 - 0.5))
-        last = min(float(height), np.ceil(y1 - 0.5))
-        if first >= last:
-            continue
-        slope = (x1 - x0) / (y1 - y0)
-        x = x0 + (first + 0.5 - y0) * slope - 0.5
-        times = abs(weight) // 2 if closed else abs(weight)
-        for row in range(int(first), int(last)):
-            column = int(max(np.ceil(min(x, 1e6)), 0.0))
+        up = y0 > y1
+        upper_x, upper_y = x1 if up else x0, y1 if up else y0
+        lower_x, lower_y = x0 if up else x1, y0 if up else y1
+        first = max(0.0, np.ceil(upper_y - 0.5))
+        last = min(float(height), np.ceil(lower_y - 0.5))
+        slope = (lower_x - upper_x) / (lower_y - upper_y)
+        lines[0, n], lines[1, n] = first, last
+        lines[2, n], lines[3, n] = fma(first + (0.5 - upper_y), slope, upper_x - 0.5), slope
+        lines[4, n] = -weight if up else weight
+        crosses = first < last
+        n += crosses
+        top, bottom = min(top, first) if crosses else top, max(bottom, last) if crosses else bottom
+    begin, end = int(top), int(bottom)
+    bits[:] = _ZERO
+    planes[begin:end] = _ZERO
+    for k in range(n):
+        x, slope, weight = lines[2, k], lines[3, k], lines[4, k]
+        times = int(abs(weight)) // 2 if closed else int(abs(weight))
+        down = _ZERO if weight > 0.0 else _ALL
+        for row in range(np.uint64(lines[0, k]), np.uint64(lines[1, k])):
+            column = np.uint64(max(np.ceil(min(x, 1e6)), 0.0))
             x += slope
             if column >= width:
                 continue
             for _ in range(times):
-                suffix = _ALL << np.uint64(column & 63)
-                for word in range(column >> 6, words):
+                suffix = _ALL << (column & np.uint64(63))
+                for word in range(column >> np.uint64(6), np.uint64(words)):
                     carry = suffix
                     for p in range(PLANES):
-                        old = planes[p, row, word]
-                        planes[p, row, word] = old ^ carry
-                        carry &= old if weight > 0 else ~old
+                        old = planes[row, word, p]
+                        planes[row, word, p] = old ^ carry
+                        carry &= old ^ down
                         if carry == _ZERO:
                             break
                     suffix = _ALL
-    for row in range(height):
+    for row in range(begin, end):
         for word in range(words):
-            bits[row, word] = planes[0, row, word] | planes[1, row, word] | planes[2, row, word] | planes[3, row, word]
+            bits[row, word] = planes[row, word, 0] | planes[row, word, 1] | planes[row, word, 2] | planes[row, word, 3]
 
 
 @njit(**OPTIONS)
@@ -144,12 +171,12 @@ def silhouettes(R, centre, scale, vertices, planes, edges, closed, K, bits):
     uvz = np.empty_like(vertices)
     sign = np.empty(planes.shape[1] + 1, np.int64)
     edge = np.empty((3, edges.shape[1] + 1), np.int64)
-    counters = np.empty((PLANES, bits.shape[1], bits.shape[2]), np.uint64)
+    lines, counters = np.empty((5, edges.shape[1] + 1)), np.empty((bits.shape[1], bits.shape[2], PLANES), np.uint64)
     for p in range(len(R)):
         bits[p] = _ZERO
-        if project(vertices, R[p], centre[p], scale[p], K[p], uvz) >= NEAR:
+        if project(vertices, R[p], centre[p], scale[p], K[p], uvz):
             n = silhouette_edges(planes, edges, R[p], centre[p], scale[p], sign, edge)
-            rasterise(uvz, edge, n, closed, 1.0, counters, bits[p])
+            rasterise(uvz, edge, n, closed, 1.0, lines, counters, bits[p])
 
 
 def pack(masks: np.ndarray) -> np.ndarray:

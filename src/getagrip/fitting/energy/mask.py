@@ -13,7 +13,7 @@ from getagrip.fitting.energy.term import PosesInCamera, Quadratic
 from getagrip.fitting.observation import CROP, FIELD, Observation
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels.contour import accumulate, match_boundary, sample_contour, sample_field
-from getagrip.kernels.silhouette import NEAR, OPTIONS, PLANES, mismatch, project, rasterise, silhouette_edges
+from getagrip.kernels.silhouette import OPTIONS, PLANES, mismatch, project, rasterise, silhouette_edges
 
 MOST_POINTS = 1500
 """Contour points kept per image; far more than any 256-pixel contour gives at the steps in use."""
@@ -85,7 +85,8 @@ def _evaluate(
     sign = np.empty(planes.shape[1] + 1, np.int64)
     edge = np.empty((N, 3, E), np.int64)
     n_edges = np.empty(N, np.int64)
-    counters = np.empty((PLANES, size, words), np.uint64)
+    lines = np.empty((12, E))
+    counters = np.empty((size, words, PLANES), np.uint64)
     bits = np.empty((N, size, words), np.uint64)
     points = np.empty((7, MOST_POINTS))
     matched = np.empty((7, targets.shape[1]))
@@ -94,12 +95,12 @@ def _evaluate(
     for b in range(B):
         total = 0.0
         for n in range(N):
-            if project(vertices, R[b, n], centre[b, n], scale[b], K[n], uvz[n]) < NEAR:
+            if not project(vertices, R[b, n], centre[b, n], scale[b], K[n], uvz[n]):
                 value[b, n] = np.inf
                 total = np.inf
                 break
             n_edges[n] = silhouette_edges(planes, edges, R[b, n], centre[b, n], scale[b], sign, edge[n])
-            rasterise(uvz[n], edge[n], n_edges[n], closed, zoom, counters, bits[n])
+            rasterise(uvz[n], edge[n], n_edges[n], closed, zoom, lines, counters, bits[n])
             value[b, n] = pixel * mismatch(bits[n], observed[n], valid[n])
             total += value[b, n]
             if total > bound[b]:  # the step is rejected, whatever the other frames say
@@ -107,7 +108,7 @@ def _evaluate(
         if total > bound[b] or total == np.inf:
             continue
         for n in range(N):
-            count = sample_contour(uvz[n], edge[n], n_edges[n], zoom, step, bits[n], valid[n], points)
+            count = sample_contour(uvz[n], edge[n], n_edges[n], zoom, step, bits[n], valid[n], lines, points)
             sample_field(points, count, field[n], FIELD / CROP, step / zoom, delta)
             accumulate(points, count, centre[b, n], K[n], g[b, n], H[b, n])
             if coverage > 0.0:
