@@ -84,6 +84,7 @@ def test_behind_the_camera_or_edge_on_draws_nothing():
     assert np.all(depth_and_face(edge_on, np.array([[0, 1, 2]]), centred, SIZE)[1] == -1)
 
 
+@pytest.mark.compiles
 def test_depth_interpolated_between_vertices_is_the_depth():
     vertices, faces = cube([0.05, 0.0, 0.5])
     depth, face = depth_and_face(vertices, faces, K, SIZE)

@@ -186,6 +186,7 @@ def test_mismatch_counts_pixels(masks: ndarray) -> None:
 # Contours
 
 
+@pytest.mark.compiles
 @given(WHICH, SEEDS, st.sampled_from([0.7, 1.0, 2.5]), st.sampled_from([1.0, 0.25]))
 def test_contour_points(which: str, seed: int, step: float, zoom: float) -> None:
     uvz, edges, bits = _outlined(MESHES[which], seed)

@@ -97,6 +97,7 @@ def test_depth_and_fingers_leave_the_other_errors_as_they_are(made: tuple[Clip, 
     np.testing.assert_allclose(a.hand.T_cam_hand[:, :3, :3], b.hand.T_cam_hand[:, :3, :3], atol=1e-12)
 
 
+@pytest.mark.compiles
 def test_fingers_bend_about_their_joints_and_keep_their_lengths(made: tuple[Clip, Masks]) -> None:
     hand = made[0].hand
     moved = noisy_hand(made[0], Noise(finger_bias_deg=10.0), np.random.default_rng(1))

@@ -17,6 +17,8 @@ from getagrip.geometry.mesh import Mesh
 from helpers.clips import small_clip
 from helpers.terms import MESHES, differences, hypotheses_are_independent, is_trustworthy, random_poses
 
+pytestmark = pytest.mark.compiles
+
 FRAMES = 3
 
 
