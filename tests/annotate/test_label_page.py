@@ -289,7 +289,8 @@ def test_from_clicks_to_files(context: Any, served: Served, tmp_path: Path) -> N
     assert len(list((folder / "masks").glob("*.png"))) == LAST - FIRST + 1
     with page.expect_download() as download:
         page.click("#labels-json")
-    assert json.loads(Path(download.value.path()).read_text())["frames"].keys() == {str(n) for n in (FIRST, BETWEEN, LAST)}
+    labels = json.loads(Path(download.value.path()).read_text())
+    assert labels["frames"].keys() == {str(n) for n in (FIRST, BETWEEN, LAST)}
 
 
 def test_it_ends_in_a_reconstruction(
@@ -308,9 +309,11 @@ def test_it_ends_in_a_reconstruction(
         return f"{words[0]}: done"
 
     monkeypatch.setattr(reconstruction, "_run", ran)
+    about = {"grasp": MARK, "task": "scene", "annotator": "ann", "tab": "a-tab-of-old"}
+    clicked = {str(n): point for n, point in enumerate(joints(FIRST))}
+    served.project.label(about | {"change": "all-joints", "frame": FIRST, "set": {"joints": clicked}})
     page = opened(context, served)
     expect(page.locator("#reconstruct")).to_be_disabled()
-    click_joints(page, FIRST)
     draw_disc(page, FIRST)
     saved(page)
     assert page.input_value("#mesh") == "disc"  # what the grasp is of: there is no such shape
