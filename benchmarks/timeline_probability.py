@@ -1,38 +1,41 @@
-"""Is the probability that a grasp is right calibrated in timelines? ``python -m benchmarks.timeline_probability OUT
-DEXYCB YCB [WORKERS]``.
+"""The probability of single grasps in timelines: ``python -m benchmarks.timeline_probability OUT DEXYCB YCB [COUNT]``.
 
-DEXYCB and YCB are the folders of the dataset and of its models. Timelines with true segments are reconstructed under
-the ``CONDITIONS`` of single grasps. Signs of their grasps go into OUT/results.csv; rows that are there are kept, so
-that an interrupted run goes on where it stopped.
+DEXYCB and YCB are the folders of the dataset and of its models. Timelines of training subjects, with true segments, are
+reconstructed under the ``CONDITIONS`` of single grasps; COUNT: so many at most. Signs of their grasps go into
+OUT/results.csv; rows that are there are kept, so that an interrupted run goes on where it stopped. The table goes into
+docs/checks.md, between the markers "timeline-probability".
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
+from benchmarks import page
+from benchmarks.probability import METHOD, Results, line, of
 from benchmarks.signed_results import COLUMNS, CONDITIONS, Case, ReadClip, Row, collect
-from getagrip.batch.pool import cores
+from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.signs import SIGNS
-from getagrip.datasets.synthetic.splits import Split
+from getagrip.datasets.tracks import subject_of
 from getagrip.experiments.sources import source_of
 from getagrip.experiments.stamp import stamp
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import find_symmetries
 from getagrip.timelines.reconstruct import reconstruct
 
-EVERY: dict[Split, int] = {"train": 3, "test": 6}
-"""Every so many of the timelines are used."""
+EVERY = 3
+"""Of the timelines, every so many are used."""
+PAGE, SECTION = "checks.md", "timeline-probability"
 
 
-def cases(clips: Path, root: Path, meshes: Path, parts: tuple[Split, ...]) -> Iterator[Case]:
+def cases(clips: Path, root: Path, meshes: Path, count: int) -> list[Case]:
     """Timeline by timeline."""
-    for part in parts:
-        found = source_of("dexycb-timelines", split=part, root=root, meshes=meshes).samples(clips, False)[0]
-        for sample in found[:: EVERY[part]]:
-            yield Case("DexYCB", part, sample.name, tuple(CONDITIONS), ReadClip(sample.folder))
+    found = source_of("dexycb-timelines", split="train", root=root, meshes=meshes).samples(clips, False)[0]
+    return [
+        Case("DexYCB", "train", sample.name, tuple(CONDITIONS), ReadClip(sample.folder))
+        for sample in found[::EVERY][:count]
+    ]
 
 
 def run(case: Case) -> list[Row]:
@@ -65,7 +68,24 @@ def run(case: Case) -> list[Row]:
     return rows
 
 
+def section(results: Results) -> str:
+    """The table for the page."""
+    calibration = CALIBRATIONS[METHOD]
+    rows = [line(name, results.where(condition=name), calibration) for name in of(results, "condition")]
+    subjects = {subject_of(row["clip"]) for row in results.rows}
+    header = ["timelines", "grasps", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect"]
+    about = (
+        f"*Made {stamp()}; results of {' and '.join(of(results, 'made'))}. {len(of(results, 'clip'))} timelines of "
+        f"{len(subjects)} training subjects, true segments.*"
+    )
+    return f"{about}\n\n{page.table(header, [*rows, line('**all**', results, calibration)])}"
+
+
 if __name__ == "__main__":
     out, root, meshes = map(Path, sys.argv[1:4])
-    workers = int(sys.argv[4]) if len(sys.argv) > 4 else cores()
-    collect(out / "results.csv", list(cases(out / "clips", root, meshes, ("train",))), workers, run)
+    every = cases(out / "clips", root, meshes, int(sys.argv[4]) if len(sys.argv) > 4 else sys.maxsize)
+    names = {case.clip for case in every}
+    rows = [row for row in collect(out / "results.csv", every, 1, run) if row["clip"] in names]
+    text = section(Results(rows))
+    page.write(SECTION, text, PAGE)
+    print(text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,18 @@ class Probability:
 
 
 KINDS: dict[str, tuple[type, ...]] = {"value": (int, float), "meaning": (str,), "beyond": (list,)}
+
+
+def of_segment(segment: Mapping[str, Any]) -> Probability | None:
+    """That of a timeline's grasp, as a result's ``segments`` hold it; None where there is none."""
+    given = segment.get("probability_right")
+    return None if given is None else Probability(given["value"], given["meaning"], tuple(given["beyond"]))
+
+
+def of_grasps(segments: Sequence[Mapping[str, Any]]) -> str:
+    """How probable it is that each grasp of a timeline is right, in words; empty where there is no grasp."""
+    each = [str(of_segment(segment) or "unknown") for segment in segments if segment["state"] == "grasp"]
+    return f"probability that its grasps are right: {', '.join(each)}" if each else ""
 
 
 def read_probability(path: Path, given: Any) -> Probability | None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.fitting import reconstruct as grasp
@@ -15,6 +16,7 @@ from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.pages.report import _segments
+from getagrip.probability import of_grasps, of_segment
 from getagrip.result import Reconstruction, read_result, write_result
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import scene
@@ -49,6 +51,13 @@ def test_all_frames_are_answered(found: Reconstruction) -> None:
     np.testing.assert_allclose(found.segments[0]["T_world_obj"], lying[0], atol=1e-9)
     assert np.linalg.norm(found.segments[2]["axis_direction"]) == pytest.approx(1.0)
     assert ["signs" in segment for segment in found.segments] == [False, False, True]
+    assert ["probability_right" in segment for segment in found.segments] == [False, False, True]
+    assert found.segments[2]["probability_right"] is None  # the search was shorter than those that were calibrated
+    assert of_grasps(found.segments) == "probability that its grasps are right: unknown"
+    signs, known = found.segments[2]["signs"], CALIBRATIONS["soft-hinge"]
+    right = {**found.segments[2], "probability_right": known.probability(signs).fields()}
+    assert of_segment(right) == known.probability(signs)
+    assert of_grasps([right]).endswith("%")
 
 
 @pytest.mark.slow
@@ -60,6 +69,10 @@ def test_segments_are_kept_in_the_result(found: Reconstruction, tmp_path: Path) 
 
     files.write_json(tmp_path / "result" / "result.json", record)
     with pytest.raises(InputError, match=r"segments\[0\]"):
+        read_result(tmp_path / "result")
+    record["segments"][0] |= {"state": "static", "probability_right": {"value": 2}}
+    files.write_json(tmp_path / "result" / "result.json", record)
+    with pytest.raises(InputError, match="probability_right"):
         read_result(tmp_path / "result")
 
 

@@ -13,7 +13,7 @@ from getagrip.clip import input_sha256, read_clip
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.finding import Finding
 from getagrip.io import files
-from getagrip.probability import Probability
+from getagrip.probability import Probability, of_grasps
 from getagrip.result import Reconstruction, is_result, read_result, software, write_result
 
 if TYPE_CHECKING:
@@ -99,6 +99,8 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         return failure(job.name, error)
     right = result.probability_right
     probably = "" if right is None else f", right with a probability of {right}"
+    if grasps := of_grasps(result.segments):
+        probably = f", {grasps}"
     about = f"{probably}{', ambiguous' if result.ambiguous else ''}"
     again = f"done again, since {why}: " if why else ""
     summary = f"{again}IOU {result.mean_iou:.2f}{about}, {result.seconds['total']:.1f} s, {job.out}; {result.status}"

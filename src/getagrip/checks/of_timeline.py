@@ -64,11 +64,16 @@ def examine_timeline(
     for segment in clip.segments:
         measured, found = _examine(segment, clip, whole)
         of_segments.append(measured)
-        name = f"{segment.state} from {clip.frames[segment.first]}"
+        name = name_of(clip, segment)
         findings += tuple(replace(one, message=f"{name}: {one.message}") for one in found)
         if measured.get("mask-fit", 1.0) < LEAST_IOU:
             failed.append(f"{name} ({measured['mask-fit']:.2f})")
     return Examined(checks, tuple(of_segments), findings, ", ".join(failed))
+
+
+def name_of(clip: Clip, segment: Segment) -> str:
+    """What findings call a segment."""
+    return f"{segment.state} from {clip.frames[segment.first]}"
 
 
 def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:

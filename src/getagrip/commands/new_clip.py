@@ -62,7 +62,7 @@ class Ingredients:
 
 HOW = {
     "interval": "--interval START END: the frames between which the grasp is stable, counted from 1; "
-    "getagrip annotate {video} --out DIR finds them",
+    "getagrip annotate {video} --out DIR finds them; or all frames, for reconstruct --find-grasps",
     "side": "--side left|right: the hand that holds the object",
     "mesh": "--mesh FILE: the object's shape (.obj, .ply, .stl, .glb), a CAD, a scan, or what an image-to-3D tool "
     "makes of a frame; or --mesh KIND, as plate, for a shape of this package's own; with --size-mm or --diameter-mm if "

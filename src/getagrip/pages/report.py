@@ -19,6 +19,7 @@ from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 from getagrip.pages import motion
 from getagrip.pages.document import document, pack
 from getagrip.pages.pictures import jpeg, mask_path, paths
+from getagrip.probability import of_segment
 from getagrip.result import Reconstruction
 from getagrip.view.curves import angle_curve, seconds
 from getagrip.view.stills import steady_windows
@@ -112,6 +113,8 @@ def _segments(result: Reconstruction) -> list[str]:
         met = f", IOU {iou:.2f}" if isinstance(iou, float) else ""
         side = f" ({segment['side']} hand)" if segment.get("side") else ""
         how = ", followed by the masks only" if segment.get("followed") else ""
+        if segment["state"] == "grasp":
+            how += f", probability right {of_segment(segment) or 'unknown'}"
         out.append(f"{segment['state']}{side}: frames {segment['first']} to {segment['last']}{met}{how}")
     return out
 
@@ -124,8 +127,8 @@ def _probably(result: Reconstruction) -> list[dict[str, str]]:
 
 def _meaning(result: Reconstruction) -> list[str]:
     """What that means, in words."""
-    right = result.probability_right
-    return [] if right is None else [f"probability right: {right.meaning}"]
+    known = (result.probability_right, *map(of_segment, result.segments))
+    return [f"probability right: {right.meaning}" for right in known if right is not None][:1]
 
 
 def _main(metrics: Mapping[str, float]) -> list[dict[str, str]]:

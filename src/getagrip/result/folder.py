@@ -217,6 +217,7 @@ def _segments(path: Path, given: list[Any]) -> tuple[dict[str, Any], ...]:
             isinstance(segment.get(k), str) for k in ("state", "first", "last")
         ):
             raise InputError(path, f"segments[{n}]", files.shown(segment), "an object with state, first and last")
+        read_probability(path, segment.get("probability_right"))
     return tuple(given)
 
 

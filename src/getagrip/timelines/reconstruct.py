@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -11,10 +11,11 @@ from jaxtyping import Float
 from numpy import ndarray
 from threadpoolctl import threadpool_limits
 
-from getagrip.checks import INPUT_CHECKS, LEAST_IOU, Evidence, examine
-from getagrip.checks.of_timeline import WITH_HAND, examine_timeline
+from getagrip.checks import INPUT_CHECKS, LEAST_IOU, Evidence, calibration, examine
+from getagrip.checks.of_timeline import WITH_HAND, examine_timeline, name_of
 from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_masks
 from getagrip.errors import GetagripError, UsageError
+from getagrip.finding import Finding
 from getagrip.fitting import reconstruct as grasp
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.methods.all_frames import soft_hinges
@@ -30,6 +31,8 @@ from getagrip.timelines.signs import signs_of
 
 METHOD = "soft-hinge"
 """How objects move in the grasps of a timeline."""
+MEANING = f"{calibration.MEANING}; calibrated on grasps by themselves; in timelines more are right than it says"
+"""Of a grasp's probability (docs/checks.md)."""
 CHOSEN = "the chain of segments with the least energy"
 UNEXPLAINED = "failed in part: masks are hardly met (mean IOU) in the segments {}"
 """The status of a result some of whose segments are below ``LEAST_IOU``."""
@@ -124,7 +127,7 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
         checks=examined.checks,
         segments=tuple(
             segment_record(clip, segment, motion, iou)
-            | evidence(segment, motion, footage)
+            | evidence(clip, segment, motion, footage, examined.findings)
             | {"checks": {name: None if np.isnan(value) else value for name, value in checks.items()}}
             for segment, checks in zip(clip.segments, examined.of_segments, strict=True)
         ),
@@ -143,10 +146,20 @@ def followed(clip: Clip, footage: Footage) -> list[str]:
     return out
 
 
-def evidence(segment: Segment, motion: Motion, footage: Footage) -> dict[str, Any]:
-    """The signs of a grasp that was solved as such; nothing of other segments."""
+def evidence(
+    clip: Clip, segment: Segment, motion: Motion, footage: Footage, findings: Sequence[Finding]
+) -> dict[str, Any]:
+    """How probable it is that a grasp is right, None where that is not known; nothing of other segments."""
+    if segment.state != "grasp":
+        return {}
     track = motion.held.get(segment.first)
-    return {} if track is None else {"signs": signs_of(footage, track)}
+    if track is None:
+        return {"probability_right": None}
+    signs, names = signs_of(footage, track), {check.name for check in INPUT_CHECKS}
+    others = tuple(f"{name_of(clip, one)}: " for one in clip.segments if one is not segment)
+    of_input = [one for one in findings if one.check in names and not one.message.startswith(others)]
+    right = grasp.probability_right(footage.options, signs, of_input)
+    return {"signs": signs, "probability_right": right and replace(right, meaning=MEANING).fields()}
 
 
 def segment_record(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> dict[str, Any]:
