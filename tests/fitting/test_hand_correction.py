@@ -47,7 +47,7 @@ def apart(clip: Clip, T_cam_hand: ndarray) -> tuple[float, float]:
 @pytest.mark.parametrize("number", range(22))
 @pytest.mark.slow
 def test_points_move_as_the_jacobian_says(made: tuple[Clip, Masks], number: int) -> None:
-    errors = HandErrors.of(made[0].hand).take(np.arange(2))
+    errors = HandErrors.of(made[0].hand).with_bends.take(np.arange(2))
     rng = np.random.default_rng(number)
     x = 0.02 * rng.standard_normal((2, errors.size))
     nearest = rng.integers(errors.given.vertices.shape[1], size=(2, 40))
@@ -68,7 +68,7 @@ def test_at_the_truth_hardly_a_pixel_differs(
     made: tuple[Clip, Masks],
 ) -> None:
     clip, masks = made
-    seen = HandSilhouette.of(clip, masks)
+    seen = HandSilhouette.of(clip, masks).with_field.with_bends
     value, g, H = seen(np.zeros((len(clip), seen.errors.size)))
     assert value.sum() < 0.03 * seen.mask.pixels  # resampled pixels, no more
     assert g.shape == (6, 22)
@@ -162,8 +162,8 @@ def test_frames_in_which_nobody_labelled_the_hand_say_nothing(made: tuple[Clip, 
     assert masks.hand is not None
     hand = masks.hand.copy()
     hand[[1, 3]] = False
-    seen = HandSilhouette.of(clip, Masks(masks.object, masks.ignore, hand))
-    everywhere = HandSilhouette.of(off(clip, CONSTANT), Masks(masks.object, masks.ignore, hand))
+    seen = HandSilhouette.of(clip, Masks(masks.object, masks.ignore, hand)).with_field.with_bends
+    everywhere = HandSilhouette.of(off(clip, CONSTANT), Masks(masks.object, masks.ignore, hand)).with_field.with_bends
     x = np.zeros((len(clip), seen.errors.size))
     for values in (*seen(x), *everywhere(x)):
         assert not values[[1, 3]].any()

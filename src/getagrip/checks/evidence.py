@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
@@ -59,9 +58,17 @@ class Evidence:
     @cached_property
     def centroids(self) -> Float[ndarray, "T 2"]:
         """Middles of the object's masks [px]; NaN where a mask is empty."""
-        sums = [cv2.moments(mask.view(np.uint8), binaryImage=True) for mask in self.masks.object]
+        sums = np.empty((len(self.masks.object), 2))
+        for n, (mask, (u0, v0, u1, v1)) in enumerate(zip(self.masks.object, self.boxes, strict=True)):
+            shown = mask[v0:v1, u0:u1]
+            sums[n] = shown.sum(axis=0) @ np.arange(u0, u1), shown.sum(axis=1) @ np.arange(v0, v1)
         with np.errstate(invalid="ignore"):
-            return np.array([[m["m10"], m["m01"]] for m in sums]) / self.mask_area[:, None] + 0.5
+            return sums / self.mask_area[:, None] + 0.5
+
+    @cached_property
+    def boxes(self) -> Int[ndarray, "T 4"]:
+        """Boxes around the object's masks [px]."""
+        return bounding_boxes(self.masks.object)
 
     @cached_property
     def mask_area(self) -> Float[ndarray, "T"]:
@@ -71,8 +78,7 @@ class Evidence:
     @cached_property
     def apparent_size(self) -> float:
         """Diagonal of the largest mask's box, as long as it would be at the hand's distance [m]."""
-        boxes = bounding_boxes(self.masks.object)
-        return float(np.max(np.linalg.norm((boxes[:, 2:] - boxes[:, :2]) / self._focal, axis=1) * self.depth))
+        return float(np.max(np.linalg.norm((self.boxes[:, 2:] - self.boxes[:, :2]) / self._focal, axis=1) * self.depth))
 
     @property
     def _focal(self) -> Float[ndarray, "T 2"]:

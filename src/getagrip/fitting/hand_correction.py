@@ -75,24 +75,25 @@ def correct_hand(clip: Clip, masks: Masks) -> HandCorrection | None:
     seen = HandSilhouette.of(clip, masks)
     if seen.mask.pixels == 0:
         return None
-    start = _Fit.of(seen.rigid, np.zeros((len(clip), RIGID)))
-    before = start.pixels / seen.mask.pixels
+    given = np.zeros((len(clip), RIGID))
+    before = seen.differing(given) / seen.mask.pixels
     if not np.isfinite(before) or before < WORTH:
         return None
-    found = _fitted(seen, start)
+    found = _fitted(seen.with_field, given)
     after = found.pixels / seen.mask.pixels
     if after > AGREE or before - after < WORTH:
         return None
-    T, given, middle = found.T_cam_hand, clip.hand.T_cam_hand, seen.errors.middle[None]
-    turned = se3.angle_between(T[:, :3, :3], given[:, :3, :3])
-    moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(given, middle), axis=-1)
+    T, T_given, middle = found.T_cam_hand, clip.hand.T_cam_hand, seen.errors.middle[None]
+    turned = se3.angle_between(T[:, :3, :3], T_given[:, :3, :3])
+    moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_given, middle), axis=-1)
     return HandCorrection(T, float(turned.mean()), float(moved.mean()), before, after)
 
 
-def _fitted(seen: HandSilhouette, start: _Fit) -> _Fit:
+def _fitted(seen: HandSilhouette, given: Float[ndarray, "N P"]) -> _Fit:
     """The least cost: first by rigid errors alone, since bends, too, could explain a hand that is turned."""
     rigid, few, all_frames = STEPS
-    found = least_squares.minimise(start, rigid).state
+    found = least_squares.minimise(_Fit.of(seen, given), rigid).state
+    seen = seen.with_bends
     if seen.errors.weights is None:
         return found
     spare = seen.errors.size - RIGID

@@ -41,13 +41,13 @@ class HandErrors:
 
     @staticmethod
     def of(hand: HandTrack) -> HandErrors:
-        """All the errors that a hand can have; one without joints has rigid ones only."""
-        return HandErrors(hand, hand.vertices.mean(axis=(0, 1)), None if hand.joints is None else finger_weights(hand))
+        """The rigid errors of a hand."""
+        return HandErrors(hand, hand.vertices.mean(axis=(0, 1)), None)
 
     @property
-    def rigid(self) -> HandErrors:
-        """The same without bends."""
-        return replace(self, weights=None)
+    def with_bends(self) -> HandErrors:
+        """All the errors that the hand can have; one without joints has rigid ones only."""
+        return self if self.given.joints is None else replace(self, weights=finger_weights(self.given))
 
     @property
     def size(self) -> int:

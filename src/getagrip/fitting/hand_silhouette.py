@@ -45,7 +45,7 @@ class HandMask:
         valid: (N, n, words) pixels that are known to be the hand's or not: not those of the object, which may hide the
             hand, not other ignored pixels, and not those beyond its wrist, where an arm is. None in frames of which no
             pixel is known to be the hand's: nobody may have labelled it.
-        field: (N, n, n) signed distance to the visible contour [px].
+        field: (N, n, n) signed distance to the visible contour [px]; no pixels where it is not known (``with_field``).
     """
 
     K: Float[ndarray, "N 4"]
@@ -55,7 +55,7 @@ class HandMask:
 
     @staticmethod
     def of(clip: Clip, masks: Masks) -> HandMask:
-        """The pixels of a clip's hand; where they are not known as such, the ignored ones near it."""
+        """The pixels of a clip's hand, no field; where they are not known as such, the ignored ones near it."""
         uv = project(clip.K, se3.transform(clip.hand.T_cam_hand, clip.hand.vertices))
         crops = crops_of_boxes(np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1), EXPAND, SIZE)
         K = crops.intrinsics(clip.K)
@@ -71,8 +71,13 @@ class HandMask:
             valid &= masks.hand.any(axis=(1, 2), keepdims=True)
         valid &= ~_beyond_wrist(clip.hand, K)
         hand &= valid
-        field = np.stack([signed_distance(h, v) for h, v in zip(hand, valid, strict=True)])
-        return HandMask(fxfycxcy, pack(hand), pack(valid), field)
+        return HandMask(fxfycxcy, pack(hand), pack(valid), _no_field(len(K)))
+
+    @property
+    def with_field(self) -> HandMask:
+        """The same with the field."""
+        frames = zip(unpack(self.observed, SIZE), unpack(self.valid, SIZE), strict=True)
+        return replace(self, field=np.stack([signed_distance(hand, valid) for hand, valid in frames]))
 
     def take(self, index: Int[ndarray, "n"]) -> HandMask:
         """The masks of some of the frames."""
@@ -94,17 +99,27 @@ class HandSilhouette:
 
     @staticmethod
     def of(clip: Clip, masks: Masks) -> HandSilhouette:
-        """Of a clip and its masks."""
+        """Of a clip and its masks, without the masks' field and without bends."""
         return HandSilhouette(HandErrors.of(clip.hand), HandMask.of(clip, masks), _edges(clip.hand))
 
     @property
-    def rigid(self) -> HandSilhouette:
-        """The same, but fingers keep their bends."""
-        return replace(self, errors=self.errors.rigid)
+    def with_field(self) -> HandSilhouette:
+        """The same with the masks' field, which the derivatives need."""
+        return replace(self, mask=self.mask.with_field)
+
+    @property
+    def with_bends(self) -> HandSilhouette:
+        """The same, but fingers may bend."""
+        return replace(self, errors=self.errors.with_bends)
 
     def take(self, index: Int[ndarray, "n"]) -> HandSilhouette:
         """The same at some of the frames."""
         return replace(self, errors=self.errors.take(index), mask=self.mask.take(index))
+
+    def differing(self, x: Float[ndarray, "N P"]) -> float:
+        """Pixels in which silhouette and mask differ, in all frames."""
+        in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
+        return float(_contours(in_camera, self.errors.given, self.edges, self.mask, 0)[0].sum())
 
     def __call__(
         self, x: Float[ndarray, "N P"]
@@ -122,11 +137,15 @@ class HandSilhouette:
 
 
 def _contours(
-    vertices: Float[ndarray, "N V 3"], hand: HandTrack, edges: Int[ndarray, "4 E"], mask: HandMask
+    vertices: Float[ndarray, "N V 3"],
+    hand: HandTrack,
+    edges: Int[ndarray, "4 E"],
+    mask: HandMask,
+    most: int = MOST_POINTS,
 ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N 7 M"], Int[ndarray, "N M"], UInt64[ndarray, "N _ _"]]:
-    """What ``kernels.hand.contours`` fills in: value, points, nearest, bits."""
+    """What ``kernels.hand.contours`` fills in: value, at most so many points, nearest, bits."""
     N = len(vertices)
-    value, points, nearest = np.empty(N), np.empty((N, 7, MOST_POINTS)), np.empty((N, MOST_POINTS), np.int64)
+    value, points, nearest = np.empty(N), np.empty((N, 7, most)), np.empty((N, most), np.int64)
     bits = np.empty_like(mask.observed)
     contours(
         np.ascontiguousarray(np.swapaxes(vertices, 1, 2)), hand.faces, edges, bool(np.all(edges[3] < len(hand.faces))),
@@ -143,8 +162,13 @@ def _given_bits(hand: HandTrack, K: Float[ndarray, "N 4"]) -> UInt64[ndarray, "N
     """The given hand's silhouette in the crops."""
     N = len(K)
     nothing = np.zeros((N, SIZE, SIZE // 64), np.uint64)
-    unseen = HandMask(K, nothing, nothing, np.zeros((N, SIZE, SIZE), np.float32))
-    return _contours(se3.transform(hand.T_cam_hand, hand.vertices), hand, _edges(hand), unseen)[3]
+    unseen = HandMask(K, nothing, nothing, _no_field(N))
+    return _contours(se3.transform(hand.T_cam_hand, hand.vertices), hand, _edges(hand), unseen, 0)[3]
+
+
+def _no_field(frames: int) -> Float32[ndarray, "N 0 0"]:
+    """Fields that are not known."""
+    return np.empty((frames, 0, 0), np.float32)
 
 
 def _near(bits: UInt64[ndarray, "N _ _"]) -> Bool[ndarray, "N n n"]:

@@ -19,6 +19,8 @@ def image_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], sca
     bits = np.empty((len(clip), height, -(-width // 64)), np.uint64)
     R, t = np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3])
     silhouettes(R, t, np.full(len(clip), scale), *SilhouetteMesh.of(clip.mesh, np.zeros(3)).tables, K, bits)
-    rendered = unpack(bits, width) & (masks.object | ~masks.ignore)
-    union = (rendered | masks.object).sum(axis=(1, 2))
-    return np.asarray((rendered & masks.object).sum(axis=(1, 2)) / np.maximum(union, 1))
+    both, either = np.empty(len(clip)), np.empty(len(clip))
+    for n, (there, ignored) in enumerate(zip(masks.object, masks.ignore, strict=True)):
+        rendered = unpack(bits[n], width) & (there | ~ignored)
+        both[n], either[n] = np.count_nonzero(rendered & there), np.count_nonzero(rendered | there)
+    return both / np.maximum(either, 1.0)

@@ -28,9 +28,9 @@ def contours(vertices, faces, edges, closed, K, observed, valid, field, step, de
     edge = np.empty((3, edges.shape[1] + 1), np.int64)
     lines = np.empty((12, edges.shape[1] + 1))
     counters = np.empty((observed.shape[1], observed.shape[2], PLANES), np.uint64)
-    here, origin = np.eye(3), np.zeros(3)
+    here, origin, least = np.eye(3), np.zeros(3), np.empty(nearest.shape[1])
     for n in range(len(vertices)):
-        X = vertices[n]
+        X, fx, fy = vertices[n], K[n, 0], K[n, 1]
         points[n] = 0.0
         nearest[n] = 0
         if not project(X, here, origin, 1.0, K[n], uvz):
@@ -50,12 +50,13 @@ def contours(vertices, faces, edges, closed, K, observed, valid, field, step, de
         found = sample_contour(uvz, edge, count, 1.0, step, bits[n], valid[n], lines, points[n])
         sample_field(points[n], found, field[n], 1.0, step, delta)
         points[n, WEIGHT, found:] = 0.0
-        for k in range(found):
-            u, v, z = points[n, U, k], points[n, V, k], points[n, Z, k]
-            least = np.inf
-            for i in range(uvz.shape[1]):
-                du, dv, dz = (uvz[0, i] - u) * z / K[n, 0], (uvz[1, i] - v) * z / K[n, 1], uvz[2, i] - z
+        least[:found] = np.inf
+        for i in range(uvz.shape[1]):  # points inside: they go side by side
+            x, y, depth = uvz[0, i], uvz[1, i], uvz[2, i]
+            for k in range(found):
+                z = points[n, Z, k]
+                du, dv, dz = (x - points[n, U, k]) * z / fx, (y - points[n, V, k]) * z / fy, depth - z
                 d = du * du + dv * dv + dz * dz
-                if d < least:
-                    least = d
-                    nearest[n, k] = i
+                nearer = d < least[k]
+                nearest[n, k] = i if nearer else nearest[n, k]
+                least[k] = d if nearer else least[k]
