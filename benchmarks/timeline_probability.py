@@ -73,10 +73,11 @@ def section(results: Results) -> str:
     calibration = CALIBRATIONS[METHOD]
     rows = [line(name, results.where(condition=name), calibration) for name in of(results, "condition")]
     subjects = {subject_of(row["clip"]) for row in results.rows}
+    days = sorted({row["made"].split(",")[0] for row in results.rows})
     header = ["timelines", "grasps", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect"]
     about = (
-        f"*Made {stamp()}; results of {' and '.join(of(results, 'made'))}. {len(of(results, 'clip'))} timelines of "
-        f"{len(subjects)} training subjects, true segments.*"
+        f"*Made {stamp()}; results of {' and '.join(days)}. {len(of(results, 'clip'))} timelines with a grasp, of "
+        f"{len(subjects)} training subjects, by true segments.*"
     )
     return f"{about}\n\n{page.table(header, [*rows, line('**all**', results, calibration)])}"
 
