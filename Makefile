@@ -7,6 +7,8 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 KERNELS := $(shell grep -rl --include='*.py' '^@njit' src)
 CORES = $$($(BIN)/python -c 'import os; print(os.cpu_count())')
+# Bytecode is kept, whatever the environment says: dozens of processes would compile the same libraries and tests.
+unexport PYTHONDONTWRITEBYTECODE
 # One thread of BLAS in each process.
 PYTEST = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --dist worksteal --numprocesses
 
