@@ -64,9 +64,11 @@ def test_an_object_that_never_moves_is_static_and_no_fit_is_needed() -> None:
     clip, masks = from_table()
     lying = np.zeros(12, dtype=int)
     still = replace(clip.take(np.arange(12)), world=None)
-    alone = find_segments(still, masks.take(lying), DEFINITION)
+    held = {"hands_held": "a guess in the frames 000000 to 000002"}
+    alone = find_segments(replace(still, provenance=held), masks.take(lying), DEFINITION)
     assert [(s.segment.state, s.segment.first, s.segment.last) for s in alone.segments] == [("static", 0, 11)]
-    assert alone.notes == ("the camera is taken to stand still: a guess",)
+    assert alone.notes[0] == "the camera is taken to stand still: a guess"
+    assert alone.notes[1].startswith("hands_held: a guess in the frames 000000 to 000002")
 
 
 def test_masks_of_another_clip_are_refused() -> None:

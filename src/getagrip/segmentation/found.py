@@ -16,6 +16,7 @@ from getagrip.clip.timeline import SIDES, Side, State
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
 from getagrip.grasps.definition import Definition
+from getagrip.hands.trackers import HELD
 from getagrip.segmentation.contacts import reconstructed, stable_in
 from getagrip.segmentation.held import METHOD, Held, NothingToFitError, held_in, pieces
 from getagrip.segmentation.image_motion import ImageMotion, image_motion
@@ -91,9 +92,11 @@ def find_segments(
         held = _fits(clip, masks, _runs(moved), options, progress)
     cost = window_costs(moved, held)
     division = cheapest(cost)
-    notes = () if clip.world is not None else ("the camera is taken to stand still: a guess",)
+    notes = [] if clip.world is not None else ["the camera is taken to stand still: a guess"]
+    if HELD in clip.provenance:
+        notes.append(f"{HELD}: {clip.provenance[HELD]}: a grasp found there is one, too")
     margin = margins(cost, division)
-    return FoundSegments(tuple(_segments(clip, division, margin, held, moved.jitter, definition)), notes)
+    return FoundSegments(tuple(_segments(clip, division, margin, held, moved.jitter, definition)), tuple(notes))
 
 
 def moving_runs(clip: Clip, masks: Masks) -> list[tuple[int, int]]:
