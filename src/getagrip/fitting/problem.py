@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +39,7 @@ class Problem:
         prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations.
         hand_corrected: whether the clip's hand is no longer as it was given.
         notes: dropped frames, guesses, initial poses, what stands in for missing masks.
-        threads: so many share the hypotheses of a fit.
+        threads: so many share the hypotheses of a fit, and what can be prepared apart.
     """
 
     clip: Clip
@@ -99,6 +100,16 @@ def prepare(clip: Clip, masks: Masks | None, options: Options, threads: int = 1)
     if clip.scale == "free" and not as_published:
         options = replace(options, inits=WITH_FREE_SCALE * options.inits)
     clip, given = _sampled(clip, masks, options.frames)
+    with ThreadPoolExecutor(1) as pool:
+        surface = pool.submit(ObjectSurface.of, clip.mesh)  # knows nothing of hands and masks
+        if threads == 1:
+            wait([surface])
+        return _prepared(clip, given, options, surface, threads)
+
+
+def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[ObjectSurface], threads: int) -> Problem:
+    """``prepare`` at the frames that are used."""
+    as_published = method_of(options.method).as_published
     masks, notes = given, []
     if clip.left_out:
         names = ", ".join(clip.left_out)
@@ -117,9 +128,9 @@ def prepare(clip: Clip, masks: Masks | None, options: Options, threads: int = 1)
     notes += of_poses
     notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
     observation = observe(masks, clip.K, options.occlusion)
-    surface, corrected = ObjectSurface.of(clip.mesh), correction is not None
+    corrected = correction is not None
     return Problem(
-        clip, masks, given, observation, surface, options, poses, corrected, tuple(notes), hand_drawn, threads
+        clip, masks, given, observation, surface.result(), options, poses, corrected, tuple(notes), hand_drawn, threads
     )
 
 
