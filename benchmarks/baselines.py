@@ -63,9 +63,13 @@ def longer(factor: int) -> Iterator[None]:
         return replace(of, iterations=factor * of.iterations)
 
     def schedule(of: Schedule) -> Schedule:
-        static, relaxed = factor * of.static_iterations, factor * of.relaxed_iterations
-        coarse, fine = (tuple(stage(s) for s in stages) for stages in (of.coarse, of.fine))
-        return Schedule(static, relaxed, coarse, fine)
+        return replace(
+            of,
+            static_iterations=factor * of.static_iterations,
+            relaxed_iterations=factor * of.relaxed_iterations,
+            coarse=tuple(map(stage, of.coarse)),
+            fine=tuple(map(stage, of.fine)),
+        )
 
     refine = tuple((level, factor * iterations) for level, iterations in homan_refine.STAGES)
     with ExitStack() as stack:
