@@ -60,7 +60,7 @@ def test_results_without_axis_truth_masks_or_many_frames(with_masks: bool) -> No
     figure = report_figure(result, replace(clip, truth=None), masks if with_masks else None)
     assert [axes.get_title() for axes in figure.axes[:2]] == [clip.frames[1], clip.frames[4]]
     assert len(figure.axes) == 3 * 2 + 2
-    assert "rotation of the object in the hand since the first frame [°]" in texts(figure)
+    assert "rotation in the hand since the start [°]" in texts(figure)
     assert "ground truth" not in texts(figure)
     tile = panel(pixels(figure), figure.axes[0])
     assert pixels_of(tile, FOUND) > 0

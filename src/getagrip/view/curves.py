@@ -36,7 +36,8 @@ def angle_curve(view: View) -> AngleCurve:
         R = result.T_hand_obj[:, :3, :3]
         turned = [None if r is None else se3.angle_between(r[:1], r) for r in (R, true)]
         assert turned[0] is not None
-        return AngleCurve("rotation of the object in the hand since the first frame", turned[0], turned[1])
+        which = "" if view.clip.other_hand is None else f"{view.clip.side} "
+        return AngleCurve(f"rotation in the {which}hand since the start", turned[0], turned[1])
     found, about = result.axis.angle - result.axis.angle.mean(), None
     if true is not None:
         about = se3.log_so3(true @ true[0].T) @ result.axis.direction

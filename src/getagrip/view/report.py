@@ -106,7 +106,7 @@ def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y
     facts = [
         method_of(result.method).label,
         view.frames_in_words,
-        f"{clip.side} hand",
+        f"{clip.side} hand" if clip.other_hand is None else "both hands",
     ]
     facts.append(f"scale {result.scale:.3f} is a guess" if clip.scale == "free" else "scale known")
     figure.text(x, y - 1.25 * step, "  ·  ".join(facts), color=FAINT, fontsize=9.5, va="top")
