@@ -107,9 +107,9 @@ def _draw(curves: list[Curve]) -> None:
         panel.minorticks_off()
         panel.grid(color="0.92")
         panel.spines[["top", "right"]].set_visible(False)
-    ticks = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0]
+    ticks = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0]
     panels[0].set_yticks(ticks, [f"{tick:g}" for tick in ticks])
-    panels[0].set_ylim(0.1, 12.0)
+    panels[0].set_ylim(0.1, 24.0)
     panels[0].set_ylabel("one reconstruction, CPU s")
     panels[0].legend(frameon=False)
     figure.savefig(DOCS / "images" / "scaling.png", dpi=110)
