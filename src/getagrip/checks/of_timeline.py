@@ -105,7 +105,7 @@ def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, f
 
 def _by_other(clip: Clip) -> Clip:
     """The clip with the other hand for its own."""
-    swapped = clip.held_by("left" if clip.side == "right" else "right")
+    swapped = clip.held_by(clip.other_side)
     assert swapped is not None
     return swapped
 

@@ -204,6 +204,11 @@ class Clip(ArrayData):
             other = replace(other, track=replace(other.track, T_cam_hand=T_cam_other))
         return self if hand is self.hand and other is self.other_hand else replace(self, hand=hand, other_hand=other)
 
+    @property
+    def other_side(self) -> Side:
+        """The side of the hand that is not the clip's own."""
+        return "left" if self.side == "right" else "right"
+
     def held_by(self, side: Side | None) -> Clip | None:
         """The clip with the hand of a side for its own; None where that hand is not known.
 

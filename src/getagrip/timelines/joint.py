@@ -77,7 +77,8 @@ def put_grasp(motion: Motion, footage: Footage, held: Held, k: int, neighbours: 
     motion.T_cam_hands[held.problem.clip.side][rows] = track.T_cam_hand
     for row, kind in zip(rows, track.kind, strict=True):
         motion.kind[row] = kind
-    motion.notes += [f"grasp from {footage.clip.frames[rows[0]]}: {note}" for note in track.notes]
+    own = [note for note in track.notes if note not in footage.some.notes]
+    motion.notes += [f"grasp from {footage.clip.frames[rows[0]]}: {note}" for note in own]
     motion.held[held.segment.first] = track
     if track.axis is not None:
         motion.axes[held.segment.first] = track.axis

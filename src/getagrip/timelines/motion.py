@@ -46,7 +46,7 @@ class Motion:
         T, clip = len(footage), footage.clip
         hands = {clip.side: clip.hand.T_cam_hand.copy()}
         if clip.other_hand is not None:
-            hands["left" if clip.side == "right" else "right"] = clip.other_hand.track.T_cam_hand.copy()
+            hands[clip.other_side] = clip.other_hand.track.T_cam_hand.copy()
         return Motion(np.full((T, 4, 4), np.nan), clip.side, hands, ["interpolated"] * T)
 
     @property

@@ -94,9 +94,7 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
     iou = np.where(footage.masks.observed, image_iou(posed, footage.masks, T_hand_obj, 1.0), np.nan)
     moved = not np.array_equal(motion.T_cam_hand, clip.hand.T_cam_hand)
     energy, other = motion.energy
-    of_clip = footage.some.notes
-    notes = [note for note in motion.notes if not note.endswith(tuple(f": {one}" for one in of_clip))]
-    notes += [*followed(clip, footage), *of_clip]
+    notes = [*motion.notes, *followed(clip, footage), *footage.some.notes]
     guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
     mean_iou = float(np.nanmean(iou))
     hands = motion.T_cam_hand, motion.T_cam_obj, scale, iou, other_hand
