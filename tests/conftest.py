@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -27,6 +28,7 @@ from getagrip.clip import write_clip  # noqa: E402
 from helpers.clips import small_clip  # noqa: E402
 from helpers.command_line import Run  # noqa: E402
 from helpers.folders import FullDisk  # noqa: E402
+from helpers.scenes import SHORT, scene  # noqa: E402
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -53,6 +55,23 @@ def _shapes_are_checked_anew() -> None:
 def written_clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The small clip in a folder in which nothing may be changed."""
     return write_clip(*small_clip(), tmp_path_factory.mktemp("written") / "small")
+
+
+@pytest.fixture(scope="session")
+def can_and_box(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of two synthetic clips, a can and a box, in which nothing may be changed."""
+    folder = tmp_path_factory.mktemp("can_and_box") / "clips"
+    for category in ("can", "box"):
+        write_clip(*scene(category, 0, SHORT), folder / category)
+    return folder
+
+
+@pytest.fixture
+def users_hints() -> Iterator[None]:
+    """As a user has it: type hints are not checked while the test runs."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture

@@ -19,23 +19,13 @@ from getagrip.result import read_result
 from helpers.command_line import Run
 from helpers.folders import results_in
 from helpers.paths import ROOT
-from helpers.scenes import SHORT, scene
 
 QUICK = ("--inits", "8", "--frames", "4")
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: Any) -> Path:
-    """A folder of two clips, a can and a box; nothing in it is changed by tests."""
-    folder: Path = tmp_path_factory.mktemp("made") / "clips"
-    for name in ("can", "box"):
-        write_clip(*scene(name, 0, SHORT), folder / name)
-    return folder
-
-
-def broken_clip(made: Path, folder: Path) -> Path:
+def broken_clip(can_and_box: Path, folder: Path) -> Path:
     """A copy of the can whose fps is zero."""
-    clip = read_clip(made / "can")
+    clip = read_clip(can_and_box / "can")
     write_clip(clip, read_masks(clip), folder)
     path = folder / "clip.json"
     path.write_text(re.sub(r'"fps": [\d.]+', '"fps": 0', path.read_text()))
@@ -103,12 +93,12 @@ def test_places_that_cannot_be_written_are_refused_first(run: Run, out: str, tmp
 
 @pytest.mark.slow
 @pytest.mark.long
-def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
+def test_a_clip_goes_all_the_way(run: Run, can_and_box: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    status, printed, _ = run("reconstruct", made, "--out", out, *QUICK, "--workers", 2)
+    status, printed, _ = run("reconstruct", can_and_box, "--out", out, *QUICK, "--workers", 2)
     assert status == 0
     assert "2 done, 0 already done, 0 failed" in printed
-    names = {read_clip(made / name).name for name in ("can", "box")}
+    names = {read_clip(can_and_box / name).name for name in ("can", "box")}
     assert {path.name for path in results_in(out)} == names
     assert {path.name for path in out.iterdir()} == names | {"ledger.sqlite", "summary.csv", "index.html"}
     result, record = read_result(results_in(out)[0])
@@ -116,19 +106,19 @@ def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
     assert record["metrics"]["iou_full"] == pytest.approx(result.iou.mean())
 
     # What is done is kept, --overwrite makes it again: the same, in whatever process. Other options make it again, too.
-    status, printed, _ = run("reconstruct", made, "--out", out, *QUICK)
+    status, printed, _ = run("reconstruct", can_and_box, "--out", out, *QUICK)
     assert status == 0
     assert "0 done, 2 already done, 0 failed" in printed
     shared = {path.name: read_result(path)[0].T_hand_obj for path in results_in(out)}
-    status, printed, _ = run("reconstruct", made / "can", "--out", out, *QUICK, "--seed", 3)
+    status, printed, _ = run("reconstruct", can_and_box / "can", "--out", out, *QUICK, "--seed", 3)
     assert status == 0
     assert "done again, since what was there is of another seed: IOU" in printed
-    assert run("reconstruct", made / "can", "--out", out, *QUICK, "--overwrite", "--workers", 1)[0] == 0
+    assert run("reconstruct", can_and_box / "can", "--out", out, *QUICK, "--overwrite", "--workers", 1)[0] == 0
     for name, T_hand_obj in shared.items():
         np.testing.assert_array_equal(read_result(out / name)[0].T_hand_obj, T_hand_obj)
 
     file = tmp_path / "numbers.json"
-    status, printed, _ = run("evaluate", out, "--clips", made, "--json", file)
+    status, printed, _ = run("evaluate", out, "--clips", can_and_box, "--json", file)
     assert status == 1  # the folders are not named as the clips are
     status, printed, _ = run("evaluate", *sorted(out.iterdir()), "--json", file)  # as `out/*` names them
     assert status == 0
@@ -144,10 +134,10 @@ def test_a_clip_goes_all_the_way(run: Run, made: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_one_broken_clip_stops_no_other(run: Run, made: Path, tmp_path: Path) -> None:
-    broken = broken_clip(made, tmp_path / "broken")
+def test_one_broken_clip_stops_no_other(run: Run, can_and_box: Path, tmp_path: Path) -> None:
+    broken = broken_clip(can_and_box, tmp_path / "broken")
     status, printed, err = run(
-        "reconstruct", broken, tmp_path / "none", made / "box", "--out", tmp_path / "out", *QUICK
+        "reconstruct", broken, tmp_path / "none", can_and_box / "box", "--out", tmp_path / "out", *QUICK
     )
     assert status == 1
     assert "1 done, 0 already done, 2 failed" in printed
@@ -159,18 +149,18 @@ def test_one_broken_clip_stops_no_other(run: Run, made: Path, tmp_path: Path) ->
     assert "Traceback" in run("reconstruct", broken, "--out", tmp_path / "out", "--debug")[2]
 
 
-def test_two_clips_of_one_name_are_refused(run: Run, made: Path, tmp_path: Path) -> None:
-    status, _, err = run("reconstruct", made, made / "can", "--out", tmp_path / "out")
+def test_two_clips_of_one_name_are_refused(run: Run, can_and_box: Path, tmp_path: Path) -> None:
+    status, _, err = run("reconstruct", can_and_box, can_and_box / "can", "--out", tmp_path / "out")
     assert status == 2
-    assert str(made / "can") in err
+    assert str(can_and_box / "can") in err
     assert not (tmp_path / "out").exists()
 
 
-def test_foreign_folders_are_left_alone(run: Run, made: Path, tmp_path: Path) -> None:
-    mine = tmp_path / read_clip(made / "can").name
+def test_foreign_folders_are_left_alone(run: Run, can_and_box: Path, tmp_path: Path) -> None:
+    mine = tmp_path / read_clip(can_and_box / "can").name
     mine.mkdir()
     (mine / "letter.txt").write_text("dear")
-    status, _, err = run("reconstruct", made / "can", "--out", tmp_path, "--overwrite", *QUICK)
+    status, _, err = run("reconstruct", can_and_box / "can", "--out", tmp_path, "--overwrite", *QUICK)
     assert status == 1
     assert "not overwritten" in err
     assert [path.name for path in mine.iterdir()] == ["letter.txt"]
@@ -191,12 +181,12 @@ def test_an_import_without_recordings_is_named(run: Run, tmp_path: Path) -> None
     assert not (tmp_path / "out").exists()
 
 
-def test_an_interrupt_leaves_no_traceback(made: Path, tmp_path: Path, monkeypatch: Any, run: Run) -> None:
+def test_an_interrupt_leaves_no_traceback(can_and_box: Path, tmp_path: Path, monkeypatch: Any, run: Run) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("getagrip.batch.clips.reconstruct_one", interrupted)
-    status, _, err = run("reconstruct", made, "--out", tmp_path / "out")
+    status, _, err = run("reconstruct", can_and_box, "--out", tmp_path / "out")
     assert status == 130
     assert "interrupted" in err
 

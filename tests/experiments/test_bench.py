@@ -24,16 +24,6 @@ from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.result import read_result
 from helpers.command_line import Run
-from helpers.scenes import SHORT, scene
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: Any) -> Path:
-    """A folder of two clips; nothing in it is changed by tests."""
-    folder: Path = tmp_path_factory.mktemp("made") / "clips"
-    for category in ("can", "box"):
-        write_clip(*scene(category, 0, SHORT), folder / category)
-    return folder
 
 
 @pytest.fixture
@@ -43,9 +33,11 @@ def unplotted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
+def test_a_run_writes_tables_and_goes_on_where_it_stopped(
+    can_and_box: Path, tmp_path: Path, run: Run, monkeypatch
+) -> None:
     out, written = tmp_path / "out", tmp_path / "all.json"
-    call = ("bench", made, "--out", out, "--workers", "1", "--inits", "4", "--json", written)
+    call = ("bench", can_and_box, "--out", out, "--workers", "1", "--inits", "4", "--json", written)
     status, text, err = run(*call, "--methods", "static")
     assert (status, err) == (0, "")
     assert "1 done, 0 already done" in text
@@ -74,7 +66,7 @@ def test_a_run_writes_tables_and_goes_on_where_it_stopped(made: Path, tmp_path: 
 
 @pytest.mark.slow
 def test_a_run_has_a_ledger_shards_and_an_end_at_the_first_failure(
-    made: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+    can_and_box: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried: list[str] = []
 
@@ -83,7 +75,7 @@ def test_a_run_has_a_ledger_shards_and_an_end_at_the_first_failure(
         return Scores(trial.name, failure="no masks")
 
     monkeypatch.setattr("getagrip.commands.bench.run", unreadable)
-    call = ("bench", made, "--out", tmp_path, "--workers", "1")
+    call = ("bench", can_and_box, "--out", tmp_path, "--workers", "1")
     assert run(*call, "--fail-fast")[0] == 1
     assert tried == ["box-right-0000"]
     with Ledger(tmp_path) as ledger:
@@ -96,17 +88,17 @@ def test_a_run_has_a_ledger_shards_and_an_end_at_the_first_failure(
 
 
 @pytest.mark.slow
-def test_results_of_other_systems_are_rows(made: Path, tmp_path: Path, run: Run) -> None:
+def test_results_of_other_systems_are_rows(can_and_box: Path, tmp_path: Path, run: Run) -> None:
     """Poses by clip, evaluated in the frames of ours; again where they change, and failed where they are missing."""
     theirs, out = tmp_path / "theirs", tmp_path / "out"
     theirs.mkdir()
     truths = {}
-    for folder in sorted(made.iterdir()):
+    for folder in sorted(can_and_box.iterdir()):
         clip = read_clip(folder)
         assert clip.truth is not None
         truths[clip.name] = clip.truth.T_cam_obj
         np.save(theirs / f"{clip.name}.npy", clip.truth.T_cam_obj)
-    call = ("bench", made, "--out", out, "--workers", "1", "--inits", "4", "--methods", "static")
+    call = ("bench", can_and_box, "--out", out, "--workers", "1", "--inits", "4", "--methods", "static")
     status, text, err = run(*call, "--with", f"theirs={theirs}")
     assert (status, err) == (0, "")
     assert text.count("2 done, 0 already done") == 2
@@ -127,8 +119,8 @@ def test_results_of_other_systems_are_rows(made: Path, tmp_path: Path, run: Run)
 
 
 @pytest.mark.slow
-def test_an_ablation_changes_clips_and_draws_a_plot(made: Path, tmp_path: Path, run: Run) -> None:
-    call = ("bench", made, "--out", tmp_path, "--workers", "1", "--inits", "4", "--clips", "1")
+def test_an_ablation_changes_clips_and_draws_a_plot(can_and_box: Path, tmp_path: Path, run: Run) -> None:
+    call = ("bench", can_and_box, "--out", tmp_path, "--workers", "1", "--inits", "4", "--clips", "1")
     status, _, _ = run(*call, "--ablation", "mask-noise", "--methods", "static")
     assert status == 0
     assert (tmp_path / "mask-noise.png").stat().st_size > 10_000
@@ -153,14 +145,27 @@ def hand_file(folder: Path, clip: Clip, frames: list[int], mm: float = 0.0, **ex
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unplotted")
-def test_hands_are_compared_on_the_frames_that_all_have(made: Path, tmp_path: Path, run: Run) -> None:
+def test_hands_are_compared_on_the_frames_that_all_have(can_and_box: Path, tmp_path: Path, run: Run) -> None:
     for name in ("can", "box"):
-        clip = read_clip(made / name)
+        clip = read_clip(can_and_box / name)
         hand_file(tmp_path / "exact", clip, [0, 1, 2, 3], K=clip.K[0])
         hand_file(tmp_path / "off", clip, [1, 2, 3], mm=6.0, side=np.array(clip.side))
     out, written = tmp_path / "out", tmp_path / "all.json"
     sources = (f"exact={tmp_path / 'exact'}", f"off={tmp_path / 'off'}")
-    call = ("bench", made, "--out", out, "--workers", "1", "--inits", "4", "--methods", "static", "--json", written)
+    call = (
+        "bench",
+        can_and_box,
+        "--out",
+        out,
+        "--workers",
+        "1",
+        "--inits",
+        "4",
+        "--methods",
+        "static",
+        "--json",
+        written,
+    )
     status, printed, err = run(*call, "--hands", *sources)
     assert (status, err) == (0, "")
     assert printed.count("2 done, 0 already done") == 2
@@ -192,12 +197,12 @@ def test_hands_are_compared_on_the_frames_that_all_have(made: Path, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_contact_is_measured_within_any_distance(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
+def test_contact_is_measured_within_any_distance(can_and_box: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     """Of results that are there, by evaluating them again; wider contact has more points in it."""
     from getagrip.fitting import reconstruct as module
 
     out = tmp_path / "out"
-    call = ("bench", made, "--out", out, "--workers", "1", "--methods", "static", "--clips", "1", "--inits", "4")
+    call = ("bench", can_and_box, "--out", out, "--workers", "1", "--methods", "static", "--clips", "1", "--inits", "4")
     assert run(*call)[0] == 0
     assert "contact: object vertices within 10 mm" in (out / "methods.md").read_text()
     monkeypatch.setattr(module, "reconstruct", lambda *_: pytest.fail("reconstructed again"))
@@ -218,8 +223,8 @@ def test_contact_is_measured_within_any_distance(made: Path, tmp_path: Path, run
 
 
 @pytest.mark.slow
-def test_results_of_other_options_are_made_again(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
-    call = ("bench", made, "--out", tmp_path, "--workers", "1", "--methods", "static", "--clips", "1")
+def test_results_of_other_options_are_made_again(can_and_box: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
+    call = ("bench", can_and_box, "--out", tmp_path, "--workers", "1", "--methods", "static", "--clips", "1")
     assert "1 done" in run(*call, "--inits", "4")[1]
     assert "1 done" in run(*call, "--inits", "5")[1]
     monkeypatch.setattr(trials, "_code_changed", lambda: 1.0)
@@ -233,10 +238,10 @@ def test_results_of_other_options_are_made_again(made: Path, tmp_path: Path, run
 
 
 @pytest.mark.slow
-def test_what_fails_is_named_and_the_rest_done(made: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
+def test_what_fails_is_named_and_the_rest_done(can_and_box: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
     folder = tmp_path / "clips"
     for name in ("can", "box"):
-        clip = read_clip(made / name)
+        clip = read_clip(can_and_box / name)
         write_clip(clip, trials.read_masks(clip), folder / name)
     for mask in (folder / "can" / "masks" / "object").iterdir():
         mask.write_bytes(b"")

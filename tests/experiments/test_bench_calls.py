@@ -3,26 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from getagrip.cli import main
-from getagrip.clip import write_clip
 from getagrip.datasets.synthetic.splits import PRESETS
 from getagrip.experiments.settings import ABLATIONS
 from getagrip.experiments.sources import SOURCES
 from helpers.command_line import Run
-from helpers.scenes import SHORT, scene
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: Any) -> Path:
-    """A folder of two clips; nothing in it is changed by tests."""
-    folder: Path = tmp_path_factory.mktemp("made") / "clips"
-    for category in ("can", "box"):
-        write_clip(*scene(category, 0, SHORT), folder / category)
-    return folder
 
 
 @pytest.mark.parametrize(
@@ -42,8 +30,8 @@ def made(tmp_path_factory: Any) -> Path:
         (("--with", "x=.", "--ablation", "scale"), "--with"),
     ],
 )
-def test_wrong_calls_are_refused(made: Path, tmp_path: Path, run: Run, args: tuple[str, ...], word: str) -> None:
-    status, _, err = run("bench", made, "--out", tmp_path / "out", *args)
+def test_wrong_calls_are_refused(can_and_box: Path, tmp_path: Path, run: Run, args: tuple[str, ...], word: str) -> None:
+    status, _, err = run("bench", can_and_box, "--out", tmp_path / "out", *args)
     assert status == 2
     assert word in err
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, get_type_hints
 
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -150,15 +149,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
 }
 
 
-@pytest.fixture
-def no_hints_checked() -> Iterator[None]:
-    """As a user has it: annotations are checked in the tests only."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
-
-
-@pytest.mark.usefixtures("no_hints_checked")
+@pytest.mark.usefixtures("users_hints")
 @pytest.mark.parametrize("words", REFUSED)
 def test_what_does_not_fit_is_named(words: str) -> None:
     make, field = REFUSED[words]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -33,15 +32,7 @@ WRONG: dict[str, Callable[[], object]] = {
 }
 
 
-@pytest.fixture
-def no_hints_checked() -> Iterator[None]:
-    """As a user has it: annotations are checked in the tests only."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
-
-
-@pytest.mark.usefixtures("no_hints_checked")
+@pytest.mark.usefixtures("users_hints")
 @pytest.mark.parametrize("message", WRONG)
 def test_what_no_option_can_be_is_named(message: str) -> None:
     with pytest.raises(UsageError) as caught:
@@ -49,6 +40,6 @@ def test_what_no_option_can_be_is_named(message: str) -> None:
     assert str(caught.value) == message
 
 
-@pytest.mark.usefixtures("no_hints_checked")
+@pytest.mark.usefixtures("users_hints")
 def test_numbers_of_numpy_are_numbers() -> None:
     assert Options(seed=np.int64(3), push=np.float32(0.5), pull=1).seed == 3
