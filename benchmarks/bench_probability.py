@@ -1,0 +1,38 @@
+"""What the probabilities of a bench's results are worth: ``python -m benchmarks.bench_probability DIR``.
+
+DIR is a folder that was given to ``bench --out`` and is named like the dataset: the table goes into docs/arctic.md,
+between the markers "<name>-probability". It is made from ``methods-clips.csv``, whatever the results were made of.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import page
+from getagrip.experiments.reliability import auroc, calibration_error, least_error
+
+PAGE = "arctic.md"
+HEADS = ("method", "results", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect")
+
+
+def main(folder: Path) -> None:
+    """Update the page."""
+    with (folder / "methods-clips.csv").open(encoding="utf-8", newline="") as lines:
+        known = [row for row in csv.DictReader(lines) if row["probability_right"]]
+    rows = []
+    for method in sorted({row["method"] for row in known}):
+        of_method = [row for row in known if row["method"] == method]
+        probability = np.array([float(row["probability_right"]) for row in of_method])
+        right = np.array([float(row["add_sym_success"]) == 1.0 for row in of_method])
+        shares = (f"{100.0 * right.mean():.0f}", f"{100.0 * probability.mean():.0f}")
+        errors = (f"{error:.3f}" for error in (calibration_error(probability, right), least_error(probability)))
+        rows.append((method, str(len(of_method)), *shares, f"{auroc(probability, right):.2f}", *errors))
+    page.write(f"{folder.name}-probability", page.table(HEADS, rows), PAGE)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
