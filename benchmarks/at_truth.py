@@ -1,4 +1,6 @@
-"""Search or energy? ``python -m benchmarks.at_truth DIR [ABLATION...]`` writes into docs/results.md. DIR: of ``bench``.
+"""Search or energy? ``python -m benchmarks.at_truth DIR [ABLATION...]`` writes into docs/results-dexycb.md.
+
+DIR is a folder of ``bench``.
 
 For every clip on which soft-hinge failed: the energies after fitting with the last stage, for as long, from the poses
 that it found and from the true ones, and how far off each is. A lower energy at the true poses is a failure of the
@@ -130,7 +132,7 @@ def main(folder: Path, ablations: Sequence[str]) -> None:
             print(rows[-1], flush=True)
         header = ["setting", "right, %", "failures", *KINDS, "right from the truth"]
         text += "\n\n" + page.table(header, rows)
-    page.write(f"{folder.name}-truth", text, "results.md")
+    page.write(f"{folder.name}-truth", text)
     print(text)
 
 

@@ -2,8 +2,8 @@
 
     python -m benchmarks.baselines [clips]
 
-Puts a table into docs/results.md: each method as it is, with two and four times the initial poses, and with two and
-four times the iterations of every stage. A method gets enough where more of either hardly lowers its energy.
+Puts a table into docs/results-search.md: each method as it is, with two and four times the initial poses, and with two
+and four times the iterations of every stage. A method gets enough where more of either hardly lowers its energy.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def main(clips: int) -> None:
             row += [f"{100 * median(s.add for s in group):.1f}", f"{median(s.seconds for s in group):.2f}"]
             print(" | ".join(row), flush=True)
             rows.append(row)
-    page.write("baselines", f"{page.circumstances()}\n\n{summary}\n\n{page.table(heads, rows)}", "results.md")
+    page.write("baselines", f"{page.circumstances()}\n\n{summary}\n\n{page.table(heads, rows)}")
 
 
 if __name__ == "__main__":

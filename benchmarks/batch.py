@@ -62,4 +62,4 @@ if __name__ == "__main__":
     text = section()
     print(f"{before}\n\n{text}")
     if "--write" in sys.argv[1:]:
-        page.write("batch", f"{before}\n\n{text}", "batch.md")
+        page.write("batch", f"{before}\n\n{text}")

@@ -15,7 +15,6 @@ import numpy as np
 from benchmarks import page
 from getagrip.experiments.reliability import auroc, calibration_error, least_error
 
-PAGE = "arctic.md"
 HEADS = ("method", "results", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect")
 
 
@@ -31,7 +30,7 @@ def main(folder: Path) -> None:
         shares = (f"{100.0 * right.mean():.0f}", f"{100.0 * probability.mean():.0f}")
         errors = (f"{error:.3f}" for error in (calibration_error(probability, right), least_error(probability)))
         rows.append((method, str(len(of_method)), *shares, f"{auroc(probability, right):.2f}", *errors))
-    page.write(f"{folder.name}-probability", page.table(HEADS, rows), PAGE)
+    page.write(f"{folder.name}-probability", page.table(HEADS, rows))
 
 
 if __name__ == "__main__":

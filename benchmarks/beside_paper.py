@@ -19,14 +19,14 @@ PAPER = {
 """The row "All" of the paper's table of results on ARCTIC-Grasps, by our names, in the order of ``COLUMNS``."""
 SOURCES = {
     "ARCTIC, the paper": None,
-    "ARCTIC's motion, here": ("arctic.md", "arctic-methods"),
-    "DexYCB": ("results.md", "dexycb-methods"),
+    "ARCTIC's motion, here": "arctic-methods",
+    "DexYCB": "dexycb-methods",
 }
 
 
 def main() -> None:
     """Update the page."""
-    found = {label: None if place is None else page.numbers(*place, COLUMNS) for label, place in SOURCES.items()}
+    found = {label: None if name is None else page.numbers(name, COLUMNS) for label, name in SOURCES.items()}
     rows = [
         [f"{method}, {label}", *(f"{value:.1f}" for value in (of or PAPER)[method])]
         for method in PAPER
@@ -35,7 +35,6 @@ def main() -> None:
     page.write(
         "beside-paper",
         f"*Put here {stamp()}, from the other tables.*\n\n{page.table(['', *COLUMNS], rows)}",
-        "arctic.md",
     )
 
 

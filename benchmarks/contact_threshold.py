@@ -32,7 +32,7 @@ from getagrip.metrics.contact import close_holes, moving_distance
 
 THRESHOLDS = (0.0, 0.0025, 0.005, 0.0075, 0.010, 0.0125, 0.015)
 """Distances that are tried [m]."""
-PAGE, SECTION = "arctic.md", "contact-threshold"
+SECTION = "contact-threshold"
 
 
 def main(artigrasp: Path, dexmachina: Path) -> None:
@@ -47,7 +47,7 @@ def main(artigrasp: Path, dexmachina: Path) -> None:
     rows = {"all frames": np.average(agreement, axis=0, weights=weights), "worst hand": np.min(agreement, axis=0)}
     header = ["contact within", *(f"{1e3 * threshold:g} mm" for threshold in THRESHOLDS)]
     table = page.table(header, [[name, *(f"{100 * share:.1f} %" for share in row)] for name, row in rows.items()])
-    page.write(SECTION, f"*{len(weights)} hands, {sum(weights):,} frames; made {stamp()}.*\n\n{table}", PAGE)
+    page.write(SECTION, f"*{len(weights)} hands, {sum(weights):,} frames; made {stamp()}.*\n\n{table}")
 
 
 def pairs(artigrasp: Path, dexmachina: Path) -> Iterator[tuple[Track, Bool[ndarray, "T"]]]:

@@ -1,7 +1,8 @@
 """Found segments as a timeline against each found grasp by itself: ``python -m benchmarks.found_timelines CLIPS [N]``.
 
 CLIPS is what ``import dexycb --timelines`` has written; every N-th sequence (8) of the training subjects is taken, its
-segments removed. Exact hands and masks, and strong noise of both. The table goes into docs/results.md.
+segments removed. Exact hands and masks, and strong noise of both. The table goes into
+its page, docs/results-timelines.md.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def right(clip: Clip, symmetries: Symmetries, found: tuple[Poses, Poses]) -> lis
 
 
 def main(clips: Path, every: int) -> None:
-    """Put the table into docs/results.md."""
+    """Put the table into its page."""
     names = sorted(folder.name for folder in clips.iterdir() if (folder / "clip.json").is_file())
     training = sorted({subject_of(name) for name in names})[::3]
     names = [name for name in names if subject_of(name) in training][::every]
@@ -101,7 +102,7 @@ def main(clips: Path, every: int) -> None:
             kinds = [scores[way, "found"], *([r for r in scores[way, "true"] if r[0] == kind] for kind in KINDS)]
             rows.append([level, way, *map(cell, kinds), f"{seconds[way] / len(names):.1f}"])
     about = f"{len(names)} sequences; {Options().inits} initial poses; made {stamp()}"
-    page.write("found-timelines", f"{page.table(HEADINGS, rows)}\n\n{about}.", "results.md")
+    page.write("found-timelines", f"{page.table(HEADINGS, rows)}\n\n{about}.")
 
 
 def cell(scores: list[tuple[str, bool, float]]) -> str:

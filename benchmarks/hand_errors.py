@@ -46,7 +46,7 @@ PALM = [0, 5, 9, 13, 17]
 """Joints that move with the hand: the wrist and the knuckles."""
 INDEX, PINKY = 5, 17
 SOURCE = Path(__file__).resolve().parents[1] / "src/getagrip/datasets/synthetic/estimated_hands.py"
-PAGE, SECTION = "datasets.md", "noise-levels"
+SECTION = "noise-levels"
 FITTED = {
     "turn_bias": "hand_bias_deg",
     "turn_jitter": "hand_jitter_deg",
@@ -236,7 +236,7 @@ def table() -> None:
         digits = 2 if what.unit in ("s", "") else 1
         unit = f" [{what.unit}]" if what.unit else ""
         rows.append([f"{what.label}{unit}", *(f"{what.factor * one[name]:.{digits}f}" for one in columns.values())])
-    page.write(SECTION, f"*Made {stamp()}.*\n\n{page.table(['', *columns], rows)}", PAGE)
+    page.write(SECTION, f"*Made {stamp()}.*\n\n{page.table(['', *columns], rows)}")
 
 
 if __name__ == "__main__":

@@ -106,4 +106,4 @@ if __name__ == "__main__":
         text = section(Path(place))
     print(f"{before}\n\n{text}")
     if "--write" in sys.argv[1:]:
-        page.write("killed", f"{before}\n\n{text}", "scale.md")
+        page.write("killed", f"{before}\n\n{text}")

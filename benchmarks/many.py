@@ -94,4 +94,4 @@ if __name__ == "__main__":
     text = section(clips, out)
     print(f"{before}\n\n{text}")
     if "--write" in sys.argv[3:]:
-        page.write("many", f"{before}\n\n{text}", "batch.md")
+        page.write("many", f"{before}\n\n{text}")

@@ -36,10 +36,10 @@ TRAINING = {
     "dexycb": ("20200709-subject-01", "20200903-subject-04", "20200928-subject-07", "20201022-subject-10"),
     "arctic": ("s1", "s4", "s7"),
 }
-"""Subjects on which no method is compared: of every three, sorted by name, the first (docs/results.md)."""
+"""Subjects on which no method is compared: of every three, sorted by name, the first (docs/results-protocol.md)."""
 DEFINITION = Definition(contact=0.010)
 SOURCE = Path(__file__).resolve().parents[1] / "src/getagrip/datasets/synthetic/measured.py"
-PAGE, SECTION = "datasets.md", "in-hand-motion"
+SECTION = "in-hand-motion"
 COMPARED = ("clean", "measured")
 """Presets whose motions stand in the table."""
 EVERY = 4
@@ -125,7 +125,7 @@ def table() -> None:
             " / ".join(f"{what.factor * s.quantiles[name][k]:.{digits}f}" for k in shown) for s in columns.values()
         ]
         rows.append([what.label + (f" [{what.unit}]" if what.unit else ""), *cells])
-    page.write(SECTION, f"*Made {stamp()}.*\n\n{page.table(['', *columns], rows)}", PAGE)
+    page.write(SECTION, f"*Made {stamp()}.*\n\n{page.table(['', *columns], rows)}")
 
 
 if __name__ == "__main__":

@@ -2,9 +2,10 @@
 
     python -m benchmarks.object_size OUT DEXYCB YCB
 
-writes into docs/results.md, of DexYCB's training subjects and hands of ``moderate`` noise: how well the grip tells an
-object's size, and how many clips are found where a term on the logarithm of the scale is added to the energy. Its mean
-is the truth's own, which nobody knows as well, or 30 % more. Goes on where it was interrupted (OUT/object-size.csv).
+writes into docs/results-inputs.md, of DexYCB's training subjects and hands of ``moderate`` noise: how well the grip
+tells an object's size, and how many clips are found where a term on the logarithm of the scale is added to the energy.
+Its mean is the truth's own, which nobody knows as well, or 30 % more. Goes on where it was interrupted
+(OUT/object-size.csv).
 """
 
 from __future__ import annotations
@@ -141,7 +142,7 @@ def main(out: Path, root: Path, meshes: Path) -> None:
         f"from the mean of the others). Predicted from the distance of thumb and fingers in the {len(clips)} true "
         f"grasps, they are off by {100 * told:.0f} %."
     )
-    page.write("object-size", f"*Made {stamp()}.*\n\n{page.table(header, rows)}\n\n{grip}", "results.md")
+    page.write("object-size", f"*Made {stamp()}.*\n\n{page.table(header, rows)}\n\n{grip}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""Pages of measurements: prose by hand, each section's numbers by machine between markers."""
+"""Pages of measurements: prose by hand, each section's numbers by machine between markers.
+
+No benchmark names a page: a section is on the one page that has its markers, of the README and of docs.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +14,22 @@ from pathlib import Path
 
 from getagrip.experiments.stamp import stamp
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
 NUMBER = re.compile(r"[0-9]+\.[0-9]")
 LIBRARIES = ("numpy", "numba", "scipy", "deodr")
 
 
-def write(name: str, text: str, file: str = "benchmarks.md") -> None:
-    """Put a section's text between its markers. Raises ``ValueError`` where the page has no such markers."""
-    path = DOCS / file
-    start, end = f"<!-- {name}: measured -->", f"<!-- {name}: end -->"
-    page = path.read_text(encoding="utf-8")
-    if page.count(start) != 1 or page.count(end) != 1:
-        raise ValueError(f"{path}: expected the markers {start} and {end} once each")
-    before, rest = page.split(start)
-    path.write_text(f"{before}{start}\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
+def has(name: str) -> bool:
+    """Whether a page has markers for a section."""
+    return bool(_pages(name))
+
+
+def write(name: str, text: str) -> None:
+    """Put a section's text between its markers. Raises ``ValueError`` where not exactly one page has them."""
+    path, before, _, after = _split(name)
+    start, end = _markers(name)
+    path.write_text(f"{before}{start}\n{text}\n{end}{after}", encoding="utf-8")
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -33,17 +38,14 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
 
 
-def section(file: str, name: str) -> str:
-    """What stands between a section's markers. Raises ``ValueError`` where there is no such section."""
-    parts = (DOCS / file).read_text(encoding="utf-8").split(f"<!-- {name}: measured -->")
-    if len(parts) != 2:
-        raise ValueError(f"{file}: expected a section {name}")
-    return parts[1].split(f"<!-- {name}: end -->")[0]
+def section(name: str) -> str:
+    """What stands between a section's markers. Raises ``ValueError`` where not exactly one page has them."""
+    return _split(name)[2]
 
 
-def numbers(file: str, name: str, columns: Sequence[str]) -> dict[str, tuple[float, ...]]:
+def numbers(name: str, columns: Sequence[str]) -> dict[str, tuple[float, ...]]:
     """Some columns of the first table of a section, of all clips, by the rows' labels."""
-    text = section(file, name)
+    text = section(name)
     table = text[text.index("\n|") + 1 :].split("\n\n")[0]
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()]
     places = [lines[0].index(column) for column in columns]
@@ -59,6 +61,30 @@ def circumstances() -> str:
         f"*{_processor()}, {os.cpu_count()} cores, load before the run {load:.1f}; one thread. "
         f"Python {platform.python_version()}, {versions}; getagrip, {stamp()}.*"
     )
+
+
+def _markers(name: str) -> tuple[str, str]:
+    """What begins and ends a section."""
+    return f"<!-- {name}: measured -->", f"<!-- {name}: end -->"
+
+
+def _pages(name: str) -> list[Path]:
+    """The pages on which a section begins."""
+    pages = (ROOT / "README.md", *sorted(DOCS.glob("*.md")))
+    return [path for path in pages if _markers(name)[0] in path.read_text(encoding="utf-8")]
+
+
+def _split(name: str) -> tuple[Path, str, str, str]:
+    """A section's page, and what is before, between and after its markers."""
+    start, end = _markers(name)
+    pages = _pages(name)
+    texts = [path.read_text(encoding="utf-8") for path in pages]
+    if [(text.count(start), text.count(end)) for text in texts] != [(1, 1)]:
+        found = ", ".join(path.name for path in pages) or "no page"
+        raise ValueError(f"expected {start} and {end} once each on one page, found the first on {found}")
+    before, rest = texts[0].split(start)
+    between, after = rest.split(end)
+    return pages[0], before, between, after
 
 
 def _processor() -> str:

@@ -31,7 +31,7 @@ from getagrip.fitting.options import Options
 
 METHOD = Options().method
 SOURCE = Path(__file__).resolve().parents[1] / "src/getagrip/checks/calibrated.py"
-PAGE, SECTION, PICTURE = "checks.md", "probability", "reliability.png"
+SECTION, PICTURE = "probability", "reliability.png"
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ def report(rows: Results) -> None:
     subprocess.run(["ruff", "format", "-q", SOURCE], check=True)
     draw(test, calibration, page.DOCS / "images" / PICTURE)
     text = section(test, train, calibration)
-    page.write(SECTION, text, PAGE)
+    page.write(SECTION, text)
     print(text)
 
 

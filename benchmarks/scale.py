@@ -256,4 +256,4 @@ if __name__ == "__main__":
         text = section()
     print(f"{before}\n\n{text}")
     if "--write" in sys.argv[1:]:
-        page.write("scale", f"{before}\n\n{text}", "scale.md")
+        page.write("scale", f"{before}\n\n{text}")

@@ -6,7 +6,7 @@ HOT3D is a folder as for ``getagrip import hot3d``. Of each recording, the objec
 where it was in the first frame, in all frames: by the search for static segments of timelines, with masks rendered
 from the true poses, the object's size known or free. The head's motion is taken as it was
 recorded, and scaled about its first place: the camera then looks at the object from where it would be, the object at
-the same place of the image. ``--write`` puts the table into docs/results.md.
+the same place of the image. ``--write`` puts the table into docs/results-timelines.md.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ SHRUNK = 2
 """Images are so many times smaller than the cameras': 512 x 640 and 704 x 704 pixels."""
 CASES = ((0.0, "known"), (RAGGED, "known"), (0.0, "free"), (RAGGED, "free"))
 """How far masks are off, and what is known of the size."""
-SECTION, PAGE = "hot3d-static", "results.md"
+SECTION = "hot3d-static"
 
 
 @dataclass(frozen=True)
@@ -194,6 +194,6 @@ if __name__ == "__main__":
         case [root]:
             print(main(Path(root)))
         case [root, "--write"]:
-            page.write(SECTION, main(Path(root)), PAGE)
+            page.write(SECTION, main(Path(root)))
         case _:
             sys.exit(__doc__)

@@ -18,7 +18,6 @@ from getagrip.grasps.definition import Definition
 from getagrip.grasps.study import MEASURES
 from getagrip.io import files
 
-PAGE = "arctic.md"
 ALL = "All"
 BY_OBJECT = {
     "static": ("static_rotation", "static_place"),
@@ -31,9 +30,9 @@ BY_OBJECT = {
 
 def main(first: Path, *others: Path) -> None:
     """Update the page."""
-    page.write(f"{first.name}-study", f"{made(first)}\n\n{section(summary(first))}", PAGE)
+    page.write(f"{first.name}-study", f"{made(first)}\n\n{section(summary(first))}")
     if others:
-        page.write(f"{first.name}-definitions", f"{made(*others)}\n\n{definitions(others)}", PAGE)
+        page.write(f"{first.name}-definitions", f"{made(*others)}\n\n{definitions(others)}")
 
 
 def made(*folders: Path) -> str:

@@ -26,7 +26,7 @@ from getagrip.timelines.reconstruct import reconstruct
 
 EVERY = 3
 """Of the timelines, every so many are used."""
-PAGE, SECTION = "checks.md", "timeline-probability"
+SECTION = "timeline-probability"
 
 
 def cases(clips: Path, root: Path, meshes: Path, count: int) -> list[Case]:
@@ -88,5 +88,5 @@ if __name__ == "__main__":
     names = {case.clip for case in every}
     rows = [row for row in collect(out / "results.csv", every, 1, run) if row["clip"] in names]
     text = section(Results(rows))
-    page.write(SECTION, text, PAGE)
+    page.write(SECTION, text)
     print(text)

@@ -55,7 +55,7 @@ def complete(_: Sphinx, page: str, text: list[str]) -> None:
 
 def linked(_app: Sphinx, _what: str, _name: str, _obj: object, _options: object, lines: list[str]) -> None:
     """Make links of the pages that a docstring names."""
-    lines[:] = [re.sub(r"(?<!`)docs/([a-z]+)\.md", r":doc:`\1`", line) for line in lines]
+    lines[:] = [re.sub(r"(?<!`)docs/([a-z-]+)\.md", r":doc:`\1`", line) for line in lines]
 
 
 def plain(

@@ -9,7 +9,16 @@ import pytest
 
 from getagrip.experiments.comparison import COLUMNS, ERRORS, compare, groups
 from getagrip.experiments.settings import ABLATIONS, ablation_variants, method_variants
-from getagrip.experiments.tables import LATEX, latex, markdown
+from getagrip.experiments.tables import (
+    CATEGORIES,
+    DIFFERENCES,
+    DOUBTS,
+    LATEX,
+    MEDIANS,
+    SETTINGS,
+    latex,
+    markdown,
+)
 from getagrip.experiments.trials import Score, Scores
 from getagrip.fitting.options import Options
 from helpers.scores import score
@@ -29,7 +38,7 @@ def test_findings_are_counted_for_each_variant() -> None:
     assert row.serious == {"mask-fit": 1, "hand-side": 1}
     assert row.noted == {"penetration": 1}
     assert (row.doubtful, row.doubtful_right) == (1, 1)
-    assert "1 of 2" in markdown(compare(scores, variants), "Methods", [])
+    assert "1 of 2" in markdown(compare(scores, variants), "Methods", [], [])
 
 
 def test_best_second_and_paired_differences() -> None:
@@ -64,7 +73,7 @@ def test_a_failed_method_scores_zero_and_a_failed_clip_nothing() -> None:
     assert table.clips == 2
     assert [row.values["ADD"].mean for row in table.rows] == [1.0, 0.5]
     assert [row.failed for row in table.rows] == [0, 1]
-    assert "static (1 failed)" in markdown([table], "Methods", [])
+    assert "static (1 failed)" in markdown([table], "Methods", [], [])
 
 
 def test_medians_and_ambiguous_results_are_of_the_clips_that_were_done() -> None:
@@ -80,7 +89,7 @@ def test_medians_and_ambiguous_results_are_of_the_clips_that_were_done() -> None
     assert (row.ambiguous, row.wrong_ambiguous, row.wrong) == (3, 2, 3)
     assert np.isnan(nothing.medians["ADD sym., mm"])
     assert (nothing.ambiguous, nothing.wrong) == (0, 0)
-    page = markdown([table], "Methods", [])
+    page = markdown([table], "Methods", [], [])
     assert "| one-dof | 12.0 | 3 of 5 | 2 of 3 |" in page  # no rotation is known, so there is no column of it
 
 
@@ -89,6 +98,22 @@ def test_a_table_for_each_category() -> None:
     scores = [Scores(f"{c}{n}", c, "", True, (score("one-dof", n / 2),)) for c in ("can", "mug") for n in range(3)]
     tables = compare(scores, variants)
     assert [(table.title, table.clips) for table in tables] == [("all", 6), ("can", 3), ("mug", 3)]
+
+
+def test_a_page_shows_the_means_and_folds_the_rest_away() -> None:
+    variants = method_variants(["one-dof", "static"], Options())
+    scores = [
+        Scores(f"{c}{n}", c, "", True, (score("one-dof", n / 2), score("static", 0.1)))
+        for c in ("can", "mug")
+        for n in range(3)
+    ]
+    page = markdown(compare(scores, variants), "Methods", ["what was run"], ["how"])
+    shown, *folded = page.split("<details>")
+    assert "- what was run" in shown
+    assert shown.count("\n| one-dof |") == 1
+    titles = [SETTINGS, DIFFERENCES, MEDIANS, DOUBTS, CATEGORIES]
+    assert [fold.split("</summary>\n\n")[0] for fold in folded] == [f"<summary>{title}" for title in titles]
+    assert all(fold.rstrip().endswith("\n\n</details>") for fold in folded)
 
 
 def test_subjects_are_the_groups_where_every_clip_has_one() -> None:

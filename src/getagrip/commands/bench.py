@@ -163,12 +163,12 @@ def _report(clip: Scores, variants: Sequence[Variant], debug: bool) -> int:
 def _write(plan: Plan, tables: Sequence[Table], scores: Sequence[Scores], variants: Sequence[Variant]) -> None:
     """Tables, every clip's numbers and the plot, into the output folder."""
     name = plan.name
-    about = _about(plan, scores) + _outdated(scores)
+    about, settings = _about(plan, scores) + _outdated(scores), _settings(plan, scores)
     written = [plan.out / f"{name}{end}" for end in ("-clips.csv", ".csv", ".md", ".tex")]
     write_clips_csv(scores, variants, written[0])
     write_csv(tables, written[1])
-    written[2].write_text(markdown(tables, plan.title, about), "utf-8")
-    written[3].write_text(latex(tables, plan.title, about), "utf-8")
+    written[2].write_text(markdown(tables, plan.title, about, settings), "utf-8")
+    written[3].write_text(latex(tables, plan.title, about + settings), "utf-8")
     if plan.settings is not None and tables:
         from getagrip.experiments.plots import plot
 
@@ -181,15 +181,20 @@ def _write(plan: Plan, tables: Sequence[Table], scores: Sequence[Scores], varian
 
 
 def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
-    """How the numbers were made, in sentences."""
+    """What was run, and when."""
+    good = sum(bool(clip.scores) for clip in scores)
+    skipped = f", {len(scores) - good} failed and skipped" if good < len(scores) else ""
+    return [f"{plan.source.title}: {good} clips{skipped}; made {stamp()}"]
+
+
+def _settings(plan: Plan, scores: Sequence[Scores]) -> list[str]:
+    """How the numbers were made and are to be read, in sentences."""
     good = [clip for clip in scores if clip.scores]
     drawn = groups(good) if good else []
     together = len(set(drawn)) < len(drawn)
     units = f"the {len(set(drawn))} subjects, all clips of one together" if together else f"the {len(drawn)} clips"
     versions = ", ".join(f"{key} {version}" for key, version in software().items())
     return [
-        f"{plan.source.title}: {len(good)} clips"
-        + (f", {len(scores) - len(good)} failed and skipped" if len(good) < len(scores) else ""),
         f"{plan.options.inits} initial poses ({_initial_poses(plan.options)}; {WITH_FREE_SCALE * plan.options.inits} "
         f"where the scale is free), {_frames(plan.options)}, seed {plan.options.seed}; the same frames, masks and "
         "evaluation for all",
@@ -197,7 +202,7 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
         f"in brackets: 95 % intervals from {RESAMPLES} bootstrap resamples of {units}",
         f"contact: {' and '.join(contact.description for contact in plan.contacts)}, unless the row says otherwise; a "
         "method that fails on a clip scores 0 there",
-        f"made {stamp()}; {versions}",
+        versions,
     ]
 
 

@@ -47,6 +47,13 @@ MARKDOWN = Style("**{}**", "<u>{}</u>", " <sub>{}</sub>")
 LATEX = Style(r"\textbf{{{}}}", r"\underline{{{}}}", r" {{\tiny {}}}", LATEX_SYMBOLS)
 SCREEN = Style("[bold]{}[/]", "[u]{}[/]", "\n[dim]{}[/]")
 
+SETTINGS = "How it was made, and how to read it"
+DIFFERENCES = "Differences, clip by clip; bold where the interval excludes zero"
+MEDIANS = "Medians over clips; results marked ambiguous, of all and of those whose pose is wrong (ADD sym.)"
+DOUBTS = "Results that the checks doubt, how many of them are right, and the checks"
+CATEGORIES = "Each category"
+"""Titles of what a page folds away."""
+
 
 def _number(share: float) -> str:
     """A share as per cent."""
@@ -125,28 +132,29 @@ def _findings(table: Table, style: Style) -> list[list[str]]:
     return rows
 
 
-def markdown(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
-    """A page: what was run; over all clips means, differences and medians; the means of each category folded away."""
-    lines = [f"# {title}", "", *(f"- {line}" for line in about)]
+def markdown(tables: Sequence[Table], title: str, about: Sequence[str], settings: Sequence[str]) -> str:
+    """A page: what was run, and means over all clips; settings, differences, medians and categories are folded away."""
+    lines = [f"# {title}", "", *(f"- {line}" for line in about), ""]
     for table in tables[:1]:
-        lines += ["", f"{_heading(table)}:", "", *_grid([_headings(table), *_body(table, MARKDOWN)])]
+        lines += _means(table)
+        lines += _folded(SETTINGS, [f"- {line}" for line in settings])
         differences = _differences(table, MARKDOWN)
         if len(differences) > 1:
-            lines += ["", "Differences, clip by clip; bold where the interval excludes zero:", ""]
-            lines += _grid(differences)
-        lines += [
-            "",
-            "Medians over clips; results marked ambiguous, of all and of those whose pose is wrong (ADD sym.):",
-        ]
-        lines += ["", *_grid(_errors(table, MARKDOWN))]
-        lines += ["", "Results that the checks doubt, how many of them are right, and the checks:", ""]
-        lines += _grid(_findings(table, MARKDOWN))
+            lines += _folded(DIFFERENCES, _grid(differences))
+        lines += _folded(MEDIANS, _grid(_errors(table, MARKDOWN)))
+        lines += _folded(DOUBTS, _grid(_findings(table, MARKDOWN)))
     if tables[1:]:
-        lines += ["", "<details><summary>Each category</summary>"]
-        for table in tables[1:]:
-            lines += ["", f"{_heading(table)}:", "", *_grid([_headings(table), *_body(table, MARKDOWN)])]
-        lines += ["", "</details>"]
-    return "\n".join(lines) + "\n"
+        lines += _folded(CATEGORIES, [line for table in tables[1:] for line in _means(table)][:-1])
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _means(table: Table) -> list[str]:
+    return [f"{_heading(table)}:", "", *_grid([_headings(table), *_body(table, MARKDOWN)]), ""]
+
+
+def _folded(title: str, lines: list[str]) -> list[str]:
+    """Lines under a title that opens them; blank lines around them, since else they are no Markdown."""
+    return [f"<details><summary>{title}</summary>", "", *lines, "", "</details>", ""]
 
 
 def _heading(table: Table) -> str:
