@@ -33,6 +33,7 @@ CLIPS = {
 }
 """On what methods are compared, and the section that it is from."""
 MADE = re.compile(r"made (\S+), commit (\w+)")
+COUNT = re.compile(r"^All: (\d+) clips", re.MULTILINE)
 
 Numbers = dict[str, dict[str, tuple[float, ...]]]
 
@@ -62,6 +63,7 @@ def methods_table() -> str:
         [f"`{method}`", *(f"{found[section][method][0]:.1f}" for section in CLIPS.values())]
         for method in found[CLIPS["DexYCB"]]
     ]
+    rows.append(["clips", *(COUNT.findall(page.section(section))[0] for section in CLIPS.values())])
     return f"{page.table(['', *CLIPS], rows)}\n\n{measured(found)}"
 
 
