@@ -70,8 +70,8 @@ def settled(problem: Problem, start: ObjectTrack) -> tuple[float, ObjectTrack]:
     """The energy and the poses at the end of a fit from some poses."""
     clip = problem.clip
     N, middle = len(clip), len(clip) // 2
-    R = start.T_hand_obj[:, :3, :3]
-    centre = start.T_hand_obj[:, :3, 3] + start.scale * R @ clip.mesh.centre
+    R = start.T_ref_obj[:, :3, :3]
+    centre = start.T_ref_obj[:, :3, 3] + start.scale * R @ clip.mesh.centre
     base = Fixed(R[middle][None], centre[middle][None], np.log([start.scale]), N, clip.scale == "free")
     deviation = np.concatenate([centre - centre[middle], se3.log_so3(R @ R[middle].T)], axis=-1)[None]
     hinge = Hinge.nearest(base, deviation, free_location=True, anchor=np.zeros(3))

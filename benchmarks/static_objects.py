@@ -127,7 +127,7 @@ def measured(
     true = ObjectTrack(T_world_cam @ clip.truth.T_cam_obj, 1.0)
     best = ObjectTrack(found.T_world_obj(clip.mesh.centre)[0], float(found.scale[0]))
     symmetry = best_symmetry(clip.mesh, best, true, symmetries)
-    away = T_world_cam[:, :3, 3] - se3.transform(true.T_hand_obj[0], clip.mesh.centre[None])[0]
+    away = T_world_cam[:, :3, 3] - se3.transform(true.T_ref_obj[0], clip.mesh.centre[None])[0]
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     return Found(
         name, times, case,

@@ -90,7 +90,22 @@ def test_medians_and_ambiguous_results_are_of_the_clips_that_were_done() -> None
     assert np.isnan(nothing.medians["ADD sym., mm"])
     assert (nothing.ambiguous, nothing.wrong) == (0, 0)
     page = markdown([table], "Methods", [], [])
-    assert "| one-dof | 12.0 | 3 of 5 | 2 of 3 |" in page  # no rotation is known, so there is no column of it
+    assert "| one-dof | – | 12.0 | 3 of 5 | 2 of 3 |" in page  # no rotation is known, so there is no column of it
+
+
+def test_a_folded_mean_is_of_all_clips_or_of_none() -> None:
+    """Results that were made before it was measured show a dash, and failures do not become the mean of the rest."""
+    right = Score("static", {"add_sym_success": 0.0, "add_sym_cam_success": 1.0}, 1.0, 2.0, False, "stopped")
+    before = Score("one-dof", {"add_sym_success": 0.0}, 1.0, 2.0, False, "stopped")
+    pairs = [(right, before), (right, score("one-dof", 0.0, failed=True)), (score("static", 0.0, failed=True), before)]
+    scores = [Scores(name, "can", "", True, pair) for name, pair in zip("abc", pairs, strict=True)]
+    (table,) = compare(scores, method_variants(["static", "one-dof"], Options()))
+    page = markdown([table], "Methods", [], [])
+    assert "|  | right in the camera, % | ambiguous | of wrong poses |" in page
+    assert "| static | 66.7 | 0 of 3 | 0 of 2 |" in page
+    assert "| one-dof | – | 0 of 3 | 0 of 2 |" in page
+    assert table.ranks(table.folded[0]) == [0, 0]
+    assert "right in the camera" not in [column.label for column in table.columns]
 
 
 def test_a_table_for_each_category() -> None:

@@ -73,7 +73,7 @@ class Comparison:
 
     @property
     def predicted(self) -> ObjectTrack:
-        """The poses of the clip's mesh."""
+        """The poses of the clip's mesh in the hand."""
         raise MissingPartError
 
     @property
@@ -93,6 +93,18 @@ class Comparison:
         if truth is None:
             raise MissingPartError
         return ObjectTrack(se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj, truth.scale)
+
+    @cached_property
+    def predicted_in_camera(self) -> ObjectTrack:
+        """The poses of the clip's mesh in the camera, as the hand carries them."""
+        return ObjectTrack(self.clip.hand.T_cam_hand @ self.predicted.T_ref_obj, self.predicted.scale)
+
+    @cached_property
+    def true_in_camera(self) -> ObjectTrack:
+        """The true object in the camera frame."""
+        if self.clip.truth is None:
+            raise MissingPartError
+        return ObjectTrack(self.clip.truth.T_cam_obj, self.clip.truth.scale)
 
     @cached_property
     def true_distances(self) -> ContactDistances:
@@ -115,6 +127,28 @@ class Comparison:
         """The same up to the object's symmetries."""
         symmetry = best_symmetry(self.clip.mesh, self.predicted, self.true, self.symmetries)
         return pose_errors(self.clip.mesh, self.predicted, self.true, symmetry)
+
+    @cached_property
+    def errors_cam(self) -> PoseErrors:
+        """Of the object's pose in the camera; those in the hand, where that is the true one."""
+        if self._hand_is_true:
+            return self.errors
+        return pose_errors(self.clip.mesh, self.predicted_in_camera, self.true_in_camera)
+
+    @cached_property
+    def errors_sym_cam(self) -> PoseErrors:
+        """The same up to the object's symmetries."""
+        if self._hand_is_true:
+            return self.errors_sym
+        predicted, true = self.predicted_in_camera, self.true_in_camera
+        symmetry = best_symmetry(self.clip.mesh, predicted, true, self.symmetries)
+        return pose_errors(self.clip.mesh, predicted, true, symmetry)
+
+    @property
+    def _hand_is_true(self) -> bool:
+        """Whether the hand is where it truly is, so that frames of hand and camera give the same errors."""
+        truth = self.clip.truth
+        return truth is not None and np.array_equal(truth.T_cam_hand, self.clip.hand.T_cam_hand)
 
     @property
     def symmetries(self) -> Symmetries:

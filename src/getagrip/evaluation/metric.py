@@ -34,6 +34,8 @@ class Metric:
     """Said below the table of ``evaluate`` where the column is there."""
     label: str = ""
     """Its column in the tables of ``bench``: of means if it is a share, else of medians; empty: none."""
+    folded: bool = False
+    """Whether ``bench`` shows it among what its pages fold away."""
     decimals: int = 1
     by_contact: bool = False
     """Whether each definition of contact gives another value."""
@@ -118,11 +120,18 @@ ADD_MM = Metric(
 )
 ADD_SYM_MM = Metric(
     "add_sym_mm", lambda it, _: 1e3 * it.errors_sym.add, "mm", "sym",
-    meaning="sym, rot, trans: errors up to symmetries", label="ADD sym., mm", needs_truth=True,
+    meaning="sym, rot: errors up to symmetries", label="ADD sym., mm", needs_truth=True,
 )  # fmt: skip
 ADD_SYM = Metric(
     "add_sym_success", lambda it, _: float(it.errors_sym.success), "%", "sym", label="ADD sym.", decimals=0,
     needs_truth=True,
+)  # fmt: skip
+ADD_SYM_CAM_MM = Metric(
+    "add_sym_cam_mm", lambda it, _: 1e3 * it.errors_sym_cam.add, "mm", needs_truth=True,
+)  # fmt: skip
+ADD_SYM_CAM = Metric(
+    "add_sym_cam_success", lambda it, _: float(it.errors_sym_cam.success), "%", "cam", label="right in the camera",
+    meaning="cam: sym in the camera", folded=True, decimals=0, needs_truth=True,
 )  # fmt: skip
 ROTATION_SYM = Metric(
     "rotation_sym_deg", lambda it, _: np.degrees(it.errors_sym.rotation), "deg", "rot", label="rotation sym., °",
@@ -151,8 +160,11 @@ METRICS: tuple[Metric, ...] = (
     ADD_SYM_MM,
     ADD_SYM,
     Metric("add_sym_frame_success", lambda it, _: mean_of(it.errors_sym.frame_success), needs_truth=True),
+    Metric("add_cam_success", lambda it, _: float(it.errors_cam.success), needs_truth=True),
+    ADD_SYM_CAM_MM,
+    ADD_SYM_CAM,
     ROTATION_SYM,
-    Metric("translation_sym_mm", lambda it, _: 1e3 * it.errors_sym.translation, "mm", "trans", needs_truth=True),
+    Metric("translation_sym_mm", lambda it, _: 1e3 * it.errors_sym.translation, "mm", needs_truth=True),
     Metric(
         "scale_error", lambda it, _: it.scale_error, "%", "scale", meaning="scale: error of the size", needs_truth=True,
     ),

@@ -103,7 +103,7 @@ class _ResultComparison(Comparison):
     def take(self, index: Int[ndarray, "n"]) -> _ResultComparison:
         """The comparison in some of the frames."""
         masks = None if self.masks is None else self.masks.take(index)
-        track = ObjectTrack(self.track.T_hand_obj[index], self.track.scale)
+        track = ObjectTrack(self.track.T_ref_obj[index], self.track.scale)
         return _ResultComparison(self.clip.take(index), masks, track, contacts=self.contacts)
 
     @property
@@ -112,8 +112,8 @@ class _ResultComparison(Comparison):
 
     @cached_property
     def iou(self) -> MaskIou:
-        T_cam_obj = self.clip.hand.T_cam_hand @ self.track.T_hand_obj
-        return iou_of_poses(self.clip.mesh, self.track.scale, T_cam_obj, self.clip.K, self.judged_masks)
+        track = self.predicted_in_camera
+        return iou_of_poses(self.clip.mesh, track.scale, track.T_ref_obj, self.clip.K, self.judged_masks)
 
     @property
     def distances(self) -> ContactDistances:

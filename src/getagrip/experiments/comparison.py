@@ -15,8 +15,10 @@ from getagrip.experiments.settings import Variant
 from getagrip.experiments.statistics import Estimate, estimate, resamples
 from getagrip.experiments.trials import Score, Scores
 
-COLUMNS = tuple(metric for metric in METRICS if metric.label and metric.unit == "%")
+COLUMNS = tuple(metric for metric in METRICS if metric.label and metric.unit == "%" and not metric.folded)
 """Metrics shown as means: the paper's, and up to the object's symmetries."""
+FOLDED = tuple(metric for metric in METRICS if metric.folded)
+"""Means that pages fold away."""
 ERRORS = tuple(metric for metric in METRICS if metric.label and metric.unit != "%")
 """Metrics shown as medians."""
 
@@ -59,6 +61,8 @@ class Table:
     clips: int
     columns: tuple[Metric, ...]
     """Those for which there are values."""
+    folded: tuple[Metric, ...]
+    """Of ``FOLDED`` those that can be known; of results made before they were measured there are none."""
     rows: tuple[Row, ...]
 
     def ranks(self, column: Metric) -> list[int]:
@@ -70,8 +74,8 @@ class Table:
         ranks = []
         for row, value in zip(self.rows, shown, strict=True):
             alike = [other.variant.contact == row.variant.contact for other in self.rows]
-            rivals = {v for v, rival in zip(shown, alike, strict=True) if rival}
-            best = sorted(rivals - {np.nan}, reverse=True)[:2]
+            rivals = {v for v, rival in zip(shown, alike, strict=True) if rival and not np.isnan(v)}
+            best = sorted(rivals, reverse=True)[:2]
             ranks.append(best.index(value) + 1 if column.ranked and len(best) > 1 and value in best else 0)
         return ranks
 
@@ -98,8 +102,10 @@ def groups(scores: Sequence[Scores]) -> list[str]:
 
 
 def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], weights: Float[ndarray, "B n"]) -> Table:
-    cells = {v.label: {column.label: _values(scores, v, column) for column in COLUMNS} for v in variants}
+    means = (*COLUMNS, *FOLDED)
+    cells = {v.label: {column.label: _values(scores, v, column) for column in means} for v in variants}
     there = tuple(c for c in COLUMNS if any(not np.isnan(values[c.label]).all() for values in cells.values()))
+    folded = tuple(c for c in FOLDED if not c.needs_truth or any(clip.has_truth for clip in scores))
     rows = []
     for variant in variants:
         own, other = cells[variant.label], cells.get(variant.against)
@@ -111,8 +117,8 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], we
         rows.append(
             Row(
                 variant,
-                values={c.label: estimate(own[c.label], weights) for c in there},
-                differences={c.label: estimate(own[c.label] - other[c.label], weights) for c in there}
+                values={c.label: estimate(own[c.label], weights) for c in (*there, *folded)},
+                differences={c.label: estimate(own[c.label] - other[c.label], weights) for c in (*there, *folded)}
                 if other is not None and compared
                 else {},
                 medians={label: _median(values) for label, values in errors.items()},
@@ -127,7 +133,7 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], we
                 failed=len(tried) - len(done),
             )
         )
-    return Table(title, len(scores), there, tuple(rows))
+    return Table(title, len(scores), there, folded, tuple(rows))
 
 
 def _score(clip: Scores, variant: Variant) -> Score | None:
@@ -146,12 +152,15 @@ def _counts(names: Sequence[tuple[str, ...]]) -> dict[str, int]:
 
 
 def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float[ndarray, "n"]:
-    """A column's value for each clip; zero, the worst, where the method failed, so that failures improve no score."""
+    """A column's value for each clip; zero, the worst, where the method failed, so that failures improve no score.
+
+    It is known of none where a result lacks it that was made before it was measured: the others' mean would mislead.
+    """
     key, values = column.key(variant.contact), np.full(len(scores), np.nan)
-    for n, clip in enumerate(scores):
-        score = _score(clip, variant)
-        if score is None:
-            continue
+    tried = [(n, clip, score) for n, clip in enumerate(scores) if (score := _score(clip, variant))]
+    if column.needs_truth and any(c.has_truth and not s.failed and key not in s.metrics for _, c, s in tried):
+        return values
+    for n, clip, score in tried:
         if score.failed and column.ranked and (clip.has_truth or not column.needs_truth):
             values[n] = 0.0
         else:

@@ -49,7 +49,10 @@ SCREEN = Style("[bold]{}[/]", "[u]{}[/]", "\n[dim]{}[/]")
 
 SETTINGS = "How it was made, and how to read it"
 DIFFERENCES = "Differences, clip by clip; bold where the interval excludes zero"
-MEDIANS = "Medians over clips; results marked ambiguous, of all and of those whose pose is wrong (ADD sym.)"
+MEDIANS = (
+    "Right in the camera (ADD sym.); medians over clips; results marked ambiguous, of all and of those whose pose is "
+    "wrong (ADD sym.)"
+)
 DOUBTS = "Results that the checks doubt, how many of them are right, and the checks"
 CATEGORIES = "Each category"
 """Titles of what a page folds away."""
@@ -111,13 +114,15 @@ def _differences(table: Table, style: Style) -> list[list[str]]:
 
 
 def _errors(table: Table, style: Style) -> list[list[str]]:
-    """Headings and rows of the medians, and of what is marked ambiguous."""
+    """Headings and rows of the means that are folded away, of the medians, and of what is marked ambiguous."""
     labels = [error.label for error in ERRORS if not all(math.isnan(row.medians[error.label]) for row in table.rows)]
-    rows = [["", *labels, "ambiguous", "of wrong poses"]]
+    rows = [["", *(f"{column.label}, %" for column in table.folded), *labels, "ambiguous", "of wrong poses"]]
     for row in table.rows:
+        means = [row.values[column.label] for column in table.folded]
+        shares = [style.cell(_number(mean.mean), 0, _interval(mean)) for mean in means]
         medians = ["–" if math.isnan(row.medians[label]) else f"{row.medians[label]:.1f}" for label in labels]
         marked = [f"{row.ambiguous} of {table.clips}", f"{row.wrong_ambiguous} of {row.wrong}"]
-        rows.append([style.text(row.variant.label), *medians, *marked])
+        rows.append([style.text(row.variant.label), *shares, *medians, *marked])
     return rows
 
 
@@ -199,7 +204,7 @@ def write_csv(tables: Sequence[Table], path: Path) -> None:
             ["table", "row", "column", *numbers, "rank", "against", *(f"difference_{key}" for key in numbers)]
         )
         for table in tables:
-            for column in table.columns:
+            for column in (*table.columns, *table.folded):
                 for row, rank in zip(table.rows, table.ranks(column), strict=True):
                     value, difference = row.values[column.label], row.differences.get(column.label)
                     compared = ["", *[""] * 4] if difference is None else [row.variant.against, *_numbers(difference)]

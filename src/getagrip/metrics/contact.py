@@ -122,11 +122,11 @@ def contact_distances(
     """
     points = np.concatenate([mesh.vertices, surface_points(mesh, AREA_POINTS)])
     V, P = len(mesh.vertices), len(points)
-    in_hand = np.concatenate([se3.transform(track.T_hand_obj, track.scale * points) for track in tracks], axis=1)
+    in_hand = np.concatenate([se3.transform(track.T_ref_obj, track.scale * points) for track in tracks], axis=1)
     to_hand = moving_distance(in_hand, *close_holes(hand_vertices, hand_faces), max_distance)
     out = []
     for k, track in enumerate(tracks):
-        in_object = se3.transform(se3.inverse(track.T_hand_obj), hand_vertices)
+        in_object = se3.transform(se3.inverse(track.T_ref_obj), hand_vertices)
         vertices = np.broadcast_to(track.scale * mesh.vertices, (len(in_object), V, 3))
         to_object = moving_distance(in_object, vertices, mesh.faces, max_distance)
         out.append(ContactDistances(to_hand[:, k * P : k * P + V], to_object, to_hand[:, k * P + V : (k + 1) * P]))

@@ -1,4 +1,4 @@
-"""Errors of the object's pose in the hand frame: ADD, rotation and translation, up to the object's symmetries."""
+"""Errors of the object's pose in the hand or in the camera: ADD, rotation and translation, up to its symmetries."""
 
 from __future__ import annotations
 
@@ -24,15 +24,20 @@ VERTICES = 500
 
 @dataclass(frozen=True)
 class ObjectTrack:
-    """Poses of an object in the hand frame and its scale, predicted or true."""
+    """Poses of an object, predicted or true, and its scale.
 
-    T_hand_obj: Float[ndarray, "T 4 4"]
+    Attributes:
+        T_ref_obj: (T, 4, 4) in a frame of reference, the hand's or the camera's: tracks are compared in the same one.
+        scale: of the object.
+    """
+
+    T_ref_obj: Float[ndarray, "T 4 4"]
     scale: float
 
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Errors of each frame in the hand frame.
+    """Errors of each frame.
 
     Attributes:
         add: (T,) mean distance between corresponding vertices, each object at its own scale [m].
@@ -66,7 +71,7 @@ def pose_errors(
     add = np.stack([np.linalg.norm(mesh.vertices @ M.T + c, axis=1).mean() for M, c in zip(A, b, strict=True)])
     return PoseErrors(
         add=add,
-        rotation=se3.angle_between(predicted.T_hand_obj[:, :3, :3], true.T_hand_obj[:, :3, :3] @ S[:3, :3]),
+        rotation=se3.angle_between(predicted.T_ref_obj[:, :3, :3], true.T_ref_obj[:, :3, :3] @ S[:3, :3]),
         translation=np.linalg.norm(A @ mesh.centre + b, axis=1),
         diameter=mesh.diameter * true.scale,
     )
@@ -109,7 +114,7 @@ def best_symmetry(
 def _difference(
     predicted: ObjectTrack, true: ObjectTrack, S: Float[ndarray, "4 4"]
 ) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, "T 3"]]:
-    """(A, b) with A x + b the displacement [m], in the hand frame, of the unscaled object point x."""
-    P, Q = predicted.T_hand_obj, true.T_hand_obj
+    """(A, b) with A x + b the displacement [m], in the frame of reference, of the unscaled object point x."""
+    P, Q = predicted.T_ref_obj, true.T_ref_obj
     A = predicted.scale * P[:, :3, :3] - true.scale * Q[:, :3, :3] @ S[:3, :3]
     return A, P[:, :3, 3] - Q[:, :3, 3] - true.scale * Q[:, :3, :3] @ S[:3, 3]
