@@ -30,7 +30,7 @@ from getagrip.result import read_result
 OF_HANDS = ("hand-noise", "hand-correction", "estimated-hands", "true-hands")
 """The ablations in which hands are off."""
 HEADER = (
-    "", "right in the hand, %", "right in the camera, %", "hand off always, °", "mm", "hand off by turns, °", "mm",
+    "", "right in the hand, %", "right in the camera, %", "hand, constant, °", "mm", "hand, changing, °", "mm",
 )  # fmt: skip
 
 
