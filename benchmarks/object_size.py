@@ -29,8 +29,8 @@ from getagrip.experiments.changes import Noisy, ScaleFree
 from getagrip.experiments.sources import source_of
 from getagrip.experiments.stamp import stamp
 from getagrip.fitting.energy import PosesInCamera, Quadratic
-from getagrip.fitting.every_frame import placed
 from getagrip.fitting.methods.all_frames import soft_hinge
+from getagrip.fitting.motion import placed
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3

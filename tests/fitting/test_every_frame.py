@@ -13,8 +13,7 @@ from getagrip.clip import Clip, Masks, read_clip, read_masks, write_clip
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM
 from getagrip.fitting import every_frame
-from getagrip.fitting.every_frame import interpolated
-from getagrip.fitting.motion import PosesInHand
+from getagrip.fitting.motion import PosesInHand, interpolated
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3

@@ -31,7 +31,9 @@ class Evidence:
         masks: its masks as they were given, in the same frames.
         T_hand_obj: (T, 4, 4) poses that were found; None before the fit.
         scale: the scale that was found.
-        iou: (n,) overlap of rendered and observed mask, in these frames or more; NaN where no mask shows the object.
+        iou: (n,) overlap of rendered and observed mask, in these frames or more; NaN where no mask shows the object, or
+            one is doubted.
+        doubted: share of the frames whose masks are doubted; NaN where none was checked.
     """
 
     clip: Clip
@@ -39,6 +41,7 @@ class Evidence:
     T_hand_obj: Float[ndarray, "T 4 4"] | None = None
     scale: float = 1.0
     iou: Float[ndarray, "n"] | None = None
+    doubted: float = np.nan
 
     @cached_property
     def hand_middle(self) -> Float[ndarray, "T 3"]:

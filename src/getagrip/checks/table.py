@@ -109,6 +109,11 @@ RESULT_CHECKS: tuple[Check, ...] = (
         advice="look at the IOU over time in the report: is the mask of that frame right?",
     ),
     Check(
+        "masks-doubted", lambda it: it.doubted, high=0.3,
+        fault="a share of {value} of the masks contradicts the others and was left out",
+        advice="look at them: are all of the same object? --given-masks believes all",
+    ),
+    Check(
         "contact-gap", held.gap, high=15.0,
         fault="hand and object are {value} mm apart in half of the frames",
         advice="nothing is held there: check the hands' distance from the camera, and --method one-dof",

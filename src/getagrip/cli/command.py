@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.errors import UsageError
 from getagrip.fitting.methods import METHODS
-from getagrip.fitting.options import Hands, Init, PriorsFile
+from getagrip.fitting.options import GivenMasks, Hands, Init, PriorsFile
 from getagrip.io.arguments import Flag, numbers, one_of, placed
 from getagrip.io.storage import Place, Remote
 
@@ -65,6 +65,11 @@ class Command:
 def hands_of(given: bool) -> Hands:
     """The option of the name."""
     return "as-given" if given else "corrected"
+
+
+def masks_of(given: bool) -> GivenMasks:
+    """Likewise, of the masks."""
+    return "as-given" if given else "checked"
 
 
 def priors_of(path: Path | None, init: Init) -> PriorsFile | None:

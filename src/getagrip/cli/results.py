@@ -19,6 +19,7 @@ from getagrip.cli.command import (
     Sources,
     Workers,
     hands_of,
+    masks_of,
     priors_of,
 )  # fmt: skip
 from getagrip.errors import UsageError
@@ -66,6 +67,8 @@ class Reconstruct(Command):
     given_hands: Flag = False
     """Keep the hands where they are given. Else they are turned and moved to where their own pixels (masks/ignore) are,
     if they disagree."""
+    given_masks: Flag = False
+    """Believe all masks. Else soft-hinge leaves out those that contradict the masks of other frames."""
     seed: Seed = 0
     """Seed of all that is random."""
     frames: Annotated[int, arg(metavar="N")] = 30
@@ -114,7 +117,7 @@ class Reconstruct(Command):
         options = Options(
             method=self.method, inits=self.inits, seed=self.seed, frames=self.frames, thorough=self.thorough,
             init=self.init, priors=priors_of(self.priors, self.init), hands=hands_of(self.given_hands),
-            every_frame=not self.sampled_only,
+            masks=masks_of(self.given_masks), every_frame=not self.sampled_only,
         )  # fmt: skip
         batch = Batch(
             workers=self.workers, threads=self.threads, engine=self.engine, address=self.address,

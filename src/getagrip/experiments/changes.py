@@ -1,4 +1,7 @@
-"""What is done to clips before a benchmark reconstructs them: nothing, noise, another size, true hands, mistakes."""
+"""What is done to clips before a benchmark reconstructs them: nothing, noise, another size, true hands, mistakes.
+
+``wrong_inputs`` and ``wrong_masks`` have the mistakes.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.noise import Noise, perturbed
 from getagrip.errors import InputError
 from getagrip.experiments.wrong_inputs import MISTAKES
+from getagrip.experiments.wrong_masks import FAULTS
 from getagrip.geometry.mesh import Mesh
 
 
@@ -94,6 +98,24 @@ class Wrong(Change):
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         return MISTAKES[self.mistake](replace(clip, truth=None), masks, np.random.default_rng(seed))
+
+
+@dataclass(frozen=True)
+class WrongMasks(Change):
+    """A fault, a key of ``FAULTS``, in a share of the masks that show the object; never in an ignored pixel."""
+
+    fault: str
+    share: float
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        rng = np.random.default_rng([seed, *clip.name.encode()])
+        shown = rng.permutation(np.flatnonzero(masks.object.any(axis=(1, 2))))
+        changed = masks.object.copy()
+        for n in shown[: round(self.share * len(shown))]:
+            angle = rng.uniform(0.0, 2.0 * np.pi)
+            wrong = FAULTS[self.fault](masks.object[n], np.array([np.cos(angle), np.sin(angle)]))
+            changed[n] = wrong & (masks.object[n] | ~masks.ignore[n])
+        return clip, replace(masks, object=changed)
 
 
 AS_GIVEN = AsGiven()

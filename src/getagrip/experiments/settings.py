@@ -9,7 +9,7 @@ from typing import Any
 
 from getagrip.datasets.synthetic.noise import NOISE, Noise
 from getagrip.evaluation.other_poses import OtherSystem
-from getagrip.experiments.changes import AS_GIVEN, Change, Noisy, ScaleFree, ScaleKnown, TrueHands, Wrong
+from getagrip.experiments.changes import AS_GIVEN, Change, Noisy, ScaleFree, ScaleKnown, TrueHands, Wrong, WrongMasks
 from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures, Options
@@ -88,6 +88,14 @@ def _noise_level(name: str) -> Setting:
 
 def _mask_noise(px: float) -> Setting:
     return Setting(f"{px:g} px", change=Noisy(Noise(mask_ragged_px=px)))
+
+
+WRONG_MASKS = (("another object", 0.2), ("another object", 0.4), ("half", 0.2), ("runs over", 0.2))
+"""Faults of masks, and the share of the frames that have them."""
+
+
+def _wrong_masks(fault: str, share: float) -> Setting:
+    return Setting(f"{fault} in {share:.0%}".replace("%", " %"), change=WrongMasks(fault, share))
 
 
 STEPS = {
@@ -172,6 +180,16 @@ ABLATIONS: dict[str, Ablation] = {
         "Noise of the masks: distance of their contours from the true ones, root mean square",
         "none",
         (Setting("none"), *(_mask_noise(px) for px in (0.5, 1.0, 2.0, 4.0))),
+    ),
+    "wrong-masks": Ablation(
+        "Masks that are wrong in some frames: left out, or believed",
+        "none, as given",
+        tuple(
+            replace(fault, label=f"{fault.label}, {word}", options={"masks": masks})
+            for fault in (Setting("none"), *(_wrong_masks(*fault) for fault in WRONG_MASKS))
+            for masks, word in (("as-given", "as given"), ("checked", "checked"))
+        ),
+        ("soft-hinge",),
     ),
     "scale": Ablation(
         "Scale of the object",

@@ -2,7 +2,7 @@
 
 What the frames share (axis, base pose, scale) stays as it was found. In the other frames that show the object, what is
 each frame's own (angle, deviations) starts between its neighbours and is fitted to the frame's mask. Where no mask
-shows the object, or the method has no motion to go on with, poses are interpolated.
+shows the object, or it is doubted, or the method has no motion to go on with, poses are interpolated.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, read_masks
+from getagrip.fitting.foretold import Foretold
 from getagrip.fitting.image_iou import image_iou
-from getagrip.fitting.motion import Free, Frozen, Hinge, Motion, PosesInHand
+from getagrip.fitting.motion import Frozen, Hinge, Motion, PosesInHand, interpolated, placed
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
@@ -38,7 +39,9 @@ class Track:
         T_cam_hand: (T, 4, 4) poses of the hand, which ``T_hand_obj`` are relative to.
         T_hand_obj: (K, T, 4, 4) poses of the mesh's own frame in the hand frame.
         angle: (T,) angle about the axis of the best [rad], where the method has one.
-        iou: (T,) overlap of the best with the masks (``image_iou``); NaN where no mask shows the object.
+        iou: (T,) overlap of the best with the masks (``image_iou``); NaN where no mask shows the object, or one is
+            doubted.
+        doubted: names of the frames whose masks are doubted.
     """
 
     frames: tuple[str, ...]
@@ -47,6 +50,14 @@ class Track:
     T_hand_obj: Float[ndarray, "K T 4 4"]
     angle: Float[ndarray, "T"] | None
     iou: Float[ndarray, "T"]
+    doubted: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What there is to say about the masks."""
+        names = ", ".join(self.doubted)
+        said = f"the masks of {len(self.doubted)} frames contradict the others and were left out: {names}"
+        return (said,) if self.doubted else ()
 
 
 def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
@@ -62,12 +73,14 @@ def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
 def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: MethodResult, track: Track) -> Track:
     """A method's solutions in every frame of the clip; in the problem's frames, those of ``track``, as they are.
 
-    ``masks`` are those of the whole clip; without them, they are read from its folder, a few at a time.
+    Masks that contradict those of the problem's frames are doubted, too (``Problem.most_differing``). ``masks`` are
+    those of the whole clip; without them, they are read from its folder, a few at a time.
     """
     sampled = clip.index_of(problem.clip.frames)
     clip = clip.with_hand_at(hand_everywhere(clip, problem, sampled))
     T, K, scale = len(clip), len(track.T_hand_obj), float(found.poses.scale[0])
     kind: list[FrameKind] = ["interpolated"] * T
+    doubted = list(problem.doubted)
     iou, angle, known = np.full(T, np.nan), np.full(T, np.nan), np.zeros(T, dtype=bool)
     R, centre = np.empty((K, T, 3, 3)), np.empty((K, T, 3))
     R[:, sampled], centre[:, sampled], known[sampled], iou[sampled] = found.poses.R, found.poses.centre, True, track.iou
@@ -84,6 +97,13 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
             poses = interpolated(found.poses, sampled, index)
         R[:, index], centre[:, index], known[index] = poses.R, poses.centre, True
         iou[index] = image_iou(part.clip, part.masks, placed(poses, clip.mesh.centre)[0], scale)
+        if np.isfinite(problem.most_differing):
+            foretold = Foretold.by(problem, found.poses, sampled)
+            wrong = index[foretold.differing(part, index).differing > problem.most_differing]
+            known[wrong], iou[wrong], angle[wrong] = False, np.nan, np.nan
+            for n in wrong:
+                kind[n] = "interpolated"
+            doubted += [clip.frames[n] for n in wrong]
     rest, there = np.flatnonzero(~known), np.flatnonzero(known)
     poses = interpolated(PosesInHand(R[:, there], centre[:, there], found.poses.scale), there, rest)
     R[:, rest], centre[:, rest] = poses.R, poses.centre
@@ -91,11 +111,12 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
     T_hand_obj[:, sampled] = track.T_hand_obj
     for n in sampled:
         kind[n] = "sampled"
+    names = tuple(name for name in clip.frames if name in doubted)
     if track.angle is None:
-        return Track(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, None, iou)
+        return Track(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, None, iou, names)
     seen = ~np.isnan(angle)
     angle[~seen] = np.interp(np.flatnonzero(~seen), np.flatnonzero(seen), angle[seen])
-    return Track(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, angle, iou)
+    return Track(clip.frames, tuple(kind), clip.hand.T_cam_hand, T_hand_obj, angle, iou, names)
 
 
 def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], index: Int[ndarray, "m"]) -> Motion:
@@ -114,18 +135,6 @@ def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], i
     return motion.core
 
 
-def interpolated(poses: PosesInHand, old: Int[ndarray, "n"], new: Int[ndarray, "m"]) -> PosesInHand:
-    """Poses between others: rotations along the shortest path, centres on a line; beyond the ends, the last ones."""
-    free = Free(poses.R, poses.centre, np.log(poses.scale)).resampled(old, np.clip(new, old[0], old[-1]))
-    return PosesInHand(free.R, free.centre, poses.scale)
-
-
-def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "K T 4 4"]:
-    """``T_hand_obj`` of poses about the mesh's centre, which lies at ``centre`` in its own frame."""
-    R, scale = poses.R, poses.scale[:, None, None]
-    return se3.rigid(R, poses.centre - scale * (R @ centre))
-
-
 def hand_everywhere(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Float[ndarray, "T 4 4"] | None:
     """The hand of every frame: where it was corrected, by corrections between those of the sampled frames."""
     if not problem.hand_corrected:
@@ -142,7 +151,7 @@ def _others(
     clip: Clip, masks: Masks | None, problem: Problem, sampled: Int[ndarray, "n"]
 ) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
     """The frames beyond the sampled ones that show the object, a few at a time, each few spread over the clip."""
-    hidden = {*problem.clip.left_out}
+    hidden = {*problem.clip.left_out, *problem.doubted}
     shown = np.flatnonzero([name not in hidden for name in clip.frames])
     rest = np.setdiff1d(shown, sampled)
     parts = -(-len(rest) // CHUNK)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -11,16 +13,47 @@ from getagrip.fitting.energy.mask import SilhouetteMesh
 from getagrip.kernels.silhouette import silhouettes, unpack
 
 
-def image_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:
-    """IOU of rendered and observed object mask on the full image, outside ignored pixels."""
+class Overlap(NamedTuple):
+    """Rendered and observed object mask of each frame, on the full image [px].
+
+    Attributes:
+        both: (T,) pixels of both, outside ignored ones.
+        either: (T,) pixels of either, likewise.
+        silhouette: (T,) pixels of the rendered one, hidden or not.
+    """
+
+    both: Float[ndarray, "T"]
+    either: Float[ndarray, "T"]
+    silhouette: Float[ndarray, "T"]
+
+    @property
+    def iou(self) -> Float[ndarray, "T"]:
+        """Their IOU; 0 where there is no pixel of either."""
+        return self.both / np.maximum(self.either, 1.0)
+
+    @property
+    def differing(self) -> Float[ndarray, "T"]:
+        """Pixels of one of the two."""
+        return self.either - self.both
+
+
+def overlap(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Overlap:
+    """How the object, posed so, overlaps the masks."""
     T_cam_obj = clip.hand.T_cam_hand @ T_hand_obj
     K = np.stack([clip.K[:, 0, 0], clip.K[:, 1, 1], clip.K[:, 0, 2], clip.K[:, 1, 2]], axis=1)
     width, height = clip.size
     bits = np.empty((len(clip), height, -(-width // 64)), np.uint64)
     R, t = np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3])
     silhouettes(R, t, np.full(len(clip), scale), *SilhouetteMesh.of(clip.mesh, np.zeros(3)).tables, K, bits)
-    both, either = np.empty(len(clip)), np.empty(len(clip))
+    both, either, silhouette = np.empty(len(clip)), np.empty(len(clip)), np.empty(len(clip))
     for n, (there, ignored) in enumerate(zip(masks.object, masks.ignore, strict=True)):
-        rendered = unpack(bits[n], width) & (there | ~ignored)
+        rendered = unpack(bits[n], width)
+        silhouette[n] = np.count_nonzero(rendered)
+        rendered &= there | ~ignored
         both[n], either[n] = np.count_nonzero(rendered & there), np.count_nonzero(rendered | there)
-    return both / np.maximum(either, 1.0)
+    return Overlap(both, either, silhouette)
+
+
+def image_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:
+    """IOU of rendered and observed object mask on the full image, outside ignored pixels."""
+    return overlap(clip, masks, T_hand_obj, scale).iou

@@ -12,6 +12,7 @@ from getagrip.fitting.methods import method_of
 from getagrip.io.choices import check_values
 
 Hands = Literal["corrected", "as-given"]
+GivenMasks = Literal["checked", "as-given"]
 Init = Literal["uniform", "clusters", "priors"]
 
 
@@ -87,6 +88,7 @@ class Options:
             (``hand``).
         occlusion: leave out pixels hidden by the hand (the paper's C_o).
         hands: correct the given hands by their own pixels (``hand_correction``), or take them as they are given.
+        masks: leave out those that contradict the others (``doubted_masks``; ``soft-hinge`` only), or believe all.
         departures: what ``paper`` does our way; no other method has a choice.
     """
 
@@ -103,6 +105,7 @@ class Options:
     axis: Literal["free", "hand"] = "free"
     occlusion: bool = True
     hands: Hands = "corrected"
+    masks: GivenMasks = "checked"
     departures: Departures = TO_THE_LETTER
 
     def __post_init__(self) -> None:

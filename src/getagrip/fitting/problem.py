@@ -40,6 +40,9 @@ class Problem:
         hand_corrected: whether the clip's hand is no longer as it was given.
         notes: dropped frames, guesses, initial poses, what stands in for missing masks.
         threads: so many share the hypotheses of a fit, and what can be prepared apart.
+        doubted: names of frames that were left out because their masks contradict the others (``doubted_masks``).
+        most_differing: pixels by which a mask may differ from the silhouette that other frames foretell before it is
+            doubted, too.
     """
 
     clip: Clip
@@ -53,6 +56,8 @@ class Problem:
     notes: tuple[str, ...]
     hand_drawn: bool
     threads: int = 1
+    doubted: tuple[str, ...] = ()
+    most_differing: float = np.inf
 
     def at(self, clip: Clip, masks: Masks) -> Problem:
         """The same problem in other frames of its clip, with the masks that are given for them."""

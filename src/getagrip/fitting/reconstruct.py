@@ -14,6 +14,7 @@ from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.clip import Clip, Masks, check_clip, check_masks
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.finding import Finding
+from getagrip.fitting.doubted_masks import fitted_to_believed
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.misfit import misfit
@@ -70,16 +71,19 @@ def reconstruct(
         given = Evidence(sampled, problem.given_masks)
         measured, findings = examine(INPUT_CHECKS, given)
         clock("check of the input")
-        found = _fitted(problem, clock, findings)
+        problem, found = _fitted(problem, clock, findings)
         track, scale = at_sampled_frames(problem, found), float(found.poses.scale[0])
         clock("finish")
-        whole = at_every_frame(clip, masks, problem, found, track) if options.every_frame else track
+        footage = (clip, masks) if options.every_frame else (sampled, given.masks)
+        whole = at_every_frame(*footage, problem, found, track)
         clock("every frame")
         solved = Solved(
             problem.clip, problem.given_masks, track.T_hand_obj[0], scale, track.iou,
+            doubted=len(whole.doubted) / len(whole.frames),
             candidates=Candidates(track.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
-            T_cam_hand_given=sampled.hand.T_cam_hand, spread=pose_spread(problem, found),
+            T_cam_hand_given=clip.hand.T_cam_hand[clip.index_of(problem.clip.frames)],
             misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
+            spread=pose_spread(problem, found),
         )  # fmt: skip
         of_result, more = examine(RESULT_CHECKS, replace(solved, iou=whole.iou))
         signs = read_signs(solved)
@@ -112,10 +116,16 @@ def probability_right(options: Options, signs: Mapping[str, float], findings: Se
     return calibration.probability(signs)
 
 
-def _fitted(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> MethodResult:
-    """What the method finds. Where it fails, the error also says what was unusual about its inputs."""
+def _fitted(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> tuple[Problem, MethodResult]:
+    """What the method finds, and the problem in the frames whose masks are believed.
+
+    Where it fails, the error also says what was unusual about its inputs.
+    """
+    method = METHODS[problem.options.method]
     try:
-        return METHODS[problem.options.method].fit(problem, clock)
+        if method.checks_masks and problem.options.masks == "checked":
+            return fitted_to_believed(problem, lambda some: method.fit(some, clock))
+        return problem, method.fit(problem, clock)
     except InputError:
         raise
     except GetagripError as error:
@@ -147,7 +157,7 @@ def _reconstruction(
         options=asdict(options),
         seed=options.seed,
         T_cam_hand=track.T_cam_hand if problem.hand_corrected else None,
-        notes=(*problem.notes, *([guess] if clip.scale == "free" else [])),
+        notes=(*problem.notes, *track.notes, *([guess] if clip.scale == "free" else [])),
     )
 
 
@@ -171,7 +181,7 @@ class Clock:
 
     def __call__(self, stage: str) -> None:
         now = time.perf_counter()
-        self.spent[stage], self.since = now - self.since, now
+        self.spent[stage], self.since = self.spent.get(stage, 0.0) + now - self.since, now
         if self.progress:
             self.progress(stage, len(self.spent) / len(self.STAGES))
 

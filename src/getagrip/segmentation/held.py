@@ -17,9 +17,10 @@ from numpy import ndarray
 from getagrip.clip import Clip, Masks
 from getagrip.clip.timeline import Side
 from getagrip.errors import GetagripError
-from getagrip.fitting.every_frame import hand_everywhere, own_fit, placed
+from getagrip.fitting.every_frame import hand_everywhere, own_fit
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.misfit import CROP_PIXEL, PIXEL
+from getagrip.fitting.motion import placed
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare
 from getagrip.fitting.solve import in_camera

@@ -9,9 +9,10 @@ import numpy as np
 
 from getagrip.checks.signs import read_signs
 from getagrip.checks.solved import Solved
-from getagrip.fitting.every_frame import at_sampled_frames, placed
+from getagrip.fitting.every_frame import at_sampled_frames
 from getagrip.fitting.methods.all_frames import soft_energy
 from getagrip.fitting.misfit import misfit
+from getagrip.fitting.motion import placed
 from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.search import suppress_duplicates
 from getagrip.fitting.solve import in_camera

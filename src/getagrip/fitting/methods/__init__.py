@@ -36,6 +36,8 @@ class Method:
     """Whether it is another system's method, to compare with."""
     slow: bool = False
     """Whether it takes so long that benchmarks run it only where it is named."""
+    checks_masks: bool = False
+    """Whether it is fitted again without the masks that contradict the others (``doubted_masks``)."""
     as_published: bool = False
     """Whether it is left as its authors state it: nothing is done to its input."""
 
@@ -64,7 +66,7 @@ def _published(label: str, function: str, has_axis: bool = False) -> Method:
 
 METHODS: dict[str, Method] = {
     "one-dof": Method("1-DoF, ours", _in("all_frames", "one_dof"), has_axis=True),
-    "soft-hinge": Method("soft hinge", _in("all_frames", "soft_hinge"), has_axis=True),
+    "soft-hinge": Method("soft hinge", _in("all_frames", "soft_hinge"), has_axis=True, checks_masks=True),
     "static": Method("Static", _in("all_frames", "static")),
     "dynamic": Method("Dynamic", _in("all_frames", "dynamic")),
     "single-frame": Method("Single Frame", _in("single_frame"), baseline=True),

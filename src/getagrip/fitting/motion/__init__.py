@@ -4,11 +4,23 @@
 the first two, with a small deviation per frame, and ``Frozen``: any of them, what its frames share held still.
 """
 
-from getagrip.fitting.motion.base import Motion, PosesInHand, Prior
+from getagrip.fitting.motion.base import Motion, PosesInHand, Prior, placed
 from getagrip.fitting.motion.fixed import Fixed
-from getagrip.fitting.motion.free import Free
+from getagrip.fitting.motion.free import Free, interpolated
 from getagrip.fitting.motion.frozen import Frozen
 from getagrip.fitting.motion.hinge import Hinge, tangents
 from getagrip.fitting.motion.soft import Soft
 
-__all__ = ["Fixed", "Free", "Frozen", "Hinge", "Motion", "PosesInHand", "Prior", "Soft", "tangents"]
+__all__ = [
+    "Fixed",
+    "Free",
+    "Frozen",
+    "Hinge",
+    "Motion",
+    "PosesInHand",
+    "Prior",
+    "Soft",
+    "interpolated",
+    "placed",
+    "tangents",
+]

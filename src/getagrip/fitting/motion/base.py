@@ -15,6 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from getagrip.geometry import se3
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -50,6 +52,12 @@ class PosesInHand(Batch):
     R: Float[ndarray, "B N 3 3"]
     centre: Float[ndarray, "B N 3"]
     scale: Float[ndarray, "B"]
+
+
+def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "B N 4 4"]:
+    """``T_hand_obj`` of poses about the mesh's centre, which lies at ``centre`` in its own frame."""
+    R, scale = poses.R, poses.scale[:, None, None]
+    return se3.rigid(R, poses.centre - scale * (R @ centre))
 
 
 @dataclass(frozen=True)

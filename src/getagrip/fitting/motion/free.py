@@ -54,3 +54,9 @@ class Free(Batch):
         turn = se3.log_so3(self.R[:, before + 1] @ np.swapaxes(R, -1, -2))
         centre = centre + share * (self.centre[:, before + 1] - centre)
         return replace(self, R=se3.exp_so3(share * turn) @ R, centre=centre)
+
+
+def interpolated(poses: PosesInHand, old: Int[ndarray, "n"], new: Int[ndarray, "m"]) -> PosesInHand:
+    """Poses between others: rotations along the shortest path, centres on a line; beyond the ends, the last ones."""
+    free = Free(poses.R, poses.centre, np.log(poses.scale)).resampled(old, np.clip(new, old[0], old[-1]))
+    return PosesInHand(free.R, free.centre, poses.scale)
