@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.fitting.image_iou import Overlap, overlap
-from getagrip.fitting.motion import PosesInHand, interpolated, placed
+from getagrip.fitting.motion import Free, PosesInHand, interpolated, placed
 from getagrip.fitting.problem import Problem
 from getagrip.geometry import se3
 
@@ -57,7 +57,7 @@ class Foretold:
         return Overlap(*(np.where(first, x, y) for x, y in zip(one, two, strict=True)))
 
     def between(self, at: Int[ndarray, "m"]) -> PosesInHand:
-        """The pose in the camera frame between the nearest frames other than itself."""
+        """The pose in the camera frame between the nearest other frames; at the ends, going on as they do."""
         R, centre = np.empty((1, len(at), 3, 3)), np.empty((1, len(at), 3))
         for m, place in enumerate(at):
             R[0, m], centre[0, m] = self._from_others(place)
@@ -65,8 +65,8 @@ class Foretold:
 
     def _from_others(self, place: int) -> tuple[Float[ndarray, "3 3"], Float[ndarray, "3"]]:
         others = np.flatnonzero(self.at != place)
-        known = PosesInHand(self.in_camera.R[:, others], self.in_camera.centre[:, others], self.in_camera.scale)
-        found = interpolated(known, self.at[others], np.array([place]))
+        known = Free(self.in_camera.R[:, others], self.in_camera.centre[:, others], np.log(self.in_camera.scale))
+        found = known.resampled(self.at[others], np.array([place]))
         return found.R[0, 0], found.centre[0, 0]
 
 
