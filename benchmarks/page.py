@@ -44,12 +44,22 @@ def section(name: str) -> str:
 
 
 def numbers(name: str, columns: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """Some columns of the first table of a section, of all clips, by the rows' labels."""
-    text = section(name)
-    table = text[text.index("\n|") + 1 :].split("\n\n")[0]
-    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()]
-    places = [lines[0].index(column) for column in columns]
-    return {row[0]: tuple(float(NUMBER.findall(row[at])[0]) for at in places) for row in lines[2:]}
+    """Some columns of a section's first table that has them all, of all clips, by the rows' labels.
+
+    NaN where a cell holds no number. There are no rows where there is no such table.
+    """
+    for text in section(name).split("\n\n"):
+        lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.strip().splitlines()]
+        if not {*columns} <= {*lines[0]}:
+            continue
+        places = [lines[0].index(column) for column in columns]
+        return {row[0]: tuple(map(_number, (row[at] for at in places))) for row in lines[2:]}
+    return {}
+
+
+def _number(cell: str) -> float:
+    """The first number of a cell."""
+    return float((NUMBER.findall(cell) or ["nan"])[0])
 
 
 def circumstances() -> str:

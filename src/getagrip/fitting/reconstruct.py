@@ -137,7 +137,9 @@ def _reconstruction(
 ) -> Reconstruction:
     """A method's solutions, with all that is known about how they were found; ``options`` are those that were given."""
     clip, energy = problem.clip, found.energy
-    scale, mean_iou = float(found.poses.scale[0]), float(np.nanmean(track.iou))
+    scale = float(found.poses.scale[0])
+    shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.doubted)
+    mean_iou = float(np.nansum(track.iou)) / shown  # a doubted mask is one that is not explained
     guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
     axis = None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle)
     return Reconstruction(
