@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,9 @@ import numpy as np
 from benchmarks import page
 from getagrip.experiments.reliability import auroc, calibration_error, least_error
 
-HEADS = ("method", "results", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect")
+RIGHT = {"in the hand": "add_sym_success", "in the camera": "add_sym_cam_success"}
+"""What may be right, and the column that says so."""
+HEADS = ("", "results", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect")
 
 
 def main(folder: Path) -> None:
@@ -23,13 +26,14 @@ def main(folder: Path) -> None:
     with (folder / "methods-clips.csv").open(encoding="utf-8", newline="") as lines:
         known = [row for row in csv.DictReader(lines) if row["probability_right"]]
     rows = []
-    for method in sorted({row["method"] for row in known}):
-        of_method = [row for row in known if row["method"] == method]
+    for method, (where, column) in product(sorted({row["method"] for row in known}), RIGHT.items()):
+        of_method = [row for row in known if row["method"] == method and row[column]]
         probability = np.array([float(row["probability_right"]) for row in of_method])
-        right = np.array([float(row["add_sym_success"]) == 1.0 for row in of_method])
+        right = np.array([float(row[column]) == 1.0 for row in of_method])
         shares = (f"{100.0 * right.mean():.0f}", f"{100.0 * probability.mean():.0f}")
         errors = (f"{error:.3f}" for error in (calibration_error(probability, right), least_error(probability)))
-        rows.append((method, str(len(of_method)), *shares, f"{auroc(probability, right):.2f}", *errors))
+        count, area = str(len(of_method)), f"{auroc(probability, right):.2f}"
+        rows.append((f"{method}, {where}", count, *shares, area, *errors))
     page.write(f"{folder.name}-probability", page.table(HEADS, rows))
 
 
