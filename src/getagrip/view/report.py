@@ -102,7 +102,7 @@ def _draw(view: View, metrics: Mapping[str, float]) -> Figure:
 
 def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y: float, step: float) -> None:
     result, clip = view.result, view.clip
-    figure.text(x, y, clip.name, fontsize=15, fontweight="bold", va="top")
+    title = figure.text(x, y, clip.name, fontsize=15, fontweight="bold", va="top")
     facts = [
         method_of(result.method).label,
         view.frames_in_words,
@@ -127,6 +127,8 @@ def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y
         figure.text(right, y, number, fontsize=15, va="top", ha="right")
         figure.text(right, y - 1.25 * step, name, fontsize=9.5, color=FAINT, va="top", ha="right")
         right -= 0.092
+    too_wide = title.get_window_extent().width / figure.bbox.width / (right - x)
+    title.set_fontsize(15 / max(too_wide, 1.0))
     if result.ambiguous:
         warning = "ambiguous: another pose explains the masks almost as well"
         figure.text(0.98, y - 2.0 * step, warning, color=FOUND, fontsize=9.5, va="top", ha="right")
