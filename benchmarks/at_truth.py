@@ -104,7 +104,9 @@ def failures(folder: Path, variant: Variant) -> tuple[int, list[Failure]]:
         at = [list(result.frames).index(frame) for frame in clip.frames]
         found = ObjectTrack(result.T_hand_obj[at], result.scale)
         (energy, _), (energy_from_truth, from_truth) = settled(problem, found), settled(problem, true)
-        energy, off = min(energy, result.energy["total"]), share_off(clip.mesh, found, true)
+        if not len(result.frames_of("interpolated")):  # else it is the energy of fewer frames
+            energy = min(energy, result.energy["total"])
+        off = share_off(clip.mesh, found, true)
         per_frame = energy / len(clip), energy_from_truth / len(clip)
         wrong.append(Failure(result.clip, off, per_frame[0], share_off(clip.mesh, from_truth, true), per_frame[1]))
     return len(places), wrong
