@@ -2,7 +2,7 @@
 
 Each DIR is a folder that was given to ``bench --out``, and is named like the dataset: the tables go between the markers
 "<name>-hand-or-object". Nothing is reconstructed: stored results are held against their clips, changed as the ablations
-of hands have changed them. In each table are the clips that all its rows have.
+of hands have changed them. In each table are the clips that all its rows have, and the methods that met wrong hands.
 """
 
 from __future__ import annotations
@@ -91,6 +91,8 @@ def tables(folder: Path) -> Iterator[str]:
             continue
         shared = sorted(set.intersection(*({p.name for p in place.iterdir()} for place in there.values())))
         found = {v: {n: case(place / n, clips[n], v) for n in shared} for v, place in there.items()}
+        off = {v.method for v, cases in found.items() if any(any(each.hand) for each in cases.values())}
+        found = {v: cases for v, cases in found.items() if v.method in off}
         codes = sorted({case.code for cases in found.values() for case in cases.values()})
         about = (
             f"*{ABLATIONS[name].title}: {len(shared)} clips. Made {stamp()}, of results of code {', '.join(codes)}.*"

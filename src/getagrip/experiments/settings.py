@@ -95,7 +95,7 @@ WRONG_MASKS = (("another object", 0.2), ("another object", 0.4), ("half", 0.2), 
 
 
 def _wrong_masks(fault: str, share: float) -> Setting:
-    return Setting(f"{fault} in {share:.0%}".replace("%", " %"), change=WrongMasks(fault, share))
+    return Setting(f"{fault} in {100 * share:.0f} %", change=WrongMasks(fault, share))
 
 
 STEPS = {

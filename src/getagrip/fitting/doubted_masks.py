@@ -36,7 +36,7 @@ def fitted_to_believed(problem: Problem, fit: Callable[[Problem], MethodResult])
     for _ in range(FITS - 1):
         if len(used) < FEWEST:
             break
-        met = Foretold.by(some, found.poses, used).differing(problem, everywhere)
+        met = Foretold.by(some, found.poses, used).overlap(problem, everywhere)
         limit = most_differing(met)
         believed = np.flatnonzero(met.differing <= limit)
         if np.array_equal(believed, used):

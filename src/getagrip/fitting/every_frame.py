@@ -86,6 +86,7 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
     R[:, sampled], centre[:, sampled], known[sampled], iou[sampled] = found.poses.R, found.poses.centre, True, track.iou
     if track.angle is not None:
         angle[sampled] = track.angle
+    foretold = Foretold.by(problem, found.poses, sampled) if np.isfinite(problem.most_differing) else None
     for index, part in _others(clip, masks, problem, sampled):
         if found.motion is not None and found.energy_of is not None:
             fitted = own_fit(part, found, sampled, index)
@@ -97,9 +98,8 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
             poses = interpolated(found.poses, sampled, index)
         R[:, index], centre[:, index], known[index] = poses.R, poses.centre, True
         iou[index] = image_iou(part.clip, part.masks, placed(poses, clip.mesh.centre)[0], scale)
-        if np.isfinite(problem.most_differing):
-            foretold = Foretold.by(problem, found.poses, sampled)
-            wrong = index[foretold.differing(part, index).differing > problem.most_differing]
+        if foretold is not None:
+            wrong = index[foretold.overlap(part, index).differing > problem.most_differing]
             known[wrong], iou[wrong], angle[wrong] = False, np.nan, np.nan
             for n in wrong:
                 kind[n] = "interpolated"

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.fitting.image_iou import Overlap, overlap
-from getagrip.fitting.motion import Free, PosesInHand, interpolated, placed
+from getagrip.fitting.motion import Free, PosesInHand, interpolated, moved, placed
 from getagrip.fitting.problem import Problem
 from getagrip.geometry import se3
 
@@ -42,16 +42,16 @@ class Foretold:
     def by(problem: Problem, poses: PosesInHand, at: Int[ndarray, "n"]) -> Foretold:
         """By the best of the poses in a problem's frames, which are ``at`` these places."""
         best = poses.take(np.zeros(1, dtype=int))
-        return Foretold(typical(best, problem.surface.points), _moved(best, problem.clip.hand.T_cam_hand), at)
+        return Foretold(typical(best, problem.surface.points), moved(best, problem.clip.hand.T_cam_hand), at)
 
-    def differing(self, problem: Problem, at: Int[ndarray, "m"]) -> Overlap:
+    def overlap(self, problem: Problem, at: Int[ndarray, "m"]) -> Overlap:
         """How the masks of a problem's frames, which are ``at`` these places, overlap what is foretold.
 
         Of the two silhouettes, the one that differs less.
         """
         clip, centre, scale = problem.clip, problem.clip.mesh.centre, float(self.typical.scale[0])
         in_hand = interpolated(self.typical, self.at, at)
-        between = _moved(self.between(at), se3.inverse(clip.hand.T_cam_hand))
+        between = moved(self.between(at), se3.inverse(clip.hand.T_cam_hand))
         one, two = (overlap(clip, problem.masks, placed(poses, centre)[0], scale) for poses in (in_hand, between))
         first = one.differing <= two.differing
         return Overlap(*(np.where(first, x, y) for x, y in zip(one, two, strict=True)))
@@ -78,9 +78,3 @@ def typical(poses: PosesInHand, points: Float[ndarray, "P 3"]) -> PosesInHand:
     near = [np.flatnonzero(np.abs(frame - n) <= NEIGHBOURS) for n in frame]
     chosen = [some[apart[np.ix_(some, some)].sum(axis=1).argmin()] for some in near]
     return PosesInHand(poses.R[:, chosen], poses.centre[:, chosen], poses.scale)
-
-
-def _moved(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
-    """Poses in another frame, by its pose in each image."""
-    R = T[:, :3, :3]
-    return PosesInHand(R @ poses.R, (R @ poses.centre[..., None])[..., 0] + T[:, :3, 3], poses.scale)

@@ -20,7 +20,7 @@ from numpy import ndarray
 
 from getagrip import least_squares
 from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
-from getagrip.fitting.motion import Motion
+from getagrip.fitting.motion import Motion, moved
 from getagrip.least_squares import DEFAULT, Ending, Rules, arrow_step, damped
 
 M = TypeVar("M", bound=Motion)
@@ -90,11 +90,9 @@ class Solution(Generic[M]):
 
 def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCamera:
     """The motion's poses as the terms read them."""
-    held = motion.poses()
-    R_cam_hand = T_cam_hand[:, :3, :3]
-    centre = (R_cam_hand @ held.centre[..., None])[..., 0] + T_cam_hand[:, :3, 3]
+    held = moved(motion.poses(), T_cam_hand)
     # Kernels are compiled for one layout; another would compile each of them again.
-    return PosesInCamera(np.ascontiguousarray(R_cam_hand @ held.R), np.ascontiguousarray(centre), held.scale)
+    return PosesInCamera(np.ascontiguousarray(held.R), np.ascontiguousarray(held.centre), held.scale)
 
 
 @dataclass

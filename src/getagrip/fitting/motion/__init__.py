@@ -4,7 +4,7 @@
 the first two, with a small deviation per frame, and ``Frozen``: any of them, what its frames share held still.
 """
 
-from getagrip.fitting.motion.base import Motion, PosesInHand, Prior, placed
+from getagrip.fitting.motion.base import Motion, PosesInHand, Prior, moved, placed
 from getagrip.fitting.motion.fixed import Fixed
 from getagrip.fitting.motion.free import Free, interpolated
 from getagrip.fitting.motion.frozen import Frozen
@@ -21,6 +21,7 @@ __all__ = [
     "Prior",
     "Soft",
     "interpolated",
+    "moved",
     "placed",
     "tangents",
 ]

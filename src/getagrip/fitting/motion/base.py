@@ -60,6 +60,12 @@ def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "B
     return se3.rigid(R, poses.centre - scale * (R @ centre))
 
 
+def moved(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
+    """Poses as another frame has them, given the hand's pose in it, and the other way round with the inverse."""
+    R = T[:, :3, :3]
+    return PosesInHand(R @ poses.R, (R @ poses.centre[..., None])[..., 0] + T[:, :3, 3], poses.scale)
+
+
 @dataclass(frozen=True)
 class Prior:
     """A quadratic the model puts on its own per-frame parameters: value (B,), gradient (B, N, L), diagonal (L,)."""
