@@ -12,7 +12,7 @@ import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
 
-from helpers.shapes import check_package, next_test
+from helpers.shapes import check_package, next_file
 
 gc.disable()  # until all tests are collected, since what is made until then stays
 check_package()  # before anything of the package is imported
@@ -46,9 +46,9 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def _shapes_are_checked_anew() -> None:
-    next_test()
+    next_file()
 
 
 @pytest.fixture(scope="session")
