@@ -11,7 +11,7 @@ import pytest
 from getagrip.annotate.tasks import Task
 from getagrip.commands.annotate import DATABASE
 from helpers.annotation_page import Served, saved
-from helpers.browser import IN_BROWSER, chromium, expect
+from helpers.browser import IN_BROWSER, expect
 from helpers.numbered_footage import BITS, FRAMES, write_video
 
 pytestmark = IN_BROWSER
@@ -28,12 +28,6 @@ READ_CANVAS = f"""() => {{
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
 def videos(tmp_path_factory: Any) -> list[Path]:
     folder = tmp_path_factory.mktemp("videos")
     return [write_video(folder / f"{name}.mp4") for name in ("first", "second")]
@@ -46,14 +40,6 @@ def served(videos: list[Path], tmp_path: Path) -> Iterator[Served]:
     made = Served(tasks, tmp_path / DATABASE)
     yield made
     made.stop()
-
-
-@pytest.fixture
-def context(browser: Any) -> Iterator[Any]:
-    """A browser's profile: its tabs share what the page keeps."""
-    made = browser.new_context(viewport={"width": 1400, "height": 860})
-    yield made
-    made.close()
 
 
 def opened(context: Any, served: Served, who: str | None = "ann") -> Any:
