@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from getagrip.cli.command import Command, Inits, Method, Seed, hands_of, masks_of, priors_of
+from getagrip.cli.command import Command, Inits, Method, Seed, hands_of, masks_of, mesh_of, priors_of
 from getagrip.cli.sharing import Sharing
 from getagrip.errors import UsageError
 from getagrip.experiments.sources import SOURCES, source_of
@@ -90,6 +90,8 @@ class Bench(Command):
     """Keep the hands where they are given, as of reconstruct."""
     given_masks: Flag = False
     """Believe all masks, as of reconstruct."""
+    given_mesh: Flag = False
+    """Take the mesh as it is, as of reconstruct."""
     seed: Seed = 0
     """Seed of all that is random."""
     sharing: Annotated[Sharing, arg(name="")] = field(default_factory=Sharing)
@@ -110,7 +112,7 @@ class Bench(Command):
         options = Options(
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
             priors=priors_of(self.priors, self.init), hands=hands_of(self.given_hands),
-            masks=masks_of(self.given_masks), every_frame=self.every_frame,
+            masks=masks_of(self.given_masks), mesh=mesh_of(self.given_mesh), every_frame=self.every_frame,
         )  # fmt: skip
         if isinstance(source, Timelines):
             return self._whole(source, options)

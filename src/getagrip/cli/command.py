@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.errors import UsageError
 from getagrip.fitting.methods import METHODS
-from getagrip.fitting.options import GivenMasks, Hands, Init, PriorsFile
+from getagrip.fitting.options import GivenMasks, GivenMesh, Hands, Init, PriorsFile
 from getagrip.io.arguments import Flag, numbers, one_of, placed
 from getagrip.io.storage import Place, Remote
 
@@ -70,6 +70,11 @@ def hands_of(given: bool) -> Hands:
 def masks_of(given: bool) -> GivenMasks:
     """Likewise, of the masks."""
     return "as-given" if given else "checked"
+
+
+def mesh_of(given: bool) -> GivenMesh:
+    """Likewise, of the mesh."""
+    return "as-given" if given else "fitted"
 
 
 def priors_of(path: Path | None, init: Init) -> PriorsFile | None:

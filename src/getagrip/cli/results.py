@@ -20,6 +20,7 @@ from getagrip.cli.command import (
     Workers,
     hands_of,
     masks_of,
+    mesh_of,
     priors_of,
 )  # fmt: skip
 from getagrip.errors import UsageError
@@ -69,6 +70,8 @@ class Reconstruct(Command):
     if they disagree."""
     given_masks: Flag = False
     """Believe all masks. Else soft-hinge leaves out those that contradict the masks of other frames."""
+    given_mesh: Flag = False
+    """Take the mesh as it is. Else soft-hinge deforms it where it is only of the object's kind, as the masks show."""
     seed: Seed = 0
     """Seed of all that is random."""
     frames: Annotated[int, arg(metavar="N")] = 30
@@ -117,7 +120,7 @@ class Reconstruct(Command):
         options = Options(
             method=self.method, inits=self.inits, seed=self.seed, frames=self.frames, thorough=self.thorough,
             init=self.init, priors=priors_of(self.priors, self.init), hands=hands_of(self.given_hands),
-            masks=masks_of(self.given_masks), every_frame=not self.sampled_only,
+            masks=masks_of(self.given_masks), mesh=mesh_of(self.given_mesh), every_frame=not self.sampled_only,
         )  # fmt: skip
         batch = Batch(
             workers=self.workers, threads=self.threads, engine=self.engine, address=self.address,

@@ -16,6 +16,7 @@ from getagrip.clip.timeline import Segment, Side, at_frames, check_segments
 from getagrip.clip.truth import Truth
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
 from getagrip.io.files import shown
 
@@ -230,6 +231,10 @@ class Clip(ArrayData):
     def light(self) -> Clip:
         """The clip with a mesh that is not too large to fit, measure and draw (``Mesh.light``)."""
         return self if self.mesh.light is self.mesh else replace(self, mesh=self.mesh.light)
+
+    def warped(self, warp: Warp | None) -> Clip:
+        """The clip with its mesh warped, as where a result has fitted its shape; None: as it is."""
+        return self if warp is None else replace(self, mesh=warp(self.mesh))
 
     def take(self, index: Int[ndarray, "n"]) -> Clip:
         """The clip at some of its frames, in the given order."""

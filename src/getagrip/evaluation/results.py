@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from getagrip.clip import Clip, Masks, check_masks, find_masks, input_sha256, re
 from getagrip.errors import InputError
 from getagrip.evaluation.comparison import Comparison
 from getagrip.evaluation.metric import METRICS, Metric, measure
+from getagrip.geometry.mesh import Mesh
 from getagrip.io import files
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, ContactDistances, contact_distances
 from getagrip.metrics.mask import MaskIou, iou_of_poses
@@ -67,7 +68,8 @@ def evaluate(
         check_masks(clip, masks)
     index, whole_mesh, clip = clip.index_of(result.frames), clip.mesh, clip.light()
     clip, masks = clip.take(index).with_hand_at(result.T_cam_hand), None if masks is None else masks.take(index)
-    it = _ResultComparison(clip, masks, ObjectTrack(result.T_hand_obj, result.scale), contacts=tuple(contacts))
+    found, track = clip.warped(result.warp).mesh, ObjectTrack(result.T_hand_obj, result.scale)
+    it = _ResultComparison(clip, masks, track, found, contacts=tuple(contacts))
     symmetry = None if clip.truth is None else it.symmetries.describe()
     made = evaluation(it, result.method, symmetry, wanted)
     made |= {"frame_kind": list(result.frame_kind), "findings": [str(finding) for finding in result.findings]}
@@ -96,15 +98,19 @@ def evaluation(it: Comparison, method: str, symmetry: str | None, wanted: Sequen
 
 @dataclass(frozen=True, eq=False)
 class _ResultComparison(Comparison):
-    """Of poses of the clip's mesh."""
+    """Of poses of the clip's mesh, or of what was made of it.
+
+    Poses are compared by the clip's mesh, which the ground truth poses; masks and contact are those of the found one.
+    """
 
     track: ObjectTrack
+    found: Mesh
 
     def take(self, index: Int[ndarray, "n"]) -> _ResultComparison:
         """The comparison in some of the frames."""
         masks = None if self.masks is None else self.masks.take(index)
         track = ObjectTrack(self.track.T_ref_obj[index], self.track.scale)
-        return _ResultComparison(self.clip.take(index), masks, track, contacts=self.contacts)
+        return replace(self, clip=self.clip.take(index), masks=masks, track=track)
 
     @property
     def predicted(self) -> ObjectTrack:
@@ -113,7 +119,7 @@ class _ResultComparison(Comparison):
     @cached_property
     def iou(self) -> MaskIou:
         track = self.predicted_in_camera
-        return iou_of_poses(self.clip.mesh, track.scale, track.T_ref_obj, self.clip.K, self.judged_masks)
+        return iou_of_poses(self.found, track.scale, track.T_ref_obj, self.clip.K, self.judged_masks)
 
     @property
     def distances(self) -> ContactDistances:
@@ -125,11 +131,11 @@ class _ResultComparison(Comparison):
 
     @cached_property
     def _distances(self) -> list[ContactDistances]:
-        """Of the predicted object to the given hand; and of the true one, where the true hand is the same one."""
+        """Of the predicted object to the given hand; and of the true one, where hand and mesh are the true ones."""
         clip, given = self.clip, self.clip.hand
         same = clip.truth is not None and np.array_equal(clip.truth.hand_vertices, given.vertices)
-        tracks = [self.track, self.true] if same else [self.track]
-        return contact_distances(clip.mesh, tracks, given.vertices, given.faces, self.reach)
+        tracks = [self.track, self.true] if same and self.found is clip.mesh else [self.track]
+        return contact_distances(self.found, tracks, given.vertices, given.faces, self.reach)
 
 
 def clip_of(folder: Path, result: Reconstruction, record: dict[str, Any], clips: str | Path | None) -> Clip:

@@ -13,11 +13,14 @@ from typing import Protocol
 import numpy as np
 
 from getagrip.clip import Clip, Masks
+from getagrip.datasets.synthetic.deform import drawn
 from getagrip.datasets.synthetic.noise import Noise, perturbed
 from getagrip.errors import InputError
 from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.experiments.wrong_masks import FAULTS
+from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.warp import aligned
 
 
 class Change(Protocol):
@@ -68,6 +71,40 @@ class ScaleFree(Change):
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         factor = float(np.exp(np.random.default_rng([seed, *clip.name.encode()]).uniform(-1.0, 1.0) * np.log(1.25)))
         return replace(_resized(clip, 1.0 / factor), scale="free"), masks
+
+
+@dataclass(frozen=True)
+class OtherMesh(Change):
+    """A mesh that is only of the object's kind: deformed and stretched, but placed and as large as the object.
+
+    Attributes:
+        deformed: how far a smooth deformation leaves it from the object's, root mean square, in diameters.
+        stretched: largest share by which each side is stretched or shrunk besides.
+    """
+
+    deformed: float = 0.03
+    stretched: float = 0.1
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        rng = np.random.default_rng([seed, *clip.name.encode()])
+        mesh, centre = clip.mesh, clip.mesh.centre
+        deformation = drawn(mesh, self.deformed, rng)
+        sides = np.exp(rng.uniform(-1.0, 1.0, 3) * np.log(1.0 + self.stretched))
+        other = Mesh(centre + sides * (deformation(mesh.vertices) - centre), mesh.faces)
+        T, size = aligned(other, mesh, resize=True)
+        return replace(clip, mesh=Mesh(se3.transform(T, size * other.vertices), mesh.faces)), masks
+
+
+@dataclass(frozen=True)
+class Several(Change):
+    """One change after the other."""
+
+    changes: tuple[Change, ...]
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        for change in self.changes:
+            clip, masks = change(clip, masks, seed)
+        return clip, masks
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,18 @@ from typing import Any
 
 from getagrip.datasets.synthetic.noise import NOISE, Noise
 from getagrip.evaluation.other_poses import OtherSystem
-from getagrip.experiments.changes import AS_GIVEN, Change, Noisy, ScaleFree, ScaleKnown, TrueHands, Wrong, WrongMasks
+from getagrip.experiments.changes import (
+    AS_GIVEN,
+    Change,
+    Noisy,
+    OtherMesh,
+    ScaleFree,
+    ScaleKnown,
+    Several,
+    TrueHands,
+    Wrong,
+    WrongMasks,
+)
 from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Departures, Options
@@ -96,6 +107,16 @@ WRONG_MASKS = (("another object", 0.2), ("another object", 0.4), ("half", 0.2), 
 
 def _wrong_masks(fault: str, share: float) -> Setting:
     return Setting(f"{fault} in {100 * share:.0f} %", change=WrongMasks(fault, share))
+
+
+OF_ITS_KIND = {
+    "of its kind": OtherMesh(),
+    "of its kind, size unknown": Several((OtherMesh(), ScaleFree())),
+    "of its kind, size unknown, hands moderate": Several(
+        (OtherMesh(), ScaleFree(), Noisy(replace(NOISE["moderate"], mask_ragged_px=0.0)))
+    ),
+}
+"""What is known of an object whose own mesh nobody has; the last is the paper's own setting, footage without CADs."""
 
 
 STEPS = {
@@ -188,6 +209,16 @@ ABLATIONS: dict[str, Ablation] = {
             replace(fault, label=f"{fault.label}, {word}", options={"masks": masks})
             for fault in (Setting("none"), *(_wrong_masks(*fault) for fault in WRONG_MASKS))
             for masks, word in (("as-given", "as given"), ("checked", "checked"))
+        ),
+        ("soft-hinge",),
+    ),
+    "other-mesh": Ablation(
+        "A mesh that is only of the object's kind: fitted to the masks, or taken as it is",
+        "own, as given",
+        tuple(
+            Setting(f"{label}, {word}", {"mesh": mesh}, change)
+            for label, change in ({"own": AS_GIVEN} | OF_ITS_KIND).items()
+            for mesh, word in (("as-given", "as given"), ("fitted", "fitted"))
         ),
         ("soft-hinge",),
     ),

@@ -82,7 +82,7 @@ class Scene:
     def of(result: Reconstruction, clip: Clip) -> Scene:
         """Of a result and the clip that it was made from. Raises ``InputError`` where the frames are not the clip's."""
         index = clip.index_of(result.frames)
-        some = clip.take(index).with_hand_at(result.T_cam_hand)
+        some = clip.take(index).warped(result.warp).with_hand_at(result.T_cam_hand)
         return Scene(
             name=clip.name,
             method=result.method,
@@ -93,7 +93,7 @@ class Scene:
             fps=clip.fps,
             T_cam_hand=some.hand.T_cam_hand,
             T_hand_obj=result.T_hand_obj,
-            object=Mesh(result.scale * clip.mesh.vertices, clip.mesh.faces),
+            object=Mesh(result.scale * some.mesh.vertices, some.mesh.faces),
             scale=result.scale,
             hand_vertices=some.hand.vertices,
             hand_faces=some.hand.faces,

@@ -36,7 +36,8 @@ def fitted_to_believed(problem: Problem, fit: Callable[[Problem], MethodResult])
     for _ in range(FITS - 1):
         if len(used) < FEWEST:
             break
-        met = Foretold.by(some, found.poses, used).overlap(problem, everywhere)
+        foretold = Foretold.by(some.warped(found.warp), found.poses, used)
+        met = foretold.overlap(problem.warped(found.warp), everywhere)
         limit = most_differing(met)
         believed = np.flatnonzero(met.differing <= limit)
         if np.array_equal(believed, used):
@@ -45,7 +46,7 @@ def fitted_to_believed(problem: Problem, fit: Callable[[Problem], MethodResult])
         some = problem.at(problem.clip.take(used), problem.given_masks.take(used))
         found = fit(some)
     names = tuple(name for n, name in enumerate(problem.clip.frames) if n not in used)
-    return replace(some, doubted=names, most_differing=limit), found
+    return replace(some.warped(found.warp), doubted=names, most_differing=limit), found
 
 
 def most_differing(met: Overlap) -> float:

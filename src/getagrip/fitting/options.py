@@ -13,6 +13,7 @@ from getagrip.io.choices import check_values
 
 Hands = Literal["corrected", "as-given"]
 GivenMasks = Literal["checked", "as-given"]
+GivenMesh = Literal["fitted", "as-given"]
 Init = Literal["uniform", "clusters", "priors"]
 
 
@@ -89,6 +90,7 @@ class Options:
         occlusion: leave out pixels hidden by the hand (the paper's C_o).
         hands: correct the given hands by their own pixels (``hand_correction``), or take them as they are given.
         masks: leave out those that contradict the others (``doubted_masks``; ``soft-hinge`` only), or believe all.
+        mesh: warp it where it is not the object's own (``shape``; ``soft-hinge`` only), or take it as it is given.
         departures: what ``paper`` does our way; no other method has a choice.
     """
 
@@ -106,6 +108,7 @@ class Options:
     occlusion: bool = True
     hands: Hands = "corrected"
     masks: GivenMasks = "checked"
+    mesh: GivenMesh = "fitted"
     departures: Departures = TO_THE_LETTER
 
     def __post_init__(self) -> None:

@@ -21,6 +21,7 @@ from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.observation import Observation, observe
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.fitting.surface import ObjectSurface
+from getagrip.geometry.warp import Warp
 from getagrip.result import Axis
 
 
@@ -65,6 +66,13 @@ class Problem:
         observation = observe(shown, clip.K, self.options.occlusion)
         return replace(self, clip=clip, masks=shown, given_masks=masks, observation=observation)
 
+    def warped(self, warp: Warp | None) -> Problem:
+        """The same problem with its mesh warped, where there is a warp."""
+        if warp is None:
+            return self
+        clip = self.clip.warped(warp)
+        return replace(self, clip=clip, surface=ObjectSurface.of(clip.mesh))
+
 
 EnergyOf = Callable[[Problem], Energy]
 """The energy of a problem: the same terms, at its frames."""
@@ -83,6 +91,7 @@ class MethodResult:
         motion: the motions of the solutions, whose own parameters are fitted in the frames that were not sampled; None
             where poses are interpolated there.
         energy_of: the energy of that fit.
+        warp: what was made of the mesh, where it is not the object's (``shape``); poses and energies are of that.
     """
 
     poses: PosesInHand
@@ -92,6 +101,7 @@ class MethodResult:
     axis: Axis | None = None
     motion: Motion | None = None
     energy_of: EnergyOf | None = None
+    warp: Warp | None = None
 
 
 def prepare(clip: Clip, masks: Masks | None, options: Options, threads: int = 1) -> Problem:

@@ -21,6 +21,7 @@ from getagrip.fitting.misfit import misfit
 from getagrip.fitting.options import Options
 from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem, prepare
+from getagrip.geometry.mesh import Mesh
 from getagrip.probability import Probability
 from getagrip.result import Candidates, Reconstruction
 
@@ -64,14 +65,15 @@ def reconstruct(
         check_masks(clip, masks)
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress)
-        whole_mesh, clip = clip.mesh, clip.light()
-        problem = prepare(clip, masks, options, threads)
+        whole_mesh, light = clip.mesh, clip.light()
+        problem = prepare(light, masks, options, threads)
         clock("prepare")
-        sampled = clip.take(clip.index_of(problem.clip.frames))
+        sampled = light.take(light.index_of(problem.clip.frames))
         given = Evidence(sampled, problem.given_masks)
         measured, findings = examine(INPUT_CHECKS, given)
         clock("check of the input")
         problem, found = _fitted(problem, clock, findings)
+        clip, sampled = light.warped(found.warp), sampled.warped(found.warp)
         track, scale = at_sampled_frames(problem, found), float(found.poses.scale[0])
         clock("finish")
         footage = (clip, masks) if options.every_frame else (sampled, given.masks)
@@ -91,7 +93,7 @@ def reconstruct(
     result = _reconstruction(problem, options, found, whole, clock.seconds())
     return replace(
         result,
-        notes=(*result.notes, *clip.mesh.stands_for(whole_mesh, "fitted")),
+        notes=(*result.notes, *_of_shape(found, light.mesh), *light.mesh.stands_for(whole_mesh, "fitted")),
         findings=(*findings, *more),
         checks=measured | of_result,
         signs=signs,
@@ -125,7 +127,8 @@ def _fitted(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> tu
     try:
         if method.checks_masks and problem.options.masks == "checked":
             return fitted_to_believed(problem, lambda some: method.fit(some, clock))
-        return problem, method.fit(problem, clock)
+        found = method.fit(problem, clock)
+        return problem.warped(found.warp), found
     except InputError:
         raise
     except GetagripError as error:
@@ -159,8 +162,20 @@ def _reconstruction(
         options=asdict(options),
         seed=options.seed,
         T_cam_hand=track.T_cam_hand if problem.hand_corrected else None,
+        warp=found.warp,
         notes=(*problem.notes, *track.notes, *([guess] if clip.scale == "free" else [])),
     )
+
+
+def _of_shape(found: MethodResult, mesh: Mesh) -> list[str]:
+    """What is to be said where the mesh was not taken as it is given."""
+    if found.warp is None:
+        return []
+    by = 1e3 * float(found.poses.scale[0]) * found.warp.displacement(mesh)
+    return [
+        f"the object's shape is a guess from the masks: the mesh leaves contours that no pose explains, and was "
+        f"deformed by {by:.1f} mm (--given-mesh takes it as it is)"
+    ]
 
 
 class Clock:

@@ -52,7 +52,7 @@ class Search:
     def relax(self, initial: Fixed, energy: Energy) -> Soft[Fixed]:
         """A static fit from each initial pose, then one in which each frame may deviate a little."""
         stage = self.schedule.coarse[0]
-        index = self._frames(stage)
+        index = self.frames(stage)
         terms, T = energy(stage.level, index), self.T_cam_hand[index]
         fixed, schedule, threads = replace(initial, frames=len(index)), self.schedule, self.threads
         static = minimise(fixed, terms, T, schedule.static_iterations, threads=threads).motion
@@ -70,25 +70,31 @@ class Search:
 
     def at_all_frames(self, motion: M, coarse: int = -1) -> M:
         """A motion at the frames of a coarse stage, the last one, taken to those of the fine stages."""
-        return motion.resampled(self._frames(self.schedule.coarse[coarse]), self._frames(self.schedule.fine[0]))
+        return motion.resampled(self.frames(self.schedule.coarse[coarse]), self.frames(self.schedule.fine[0]))
 
     def at_first_frames(self, motion: M) -> M:
         """A motion at all frames, taken to those of the first stage."""
-        return motion.resampled(np.arange(len(self.T_cam_hand)), self._frames(self.schedule.coarse[0]))
+        return motion.resampled(np.arange(len(self.T_cam_hand)), self.frames(self.schedule.coarse[0]))
 
     def fine(self, motion: M, energy: Energy) -> Solution[M]:
         """The stages that see all frames; distinct solutions, best first."""
         return self._stages(motion, self.schedule.fine, energy)
 
-    def _frames(self, stage: Stage) -> Int[ndarray, "n"]:
+    @property
+    def coarse_frames(self) -> Int[ndarray, "n"]:
+        """The frames at which the coarse stages end."""
+        return self.frames(self.schedule.coarse[-1])
+
+    def frames(self, stage: Stage) -> Int[ndarray, "n"]:
+        """The frames of the clip that a stage sees."""
         return frame_indices(len(self.T_cam_hand), stage.frames)
 
     def _stages(self, motion: M, stages: Sequence[Stage], energy: Energy) -> Solution[M]:
         """Fit, rotate, fit again and prune, stage after stage."""
-        index = self._frames(stages[0])
+        index = self.frames(stages[0])
         for k, stage in enumerate(stages):
             if k:
-                before, index = index, self._frames(stage)
+                before, index = index, self.frames(stage)
                 motion = motion.resampled(before, index)
             terms, T = energy(stage.level, index), self.T_cam_hand[index]
             solution = minimise(motion, terms, T, stage.iterations, threads=self.threads)

@@ -188,7 +188,7 @@ def _step(
     J_shared, J_local = motion.jacobian()
     S = J_shared.shape[-1]
     prior = motion.prior()
-    J_cam = _seen_from_camera(J_shared, J_local, T_cam_hand)
+    J_cam = seen_from_camera(J_shared, J_local, T_cam_hand)
     Jt = np.swapaxes(J_cam, -1, -2)
     A = Jt @ (local.H @ J_cam)
     b = (Jt @ local.g[..., None])[..., 0]
@@ -207,7 +207,7 @@ def _step(
     return shared * shrink[:, None], per_frame * shrink[:, None, None]
 
 
-def _seen_from_camera(
+def seen_from_camera(
     J_shared: Float[ndarray, "B N 7 S"], J_local: Float[ndarray, "B N 7 L"], T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> Float[ndarray, "B N 7 P"]:
     """A motion's Jacobians side by side, of local 7-vectors in the camera's frame."""
@@ -221,7 +221,7 @@ def hessian(motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N
     Without the motion's own prior, and without what ties frames to each other.
     """
     local = evaluate(motion, terms, T_cam_hand, np.full(len(motion.poses().scale), np.inf)).local
-    J = _seen_from_camera(*motion.jacobian(), T_cam_hand)
+    J = seen_from_camera(*motion.jacobian(), T_cam_hand)
     return np.asarray(np.swapaxes(J, -1, -2) @ (local.H @ J))
 
 

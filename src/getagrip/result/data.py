@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from getagrip.errors import UsageError
 from getagrip.finding import Finding
+from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
 from getagrip.probability import Probability
 
@@ -79,6 +80,8 @@ class Reconstruction(ArrayData):
             axis are relative to; None where the hand is as the clip gives it.
         T_cam_other_hand: (T, 4, 4) of a timeline, pose of the other hand, corrected where it holds the object; None
             where the clip has no such hand.
+        warp: what the clip's mesh was made into, where it is not the object's own, before it is scaled and posed; None
+            where it is as the clip gives it.
         frame_kind: how the pose of each frame was found; by default, all frames were sampled.
         segments: of a timeline, what the object does and what was found, as JSON values (docs/formats.md); else none.
     """
@@ -104,6 +107,7 @@ class Reconstruction(ArrayData):
     probability_right: Probability | None = None
     T_cam_hand: Float[ndarray, "T 4 4"] | None = None
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None = None
+    warp: Warp | None = None
     frame_kind: tuple[FrameKind, ...] = ()
     segments: tuple[dict[str, Any], ...] = ()
 

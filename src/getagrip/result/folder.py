@@ -14,6 +14,7 @@ from numpy import ndarray
 from getagrip.errors import InputError
 from getagrip.finding import read_checks, read_findings
 from getagrip.geometry import se3
+from getagrip.geometry.warp import MONOMIALS, Warp
 from getagrip.io import arrays, code, files
 from getagrip.probability import read_probability
 from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction
@@ -22,9 +23,10 @@ VERSION = 1
 FILES = ("result.json", "result.npz")
 """Of a result's folder."""
 AXIS = ("axis_point", "axis_direction", "angle")
+WARP = ("warp_centre", "warp_radius", "warp_coefficients")
 ARRAYS = (
     "T_hand_obj", "T_cam_hand", "T_cam_other_hand", "scale", "frames", "frame_kind", "iou", *AXIS,
-    "candidate_T_hand_obj", "candidate_scale", "candidate_energy",
+    "candidate_T_hand_obj", "candidate_scale", "candidate_energy", *WARP,
 )  # fmt: skip
 """What ``result.npz`` holds."""
 FIELDS: dict[str, tuple[type, str]] = {
@@ -92,6 +94,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
         probability_right=read_probability(folder / "result.json", fields["probability_right"]),
         T_cam_hand=_rigid(path, given, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in given else None,
         T_cam_other_hand=_rigid(path, given, "T_cam_other_hand", (T, 4, 4)) if "T_cam_other_hand" in given else None,
+        warp=_warp(path, given) if any(key in given for key in WARP) else None,
         segments=_segments(folder / "result.json", fields["segments"]),
     )
     return result, fields
@@ -165,6 +168,9 @@ def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
         out["T_cam_hand"] = result.T_cam_hand
     if result.T_cam_other_hand is not None:
         out["T_cam_other_hand"] = result.T_cam_other_hand
+    if result.warp is not None:
+        warp = result.warp
+        out |= dict(zip(WARP, (warp.centre, np.array(warp.radius), warp.coefficients), strict=True))
     if result.axis is not None:
         axis = result.axis
         out |= {"axis_point": axis.point, "axis_direction": axis.direction, "angle": axis.angle}
@@ -258,6 +264,16 @@ def _rigid(path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ..
     if not se3.is_rigid(T).all():
         raise InputError(path, key, "a matrix that is no rigid motion", "rotations and translations [m]")
     return T
+
+
+def _warp(path: Path, given: dict[str, ndarray]) -> Warp:
+    """What the mesh was made into."""
+    centre, radius, coefficients = WARP
+    return Warp(
+        arrays.floats(path, given, centre, (3,)),
+        float(_above_zero(path, given, radius, ())),
+        arrays.floats(path, given, coefficients, (MONOMIALS, 3)),
+    )
 
 
 def _above_zero(path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "..."]:

@@ -17,6 +17,7 @@ from getagrip.clip import Clip, Masks
 from getagrip.geometry import se3
 from getagrip.geometry.camera import Crops, bounding_boxes, project
 from getagrip.geometry.depth import covered, depth_and_face
+from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.render import Surface, render_rgb
 from getagrip.io.images import read_image
 from getagrip.result import Reconstruction
@@ -46,11 +47,15 @@ AxisLine = tuple[Float[ndarray, "n 2"], Bool[ndarray, "n"]]
 
 @dataclass(frozen=True)
 class View:
-    """A result with its clip and masks at the result's frames; the clip's hand is where the result has it."""
+    """A result with its clip and masks at the result's frames; the clip's hand is where the result has it, and its mesh
+    of the shape that the result has found.
+    """
 
     clip: Clip
     masks: Masks | None
     result: Reconstruction
+    given_mesh: Mesh | None = None
+    """The mesh as it was given, which the ground truth poses; None where it is the clip's."""
 
     @property
     def frames_in_words(self) -> str:
@@ -79,7 +84,9 @@ class View:
     @staticmethod
     def of(result: Reconstruction, clip: Clip, masks: Masks | None) -> View:
         """A result with a clip and masks at its frames, its hand and mesh as they are to be drawn."""
-        return View(clip.light().with_hand_at(result.T_cam_hand, result.T_cam_other_hand), masks, result)
+        light = clip.light()
+        seen = light.warped(result.warp).with_hand_at(result.T_cam_hand, result.T_cam_other_hand)
+        return View(seen, masks, result, light.mesh)
 
     def image_file(self, n: int) -> Path | None:
         """The frame's image, where the clip has one."""
@@ -101,7 +108,8 @@ class View:
             axis=None if axis is None else replace(axis, angle=axis.angle[index]),
             candidates=replace(result.candidates, T_hand_obj=result.candidates.T_hand_obj[:, index]),
         )
-        return View(self.clip.take(index), None if self.masks is None else self.masks.take(index), taken)
+        masks = None if self.masks is None else self.masks.take(index)
+        return replace(self, clip=self.clip.take(index), masks=masks, result=taken)
 
     def true(self) -> View | None:
         """The ground truth in place of the result; None where it is not known."""
@@ -111,7 +119,8 @@ class View:
         T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
         hand = replace(self.clip.hand, vertices=truth.hand_vertices, T_cam_hand=truth.T_cam_hand)
         result = replace(self.result, T_hand_obj=T_hand_obj, T_cam_hand=None, scale=truth.scale, axis=None, findings=())
-        return View(replace(self.clip, hand=hand), self.masks, result)
+        clip = replace(self.clip, hand=hand, mesh=self.given_mesh or self.clip.mesh)
+        return View(clip, self.masks, replace(result, warp=None))
 
 
 def windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crops:

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from getagrip.clip import Clip, read_clip, read_masks, write_clip
 from getagrip.datasets.synthetic.categories import CATEGORIES
-from getagrip.datasets.synthetic.deform import aligned
 from getagrip.datasets.synthetic.noise import ragged
 from getagrip.datasets.synthetic.scene import clip_name, make_scene, pictures, synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
@@ -20,6 +19,7 @@ from getagrip.datasets.synthetic.splits import PRESETS, split
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.warp import aligned
 
 FEW = SceneOptions(frames=4, size=(320, 240), focal=300.0)
 

@@ -11,49 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.clip import Masks
 from getagrip.fitting.energy import PosesInCamera, no_bound
-from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
-from getagrip.fitting.observation import CROP, LEVELS, Observation, observe
-from getagrip.geometry import se3
+from getagrip.fitting.energy.mask import MaskTerm
+from getagrip.fitting.observation import CROP, LEVELS, Observation
 from getagrip.geometry.mesh import Mesh
 from getagrip.kernels import reference
-from getagrip.kernels.silhouette import mismatch, pack, silhouettes, unpack
+from getagrip.kernels.silhouette import pack, unpack
+from helpers.drawn_masks import scene, smooth_energy
 from helpers.terms import MESHES, differences, hypotheses_are_independent, is_trustworthy, moved, random_poses
-
-SIZE = 300
-CAMERA = np.array([[560.0, 0.0, 148.0], [0.0, 570.0, 152.0], [0.0, 0.0, 1.0]])
-
-
-def rendered(mesh: Mesh, poses: PosesInCamera, K: ndarray, shape: tuple[int, int]) -> ndarray:
-    """Masks (N, h, w) of the first hypothesis."""
-    t = SilhouetteMesh.of(mesh, mesh.centre)
-    N = len(K)
-    bits = np.empty((N, shape[0], -(-shape[1] // 64)), np.uint64)
-    scale = np.full(N, poses.scale[0])
-    silhouettes(poses.R[0], poses.centre[0], scale, t.vertices, t.planes, t.edges, t.closed, K, bits)
-    return unpack(bits, shape[1])
-
-
-def scene(which: str, seed: int = 0, frames: int = 2, occluded: bool = False) -> tuple[MaskTerm, PosesInCamera]:
-    """A term whose masks were drawn at the poses that come with it."""
-    rng = np.random.default_rng([seed, *which.encode()])
-    mesh = MESHES[which]
-    R = se3.exp_so3(rng.normal(size=(frames, 3)))
-    centre = np.array([0.0, 0.0, 0.5]) + rng.uniform(-0.02, 0.02, (frames, 3))
-    truth = PosesInCamera(R[None], centre[None], np.ones(1))
-    K4 = np.tile(CAMERA[[0, 1, 0, 1], [0, 1, 2, 2]], (frames, 1))
-    seen = rendered(mesh, truth, K4, (SIZE, SIZE))
-    ignore = np.zeros_like(seen)
-    if occluded:
-        i, j = np.indices((SIZE, SIZE))
-        ignore[:] = (i - 0.6 * j > 90.0) & (i - 0.6 * j < 125.0)
-    observation = observe(Masks(seen & ~ignore, ignore), np.tile(CAMERA, (frames, 1, 1)))
-    # Drawn again in the crops, so that no pixel differs at the truth.
-    valid = unpack(observation.valid[CROP], CROP)
-    exact = pack(rendered(mesh, truth, observation.K, (CROP, CROP)) & valid)
-    observation = replace(observation, observed={**observation.observed, CROP: exact})
-    return MaskTerm(SilhouetteMesh.of(mesh, mesh.centre), observation), truth
 
 
 @pytest.mark.parametrize("which", sorted(MESHES))
@@ -63,21 +28,6 @@ def test_e_mask_is_zero_at_the_truth_and_positive_elsewhere(which: str, occluded
     np.testing.assert_array_equal(term(truth, no_bound(truth)).value, 0.0)
     off = moved(truth, np.array([0.005, 0.0, 0.0, 0.0, 0.1, 0.0, 0.02]))
     assert (term(off, no_bound(off)).value > 10.0).all()
-
-
-def enlarged(mask: ndarray, finer: int) -> ndarray:
-    return mask.repeat(finer, axis=0).repeat(finer, axis=1)
-
-
-def smooth_energy(term: MaskTerm, mesh: Mesh, poses: PosesInCamera, finer: int = 8) -> ndarray:
-    """E_mask (1, N) of silhouettes drawn finer than the masks, as ``reference.mask_energy`` says."""
-    o = term.observation
-    drawn = pack(rendered(mesh, poses, o.K * finer, (CROP * finer, CROP * finer)))
-    energy = [
-        mismatch(drawn[n], *(pack(enlarged(unpack(bits[CROP][n], CROP), finer)) for bits in (o.observed, o.valid)))
-        for n in range(len(drawn))
-    ]
-    return np.array([energy]) / finer**2
 
 
 def test_a_finer_energy_is_what_the_specification_says() -> None:

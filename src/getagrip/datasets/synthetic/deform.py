@@ -10,6 +10,7 @@ from numpy import ndarray
 
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.warp import aligned
 
 WAVES = 6
 LENGTHS = (0.8, 2.0)
@@ -52,18 +53,3 @@ def misfit(cad: Mesh, held: Mesh) -> float:
     T, size = aligned(cad, held, resize=True)
     off = np.sum((se3.transform(T, size * cad.vertices) - held.vertices) ** 2, axis=1)
     return float(np.sqrt(held.vertex_areas @ off / held.vertex_areas.sum()))
-
-
-def aligned(cad: Mesh, held: Mesh, resize: bool) -> tuple[Float[ndarray, "4 4"], float]:
-    """``T_held_cad`` and the scale that bring a CAD nearest to the object that it stands for, vertex by vertex.
-
-    Minimised is sum_i a_i |x_i - (R s y_i + t)|^2 over corresponding vertices x of ``held`` and y of ``cad``, with a_i
-    the areas of ``held``; s stays 1 unless ``resize`` (Umeyama, "Least-squares estimation of transformation
-    parameters", 1991).
-    """
-    a = held.vertex_areas / held.vertex_areas.sum()
-    x0, y0 = a @ held.vertices, a @ cad.vertices
-    x, y = held.vertices - x0, cad.vertices - y0
-    R = se3.nearest_rotation((a[:, None] * x).T @ y)
-    size = float(np.sum(a[:, None] * x * (y @ R.T)) / np.sum(a[:, None] * y * y)) if resize else 1.0
-    return se3.rigid(R, x0 - size * R @ y0), size

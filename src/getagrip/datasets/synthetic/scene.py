@@ -19,7 +19,7 @@ from numpy import ndarray
 from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Truth, World
 from getagrip.datasets.synthetic import in_hand
 from getagrip.datasets.synthetic.categories import CATEGORIES
-from getagrip.datasets.synthetic.deform import aligned, drawn
+from getagrip.datasets.synthetic.deform import drawn
 from getagrip.datasets.synthetic.egocentric import other_hand, seen_from_head
 from getagrip.datasets.synthetic.grasp import Grasper, Grip, looseness, varied
 from getagrip.datasets.synthetic.noise import perturbed
@@ -30,6 +30,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.render import Surface, render_rgb, true_masks
+from getagrip.geometry.warp import aligned
 from getagrip.hands import generic
 from getagrip.hands.model import hand_track, mirrored
 from getagrip.result import Axis

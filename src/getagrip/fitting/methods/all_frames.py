@@ -16,6 +16,7 @@ from getagrip.fitting.objective import NOTHING, consistency_of, energy_of, plus
 from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
 from getagrip.fitting.schedule import THOROUGH, USUAL
 from getagrip.fitting.search import Search
+from getagrip.fitting.shape import own_shape
 from getagrip.fitting.solve import Solution
 from getagrip.result import Axis
 
@@ -33,26 +34,46 @@ ALONE = 4.0
 
 def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> MethodResult:
     """A hinge, and a small deviation from it in each frame; ``more`` terms count in all stages."""
-    found = soft_hinges(problem, on_stage, more)
-    if more is not NOTHING:  # terms of these frames only
-        return result_of(found, found.motion.core)
-    return result_of(found, found.motion.core, soft_energy)
+    rough, warp = rough_fit(problem, on_stage, more), None
+    if problem.options.mesh == "fitted":
+        frames = search_of(problem, on_stage).coarse_frames
+        warp = own_shape(problem, rough.motion, frames, misfit_of(problem, rough))
+    if warp is not None:
+        problem = problem.warped(warp)
+        rough = rough_fit(problem, on_stage, more)
+    found = fine_fit(problem, rough, on_stage, more)
+    # Terms of one's own are of these frames only.
+    result = result_of(found, found.motion.core, soft_energy if more is NOTHING else None)
+    return replace(result, warp=warp)
 
 
 def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> Solution[Soft[Hinge]]:
-    """The distinct soft hinges that the search ends with, best first.
+    """The distinct soft hinges that the search ends with, best first."""
+    return fine_fit(problem, rough_fit(problem, on_stage, more), on_stage, more)
 
-    There is no axis in the coarse stages: held to one too early, right poses lose whose motion is not quite a hinge.
-    How well they explain the masks says how far the deviations may be believed afterwards (``misfit``).
+
+def rough_fit(problem: Problem, on_stage: OnStage, more: Energy) -> Solution[Soft[Fixed]]:
+    """What the coarse stages find, without an axis: held to one too early, right poses lose whose motion is not quite a
+    hinge.
     """
-    search, coarse = search_of(problem, on_stage), plus(coarse_energy(problem), more)
-    relaxed = search.relax(initial_of(problem), coarse)
-    rough = search.coarse(replace(relaxed, ridge=COARSE_RIDGE), coarse)
+    search, energy = search_of(problem, on_stage), plus(coarse_energy(problem), more)
+    relaxed = search.relax(initial_of(problem), energy)
+    return search.coarse(replace(relaxed, ridge=COARSE_RIDGE), energy)
+
+
+def fine_fit(problem: Problem, rough: Solution[Soft[Fixed]], on_stage: OnStage, more: Energy) -> Solution[Soft[Hinge]]:
+    """What the fine stages make of it. How well the masks are explained says how far deviations may be believed."""
+    search, energy = search_of(problem, on_stage), plus(coarse_energy(problem), more)
     motion = search.at_all_frames(rough.motion)
-    frames = rough.motion.deviation.shape[1]
-    ridge = stiffened(SOFT_RIDGE, misfit(problem.observation, float(rough.terms["mask"][0]) / frames))
+    ridge = stiffened(SOFT_RIDGE, misfit_of(problem, rough))
     soft = Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
-    return search.fine(soft, steady(problem, coarse))
+    return search.fine(soft, steady(problem, energy))
+
+
+def misfit_of(problem: Problem, rough: Solution[Soft[Fixed]]) -> float:
+    """How badly the best of the coarse stages explains the masks."""
+    frames = rough.motion.deviation.shape[1]
+    return misfit(problem.observation, float(rough.terms["mask"][0]) / frames)
 
 
 def soft_energy(problem: Problem) -> Energy:

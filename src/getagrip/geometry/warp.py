@@ -1,0 +1,89 @@
+"""Smooth warps: what makes of a mesh another one of its kind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.io.array_data import ArrayData
+
+MONOMIALS = 10
+"""1, x, y, z, xx, xy, xz, yy, yz, zz."""
+
+
+@dataclass(frozen=True, eq=False)
+class Warp(ArrayData):
+    """``X' = centre + radius * M(x) @ coefficients``, with ``x = (X - centre) / radius`` and M the monomials of x up to
+    the second degree: stretches, shears, tapers and bends.
+
+    Attributes:
+        centre: (3,) the point about which x is measured [m].
+        radius: the length in which it is measured [m].
+        coefficients: (10, 3) of 1, x, y, z, xx, xy, xz, yy, yz, zz.
+    """
+
+    centre: Float[ndarray, "3"]
+    radius: float
+    coefficients: Float[ndarray, "10 3"]
+
+    @staticmethod
+    def by(centre: Float[ndarray, "3"], radius: float, displacement: Float[ndarray, "9 3"]) -> Warp:
+        """Points displaced by ``radius`` times so many of each monomial but 1."""
+        coefficients = np.zeros((MONOMIALS, 3))
+        coefficients[1:] = displacement
+        coefficients[1:4] += np.eye(3)
+        return Warp(centre, radius, coefficients)
+
+    def __call__(self, mesh: Mesh) -> Mesh:
+        """The mesh of the other shape."""
+        return Mesh(self.moved(mesh.vertices), mesh.faces)
+
+    def moved(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
+        """Where points come to lie [m]."""
+        x = (X - self.centre) / self.radius
+        return np.asarray(self.centre + self.radius * (monomials(x) @ self.coefficients))
+
+    def displacement(self, mesh: Mesh) -> float:
+        """Root mean square distance by which the mesh's surface is displaced [m]."""
+        squared = np.sum((self.moved(mesh.vertices) - mesh.vertices) ** 2, axis=1)
+        return float(np.sqrt(np.average(squared, weights=mesh.vertex_areas)))
+
+
+def settled(warp: Warp, mesh: Mesh, resize: bool) -> tuple[Warp, Float[ndarray, "4 4"], float]:
+    """The same shape, but where the mesh is and, with ``resize``, as large; and the similarity (T, size) that was in the
+    warp.
+
+    No such similarity brings the mesh nearer to what the settled warp makes of it (``aligned``): a pose of the one is a
+    pose of the other. ``warp.moved(X) = T (size * settled.moved(X))``.
+    """
+    T, size = aligned(mesh, warp(mesh), resize)
+    R, shift = T[:3, :3], T[:3, 3]
+    coefficients = warp.coefficients @ R / size
+    coefficients[0] += (R.T @ (warp.centre - shift) / size - warp.centre) / warp.radius
+    return replace(warp, coefficients=coefficients), T, size
+
+
+def monomials(x: Float[ndarray, "n 3"]) -> Float[ndarray, "n 10"]:
+    """1, x, y, z, xx, xy, xz, yy, yz, zz of each point."""
+    first, second = np.triu_indices(3)
+    return np.concatenate([np.ones((len(x), 1)), x, x[:, first] * x[:, second]], axis=1)
+
+
+def aligned(mesh: Mesh, other: Mesh, resize: bool) -> tuple[Float[ndarray, "4 4"], float]:
+    """``T_other_mesh`` and the scale that bring a mesh nearest to another with the same faces, vertex by vertex.
+
+    Minimised is sum_i a_i |x_i - (R s y_i + t)|^2 over corresponding vertices x of ``other`` and y of ``mesh``, with
+    a_i the areas of ``other``; s stays 1 unless ``resize`` (Umeyama, "Least-squares estimation of transformation
+    parameters", 1991).
+    """
+    a = other.vertex_areas / other.vertex_areas.sum()
+    x0, y0 = a @ other.vertices, a @ mesh.vertices
+    x, y = other.vertices - x0, mesh.vertices - y0
+    R = se3.nearest_rotation((a[:, None] * x).T @ y)
+    size = float(np.sum(a[:, None] * x * (y @ R.T)) / np.sum(a[:, None] * y * y)) if resize else 1.0
+    return se3.rigid(R, x0 - size * R @ y0), size

@@ -1,0 +1,80 @@
+"""A mesh that is only of the object's kind gets the object's shape; the object's own stays as it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from getagrip.clip import Clip, Masks
+from getagrip.datasets.synthetic.deform import misfit as unlike
+from getagrip.fitting.motion import Fixed, PosesInHand, Soft
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import Problem, prepare
+from getagrip.fitting.reconstruct import reconstruct
+from getagrip.fitting.shape import MISFIT, own_shape
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.warp import Warp
+from getagrip.result import read_result, write_result
+from getagrip.view.tiles import View
+from helpers.scenes import scene, scores
+
+STRETCH = np.array([1.15, 0.88, 1.0])
+
+
+def stretched(clip: Clip) -> Clip:
+    """The clip with a mesh that is only of the object's kind."""
+    return replace(clip, mesh=Mesh(clip.mesh.vertices * STRETCH, clip.mesh.faces))
+
+
+def at_truth(problem: Problem) -> Soft[Fixed]:
+    """One hypothesis: the true poses."""
+    clip, truth = problem.clip, problem.clip.truth
+    assert truth is not None
+    T = se3.inverse(clip.hand.T_cam_hand) @ truth.T_cam_obj
+    centre = se3.transform(T, truth.scale * clip.mesh.centre[None])[:, 0]
+    poses = PosesInHand(T[None, :, :3, :3], centre[None], np.array([truth.scale]))
+    core = Fixed(T[:1, :3, :3], centre[:1], np.log(poses.scale), len(clip))
+    return Soft.around(core, poses, (1e4, 1e2))
+
+
+def shape_at_truth(clip: Clip, masks: Masks, misfit: float = 10.0) -> Warp | None:
+    problem = prepare(clip, masks, Options())
+    return own_shape(problem, at_truth(problem), np.arange(len(clip)), misfit)
+
+
+def test_another_shape_is_found_from_silhouettes() -> None:
+    clip, masks = scene("mug", 0)
+    warp = shape_at_truth(stretched(clip), masks)
+    assert warp is not None
+    given = stretched(clip).mesh
+    assert unlike(warp(given), clip.mesh) < 0.5 * unlike(given, clip.mesh)
+
+
+def test_the_objects_own_mesh_is_believed() -> None:
+    clip, masks = scene("mug", 0)
+    assert shape_at_truth(clip, masks) is None
+    assert shape_at_truth(stretched(clip), masks, misfit=0.9 * MISFIT) is None
+
+
+@pytest.mark.slow
+def test_a_result_has_the_shape_and_says_so(tmp_path: Path) -> None:
+    clip, masks = scene("mug", 0)
+    given = stretched(clip)
+    result = reconstruct(given, masks, Options(inits=6))
+    assert result.warp is not None
+    assert any("the object's shape is a guess" in note for note in result.notes)
+    as_given = reconstruct(given, masks, Options(inits=6, mesh="as-given"))
+    assert as_given.warp is None
+    assert result.mean_iou > as_given.mean_iou
+    found = scores(result, given, masks)
+    assert found["iou"] == pytest.approx(result.mean_iou, abs=0.01)  # of the same mesh
+    assert read_result(write_result(result, tmp_path / "result"))[0] == result
+    view = View.of(result, given, masks)
+    np.testing.assert_array_equal(view.clip.mesh.vertices, result.warp(given.mesh).vertices)
+    true = view.true()
+    assert true is not None
+    assert true.clip.mesh == given.mesh

@@ -1,0 +1,34 @@
+"""Warps of meshes: what they leave alone, and that a settled one holds no similarity."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from getagrip.geometry import se3
+from getagrip.geometry.warp import Warp, aligned, settled
+from helpers.clips import box
+
+MESH = box(0.1, 0.06, 0.04)
+
+
+def drawn(seed: int, size: float = 0.05) -> Warp:
+    rng = np.random.default_rng(seed)
+    return Warp.by(rng.normal(0.0, 0.02, 3), 0.06, rng.normal(0.0, size, (9, 3)))
+
+
+def test_a_warp_by_nothing_leaves_the_mesh_as_it_is() -> None:
+    warp = drawn(0, 0.0)
+    np.testing.assert_allclose(warp(MESH).vertices, MESH.vertices, atol=1e-15)
+    assert warp.displacement(MESH) < 1e-15
+
+
+def test_a_settled_warp_is_the_same_shape_where_the_mesh_is_and_as_large() -> None:
+    for seed in range(5):
+        warp = drawn(seed)
+        still, T, size = settled(warp, MESH, resize=True)
+        X = np.random.default_rng(seed).normal(0.0, 0.05, (20, 3))
+        np.testing.assert_allclose(warp.moved(X), se3.transform(T, size * still.moved(X)), atol=1e-14)
+        again, same = aligned(MESH, still(MESH), resize=True)
+        np.testing.assert_allclose(again, np.eye(4), atol=1e-12)
+        assert abs(same - 1.0) < 1e-12
+        assert still.displacement(MESH) < warp.displacement(MESH)
