@@ -55,8 +55,8 @@ class Warp(ArrayData):
 
 
 def settled(warp: Warp, mesh: Mesh, resize: bool) -> tuple[Warp, Float[ndarray, "4 4"], float]:
-    """The same shape, but where the mesh is and, with ``resize``, as large; and the similarity (T, size) that was in the
-    warp.
+    """The same shape, but where the mesh is and, with ``resize``, as large; and the similarity (T, size) that was in
+    the warp.
 
     No such similarity brings the mesh nearer to what the settled warp makes of it (``aligned``): a pose of the one is a
     pose of the other. ``warp.moved(X) = T (size * settled.moved(X))``.
