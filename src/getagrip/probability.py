@@ -48,13 +48,13 @@ def of_grasps(segments: Sequence[Mapping[str, Any]]) -> str:
     return f"probability that its grasps are right: {', '.join(each)}" if each else ""
 
 
-def read_probability(path: Path, given: Any) -> Probability | None:
-    """That of a ``result.json``; None for null. Raises ``InputError``."""
+def read_probability(path: Path, given: Any, key: str = "probability_right") -> Probability | None:
+    """That of a ``result.json`` under a key; None for null. Raises ``InputError``."""
     if given is None:
         return None
-    known = isinstance(given, dict) and all(isinstance(given.get(key), kind) for key, kind in KINDS.items())
+    known = isinstance(given, dict) and all(isinstance(given.get(part), kind) for part, kind in KINDS.items())
     if not known or isinstance(given["value"], bool) or not all(isinstance(name, str) for name in given["beyond"]):
-        raise InputError(path, "probability_right", shown(given), f"an object with {', '.join(KINDS)}, or null")
+        raise InputError(path, key, shown(given), f"an object with {', '.join(KINDS)}, or null")
     if not 0.0 <= given["value"] <= 1.0:
-        raise InputError(path, "probability_right.value", shown(given["value"]), "0 to 1")
+        raise InputError(path, f"{key}.value", shown(given["value"]), "0 to 1")
     return Probability(float(given["value"]), given["meaning"], tuple(given["beyond"]))

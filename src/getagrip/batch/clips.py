@@ -116,6 +116,7 @@ class _Tally:
         self.doubtful: list[str] = []
         """Names of those with serious findings."""
         self.right: dict[str, float] = {}
+        self.right_in_camera: dict[str, float] = {}
         """The probability of each that it is right."""
 
     def add(self, outcome: Outcome) -> None:
@@ -123,6 +124,8 @@ class _Tally:
         self.doubtful += [outcome.name] * any(finding.serious for finding in outcome.findings)
         if outcome.probability_right is not None:
             self.right[outcome.name] = outcome.probability_right.value
+        if outcome.probability_right_in_camera is not None:
+            self.right_in_camera[outcome.name] = outcome.probability_right_in_camera.value
 
     def __len__(self) -> int:
         return self.counts.total()
@@ -133,6 +136,8 @@ class _Tally:
             print(f"{len(self.doubtful)} with serious findings: {', '.join(sorted(self.doubtful))}")
         if self.right:
             print(expected(self.right))
+        if self.right_in_camera:
+            print(expected(self.right_in_camera, "right in the camera"))
 
 
 def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: Batch, debug: bool) -> _Tally:
@@ -185,11 +190,11 @@ def _shown(bar: Progress, work: Callable[..., Outcome], job: Job | StreamedJob) 
         bar.remove_task(stage)
 
 
-def expected(right: Mapping[str, float]) -> str:
+def expected(right: Mapping[str, float], what: str = "right in the hand") -> str:
     """How many results are probably right, and which are rather wrong, by the probability of each that it is right."""
     wrong = sorted((name for name in right if right[name] < 0.5), key=lambda name: right[name])
     named = f"; rather wrong than right, the worst first: {', '.join(wrong)}" if wrong else ""
-    return f"about {sum(right.values()):.0f} of {len(right)} are right, by their probabilities{named}"
+    return f"about {sum(right.values()):.0f} of {len(right)} are {what}, by their probabilities{named}"
 
 
 def print_outcome(outcome: Outcome, debug: bool) -> None:

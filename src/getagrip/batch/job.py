@@ -53,7 +53,8 @@ class Outcome:
     findings: tuple[Finding, ...] = ()
     """What is unusual about a result."""
     probability_right: Probability | None = None
-    """Of a result, where it is known."""
+    probability_right_in_camera: Probability | None = None
+    """Of a result, where they are known."""
     inputs: str = ""
     """Checksum of the clip, where it could be read."""
     status: str = ""
@@ -97,8 +98,8 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         write_result(result, job.out, checksum, metrics, clip_folder=job.origin or job.clip, overwrite=True)
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.name, error)
-    right = result.probability_right
-    probably = "" if right is None else f", right with a probability of {right}"
+    known = ", ".join(f"{right} {where}" for where, right in result.probabilities.items())
+    probably = f", right with a probability of {known}" if known else ""
     if grasps := of_grasps(result.segments):
         probably = f", {grasps}"
     about = f"{probably}{', ambiguous' if result.ambiguous else ''}"
@@ -146,6 +147,7 @@ def _outcome(job: Job, state: Literal["done", "kept"], message: str, result: Rec
     """That of a job whose result is good."""
     return Outcome(
         job.name, state, message, findings=result.findings, probability_right=result.probability_right,
+        probability_right_in_camera=result.probability_right_in_camera,
         inputs=checksum, status=result.status, iou=result.mean_iou, seconds=float(result.seconds.get("total", 0.0)),
     )  # fmt: skip
 

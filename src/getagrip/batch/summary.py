@@ -17,14 +17,14 @@ from getagrip.io.storage import Place, Remote
 from getagrip.result import is_result, read_result
 
 TABLE, PAGE = "summary.csv", "index.html"
-HEAD = ("clip", "status", "why", "seconds", "IOU", "probability_right", "findings")
+HEAD = ("clip", "status", "why", "seconds", "IOU", "probability_right", "probability_right_in_camera", "findings")
 WORST = 1000
 """The index shows so many clips at most: a page of all would be too large for a browser."""
 
 
 def entry_of(outcome: Outcome) -> Entry:
     """What the ledger is to say of a clip."""
-    right = outcome.probability_right
+    right, in_camera = outcome.probability_right, outcome.probability_right_in_camera
     return Entry(
         name=outcome.name,
         state=outcome.state,
@@ -34,6 +34,7 @@ def entry_of(outcome: Outcome) -> Entry:
         about={
             "iou": outcome.iou,
             "probability_right": None if right is None else right.value,
+            "probability_right_in_camera": None if in_camera is None else in_camera.value,
             "findings": [str(finding) for finding in outcome.findings],
         },
     )
@@ -59,12 +60,12 @@ def _write_here(ledger: Ledger, results: Place, out: Path, nameless: Iterable[Ou
         table.writerow(HEAD)
         for entry in _entries(ledger, results):
             about = entry.about
-            numbers = (about.get("iou"), about.get("probability_right"))
+            numbers = [about.get(key) for key in ("iou", "probability_right", "probability_right_in_camera")]
             cells = ("" if value is None else f"{float(value):.4f}" for value in numbers)
             row = entry.name, entry.state, entry.why, f"{entry.seconds:.2f}", *cells
             table.writerow([*row, "; ".join(map(str, about.get("findings", ())))])
         for outcome in nameless:
-            table.writerow([outcome.name, outcome.state, outcome.message, "", "", "", ""])
+            table.writerow([outcome.name, outcome.state, outcome.message, *[""] * (len(HEAD) - 3)])
     return [out / TABLE, _write_index(ledger, results, out)]
 
 

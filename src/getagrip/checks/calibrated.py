@@ -3,10 +3,11 @@
 Made 2026-11-22, commit 00fde85.
 """
 
-from getagrip.checks.calibration import Calibration, Weight
+from getagrip.checks.calibration import Calibration, Weight, Where
 
-CALIBRATIONS: dict[str, Calibration] = {
-    "soft-hinge": Calibration(
+CALIBRATIONS: dict[tuple[str, Where], Calibration] = {
+    ("soft-hinge", "hand"): Calibration(
+        where="hand",
         weights={
             "energy-gap": Weight(1.7779, 0.073892, 0.83666),
             "solution-spread": Weight(-0.8043, -5.8091, -3.2929),
@@ -25,4 +26,4 @@ CALIBRATIONS: dict[str, Calibration] = {
         made="2026-11-22, commit 00fde85",
     ),
 }
-"""By method."""
+"""By method, and by where poses are right."""

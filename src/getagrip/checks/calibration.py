@@ -3,13 +3,14 @@
     probability = 1 / (1 + exp(-(bias + sum_i weight_i x_i)))
 
 x_i are signs (``checks.signs``), none better than nearly all were in the training data. Only what was calibrated
-has a probability: ``CALIBRATIONS`` (``calibrated``), by method.
+has a probability: ``CALIBRATIONS`` (``calibrated``), by method and by where the pose is to be right.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +18,12 @@ from numpy import ndarray
 
 from getagrip.probability import Probability
 
-MEANING = "probability that the mean distance of vertices (ADD), up to symmetries, is below 10 % of the diameter"
+Where = Literal["hand", "camera"]
+"""The frame in which a pose is compared with the true one: that of the hand, or of the camera."""
+MEANING = (
+    "probability that the pose is right in the {}: that the mean distance of vertices (ADD), up to symmetries, is below "
+    "10 % of the diameter there"
+)
 
 
 @dataclass(frozen=True)
@@ -44,12 +50,14 @@ class Calibration:
     """Of one method.
 
     Attributes:
+        where: the frame in which poses are right.
         weights: by name of the sign.
         bias: the logarithm of the odds where all signs are 0.
         data: on what it was fitted, in words.
         made: when, by which code and which command.
     """
 
+    where: Where
     weights: Mapping[str, Weight]
     bias: float
     data: str
@@ -60,7 +68,7 @@ class Calibration:
         held = {name: weight.held(signs[name]) for name, weight in self.weights.items()}
         logit = self.bias + sum(self.weights[name].weight * value for name, value in held.items())
         beyond = tuple(name for name, weight in self.weights.items() if weight.beyond(signs[name]))
-        meaning = f"{MEANING}; calibrated on {self.data}; for anything else it is an extrapolation"
+        meaning = f"{MEANING.format(self.where)}; calibrated on {self.data}; for anything else it is an extrapolation"
         return Probability(float(sigmoid(np.array(logit))), meaning, beyond)
 
 

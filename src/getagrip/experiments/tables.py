@@ -228,17 +228,18 @@ def write_clips_csv(scores: Sequence[Scores], variants: Sequence[Variant], path:
         writer = csv.writer(file)
         about = (
             "clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "probability_right",
-            "findings", "status",
+            "probability_right_in_camera", "findings", "status",
         )  # fmt: skip
         writer.writerow([*about, *keys])
         for clip in scores:
             if clip.failure:
-                writer.writerow([clip.clip, *[""] * 9, f"failed: {clip.failure}", *[""] * len(keys)])
+                writer.writerow([clip.clip, *[""] * (len(about) - 2), f"failed: {clip.failure}", *[""] * len(keys)])
             for score in clip.scores:
                 variant = of[score.variant]
                 status = f"failed: {score.status}" if score.failed else score.status
                 found = " ".join((*score.serious, *score.noted))
-                how = [score.seconds, score.energy, score.ambiguous, score.probability_right, found, status]
+                probable = [score.probability_right, score.probability_right_in_camera]
+                how = [score.seconds, score.energy, score.ambiguous, *probable, found, status]
                 metrics = [score.metrics.get(key, "") for key in keys]
                 what = [clip.clip, clip.category, clip.subject, variant.method, variant.step]
                 writer.writerow([*what, *how, *metrics])

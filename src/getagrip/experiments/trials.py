@@ -71,6 +71,7 @@ class Score:
     """Names of those that found something else."""
     probability_right: float | None = None
     """By its own signs; None where that is not calibrated."""
+    probability_right_in_camera: float | None = None
 
 
 @dataclass(frozen=True)
@@ -173,10 +174,12 @@ def _score(variant: Variant, place: Path, record: dict[str, Any]) -> Score:
     seconds, energy = (np.nan if value is None else float(value) for value in of_all)
     found = read_findings(place / "result.json", record["findings"])
     serious, noted = (tuple(f.check for f in found if f.serious == kind) for kind in (True, False))
-    right = read_probability(place / "result.json", record["probability_right"])
-    value = None if right is None else right.value
+    probabilities = {}
+    for key in ("probability_right", "probability_right_in_camera"):
+        right = read_probability(place / "result.json", record[key], key)
+        probabilities[key] = None if right is None else right.value
     how = record["ambiguous"], record["status"]
-    return Score(variant.folder, metrics, seconds, energy, *how, serious=serious, noted=noted, probability_right=value)
+    return Score(variant.folder, metrics, seconds, energy, *how, serious=serious, noted=noted, **probabilities)
 
 
 def _place(trial: Trial, variant: Variant) -> Path:

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from getagrip.checks import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Evidence, Solved, examine, read_signs
 from getagrip.checks.calibrated import CALIBRATIONS
+from getagrip.checks.calibration import Where
 from getagrip.clip import Clip, Masks, check_clip, check_masks
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.finding import Finding
@@ -98,16 +99,19 @@ def reconstruct(
         checks=measured | of_result,
         signs=signs,
         probability_right=probability_right(options, signs, findings),
+        probability_right_in_camera=probability_right(options, signs, findings, "camera"),
     )
 
 
-def probability_right(options: Options, signs: Mapping[str, float], findings: Sequence[Finding]) -> Probability | None:
+def probability_right(
+    options: Options, signs: Mapping[str, float], findings: Sequence[Finding], where: Where = "hand"
+) -> Probability | None:
     """How probable it is that a result with such signs is right; ``findings`` are those about its input.
 
     None where nothing is calibrated: for methods and energies other than those that were, for shorter searches, and
     where something serious is found about the input.
     """
-    calibration = CALIBRATIONS.get(options.method)
+    calibration = CALIBRATIONS.get((options.method, where))
     as_usual = options.inits >= Options.inits and all(
         getattr(options, option.name) == option.default for option in fields(Options) if option.name not in CHOICES
     )

@@ -85,7 +85,7 @@ def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> I
         "guess": any("guess" in str(note).lower() for note in result.notes),
     }
     values = {name: metrics.get(metric.key(CONTACT), np.nan) for name, metric in COLUMNS.items()}
-    probable = np.nan if result.probability_right is None else result.probability_right.value
+    probable = {f"probability right {where}": right.value for where, right in result.probabilities.items()}
     return IndexRow(
         folder=folder,
         clip=result.clip,
@@ -93,14 +93,15 @@ def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> I
         status=result.status,
         flags=tuple(name for name, holds in flags.items() if holds),
         doubts=tuple(str(finding) for finding in result.findings),
-        values=values | {"probability right": probable, "time": float(result.seconds.get("total", np.nan))},
+        values=values | probable | {"time": float(result.seconds.get("total", np.nan))},
     )
 
 
 def write_index(rows: Sequence[IndexRow], title: str, tables: Sequence[str], path: Path) -> Path:
     """Write the page and return its path. ``tables`` are files beside it that it links to."""
     units: dict[str, tuple[str, int]] = {name: (metric.unit, metric.decimals) for name, metric in COLUMNS.items()}
-    units |= {"probability right": ("%", 0), "worst frame": ("%", 1), "time": ("s", 2)}
+    units |= {f"probability right {where}": ("%", 0) for where in ("in the hand", "in the camera")}
+    units |= {"worst frame": ("%", 1), "time": ("s", 2)}
     known = [name for name in units if any(np.isfinite(one.values.get(name, np.nan)) for one in rows)] or ["IOU"]
     data = {
         "title": title,

@@ -122,14 +122,16 @@ def _segments(result: Reconstruction) -> list[str]:
 
 def _probably(result: Reconstruction) -> list[dict[str, str]]:
     """How probable it is that the result is right, where that is calibrated."""
-    right = result.probability_right
-    return [] if right is None else [{"name": "probability right", "value": str(right)}]
+    return [
+        {"name": f"probability right {where}", "value": str(right)} for where, right in result.probabilities.items()
+    ]
 
 
 def _meaning(result: Reconstruction) -> list[str]:
     """What that means, in words."""
-    known = (result.probability_right, *map(of_segment, result.segments))
-    return [f"probability right: {right.meaning}" for right in known if right is not None][:1]
+    of_grasps = [right for right in map(of_segment, result.segments) if right is not None]
+    known = [*result.probabilities.items(), *(("in the hand", right) for right in of_grasps[:1])]
+    return [f"probability right {where}: {right.meaning}" for where, right in known]
 
 
 def _main(metrics: Mapping[str, float]) -> list[dict[str, str]]:

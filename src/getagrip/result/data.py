@@ -74,8 +74,9 @@ class Reconstruction(ArrayData):
         findings: what is unusual about the inputs and the result, the inputs first.
         checks: what each check has measured, by its name; NaN where it could not.
         signs: what is known about whether it is right, by name (``checks.signs``).
-        probability_right: how probable it is that the poses are right (ADD, up to symmetries, below 10 % of the
-            diameter); None where nothing is calibrated for such a fit.
+        probability_right: how probable it is that the poses are right in the hand (ADD, up to symmetries, below 10 % of
+            the diameter); None where nothing is calibrated for such a fit.
+        probability_right_in_camera: the same of the poses in the camera.
         T_cam_hand: (T, 4, 4) pose of the corrected hand, hand frame to camera frame [m], which ``T_hand_obj`` and the
             axis are relative to; None where the hand is as the clip gives it.
         T_cam_other_hand: (T, 4, 4) of a timeline, pose of the other hand, corrected where it holds the object; None
@@ -105,6 +106,7 @@ class Reconstruction(ArrayData):
     checks: dict[str, float] = field(default_factory=dict)
     signs: dict[str, float] = field(default_factory=dict)
     probability_right: Probability | None = None
+    probability_right_in_camera: Probability | None = None
     T_cam_hand: Float[ndarray, "T 4 4"] | None = None
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None = None
     warp: Warp | None = None
@@ -121,6 +123,12 @@ class Reconstruction(ArrayData):
         if len(self.frame_kind) != len(self.frames) or not {*self.frame_kind} <= {*get_args(FrameKind)}:
             expected = f"one of {', '.join(get_args(FrameKind))} for each frame"
             raise UsageError(f"Reconstruction.frame_kind: got {self.frame_kind}, expected {expected}")
+
+    @property
+    def probabilities(self) -> dict[str, Probability]:
+        """How probable it is that the poses are right, by where; those that are known."""
+        each = {"in the hand": self.probability_right, "in the camera": self.probability_right_in_camera}
+        return {where: right for where, right in each.items() if right is not None}
 
     def frames_of(self, *kinds: FrameKind) -> Int[ndarray, "n"]:
         """Where the frames of some kinds are."""

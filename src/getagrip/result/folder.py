@@ -92,6 +92,9 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
         checks=read_checks(folder / "result.json", fields["checks"]),
         signs=read_checks(folder / "result.json", fields["signs"], "signs"),
         probability_right=read_probability(folder / "result.json", fields["probability_right"]),
+        probability_right_in_camera=read_probability(
+            folder / "result.json", fields["probability_right_in_camera"], "probability_right_in_camera"
+        ),
         T_cam_hand=_rigid(path, given, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in given else None,
         T_cam_other_hand=_rigid(path, given, "T_cam_other_hand", (T, 4, 4)) if "T_cam_other_hand" in given else None,
         warp=_warp(path, given) if any(key in given for key in WARP) else None,
@@ -115,6 +118,7 @@ def read_record(folder: str | Path) -> dict[str, Any]:
     fields.setdefault("checks", {})
     fields.setdefault("signs", {})
     fields.setdefault("probability_right", None)
+    fields.setdefault("probability_right_in_camera", None)
     fields.setdefault("segments", [])
     for key, (kind, expected) in FIELDS.items():
         if key not in fields:
@@ -195,6 +199,8 @@ def _fields(
         "checks": result.checks,
         "signs": result.signs,
         "probability_right": result.probability_right and result.probability_right.fields(),
+        "probability_right_in_camera": result.probability_right_in_camera
+        and result.probability_right_in_camera.fields(),
         "energy": result.energy,
         "metrics": metrics or {},
         "seconds": result.seconds,

@@ -31,7 +31,7 @@ from getagrip.timelines.signs import signs_of
 
 METHOD = "soft-hinge"
 """How objects move in the grasps of a timeline."""
-MEANING = f"{calibration.MEANING}; calibrated on grasps by themselves, of timelines a rough guide only"
+MEANING = f"{calibration.MEANING.format('hand')}; calibrated on grasps by themselves, of timelines a rough guide only"
 """Of a grasp's probability (docs/checks.md)."""
 CHOSEN = "the chain of segments with the least energy"
 UNEXPLAINED = "failed in part: masks are hardly met (mean IOU) in the segments {}"

@@ -71,7 +71,7 @@ class Column:
         axis = None if found.axis is None else hinge(T_hand_obj, scale * self.view.clip.mesh.vertices)
         other = replace(
             found, T_hand_obj=T_hand_obj, scale=scale, iou=np.full(len(found.frames), np.nan), axis=axis,
-            findings=(), probability_right=None,
+            findings=(), probability_right=None, probability_right_in_camera=None,
         )  # fmt: skip
         return Column(self.name, replace(self.view, result=other), self.posed, rank)
 

@@ -34,8 +34,9 @@ def about_result(column: Column) -> str:
         return quoted(column.name) if column.posed else ""
     overlap = f", mean IOU {100 * np.nanmean(result.iou):.1f} %" if np.isfinite(result.iou).any() else ""
     lines = [f"**{quoted(column.name)}**{overlap}", quoted(result.status)]
-    if (right := result.probability_right) is not None:
-        lines.append(f"probability right: {right}. {quoted(right.meaning)}")
+    lines += [
+        f"probability right {where}: {right}. {quoted(right.meaning)}" for where, right in result.probabilities.items()
+    ]
     if result.ambiguous:
         lines.append("**ambiguous**: another candidate explains the masks almost as well")
     lines += [f"**{'serious' if f.serious else 'note'}**: {quoted(f.message)}" for f in result.findings]
