@@ -16,19 +16,25 @@ import numpy as np
 from benchmarks import page
 from getagrip.experiments.reliability import auroc, calibration_error, least_error
 
-RIGHT = {"in the hand": "add_sym_success", "in the camera": "add_sym_cam_success"}
-"""What may be right, and the column that says so."""
+RIGHT = (
+    ("in the hand", "add_sym_success", "probability_right"),
+    ("in the camera", "add_sym_cam_success", "probability_right_in_camera"),
+    ("in the camera, by the probability in the hand", "add_sym_cam_success", "probability_right"),
+)
+"""What may be right, the column that says so, and that of the probability, which older tables lack."""
 HEADS = ("", "results", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect")
 
 
 def main(folder: Path) -> None:
     """Update the page."""
     with (folder / "methods-clips.csv").open(encoding="utf-8", newline="") as lines:
-        known = [row for row in csv.DictReader(lines) if row["probability_right"]]
+        every = list(csv.DictReader(lines))
     rows = []
-    for method, (where, column) in product(sorted({row["method"] for row in known}), RIGHT.items()):
-        of_method = [row for row in known if row["method"] == method and row[column]]
-        probability = np.array([float(row["probability_right"]) for row in of_method])
+    for method, (where, column, estimate) in product(sorted({row["method"] for row in every}), RIGHT):
+        of_method = [row for row in every if row["method"] == method and row[column] and row.get(estimate)]
+        if not of_method:
+            continue
+        probability = np.array([float(row[estimate]) for row in of_method])
         right = np.array([float(row[column]) == 1.0 for row in of_method])
         shares = (f"{100.0 * right.mean():.0f}", f"{100.0 * probability.mean():.0f}")
         errors = (f"{error:.3f}" for error in (calibration_error(probability, right), least_error(probability)))

@@ -22,7 +22,7 @@ from getagrip.datasets.synthetic.noise import NOISE, Noise
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.splits import Split, split
 from getagrip.evaluation import evaluate
-from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_MM
+from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, ADD_SYM_MM
 from getagrip.experiments.changes import AS_GIVEN, Noisy, ScaleFree
 from getagrip.experiments.sources import source_of
 from getagrip.experiments.stamp import stamp
@@ -121,7 +121,11 @@ def _cases(clips: Path, root: Path, meshes: Path) -> Iterator[Case]:
 
 
 Row = dict[str, str]
-COLUMNS = ("dataset", "part", "condition", "clip", "right", "off", "seconds", "made", *(sign.name for sign in SIGNS))
+COLUMNS = (
+    "dataset", "part", "condition", "clip", "right", "right-in-camera", "off", "seconds", "made",
+    *(sign.name for sign in SIGNS),
+)  # fmt: skip
+"""Of a row; "right" and "off" (mean distance of vertices, in diameters) are in the hand."""
 
 
 def run(case: Case) -> list[Row]:
@@ -140,17 +144,21 @@ def run(case: Case) -> list[Row]:
             continue
         seconds = time.process_time() - start
         given = changed[0]
-        metrics = evaluate(result, given, None, wanted=(ADD_SYM, ADD_SYM_MM))["metrics"]
+        metrics = evaluate(result, given, None, wanted=(ADD_SYM, ADD_SYM_CAM, ADD_SYM_MM))["metrics"]
         assert given.truth is not None
         off = 1e-3 * metrics[ADD_SYM_MM.name] / (given.mesh.diameter * given.truth.scale)
-        what = [case.dataset, case.part, condition, case.clip, f"{metrics[ADD_SYM.name]:.0f}", f"{off:.4f}"]
+        right = [f"{metrics[metric.name]:.0f}" for metric in (ADD_SYM, ADD_SYM_CAM)]
+        what = [case.dataset, case.part, condition, case.clip, *right, f"{off:.4f}"]
         signs = [f"{result.signs[sign.name]:.6g}" for sign in SIGNS]
         rows.append(dict(zip(COLUMNS, [*what, f"{seconds:.2f}", stamp(), *signs], strict=True)))
     return rows
 
 
 def collect(file: Path, every: Sequence[Case], workers: int, run: Callable[[Case], list[Row]] = run) -> list[Row]:
-    """The rows of all cases: those of the file, and those that are missing there, which are added to it."""
+    """The rows of all cases: those of the file, and those that are missing there, which are added to it.
+
+    Ends the program where the file has other columns: it was written by other code.
+    """
     file.parent.mkdir(parents=True, exist_ok=True)
     rows = read(file) if file.exists() else []
     if not rows:
@@ -169,9 +177,13 @@ def collect(file: Path, every: Sequence[Case], workers: int, run: Callable[[Case
 
 
 def read(file: Path) -> list[Row]:
-    """The rows of a file."""
+    """The rows of a file; ends the program where it has other columns."""
     with file.open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
+        table = csv.DictReader(stream)
+        given = table.fieldnames or ()
+        if given and tuple(given) != COLUMNS:
+            sys.exit(f"{file}: columns {', '.join(given)}, expected {', '.join(COLUMNS)}; name another OUT")
+        return list(table)
 
 
 def write(lines: Sequence[Sequence[str]], file: Path, mode: str) -> None:

@@ -13,13 +13,14 @@ import time
 from pathlib import Path
 
 from benchmarks import page
-from benchmarks.probability import METHOD, Results, line, of
+from benchmarks.probability import HEADER, METHOD, RIGHT, Results, line, of
 from benchmarks.signed_results import COLUMNS, CONDITIONS, Case, ReadClip, Row, collect
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.signs import SIGNS
 from getagrip.datasets.tracks import subject_of
 from getagrip.experiments.sources import source_of
 from getagrip.experiments.stamp import stamp
+from getagrip.geometry import se3
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
 from getagrip.metrics.symmetry import find_symmetries
 from getagrip.timelines.reconstruct import reconstruct
@@ -53,28 +54,34 @@ def run(case: Case) -> list[Row]:
         seconds = time.process_time() - start
         assert given.truth is not None
         hand = given.hand.T_cam_hand if result.T_cam_hand is None else result.T_cam_hand
-        symmetries = find_symmetries(given.mesh)
+        symmetries, scales = find_symmetries(given.mesh), (result.scale, given.truth.scale)
+        poses = {
+            "hand": (result.T_hand_obj, se3.inverse(given.truth.T_cam_hand) @ given.truth.T_cam_obj),
+            "camera": (hand @ result.T_hand_obj, given.truth.T_cam_obj),
+        }
         for segment, record in zip(given.segments, result.segments, strict=True):
             if "signs" not in record:
                 continue
-            at = segment.rows
-            found = ObjectTrack((hand @ result.T_hand_obj)[at], result.scale)
-            true = ObjectTrack(given.truth.T_cam_obj[at], given.truth.scale)
-            errors = pose_errors(given.mesh, found, true, best_symmetry(given.mesh, found, true, symmetries))
-            what = [case.dataset, case.part, condition, case.clip, f"{errors.success:d}"]
+            errors = {}
+            for where, both in poses.items():
+                found, true = (ObjectTrack(T[segment.rows], scale) for T, scale in zip(both, scales, strict=True))
+                symmetry = best_symmetry(given.mesh, found, true, symmetries)
+                errors[where] = pose_errors(given.mesh, found, true, symmetry)
+            right = [f"{errors[where].success:d}" for where in RIGHT]
+            what = [case.dataset, case.part, condition, case.clip, *right]
             signs = [f"{record['signs'][sign.name]:.6g}" for sign in SIGNS]
-            off = f"{errors.add.mean() / errors.diameter:.4f}"
+            off = f"{errors['hand'].add.mean() / errors['hand'].diameter:.4f}"
             rows.append(dict(zip(COLUMNS, [*what, off, f"{seconds:.2f}", stamp(), *signs], strict=True)))
     return rows
 
 
 def section(results: Results) -> str:
     """The table for the page."""
-    calibration = CALIBRATIONS[METHOD]
-    rows = [line(name, results.where(condition=name), calibration) for name in of(results, "condition")]
+    calibration = CALIBRATIONS[METHOD, "hand"]
+    rows = [line(name, results.only(condition=name), calibration) for name in of(results, "condition")]
     subjects = {subject_of(row["clip"]) for row in results.rows}
     days = sorted({row["made"].split(",")[0] for row in results.rows})
-    header = ["timelines", "grasps", "right, %", "mean probability, %", "AUROC", "ECE", "ECE if it were perfect"]
+    header = ["timelines", "grasps", *HEADER[2:]]
     about = (
         f"*Made {stamp()}; results of {' and '.join(days)}. {len(of(results, 'clip'))} timelines with a grasp, of "
         f"{len(subjects)} training subjects, by true segments.*"
@@ -87,6 +94,6 @@ if __name__ == "__main__":
     every = cases(out / "clips", root, meshes, int(sys.argv[4]) if len(sys.argv) > 4 else sys.maxsize)
     names = {case.clip for case in every}
     rows = [row for row in collect(out / "results.csv", every, 1, run) if row["clip"] in names]
-    text = section(Results(rows))
+    text = section(Results(rows, "camera"))  # in which a timeline is held together
     page.write(SECTION, text)
     print(text)

@@ -174,12 +174,13 @@ def _score(variant: Variant, place: Path, record: dict[str, Any]) -> Score:
     seconds, energy = (np.nan if value is None else float(value) for value in of_all)
     found = read_findings(place / "result.json", record["findings"])
     serious, noted = (tuple(f.check for f in found if f.serious == kind) for kind in (True, False))
-    probabilities = {}
-    for key in ("probability_right", "probability_right_in_camera"):
-        right = read_probability(place / "result.json", record[key], key)
-        probabilities[key] = None if right is None else right.value
-    how = record["ambiguous"], record["status"]
-    return Score(variant.folder, metrics, seconds, energy, *how, serious=serious, noted=noted, **probabilities)
+    keys = ("probability_right", "probability_right_in_camera")
+    known = [read_probability(place / "result.json", record[key], key) for key in keys]
+    right, in_camera = (None if one is None else one.value for one in known)
+    return Score(
+        variant.folder, metrics, seconds, energy, record["ambiguous"], record["status"], serious=serious, noted=noted,
+        probability_right=right, probability_right_in_camera=in_camera,
+    )  # fmt: skip
 
 
 def _place(trial: Trial, variant: Variant) -> Path:

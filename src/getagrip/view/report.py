@@ -113,8 +113,8 @@ def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y
     figure.text(x, y - 2.0 * step, result.status, color=INK, fontsize=9.5, va="top")
 
     numbers = [("IOU", f"{100 * result.mean_iou:.1f} %")]
-    for where, right in result.probabilities.items():
-        numbers.append((f"probability right\n{where}{'*' if right.beyond else ''}", f"{100 * right.value:.0f} %"))
+    for where, known in result.probabilities.items():
+        numbers.append((f"probability right\n{where}{'*' if known.beyond else ''}", f"{100 * known.value:.0f} %"))
     for name, metric in SHOWN.items():
         if metric.name in metrics:
             unit = "°" if metric.unit == "deg" else f" {metric.unit}"
