@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
+from runpy import run_path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks import signed_results
+from benchmarks.probability import RIGHT, Results, calibrated, source
 from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.signs import (
@@ -31,7 +36,7 @@ from getagrip.geometry import se3
 from getagrip.result import Axis, Candidates
 
 DIRECTION = {sign.name: sign.direction for sign in SIGNS}
-USUAL = {name: 0.5 * (weight.low + weight.high) for name, weight in CALIBRATIONS["soft-hinge"].weights.items()}
+USUAL = {name: 0.5 * (weight.low + weight.high) for name, weight in CALIBRATIONS["soft-hinge", "hand"].weights.items()}
 unit = st.floats(-10.0, 10.0)
 
 
@@ -60,7 +65,7 @@ def gap_of(energy: float, apart: int = 1) -> float:
 @given(st.sampled_from(SIGNS), unit, unit)
 def test_a_sign_counts_in_its_direction(sign, a: float, b: float) -> None:
     low, high = sorted((a, b))
-    less, more = (CALIBRATIONS["soft-hinge"].probability(USUAL | {sign.name: value}) for value in (low, high))
+    less, more = (CALIBRATIONS["soft-hinge", "hand"].probability(USUAL | {sign.name: value}) for value in (low, high))
     assert sign.direction * (more.value - less.value) >= 0.0
     assert 0.0 < less.value < 1.0
 
@@ -147,16 +152,17 @@ SERIOUS = Finding("frame-order", True, 3.0, 2.5, "in another order")
 )
 def test_there_is_none_where_nothing_is_calibrated(options: Options, findings: tuple[Finding, ...]) -> None:
     assert probability_right(options, USUAL, findings) is None
+    assert probability_right(options, USUAL, findings, "camera") is None
 
 
 @pytest.mark.parametrize("options", [Options(), Options(seed=3), Options(inits=200), Options(frames=10)])
 def test_there_is_one_with_the_usual_energy(options: Options) -> None:
     note = replace(SERIOUS, serious=False)
-    assert probability_right(options, USUAL, (note,)) == CALIBRATIONS["soft-hinge"].probability(USUAL)
+    assert probability_right(options, USUAL, (note,)) == CALIBRATIONS["soft-hinge", "hand"].probability(USUAL)
 
 
 def test_what_is_worse_than_in_training_is_said_to_be_extrapolated() -> None:
-    calibration = CALIBRATIONS["soft-hinge"]
+    calibration = CALIBRATIONS["soft-hinge", "hand"]
     worst = {name: -1e3 * DIRECTION[name] for name in USUAL}
     assert calibration.probability(USUAL).beyond == ()
     assert {*calibration.probability(worst).beyond} == {name for name, w in calibration.weights.items() if w.weight}
@@ -165,7 +171,52 @@ def test_what_is_worse_than_in_training_is_said_to_be_extrapolated() -> None:
 
 
 def test_the_calibration_says_on_what_it_was_made() -> None:
-    calibration = CALIBRATIONS["soft-hinge"]
+    calibration = CALIBRATIONS["soft-hinge", "hand"]
     assert calibration.weights.keys() == DIRECTION.keys()
     assert calibration.data in calibration.probability(USUAL).meaning
     assert "10 % of the diameter" in calibration.probability(USUAL).meaning
+    assert "in the hand" in calibration.probability(USUAL).meaning
+
+
+def test_each_where_has_its_own_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
+    in_camera = replace(CALIBRATIONS["soft-hinge", "hand"], where="camera", bias=1.0)
+    monkeypatch.setitem(CALIBRATIONS, ("soft-hinge", "camera"), in_camera)
+    found = probability_right(Options(), USUAL, (), "camera")
+    assert found == in_camera.probability(USUAL) != probability_right(Options(), USUAL, ())
+    assert found is not None
+    assert "in the camera" in found.meaning
+    monkeypatch.delitem(CALIBRATIONS, ("soft-hinge", "camera"))
+    assert probability_right(Options(), USUAL, (), "camera") is None
+
+
+def table(file: Path, columns: tuple[str, ...]) -> Path:
+    """Results of which "right" follows the first sign, and "right-in-camera" the second."""
+    rng = np.random.default_rng(0)
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        out = csv.DictWriter(stream, columns, extrasaction="ignore")
+        out.writeheader()
+        for x in rng.normal(size=(60, len(SIGNS))):
+            right = {"right": int(x[0] > 0.0), "right-in-camera": int(x[1] < 0.0)}
+            about = dict.fromkeys(columns, "1") | {"part": "train", "dataset": "DexYCB"}
+            out.writerow(about | right | {sign.name: f"{v:.6g}" for sign, v in zip(SIGNS, x, strict=True)})
+    return file
+
+
+def test_both_are_fitted_to_the_same_results_and_read_back(tmp_path: Path) -> None:
+    rows = signed_results.read(table(tmp_path / "results.csv", signed_results.COLUMNS))
+    fitted = [calibrated(Results(rows, where), "today") for where in RIGHT]
+    (tmp_path / "calibrated.py").write_text(source(fitted), encoding="utf-8")
+    back = run_path(str(tmp_path / "calibrated.py"))["CALIBRATIONS"]
+    assert [*back] == [("soft-hinge", "hand"), ("soft-hinge", "camera")]
+    first, second = (sign.name for sign in SIGNS[:2])
+    for there, made in zip(back.values(), fitted, strict=True):
+        assert (there.where, there.data) == (made.where, made.data)
+        assert there.probability(USUAL).value == pytest.approx(made.probability(USUAL).value, abs=1e-3)
+        strongest = max(made.weights, key=lambda name: abs(made.weights[name].weight))
+        assert strongest == {"hand": first, "camera": second}[made.where]
+
+
+def test_results_without_what_is_right_in_the_camera_are_refused(tmp_path: Path) -> None:
+    older = tuple(name for name in signed_results.COLUMNS if name != "right-in-camera")
+    with pytest.raises(SystemExit, match=r"right-in-camera.*another OUT"):
+        signed_results.collect(table(tmp_path / "results.csv", older), (), 1)

@@ -54,7 +54,7 @@ def test_all_frames_are_answered(found: Reconstruction) -> None:
     assert ["probability_right" in segment for segment in found.segments] == [False, False, True]
     assert found.segments[2]["probability_right"] is None  # the search was shorter than those that were calibrated
     assert of_grasps(found.segments) == "probability that its grasps are right: unknown"
-    signs, known = found.segments[2]["signs"], CALIBRATIONS["soft-hinge"]
+    signs, known = found.segments[2]["signs"], CALIBRATIONS["soft-hinge", "hand"]
     right = {**found.segments[2], "probability_right": known.probability(signs).fields()}
     assert of_segment(right) == known.probability(signs)
     assert of_grasps([right]).endswith("%")

@@ -25,13 +25,15 @@ def test_the_summary_says_what_is_known_and_quotes_it() -> None:
     it = column()
     result = replace(it.view.result, status="<img src=x onerror=alert(1)>", notes=("the *scale* is a guess",))
     result = replace(result, probability_right=Probability(0.93, "within <10> %"))
+    result = replace(result, probability_right_in_camera=Probability(0.97, ""))
     it = replace(it, view=replace(it.view, result=result))
     text = words.about_clip(it) + words.about_result(it)
     assert "ambiguous" in text
     assert "<img" not in text
     assert r"\*scale\* is a guess" in text
     assert "mug in a" in text
-    assert "probability right: 93 %. within &lt;10" in text
+    assert "probability right in the camera: 97 %" in text
+    assert "probability right in the hand: 93 %. within &lt;10" in text
 
 
 def test_candidates_are_named_by_their_energy() -> None:
