@@ -109,25 +109,29 @@ def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y
         f"{clip.side} hand" if clip.other_hand is None else "both hands",
     ]
     facts.append(f"scale {result.scale:.3f} is a guess" if clip.scale == "free" else "scale known")
-    figure.text(x, y - 1.25 * step, "  ·  ".join(facts), color=FAINT, fontsize=9.5, va="top")
+    line = figure.text(x, y - 1.25 * step, "  ·  ".join(facts), color=FAINT, fontsize=9.5, va="top")
     figure.text(x, y - 2.0 * step, result.status, color=INK, fontsize=9.5, va="top")
 
     numbers = [("IOU", f"{100 * result.mean_iou:.1f} %")]
-    for where, known in result.probabilities.items():
-        numbers.append((f"probability right\n{where}{'*' if known.beyond else ''}", f"{100 * known.value:.0f} %"))
+    if known := result.probabilities:
+        frames = (f"{where.split()[-1]}{'*' if one.beyond else ''}" for where, one in known.items())
+        values = ", ".join(f"{100 * one.value:.0f}" for one in known.values())
+        numbers.append((f"probability: {', '.join(frames)}", f"{values} %"))
     for name, metric in SHOWN.items():
         if metric.name in metrics:
             unit = "°" if metric.unit == "deg" else f" {metric.unit}"
             numbers.append((name, f"{metric.text(metrics[metric.name])}{unit}"))
     if "total" in result.seconds:
         numbers.append(("time", f"{result.seconds['total']:.2f} s"))
-    right = 0.98
+    right = end = 0.98
     for name, number in numbers[::-1]:
         figure.text(right, y, number, fontsize=15, va="top", ha="right")
-        figure.text(right, y - 1.25 * step, name, fontsize=9.5, color=FAINT, va="top", ha="right")
-        right -= 0.092
-    too_wide = title.get_window_extent().width / figure.bbox.width / (right - x)
-    title.set_fontsize(15 / max(too_wide, 1.0))
+        label = figure.text(right, y - 1.25 * step, name, fontsize=9.5, color=FAINT, va="top", ha="right")
+        end = right - label.get_window_extent().width / figure.bbox.width - 0.012
+        right = min(right - 0.092, end)
+    for text, room in ((title, right - x), (line, end - x)):
+        too_wide = text.get_window_extent().width / figure.bbox.width / room
+        text.set_fontsize(text.get_fontsize() / max(too_wide, 1.0))
     if result.ambiguous:
         warning = "ambiguous: another pose explains the masks almost as well"
         figure.text(0.98, y - 2.0 * step, warning, color=FOUND, fontsize=9.5, va="top", ha="right")
