@@ -161,6 +161,13 @@ def test_each_fault_is_named_in_one_line(tmp_path: Path, refused: Refused, case:
     refused(lambda: read_result(folder), culprit)
 
 
+def test_older_results_lack_a_probability(tmp_path: Path) -> None:
+    folder = write_result(small_result(), tmp_path / "r", "sum")
+    edited(folder, {}, {"probability_right_in_camera": None})
+    result, _ = read_result(folder)
+    assert [*result.probabilities] == ["in the hand"]
+
+
 @pytest.mark.parametrize("file", ["result.json", "result.npz"])
 def test_missing_files(tmp_path: Path, refused: Refused, file: str) -> None:
     folder = write_result(small_result(), tmp_path / "r", "sum")
