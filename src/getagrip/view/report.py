@@ -129,9 +129,9 @@ def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y
         label = figure.text(right, y - 1.25 * step, name, fontsize=9.5, color=FAINT, va="top", ha="right")
         end = right - label.get_window_extent().width / figure.bbox.width - 0.012
         right = min(right - 0.092, end)
-    for text, room in ((title, right - x), (line, end - x)):
+    for text, size, room in ((title, 15.0, right - x), (line, 9.5, end - x)):
         too_wide = text.get_window_extent().width / figure.bbox.width / room
-        text.set_fontsize(text.get_fontsize() / max(too_wide, 1.0))
+        text.set_fontsize(size / max(too_wide, 1.0))
     if result.ambiguous:
         warning = "ambiguous: another pose explains the masks almost as well"
         figure.text(0.98, y - 2.0 * step, warning, color=FOUND, fontsize=9.5, va="top", ha="right")
