@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gc
+import os
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +15,23 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from helpers.shapes import check_package, next_file
+
+MEMORY = Path("/dev/shm")
+"""Files in memory, on Linux."""
+ROOM = 2**30
+"""What must be free there [bytes]: many times what the tests have in it at once."""
+
+
+def room_in_memory() -> bool:
+    """Whether all that a test may write, and run, has its place there."""
+    if not os.access(MEMORY, os.W_OK):
+        return False
+    there = os.statvfs(MEMORY)
+    return there.f_bavail * there.f_frsize >= ROOM and not there.f_flag & os.ST_NOEXEC
+
+
+if "TMPDIR" not in os.environ and room_in_memory():  # databases, of which many tests make one, wait for a disk
+    os.environ["TMPDIR"] = tempfile.tempdir = str(MEMORY)
 
 gc.disable()  # until all tests are collected, since what is made until then stays
 check_package()  # before anything of the package is imported
