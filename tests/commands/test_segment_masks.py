@@ -87,7 +87,7 @@ def test_grasps_and_the_whole_are_reconstructed_and_named(tmp_path: Path, run: R
     for name in clip.frames:
         write_image(folder / "frames" / f"{name}.jpg", np.zeros((240, 320, 3), np.uint8))
     out = tmp_path / "out"
-    search = ("--inits", 12, "--frames", 12)
+    search = ("--inits", 6, "--frames", 8)
     status, printed, _ = run("reconstruct", "--cut-grasps", folder, "--out", out, *search)
     assert status == 0
     cut = read_clip(out / "clips" / "from-table--1")
