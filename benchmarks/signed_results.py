@@ -17,36 +17,22 @@ import numpy as np
 from getagrip.batch.pool import in_processes
 from getagrip.checks.signs import SIGNS
 from getagrip.clip import Clip, Masks, read_clip, read_masks
-from getagrip.datasets.synthetic.deform import drawn
 from getagrip.datasets.synthetic.noise import NOISE, Noise
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.splits import Split, split
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, ADD_SYM_MM
-from getagrip.experiments.changes import AS_GIVEN, Noisy, ScaleFree
+from getagrip.experiments.changes import AS_GIVEN, Noisy, OtherObject, ScaleFree
 from getagrip.experiments.sources import source_of
 from getagrip.experiments.stamp import stamp
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
-from getagrip.geometry.mesh import Mesh
 
-DEFORMED, STRETCHED = 0.03, 0.1
-"""How far another mesh is from the object's: what the best similarity leaves, in diameters, and shares of its sides."""
 EVERY: dict[Split, tuple[int, int]] = {"train": (1, 3), "test": (2, 5)}
 """Of DexYCB's clips, and of the synthetic ones of each preset, every so many are used."""
 PRESETS = ("clean", "moderate", "strong", "estimated", "wild", "measured")
 Change = Callable[[Clip, Masks, int], tuple[Clip, Masks]]
 TEN = Noisy(Noise(hand_bias_mm=10.0, hand_bias_deg=8.0, hand_jitter_mm=5.0, hand_jitter_deg=4.0, jitter_memory_s=0.1))
-
-
-def other_shape(clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
-    """A mesh that is only of the object's kind: deformed and stretched, as large."""
-    rng = np.random.default_rng([seed, *clip.name.encode()])
-    deformation, centre = drawn(clip.mesh, DEFORMED, rng), clip.mesh.centre
-    sides = np.exp(rng.uniform(-1.0, 1.0, 3) * np.log(1.0 + STRETCHED))
-    sides /= np.prod(sides) ** (1.0 / 3.0)
-    vertices = centre + sides * (deformation(clip.mesh.vertices) - centre)
-    return replace(clip, mesh=Mesh(vertices, clip.mesh.faces)), masks
 
 
 def unseen_hand(clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
@@ -64,7 +50,7 @@ CONDITIONS: dict[str, Change] = {
     "10 mm, 8°, no hand pixels": unseen_hand,
     "masks off by 4 px": Noisy(Noise(mask_ragged_px=4.0)),
     "size unknown": ScaleFree(),
-    "other shape": other_shape,
+    "other shape": OtherObject(),
 }
 """What is done to the clips of DexYCB. Synthetic clips are as their preset has them."""
 

@@ -11,15 +11,19 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
 
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Clip, FrameMasks, Masks
 from getagrip.datasets.synthetic.deform import drawn
 from getagrip.datasets.synthetic.noise import Noise, perturbed
 from getagrip.errors import InputError
 from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.experiments.wrong_masks import FAULTS
 from getagrip.geometry import se3
+from getagrip.geometry.depth import covered
 from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.render import Surface, true_masks
 from getagrip.geometry.warp import aligned
 
 
@@ -74,11 +78,12 @@ class ScaleFree(Change):
 
 
 @dataclass(frozen=True)
-class OtherMesh(Change):
-    """A mesh that is only of the object's kind: deformed and stretched, but placed and as large as the object.
+class OtherObject(Change):
+    """Another object of the same kind in the masks, of which the clip's mesh has not the shape: deformed and stretched,
+    but where the mesh is and as large. Its symmetries are those of the mesh, nearly.
 
     Attributes:
-        deformed: how far a smooth deformation leaves it from the object's, root mean square, in diameters.
+        deformed: how far a smooth deformation leaves it from the mesh, root mean square, in diameters.
         stretched: largest share by which each side is stretched or shrunk besides.
     """
 
@@ -86,13 +91,33 @@ class OtherMesh(Change):
     stretched: float = 0.1
 
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        truth, mesh = clip.truth, clip.mesh
+        if truth is None:
+            raise InputError(clip.origin / "truth.npz", "", "no ground truth", "poses at which to draw another object")
         rng = np.random.default_rng([seed, *clip.name.encode()])
-        mesh, centre = clip.mesh, clip.mesh.centre
         deformation = drawn(mesh, self.deformed, rng)
         sides = np.exp(rng.uniform(-1.0, 1.0, 3) * np.log(1.0 + self.stretched))
-        other = Mesh(centre + sides * (deformation(mesh.vertices) - centre), mesh.faces)
-        T, size = aligned(other, mesh, resize=True)
-        return replace(clip, mesh=Mesh(se3.transform(T, size * other.vertices), mesh.faces)), masks
+        other = Mesh(mesh.centre + sides * (deformation(mesh.vertices) - mesh.centre), mesh.faces)
+        T, size = aligned(mesh, other, resize=True)
+        held = truth.scale * se3.transform(se3.inverse(T), other.vertices) / size
+        hands = se3.transform(truth.T_cam_hand, truth.hand_vertices)
+        return clip, Masks.of(
+            _drawn(
+                masks.take(np.array([n])),
+                (se3.transform(truth.T_cam_obj[n], held), mesh.faces),
+                (hands[n], clip.hand.faces),
+                clip.K[n],
+                clip.size,
+            )
+            for n in range(len(clip))
+        )
+
+
+def _drawn(seen: Masks, held: Surface, hand: Surface, K: Float[ndarray, "3 3"], size: tuple[int, int]) -> FrameMasks:
+    """The masks of a frame with another object; what other things hid in those that are given, is hidden still."""
+    visible, ignore, holding = true_masks(held, [hand], [], K, size)
+    others = seen.ignore[0] & ~covered(*hand, K, size)
+    return FrameMasks(visible & ~others, ignore | others, None if seen.hand is None else holding & ~others)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from getagrip.experiments.changes import (
     AS_GIVEN,
     Change,
     Noisy,
-    OtherMesh,
+    OtherObject,
     ScaleFree,
     ScaleKnown,
     Several,
@@ -110,10 +110,10 @@ def _wrong_masks(fault: str, share: float) -> Setting:
 
 
 OF_ITS_KIND = {
-    "of its kind": OtherMesh(),
-    "of its kind, size unknown": Several((OtherMesh(), ScaleFree())),
+    "of its kind": OtherObject(),
+    "of its kind, size unknown": Several((OtherObject(), ScaleFree())),
     "of its kind, size unknown, hands moderate": Several(
-        (OtherMesh(), ScaleFree(), Noisy(replace(NOISE["moderate"], mask_ragged_px=0.0)))
+        (OtherObject(), ScaleFree(), Noisy(replace(NOISE["moderate"], mask_ragged_px=0.0)))
     ),
 }
 """What is known of an object whose own mesh nobody has; the last is the paper's own setting, footage without CADs."""

@@ -34,8 +34,9 @@ LEVEL, ITERATIONS = 128, 12
 STRETCH, BEND = 0.1, 0.05
 """Standard deviations of the prior: of stretches, and of all else, as displacements at half a diameter from the middle,
 in these."""
-WEIGHT = 2.0
-"""Energy of one standard deviation in each frame, times 1/2 [px^2]. As much again changes little; 200 hold too much."""
+WEIGHT = 5.0
+"""Energy of one standard deviation in each frame, times 1/2 [px^2]. Between 2 and 20 little changes; 200 hold too much.
+"""
 KNOWN = 100.0
 """Times as stiff is the prior of the object's size, the mean of the three stretches, where the size is known."""
 
