@@ -67,6 +67,9 @@ def test_a_result_has_the_shape_and_says_so(tmp_path: Path) -> None:
     result = reconstruct(given, masks, Options(inits=6))
     assert result.warp is not None
     assert any("the object's shape is a guess" in note for note in result.notes)
+    deformed = result.warp.displacement(given.mesh) / given.mesh.diameter
+    assert result.checks["mesh-deformed"] == pytest.approx(deformed)
+    assert "mesh-deformed" in [finding.check for finding in result.findings]
     as_given = reconstruct(given, masks, Options(inits=6, mesh="as-given"))
     assert as_given.warp is None
     assert result.mean_iou > as_given.mean_iou
@@ -78,3 +81,4 @@ def test_a_result_has_the_shape_and_says_so(tmp_path: Path) -> None:
     true = view.true()
     assert true is not None
     assert true.clip.mesh == given.mesh
+    assert "shape is a guess" in view.size_in_words

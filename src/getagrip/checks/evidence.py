@@ -34,6 +34,8 @@ class Evidence:
         iou: (n,) overlap of rendered and observed mask, in these frames or more; NaN where no mask shows the object, or
             one is doubted.
         doubted: share of the frames whose masks are doubted; NaN where none was checked.
+        deformed: root mean square distance by which the fit has deformed the mesh, in diameters; NaN where there was
+            none.
     """
 
     clip: Clip
@@ -42,6 +44,7 @@ class Evidence:
     scale: float = 1.0
     iou: Float[ndarray, "n"] | None = None
     doubted: float = np.nan
+    deformed: float = np.nan
 
     @cached_property
     def hand_middle(self) -> Float[ndarray, "T 3"]:

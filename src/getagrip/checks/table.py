@@ -12,7 +12,11 @@ from getagrip.checks.evidence import Evidence
 from getagrip.checks.hand_side import bend
 from getagrip.finding import Finding
 
-GRAVER = {"mesh-open": "mesh-holes", "masks-doubted": "many-masks-doubted"}
+GRAVER = {
+    "mesh-open": "mesh-holes",
+    "masks-doubted": "many-masks-doubted",
+    "mesh-deformed": "mesh-much-deformed",
+}
 """What goes without saying where a graver check finds the same."""
 LEAST_IOU = 0.5
 """A result whose mean IOU is below this explains nothing, however well the minimisation ended."""
@@ -119,6 +123,16 @@ RESULT_CHECKS: tuple[Check, ...] = (
         "masks-doubted", lambda it: it.doubted, high=0.0, serious=False,
         fault="a share of {value} of the masks contradicts the others and was left out",
         advice="the notes name their frames; --given-masks believes all",
+    ),
+    Check(
+        "mesh-much-deformed", lambda it: it.deformed, high=0.06,
+        fault="to meet the masks the mesh was deformed by {value} of its diameter",
+        advice="is it the mesh of such an object? --given-mesh takes it as it is",
+    ),
+    Check(
+        "mesh-deformed", lambda it: it.deformed, high=0.0, serious=False,
+        fault="to meet the masks the mesh was deformed by {value} of its diameter: a guess",
+        advice="it is not the object's own, or all masks are off alike; --given-mesh takes it as it is",
     ),
     Check(
         "contact-gap", held.gap, high=15.0,

@@ -83,6 +83,7 @@ def reconstruct(
         solved = Solved(
             problem.clip, problem.given_masks, track.T_hand_obj[0], scale, track.iou,
             doubted=len(whole.doubted) / len(whole.frames),
+            deformed=0.0 if found.warp is None else found.warp.displacement(light.mesh) / light.mesh.diameter,
             candidates=Candidates(track.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
             T_cam_hand_given=clip.hand.T_cam_hand[clip.index_of(problem.clip.frames)],
             misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),

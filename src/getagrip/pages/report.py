@@ -93,7 +93,7 @@ def _summary(view: View, record: Mapping[str, Any]) -> dict[str, Any]:
     """What the page says in words."""
     result, clip = view.result, view.clip
     facts = [method_of(result.method).label, f"{clip.category} in a {clip.side} hand", view.frames_in_words]
-    facts.append(f"scale {result.scale:.3f} is a guess" if clip.scale == "free" else "scale known")
+    facts += view.size_in_words
     return {
         "name": clip.name,
         "facts": facts,

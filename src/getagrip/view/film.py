@@ -69,6 +69,7 @@ def _under(view: View) -> Iterator[str]:
     """The line of words under each frame."""
     result, clip = view.result, view.clip
     shared = [method_of(result.method).label, *["scale is a guess"] * (clip.scale == "free")]
+    shared += ["shape is a guess"] * (result.warp is not None)
     shared += ["ambiguous"] * result.ambiguous
     for name, kind in zip(result.frames, result.frame_kind, strict=True):
         yield "  ·  ".join([f"frame {name}", *[kind] * (kind == "interpolated"), *shared, clip.name])

@@ -107,8 +107,8 @@ def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y
         method_of(result.method).label,
         view.frames_in_words,
         f"{clip.side} hand" if clip.other_hand is None else "both hands",
+        *view.size_in_words,
     ]
-    facts.append(f"scale {result.scale:.3f} is a guess" if clip.scale == "free" else "scale known")
     line = figure.text(x, y - 1.25 * step, "  ·  ".join(facts), color=FAINT, fontsize=9.5, va="top")
     figure.text(x, y - 2.0 * step, result.status, color=INK, fontsize=9.5, va="top")
 

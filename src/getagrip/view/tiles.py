@@ -64,6 +64,12 @@ class View:
         kinds = ", ".join(f"{count} {kind}" for kind, count in counts.most_common())
         return f"{len(self.result.frames)} frames" + (f" ({kinds})" if len(counts) > 1 else "")
 
+    @property
+    def size_in_words(self) -> list[str]:
+        """What is known, and what guessed, of the object's size and shape."""
+        size = f"scale {self.result.scale:.3f} is a guess" if self.clip.scale == "free" else "scale known"
+        return [size, *["shape is a guess"] * (self.result.warp is not None)]
+
     def hand(self, n: int) -> Float[ndarray, "V 3"]:
         """The hand in the camera frame [m]."""
         return se3.transform(self.clip.hand.T_cam_hand[n], self.clip.hand.vertices[n])

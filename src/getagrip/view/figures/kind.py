@@ -99,7 +99,7 @@ def about(view: View) -> list[str]:
 def guesses(view: View) -> list[str]:
     """What is a guess, in words; nothing where nothing is."""
     keys = [key for key, text in view.clip.provenance.items() if "guess" in str(text).lower()]
-    known = ["scale"] * (view.clip.scale == "free") + keys
+    known = ["scale"] * (view.clip.scale == "free") + ["shape"] * (view.result.warp is not None) + keys
     return [f"guessed: {', '.join(known)}"] if known else []
 
 
