@@ -22,6 +22,12 @@ def test_a_warp_by_nothing_leaves_the_mesh_as_it_is() -> None:
     assert warp.displacement(MESH) < 1e-15
 
 
+def test_how_much_space_expands_is_the_determinant_of_the_jacobian() -> None:
+    warp, X, step = drawn(0, 0.2), MESH.vertices, 1e-6
+    columns = [(warp.moved(X + step * e) - warp.moved(X - step * e)) / (2.0 * step) for e in np.eye(3)]
+    np.testing.assert_allclose(warp.expansion(X), np.linalg.det(np.stack(columns, axis=-1)), rtol=1e-6)
+
+
 def test_a_settled_warp_is_the_same_shape_where_the_mesh_is_and_as_large() -> None:
     for seed in range(5):
         warp = drawn(seed)

@@ -37,6 +37,8 @@ in these."""
 WEIGHT = 5.0
 """Energy of one standard deviation in each frame, times 1/2 [px^2]. Between 2 and 20 little changes; 200 hold too much.
 """
+LEAST_EXPANSION = 0.1
+"""A warp that shrinks some part of space to less than this, or turns it inside out, is no shape."""
 KNOWN = 100.0
 """Times as stiff is the prior of the object's size, the mean of the three stretches, where the size is known."""
 
@@ -132,6 +134,8 @@ def own_shape(problem: Problem, motion: Soft[Fixed], index: Int[ndarray, "n"], m
     if not warped.cost[best] < GAIN * given.energy.min():
         return None
     warp = Warp.by(mesh.centre, radius, (warped.weights[best] @ MODES).reshape(9, 3))
+    if warp.expansion(mesh.vertices).min() < LEAST_EXPANSION:
+        return None
     return settled(warp, mesh, resize=problem.clip.scale == "free")[0]
 
 

@@ -48,6 +48,15 @@ class Warp(ArrayData):
         x = (X - self.centre) / self.radius
         return np.asarray(self.centre + self.radius * (monomials(x) @ self.coefficients))
 
+    def expansion(self, X: Float[ndarray, "n 3"]) -> Float[ndarray, "n"]:
+        """How many times as large the space around points becomes; below zero, it is turned inside out."""
+        x = (X - self.centre) / self.radius
+        J = np.repeat(self.coefficients[None, 1:4], len(x), axis=0)  # rows: by x, y, z
+        for bend, i, j in zip(self.coefficients[4:], *np.triu_indices(3), strict=True):
+            J[:, i] += x[:, j, None] * bend
+            J[:, j] += x[:, i, None] * bend
+        return np.asarray(np.linalg.det(J))
+
     def displacement(self, mesh: Mesh) -> float:
         """Root mean square distance by which the mesh's surface is displaced [m]."""
         squared = np.sum((self.moved(mesh.vertices) - mesh.vertices) ** 2, axis=1)
