@@ -51,7 +51,17 @@ def mug() -> Solved:
     given = clip.hand.T_cam_hand
     iou = np.full(4, 0.9)
     return Solved(
-        clip, masks, T, 1.0, iou, candidates=candidates, axis=None, T_cam_hand_given=given, misfit=1.0, spread=0.05
+        clip,
+        masks,
+        T,
+        1.0,
+        iou,
+        candidates=candidates,
+        axis=None,
+        T_cam_hand_given=given,
+        misfit=1.0,
+        spread=0.05,
+        deformed=0.0,
     )
 
 

@@ -66,6 +66,11 @@ def mask_misfit(it: Solved) -> float:
     return _logarithm(it.misfit, 0.05)
 
 
+def mesh_deformation(it: Solved) -> float:
+    """How far the mesh was deformed to meet the masks, in its diameters."""
+    return it.deformed
+
+
 def off_axis_turn(it: Solved) -> float:
     """How much the object turns besides the rotation about the axis [rad]."""
     return _logarithm(it.off_axis, 5e-3)
@@ -94,6 +99,7 @@ SIGNS: tuple[Sign, ...] = (
     Sign("solution-spread", solution_spread, -1),
     Sign("pose-spread", pose_spread, -1),
     Sign("mask-misfit", mask_misfit, -1),
+    Sign("mesh-deformation", mesh_deformation, -1),
     Sign("contact-gap", contact_gap, -1),
     Sign("off-axis-turn", off_axis_turn, -1),
     Sign("hand-shift", hand_shift, -1),

@@ -52,5 +52,6 @@ def signs_of(footage: Footage, track: HeldTrack) -> Mapping[str, float]:
             T_cam_hand_given=own.hand.T_cam_hand,
             spread=pose_spread(problem, replace(found, terms=found.terms | {"mask": missed})),
             misfit=misfit(problem.observation, missed / len(problem.clip)),
+            deformed=0.0,
         )
     )
