@@ -23,6 +23,11 @@ INPUTS = {
     "masks off by 4 px": ("dexycb-mask-noise", "4 px"),
     "masks of something else in one frame of five": ("dexycb-wrong-masks", "another object in 20 %, checked"),
     "the object's size unknown": ("dexycb-scale", "free"),
+    "a mesh that is only of the object's kind": ("dexycb-other-mesh", "of its kind, fitted"),
+    "the same, size unknown, hands off (`moderate`, assumed)": (
+        "dexycb-other-mesh",
+        "of its kind, size unknown, hands moderate, fitted",
+    ),
 }
 """What is measured, and the section and the setting that it is from."""
 CLIPS = {
