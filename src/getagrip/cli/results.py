@@ -65,6 +65,9 @@ class Reconstruct(Command):
     """For clusters, the file that init learn has written; for priors, the folder."""
     thorough: Flag = False
     """Search two to three times as long, for the methods that fit all frames at once."""
+    axis: Literal["free", "hand"] = "free"
+    """Where the latent axis of one-dof and soft-hinge may lie: anywhere (free), or through the origin of the hand frame
+    (hand), as the paper's Eq. 3 has it."""
     given_hands: Flag = False
     """Keep the hands where they are given. Else they are turned and moved to where their own pixels (masks/ignore) are,
     if they disagree."""
@@ -120,7 +123,8 @@ class Reconstruct(Command):
         options = Options(
             method=self.method, inits=self.inits, seed=self.seed, frames=self.frames, thorough=self.thorough,
             init=self.init, priors=priors_of(self.priors, self.init), hands=hands_of(self.given_hands),
-            masks=masks_of(self.given_masks), mesh=mesh_of(self.given_mesh), every_frame=not self.sampled_only,
+            masks=masks_of(self.given_masks), mesh=mesh_of(self.given_mesh), axis=self.axis,
+            every_frame=not self.sampled_only,
         )  # fmt: skip
         batch = Batch(
             workers=self.workers, threads=self.threads, engine=self.engine, address=self.address,
