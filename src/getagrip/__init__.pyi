@@ -19,6 +19,7 @@ from .fitting.options import Options as Options
 from .geometry.mesh import Mesh as Mesh
 from .geometry.mesh_files import read_mesh as read_mesh
 from .geometry.mesh_files import write_mesh as write_mesh
+from .geometry.warp import Warp as Warp
 from .result import Axis as Axis
 from .result import Candidates as Candidates
 from .result import Reconstruction as Reconstruction
