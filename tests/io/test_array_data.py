@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import getagrip
-from getagrip import Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, UsageError, World
+from getagrip import Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, UsageError, Warp, World
 from getagrip.hands.model import HandModel, PosedHand, ShapedHand
 from getagrip.io.array_data import ArrayData, same
 from helpers.clips import small_clip
@@ -30,12 +30,12 @@ def one_of(kind: type[ArrayData]) -> Any:
         clip="small", method="one-dof", frames=clip.frames, T_hand_obj=clip.hand.T_cam_hand, scale=1.0, iou=np.ones(3),
         axis=axis, candidates=candidates, energy={"total": 5.0}, status="converged", ambiguous=False, seconds={},
     )  # fmt: skip
-    world = World(clip.hand.T_cam_hand)
-    made = [clip, clip.hand, clip.truth, clip.mesh, masks, axis, candidates, result, world]
+    world, warp = World(clip.hand.T_cam_hand), Warp.by(np.zeros(3), 1.0, np.zeros((9, 3)))
+    made = [clip, clip.hand, clip.truth, clip.mesh, masks, axis, candidates, result, world, warp]
     return next(one for one in made if type(one) is kind)
 
 
-ARRAY_CLASSES = [Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, World]
+ARRAY_CLASSES = [Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, Warp, World]
 
 
 @pytest.mark.slow
