@@ -121,6 +121,11 @@ def edited(folder: Path, arrays: dict[str, object], fields: dict[str, object]) -
 
 EYE = np.tile(np.eye(4), (3, 1, 1))
 BROKEN: dict[str, tuple[dict[str, object], dict[str, object], str]] = {
+    "a warp beyond all shapes": (
+        {"warp_centre": np.zeros(3), "warp_radius": np.array(0.1), "warp_coefficients": np.full((10, 3), 1e9)},
+        {},
+        "result.npz: warp_coefficients",
+    ),
     "no version": ({}, {"version": None}, "result.json: version"),
     "other version": ({}, {"version": 2}, "result.json: version"),
     "no method": ({}, {"method": None}, "result.json: method"),

@@ -22,6 +22,8 @@ from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction
 VERSION = 1
 FILES = ("result.json", "result.npz")
 """Of a result's folder."""
+MOST_WARPED = 10.0
+"""Coefficients of a warp are about 1 or 0; far more would be no shape of a mesh."""
 AXIS = ("axis_point", "axis_direction", "angle")
 WARP = ("warp_centre", "warp_radius", "warp_coefficients")
 ARRAYS = (
@@ -274,12 +276,11 @@ def _rigid(path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ..
 
 def _warp(path: Path, given: dict[str, ndarray]) -> Warp:
     """What the mesh was made into."""
-    centre, radius, coefficients = WARP
-    return Warp(
-        arrays.floats(path, given, centre, (3,)),
-        float(_above_zero(path, given, radius, ())),
-        arrays.floats(path, given, coefficients, (MONOMIALS, 3)),
-    )
+    centre, radius, factors = WARP
+    coefficients = arrays.floats(path, given, factors, (MONOMIALS, 3))
+    if np.abs(coefficients).max() > MOST_WARPED:
+        raise InputError(path, factors, f"{np.abs(coefficients).max():g}", f"at most {MOST_WARPED:g}")
+    return Warp(arrays.floats(path, given, centre, (3,)), float(_above_zero(path, given, radius, ())), coefficients)
 
 
 def _above_zero(path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "..."]:
