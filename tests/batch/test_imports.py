@@ -25,7 +25,7 @@ from helpers.command_line import Run
 from helpers.library import Library, Shelf
 from helpers.paths import ROOT
 
-SHARING = ("workers", "limit-seconds", "limit-gb", "fail-fast", "shard")
+SHARING = ("workers", "engine", "address", "limit-seconds", "limit-gb", "fail-fast", "shard", "ledger")
 
 
 @pytest.mark.parametrize("name", DATASETS)

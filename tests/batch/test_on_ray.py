@@ -80,12 +80,20 @@ def _a_node_and_then_the_driver_are_killed(cluster: RayCluster, tmp_path: Path) 
 def _results_are_the_same(cluster: RayCluster, tmp_path: Path, run: Run) -> None:
     for n, category in enumerate(("can", "mug")):
         write_clip(*scene(category, n, SHORT), tmp_path / "clips" / category)
-    words = ("reconstruct", "clips", "--inits", "6", "--out")
-    assert run(*words, "here", "--workers", "1")[0] == 0
-    call = [sys.executable, "-m", "getagrip", *words, "there", "--engine", "ray", "--address", cluster.address]
-    subprocess.run(call, check=True, cwd=tmp_path, env=import_path(), capture_output=True)
-    pairs = list(zip(results_in(tmp_path / "here"), results_in(tmp_path / "there"), strict=True))
-    assert len(pairs) == 2
+    calls = [
+        ["reconstruct", "clips", "--inits", "6", "--out", "{}"],
+        ["bench", "clips", "--inits", "2", "--clips", "1", "--methods", "static", "--out", "{}/bench"],
+    ]
+    on_ray = ["--engine", "ray", "--address", cluster.address]
+    for words in calls:
+        assert run(*[word.format("here") for word in words], "--workers", "1")[0] == 0
+    code = f"from getagrip.cli import main\nfor words in {calls}:\n"
+    code += f"    assert main([word.format('there') for word in words] + {on_ray}) == 0"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, env=import_path(), capture_output=True)
+    kinds = "", "bench/results/static"
+    folders = [[folder for kind in kinds for folder in results_in(tmp_path / of / kind)] for of in ("here", "there")]
+    pairs = list(zip(*folders, strict=True))
+    assert len(pairs) == 3
     for here, there in pairs:
         assert here.name == there.name
         assert (here / "result.npz").read_bytes() == (there / "result.npz").read_bytes()

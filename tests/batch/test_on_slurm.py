@@ -13,13 +13,16 @@ from pathlib import Path
 import pytest
 
 from getagrip.batch import on_slurm
+from getagrip.batch.imports import import_clips
 from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.on_slurm import SlurmCrew
 from getagrip.batch.pool import shared_out
+from getagrip.batch.share import Share
 from getagrip.errors import GetagripError
 from getagrip.io import code
 from helpers.command_line import Run
 from helpers.jobs import dies_once, drive, loses_its_task, patient
+from helpers.library import Library, Shelf
 from helpers.paths import import_path
 from helpers.slurm import write_slurm
 
@@ -63,6 +66,15 @@ def test_a_lost_task_is_given_out_again_and_a_process_that_dies_is_its_own_matte
     assert (ended.result, ended.attempts) == ("done", 1)
     (ended,) = shared_out(SlurmCrew(1, dies_once, NONE, None), [str(tmp_path / "dies")])
     assert (ended.result, ended.attempts) == (ended.process, 2)
+
+
+@needs_submitit
+@pytest.mark.slow
+def test_an_import_has_its_parts_read_there(slurm: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    library = Library(shelves=(Shelf("torn"), Shelf("fine")))
+    assert import_clips(library, tmp_path / "out", debug=False, share=Share(engine="slurm", workers=1)) == 1
+    assert {path.parent.name for path in tmp_path.glob("out/*/clip.json")} == {"torn-0", "torn-3", "fine-0", "fine-3"}
+    assert capsys.readouterr().out.splitlines()[-1] == "4 clips, 0 already there, 2 shelves failed"
 
 
 @needs_submitit

@@ -12,16 +12,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from getagrip.batch.crew import Start
-from getagrip.batch.crews import ENGINES
 from getagrip.batch.engine import Engine
 from getagrip.batch.job import Job, Outcome, load, reconstruct_one
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.ledger_place import ledger_folder
-from getagrip.batch.limits import NONE, Limits
-from getagrip.batch.plan import ALL, Plan, Shard
-from getagrip.batch.pool import cores
+from getagrip.batch.plan import Plan
 from getagrip.batch.progress import Pace
+from getagrip.batch.share import ALONE, Share
 from getagrip.batch.streamed import StreamedJob, reconstruct_streamed
 from getagrip.batch.summary import entry_of, write_summary
 from getagrip.errors import UsageError
@@ -34,46 +31,22 @@ if TYPE_CHECKING:
 
     from getagrip.fitting.options import Options
 
-FEW = 3
-"""Up to so many clips are done in this process: others take longer to start."""
-
 
 @dataclass(frozen=True)
 class Batch:
     """How a call treats its clips."""
 
-    workers: int | None = None
-    """None: one for each core, where there are more than a few clips; on a cluster, one for each CPU."""
+    share: Share = ALONE
     threads: int = 1
     """For each clip."""
-    engine: str = "local"
-    """Of ``ENGINES``."""
-    address: str | None = None
-    """Of a cluster that runs."""
     overwrite: bool = False
     """Make good results again, too."""
     strict: bool = False
     """Count something serious that a check has found as a failure of the call."""
-    fail_fast: bool = False
-    """Begin no other clip once one has failed."""
-    limits: Limits = NONE
-    shard: Shard = ALL
-    ledger: Path | None = None
-    """Folder of the ledger; None: that of the results, or where that is in an object store, one on this machine."""
 
     def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 1:
-            raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
         if self.threads < 1:
             raise UsageError(f"--threads: got {self.threads}, expected 1 or more")
-
-    def crew(self, count: int) -> Start[Any, Any] | None:
-        """Who does so many clips; None: this process. Raises ``UsageError``."""
-        workers = self.workers
-        if self.engine == "local":
-            workers = min(count, workers or (1 if count <= FEW else cores()))
-        start = ENGINES[self.engine](workers, self.address)
-        return None if self.engine == "local" and workers == 1 and not self.limits else start
 
 
 def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batch: Batch, debug: bool) -> int:
@@ -86,12 +59,13 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
-    with Plan(paths, batch.shard) as plan:
+    share = batch.share
+    with Plan(paths, share.shard) as plan:
         for outcome in plan.failed:
             print_outcome(outcome, debug)
-        if not len(plan) or (batch.fail_fast and plan.failed):
+        if not len(plan) or (share.fail_fast and plan.failed):
             return 1 if plan.failed else 0
-        with Ledger(ledger_folder(out, batch.ledger)) as ledger:
+        with Ledger(ledger_folder(out, share.ledger)) as ledger:
             if ledger.path.parent != out:
                 report(f"{out}: its ledger is {ledger.path}")
             for folder in leftovers.sweep(out) if isinstance(out, Path) else ():
@@ -145,12 +119,8 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
     streamed = isinstance(out, Remote) or plan.remote
     make: Callable[..., Any] = StreamedJob if streamed else Job
     work: Callable[..., Outcome] = reconstruct_streamed if streamed else reconstruct_one
-
-    def at(place: Place) -> Place:  # workers elsewhere run in other folders
-        return place.absolute() if isinstance(place, Path) and batch.engine != "local" else place
-
     per_clip = {"options": options, "overwrite": batch.overwrite, "threads": batch.threads}
-    jobs = (make(name, at(clip), at(out / name), **per_clip) for name, clip in plan)
+    jobs = (make(name, clip, out / name, **per_clip) for name, clip in plan)
     tally = _Tally()
     with progress_bar() as bar:
         pace = Pace(bar, "clips", len(plan))
@@ -159,8 +129,8 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
             lost=_lost,
             entry=entry_of,
             options=asdict(options),
-            crew=batch.crew(len(plan)),
-            limits=batch.limits,
+            crew=batch.share.crew(len(plan)),
+            limits=batch.share.limits,
             prepare=load,
             in_this=partial(_shown, bar, work),
         )
@@ -170,7 +140,7 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
                 print_outcome(outcome, debug)
                 tally.add(outcome)
                 pace.count(outcome.state)
-                if batch.fail_fast and outcome.state == "failed":
+                if batch.share.fail_fast and outcome.state == "failed":
                     report("--fail-fast: no other clip is begun")
                     break
     return tally

@@ -1,4 +1,4 @@
-"""``getagrip import``: the clips of a dataset, its parts shared out over processes."""
+"""``getagrip import``: the clips of a dataset, its parts shared out."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from getagrip.batch import grasp_list
-from getagrip.batch.clips import FEW, print_outcome
+from getagrip.batch.clips import print_outcome
 from getagrip.batch.engine import Engine
 from getagrip.batch.job import Outcome, failure
-from getagrip.batch.ledger import Entry, Ledger, State
+from getagrip.batch.ledger import Entry, State
 from getagrip.batch.share import ALONE, Share
 from getagrip.clip import write_clip
 from getagrip.datasets.dataset import Dataset, Draft, Part
 from getagrip.grasps import lists
 from getagrip.io import leftovers
-from getagrip.io.terminal import progress_bar, report
+from getagrip.io.terminal import report
 
 
 @dataclass(frozen=True)
@@ -62,12 +62,8 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE)
     grasp_list.claim(out, cut)
     leftovers.sweep(out)
     counts, made, handless = Counter[str](), list[Mapping[str, Any]](), 0
-    engine = Engine(
-        work=import_part, lost=_lost, entry=_entry, options=repr(dataset), crew=share.crew(len(jobs), FEW),
-        limits=share.limits,
-    )  # fmt: skip
-    with Ledger(out) as ledger, progress_bar() as bar, closing(engine.run(jobs, ledger)) as parts:
-        task = bar.add_task(dataset.parts_are, total=len(jobs))
+    engine = Engine(work=import_part, lost=_lost, entry=_entry, options=repr(dataset))
+    with closing(share.ended(engine, jobs, out, dataset.parts_are)) as parts:
         for imported in parts:
             for outcome in imported.clips:
                 if outcome.state == "failed":
@@ -80,7 +76,6 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE)
             counts["failed"] += any(outcome.state == "failed" for outcome in imported.clips)
             made += imported.made
             handless += imported.handless
-            bar.advance(task)
             if share.fail_fast and counts["failed"]:
                 report(f"--fail-fast: no other of the {dataset.parts_are} is begun")
                 break

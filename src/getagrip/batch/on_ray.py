@@ -11,7 +11,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
@@ -66,7 +66,7 @@ class RayCrew(Generic[J, R]):
             _connect(self._ray, workers, address or os.environ.get("RAY_ADDRESS"))
         self._workers = workers
         task = self._ray.remote(num_cpus=1, max_retries=0)(_do)
-        how = self._ray.put((work, limits, prepare, code.fingerprint()))
+        how = self._ray.put((work, limits, prepare, code.fingerprint(), os.getcwd()))
         self._start: Callable[[J], Any] = lambda job: task.remote(how, job)
         self._at_work: dict[Any, _Given[J]] = {}
         self._cpus, self._looked = 0, -LOOK_EVERY
@@ -156,13 +156,13 @@ def check_answer(address: str) -> None:
         socket.create_connection((host, int(port)), PATIENCE).close()
 
 
-def _do(how: tuple[Callable[[J], R], Limits, Callable[[], Any] | None, str], job: J) -> Ended[J, R] | Exception:
+def _do(how: tuple[Callable[[J], R], Limits, Callable[[], Any] | None, str, str], job: J) -> Ended[J, R] | Exception:
     """Runs in a Ray worker: do a job; an exception is to be raised by the driver."""
-    work, limits, prepare, expected = how
+    work, limits, prepare, expected, folder = how
     try:
         check_code(expected)
-        crew = _crew(work, limits, prepare)
-        with _without_main():
+        crew = _crew(work, limits, prepare, folder)
+        with _as_of_the_driver(folder):
             crew.give(job, 1)
         while True:
             for ended in crew.wait(None):
@@ -172,18 +172,22 @@ def _do(how: tuple[Callable[[J], R], Limits, Callable[[], Any] | None, str], job
 
 
 @lru_cache(maxsize=1)  # what comes later is of another call: the process of the one before ends when it is forgotten
-def _crew(work: Callable[[J], R], limits: Limits, prepare: Callable[[], Any] | None) -> Processes[J, R]:
-    """This Ray worker's one process, kept for its next job."""
+def _crew(work: Callable[[J], R], limits: Limits, prepare: Callable[[], Any] | None, folder: str) -> Processes[J, R]:
+    """This Ray worker's one process, which works in the driver's ``folder``; kept for its next job."""
     return Processes(1, work, limits, prepare)
 
 
 @contextmanager
-def _without_main() -> Iterator[None]:
-    """Processes that start meanwhile do not load the main file of a Ray worker, and with it Ray."""
+def _as_of_the_driver(folder: str) -> Iterator[None]:
+    """Processes that start meanwhile work in the driver's folder, if there is one here: paths may be relative.
+
+    Nor do they load the main file of a Ray worker, and with it Ray.
+    """
     main = sys.modules["__main__"]
     file = main.__dict__.pop("__file__", None)
     try:
-        yield
+        with chdir(folder) if os.path.isdir(folder) else nullcontext():
+            yield
     finally:
         if file is not None:
             main.__file__ = file

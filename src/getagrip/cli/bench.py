@@ -133,11 +133,10 @@ class Bench(Command):
 
         given = {
             "methods": self.methods, "ablation": self.ablation, "hands": self.hands, "with": self.others,
-            "contact": self.contact, "limit-seconds": self.sharing.limit_seconds, "limit-gb": self.sharing.limit_gb,
-            "fail-fast": self.sharing.fail_fast, "shard": self.sharing.shard,
+            "contact": self.contact,
         }  # fmt: skip
         for name, value in given.items():
             if value:
                 raise UsageError(f"--{name}: got {value}, expected none with {self.dataset}")
-        plan = Plan(source, self.out, options, self.clips, self.sharing.workers, self.overwrite, self.json)
+        plan = Plan(source, self.out, options, self.clips, self.sharing.share(), self.overwrite, self.json)
         return (bench_segments if isinstance(source, DexYcbSequences) else bench_timelines)(plan, self.debug)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,12 +17,12 @@ from getagrip.cli.command import (
     Results,
     Seed,
     Sources,
-    Workers,
     hands_of,
     masks_of,
     mesh_of,
     priors_of,
 )  # fmt: skip
+from getagrip.cli.sharing import Sharing
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Init, Options
 from getagrip.io.arguments import File, Flag, Folder, OptionalFile, OptionalFolder, one_of, placed
@@ -82,18 +82,9 @@ class Reconstruct(Command):
     sampled_only: Flag = False
     """Leave it at these frames. Otherwise the others follow: each is fitted to its own mask, what all frames share held
     still, or interpolated where no mask shows the object."""
-    workers: Workers = None
-    """Processes to share the clips between; on a Ray cluster, as many as it has CPUs; tasks of a Slurm array, 64."""
     threads: Annotated[int, arg(metavar="N")] = 1
     """Threads for each clip, for one that is waited for; many clips are done sooner by --workers. Results are the same
     to the last bit."""
-    engine: Literal["local", "ray", "slurm"] = "local"
-    """Where they run: on this machine, on a Ray cluster, or in Slurm's array jobs. All machines must see clips and
-    results under the same paths."""
-    address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS, else one here)")] = (
-        None
-    )
-    """Ray cluster that runs: HOST:PORT, or auto."""
     find_grasps: Flag = False
     """Clips are not cut: find first, as segment --from-masks does, when the object lies still and when it is held;
     then reconstruct the whole interaction as a timeline. Clips with their segments go to DIR/clips."""
@@ -104,21 +95,10 @@ class Reconstruct(Command):
     """Make results again that are there already, of the same clip, options and code."""
     strict: Flag = False
     """Exit with 1 also where a check finds something serious: the result is probably worthless."""
-    limit_seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="(default: none)")] = None
-    """A clip that takes longer is left behind."""
-    limit_gb: Annotated[float | None, arg(metavar="GB", help_behavior_hint="(default: none)")] = None
-    """A clip whose process wants more memory is left behind (Linux)."""
-    fail_fast: Flag = False
-    """Begin no other clip once one has failed."""
-    shard: Annotated[str | None, arg(metavar="I/N", help_behavior_hint="(default: all)")] = None
-    """Of N equal parts of the clips only the I-th, for N machines."""
-    ledger: OptionalFolder = None
-    """Local folder for the ledger, where --out is on a network file system."""
+    sharing: Annotated[Sharing, arg(name="")] = field(default_factory=Sharing)
 
     def run(self) -> int:
         from getagrip.batch.clips import Batch, reconstruct_clips
-        from getagrip.batch.limits import Limits
-        from getagrip.batch.plan import ALL, Shard
 
         options = Options(
             method=self.method, inits=self.inits, seed=self.seed, frames=self.frames, thorough=self.thorough,
@@ -126,12 +106,7 @@ class Reconstruct(Command):
             masks=masks_of(self.given_masks), mesh=mesh_of(self.given_mesh), axis=self.axis,
             every_frame=not self.sampled_only,
         )  # fmt: skip
-        batch = Batch(
-            workers=self.workers, threads=self.threads, engine=self.engine, address=self.address,
-            overwrite=self.overwrite, strict=self.strict, fail_fast=self.fail_fast,
-            limits=Limits(self.limit_seconds, self.limit_gb),
-            shard=ALL if self.shard is None else Shard.of(self.shard), ledger=self.ledger,
-        )  # fmt: skip
+        batch = Batch(self.sharing.share(), self.threads, self.overwrite, self.strict)
         if self.find_grasps or self.cut_grasps:
             from getagrip.commands.reconstruct_found import reconstruct_found
 

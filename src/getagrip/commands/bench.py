@@ -12,7 +12,7 @@ from pathlib import Path
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.engine import Engine
 from getagrip.batch.job import Outcome, load
-from getagrip.batch.ledger import Entry, Ledger
+from getagrip.batch.ledger import Entry
 from getagrip.batch.share import ALONE, Share
 from getagrip.errors import UsageError
 from getagrip.evaluation.other_poses import OtherSystem
@@ -27,7 +27,7 @@ from getagrip.experiments.tables import as_json, latex, markdown, terminal, writ
 from getagrip.experiments.trials import Scores, Trial, run
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.io import files, leftovers
-from getagrip.io.terminal import console, progress_bar, report
+from getagrip.io.terminal import console, report
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
 from getagrip.result import software
 
@@ -113,16 +113,11 @@ def bench(plan: Plan, debug: bool) -> int:
     failures = len(bad)
     for outcome in bad:
         print_outcome(outcome, debug)
-    engine = Engine(
-        work=run, lost=_lost, entry=_entry, options=repr(distinct), crew=plan.share.crew(len(trials), few=0),
-        limits=plan.share.limits, prepare=load,
-    )  # fmt: skip
-    with Ledger(plan.out) as ledger, progress_bar(counted=True) as bar, closing(engine.run(trials, ledger)) as ended:
-        shown = bar.add_task("clips", total=len(trials))
+    engine = Engine(work=run, lost=_lost, entry=_entry, options=repr(distinct), prepare=load)
+    with closing(plan.share.ended(engine, trials, plan.out, "clips", few=0)) as ended:
         for clip in ended:
             failures += _report(clip, variants, debug)
             scores.append(clip)
-            bar.advance(shown)
             if plan.share.fail_fast and failures:
                 report("--fail-fast: no other clip is begun")
                 break

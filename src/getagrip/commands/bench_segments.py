@@ -41,9 +41,11 @@ def bench_segments(plan: Plan, debug: bool) -> int:
         print_outcome(outcome, debug)
     noise = plan.source.preset
     trials = [
-        SequenceTrial(sample, noise, plan.options, plan.out / "results" / noise, plan.overwrite) for sample in found
+        SequenceTrial(sample, noise, plan.options, plan.out / "results" / noise, plan.overwrite)
+        for sample in found
+        if sample.name in plan.share.shard
     ]
-    scores = scored(run_sequence, trials, plan.workers, debug)
+    scores = scored(run_sequence, SequenceScores, trials, plan, debug)
     if scores:
         _write(plan, scores)
     return 1 if bad or len(scores) < len(trials) else 0

@@ -1,32 +1,27 @@
-"""What the benchmarks of whole sequences share: what to run, and running it over processes."""
+"""What the benchmarks of whole sequences share: what to run, and running it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 from getagrip.batch.clips import print_outcome
+from getagrip.batch.engine import Engine, Named
 from getagrip.batch.job import Outcome
-from getagrip.batch.pool import DIED, cores, in_processes
-from getagrip.errors import UsageError
-from getagrip.experiments.sources import Sample
+from getagrip.batch.ledger import Entry
+from getagrip.batch.share import Share
 from getagrip.experiments.sources.timelines import Timelines
 from getagrip.fitting.options import Options
-from getagrip.io.terminal import progress_bar
-
-
-class Trial(Protocol):
-    """A sequence to run."""
-
-    @property
-    def sample(self) -> Sample: ...
+from getagrip.io.terminal import report
 
 
 class Scores(Protocol):
     """Of a sequence; ``failure`` says why there are none."""
 
+    def __init__(self, name: str, *, failure: str) -> None: ...
     @property
     def name(self) -> str: ...
     @property
@@ -35,7 +30,7 @@ class Scores(Protocol):
     def trace(self) -> str: ...
 
 
-T = TypeVar("T", bound=Trial)
+T = TypeVar("T", bound=Named)
 S = TypeVar("S", bound=Scores)
 
 
@@ -47,31 +42,25 @@ class Plan:
     out: Path
     options: Options
     count: int | None
-    workers: int | None
+    share: Share
     overwrite: bool
     json: Path | None
 
-    def __post_init__(self) -> None:
-        if self.workers is not None and self.workers < 1:
-            raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
 
-
-def scored(run: Callable[[T], S], trials: Sequence[T], workers: int | None, debug: bool) -> list[S]:
-    """The scores of the sequences that did not fail, by name; those that did are printed."""
-    scores = []
-    with progress_bar(counted=True) as bar:
-        shown = bar.add_task("sequences", total=len(trials))
-        for trial, one in _done(run, trials, workers or cores()):
-            if one is None:
-                print_outcome(Outcome(trial.sample.name, "failed", DIED), debug)
-            elif one.failure:
-                print_outcome(Outcome(one.name, "failed", one.failure, one.trace), debug)
-            else:
+def scored(run: Callable[[T], S], kind: type[S], trials: Sequence[T], plan: Plan, debug: bool) -> list[S]:
+    """The scores, of a ``kind``, of the sequences that did not fail, by name; those that did are printed."""
+    engine = Engine(
+        work=run, lost=lambda trial, why: kind(trial.name, failure=why),
+        entry=lambda one: Entry("", "failed" if one.failure else "done", one.failure), options=asdict(plan.options),
+    )  # fmt: skip
+    scores = list[S]()
+    with closing(plan.share.ended(engine, trials, plan.out, "sequences", few=0)) as ended:
+        for one in ended:
+            if not one.failure:
                 scores.append(one)
-            bar.advance(shown)
+                continue
+            print_outcome(Outcome(one.name, "failed", one.failure, one.trace), debug)
+            if plan.share.fail_fast:
+                report("--fail-fast: no other sequence is begun")
+                break
     return sorted(scores, key=lambda one: one.name)
-
-
-def _done(run: Callable[[T], S], trials: Sequence[T], workers: int) -> Iterator[tuple[T, S | None]]:
-    """Each trial with its scores, as they are ready; None where its process died."""
-    return ((trial, run(trial)) for trial in trials) if workers == 1 else in_processes(run, trials, workers)

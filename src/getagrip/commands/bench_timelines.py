@@ -31,8 +31,12 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
         print_outcome(outcome, debug)
     preset, results = plan.source.preset, plan.out / "results"
     levels = tuple(LEVELS) if preset == ALL else (preset,)
-    trials = [TimelineTrial(sample, levels, plan.options, results, plan.overwrite) for sample in found]
-    scores = scored(run_timeline, trials, plan.workers, debug)
+    trials = [
+        TimelineTrial(sample, levels, plan.options, results, plan.overwrite)
+        for sample in found
+        if sample.name in plan.share.shard
+    ]
+    scores = scored(run_timeline, TimelineScores, trials, plan, debug)
     whole = [one for one in scores if one.by]
     if scores and not whole:
         given = f"{len(scores)} timelines, none with both a static segment and a stable grasp"

@@ -7,10 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from getagrip.batch.clips import FEW, print_outcome
+from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import Outcome
 from getagrip.batch.plan import by_name
 from getagrip.batch.pool import DIED, cores, in_processes
+from getagrip.batch.share import FEW
 from getagrip.errors import UsageError
 from getagrip.io.terminal import progress_bar, show_stage
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from getagrip.batch.clips import FEW, print_outcome
+from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.ledger import FILE as LEDGER
 from getagrip.batch.pool import DIED, cores, in_processes
+from getagrip.batch.share import FEW
 from getagrip.batch.summary import PAGE, TABLE
 from getagrip.commands.evaluate_meshes import Meshes, MeshJob, evaluate_clip_meshes, mesh_jobs
 from getagrip.commands.evaluate_poses import OtherPoses, PoseJob, evaluate_clip_poses, pose_jobs

@@ -58,16 +58,16 @@ def reconstruct_found(
         raise UsageError(f"--method: got {options.method}, expected {METHOD}, or any with --cut-grasps")
 
     def job(name: str, folder: Path) -> FindJob | None:
-        return FindJob(folder, out / CLIPS, options, alone) if name in batch.shard else None
+        return FindJob(folder, out / CLIPS, options, alone) if name in batch.share.shard else None
 
-    found, failures = each_clip(paths, job, find_one, batch.workers, debug)
+    found, failures = each_clip(paths, job, find_one, batch.share.workers, debug)
     made: list[Path] = []
     for one in found:
         made += one.folders
         print(one)
     if not made:
         return 1 if failures else 0
-    found_here = replace(batch, shard=ALL)  # their clips are this shard's
+    found_here = replace(batch, share=replace(batch.share, shard=ALL))  # their clips are this shard's
     return max(int(failures > 0), reconstruct_clips(made, out, options, found_here, debug))
 
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from itertools import filterfalse
 from pathlib import Path
 
-from getagrip.batch.clips import FEW, print_outcome
+from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.pool import DIED, cores, in_processes
+from getagrip.batch.share import FEW
 from getagrip.commands.evaluate import no_result, of_batch
 from getagrip.errors import InputError
 from getagrip.evaluation import evaluate, read_evaluated

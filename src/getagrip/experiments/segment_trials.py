@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,13 +39,18 @@ class SequenceTrial:
     """A file for each sequence and direction goes here."""
     overwrite: bool
 
+    @property
+    def name(self) -> str:
+        """The sequence's."""
+        return self.sample.name
+
 
 @dataclass(frozen=True)
 class SequenceScores:
     """What was found in a sequence."""
 
     name: str
-    by: dict[tuple[str, str], Matched]
+    by: dict[tuple[str, str], Matched] = field(default_factory=dict)
     """By direction and way; empty where it failed."""
     seconds: float = 0.0
     """Of the process, for one direction; the mean of both."""
@@ -71,7 +76,7 @@ def run_sequence(trial: SequenceTrial) -> SequenceScores:
         return _run(trial)
     except Exception as error:  # one sequence's trouble must not end the others
         outcome = failure(trial.sample.name, error)
-        return SequenceScores(trial.sample.name, {}, failure=outcome.message, trace=outcome.trace)
+        return SequenceScores(trial.sample.name, failure=outcome.message, trace=outcome.trace)
 
 
 def _run(trial: SequenceTrial) -> SequenceScores:

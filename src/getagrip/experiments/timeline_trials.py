@@ -43,6 +43,11 @@ class TimelineTrial:
     """A folder for each level, with a file for each timeline, goes here."""
     overwrite: bool
 
+    @property
+    def name(self) -> str:
+        """The timeline's."""
+        return self.sample.name
+
 
 @dataclass(frozen=True)
 class TimelineScores:
