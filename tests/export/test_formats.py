@@ -201,12 +201,34 @@ def accessor(gltf: GLTF2, which: int) -> ndarray:
     return np.frombuffer(content, kind).reshape(it.count, {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[it.type])
 
 
+def test_the_other_hand_stands_in_its_own_frames(both: Scene, tmp_path: Path) -> None:
+    other = both.hands[1]
+    for to in ("csv", "npz", "obj", "glb"):
+        about = json.loads((export(both, tmp_path / to, to) / "about.json").read_text())
+        assert about["other_hand"]["known"] == [True, False, True]
+    rows = rows_of(tmp_path / "csv" / "poses.csv")
+    assert [row["T_cam_other_hand_x_m"] for row in rows][1] == ""
+    assert float(rows[2]["T_cam_other_hand_x_m"]) == pytest.approx(other.T_cam_hand[2, 0, 3])
+    assert [row["frame"] for row in rows_of(tmp_path / "csv" / "other_joints.csv")] == [both.frames[0], both.frames[2]]
+    with np.load(tmp_path / "npz" / "scene.npz") as file:
+        np.testing.assert_array_equal(file["other_hand_vertices_cam"], other.in_camera)
+    meshes = sorted((tmp_path / "obj" / "other_hand").iterdir())
+    assert [path.stem for path in meshes] == [both.frames[0], both.frames[2]]
+    found = trimesh.load(meshes[1], process=False)
+    np.testing.assert_allclose(found.vertices, other.in_camera[2], atol=1e-6)
+    gltf = GLTF2().load(tmp_path / "glb" / "scene.glb")
+    assert [node.name for node in gltf.nodes] == ["camera frame", "object", "hand", "other_hand"]
+    (scale,) = (it.sampler for it in gltf.animations[0].channels if it.target.path == "scale")
+    assert gltf.animations[0].samplers[scale].interpolation == "STEP"
+    np.testing.assert_array_equal(accessor(gltf, gltf.animations[0].samplers[scale].output)[:, 0], [1.0, 0.0, 1.0])
+
+
 @pytest.mark.parametrize("stiff", [False, True])
-def test_the_animation_goes_through_every_pose(scene: Scene, tmp_path: Path, stiff: bool) -> None:
+def test_the_animation_goes_through_every_pose(both: Scene, tmp_path: Path, stiff: bool) -> None:
     if stiff:
-        scene = replace(scene, hand_vertices=np.repeat(scene.hand_vertices[:1], 3, axis=0))
+        scene = replace(both, hand_vertices=np.repeat(both.hand_vertices[:1], 3, axis=0))
     else:
-        scene = replace(scene, hand_vertices=scene.hand_vertices * np.array([1.0, 1.1, 1.2])[:, None, None])
+        scene = replace(both, hand_vertices=both.hand_vertices * np.array([1.0, 1.1, 1.2])[:, None, None])
     file = export(scene, tmp_path / "out", "glb") / "scene.glb"
     gltf = GLTF2().load(file)
     channels = {(it.target.node, it.target.path): it.sampler for it in gltf.animations[0].channels}
@@ -218,19 +240,20 @@ def test_the_animation_goes_through_every_pose(scene: Scene, tmp_path: Path, sti
     np.testing.assert_allclose(time, scene.time - scene.time[0], atol=1e-6)
     flip = np.diag([1.0, -1.0, -1.0])  # glTF's y is up
     np.testing.assert_allclose(Rotation.from_quat(gltf.nodes[0].rotation).as_matrix(), flip, atol=1e-12)
-    for node, true in ((1, object_in_camera(scene)), (2, scene.hand_in_camera)):
+    moving = (object_in_camera(scene), *(hand.in_camera for hand in scene.hands))
+    for node, true in enumerate(moving, start=1):
         part = gltf.meshes[gltf.nodes[node].mesh].primitives[0]
         rest = accessor(gltf, part.attributes.POSITION).astype(float)
         q, t = values(node, "rotation"), values(node, "translation")
         assert (np.sum(q[1:] * q[:-1], axis=1) > 0.0).all()  # the short way from one to the next
         targets = [accessor(gltf, target["POSITION"]) for target in part.targets or []]
-        assert len(targets) == (0 if stiff or node == 1 else 3)
-        weights = values(2, "weights").reshape(3, 3) if targets else np.zeros((3, 0))
+        assert len(targets) == (0, 0 if stiff else 3, 3)[node - 1]
+        weights = values(node, "weights").reshape(3, 3) if targets else np.zeros((3, 0))
         for n in range(3):
             bent = rest + sum(w * step for w, step in zip(weights[n], targets, strict=True))
             posed = bent @ Rotation.from_quat(q[n]).as_matrix().T + t[n]
             np.testing.assert_allclose(posed, true[n], atol=1e-6)
-    assert set(trimesh.load(file).geometry) == {"object", "hand"}
+    assert set(trimesh.load(file).geometry) == {"object", "hand", "other_hand"}
 
 
 @pytest.mark.slow

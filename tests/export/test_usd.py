@@ -21,8 +21,10 @@ pytestmark = needs("pxr", "usd")
 
 
 @pytest.mark.slow
-def test_usd_reads_back_every_pose_and_point(scene: Scene, tmp_path: Path) -> None:
+def test_usd_reads_back_every_pose_and_point(both: Scene, tmp_path: Path) -> None:
     from pxr import Usd, UsdGeom
+
+    scene = both
 
     stage = Usd.Stage.Open(str(export(scene, tmp_path / "out", "usd") / "scene.usdc"))
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
@@ -43,8 +45,11 @@ def test_usd_reads_back_every_pose_and_point(scene: Scene, tmp_path: Path) -> No
 
         held = se3.transform(T_stage_obj[n], scene.object.vertices)
         np.testing.assert_allclose(posed("/clip/object/mesh"), held, atol=1e-6)
-        hand = se3.transform(T_stage_hand[n], scene.hand_vertices[n])
-        np.testing.assert_allclose(posed("/clip/hand/mesh"), hand, atol=1e-6)
+        for hand in scene.hands:
+            true = se3.transform(on_stage.T_stage_cam[n] @ hand.T_cam_hand[n], hand.vertices[n])
+            np.testing.assert_allclose(posed(f"/clip/{hand.name}/mesh"), true, atol=1e-6)
+            seen = UsdGeom.Imageable(stage.GetPrimAtPath(f"/clip/{hand.name}/mesh")).ComputeVisibility(code)
+            assert seen == ("inherited" if hand.known[n] else "invisible")
         joints = se3.transform(T_stage_hand[n], scene.joints[n])
         np.testing.assert_allclose(posed("/clip/hand/joints"), joints, atol=1e-6)
         for name, T in scene.poses.items():

@@ -27,6 +27,15 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     }
     if (joints := scene.joints_in_camera) is not None:
         content["joints_cam"] = joints
+    for other in scene.hands[1:]:
+        content |= {
+            "T_cam_other_hand": other.T_cam_hand,
+            "other_hand_vertices_cam": other.in_camera,
+            "other_hand_faces": other.faces,
+            "other_hand_known": other.known,
+        }
+        if (joints := other.joints_in_camera) is not None:
+            content["other_joints_cam"] = joints
     if scene.world is not None and scene.world.up is not None:
         content["world_up"] = scene.world.up
     if scene.angle is not None:

@@ -1,8 +1,8 @@
-"""glTF: one binary file with the object's node and the hand's animated, for Blender and browsers.
+"""glTF: one binary file with the object's node and the hands' animated, for Blender and browsers.
 
 glTF's axes are x right, y up, z towards the viewer; a root node turns the camera frame there. The object's node and the
-hand's have a translation [m] and a rotation (x, y, z, w) at each time [s]; the hand's bending is a chain of morph
-targets, one for each frame, of which one at a time has the weight 1.
+hands' have a translation [m] and a rotation (x, y, z, w) at each time [s]; a hand's bending is a chain of morph
+targets, one for each frame, of which one at a time has the weight 1. While a hand is not known, its scale is 0.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
-from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, Scene
+from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, MovingHand, Scene
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import vertex_normals
 from getagrip.io import files
@@ -32,30 +32,35 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     for colour in (OBJECT_COLOUR, HAND_COLOUR):
         pbr = PbrMetallicRoughness(baseColorFactor=[*colour, 1.0], metallicFactor=0.0, roughnessFactor=0.8)
         gltf.materials.append(Material(pbrMetallicRoughness=pbr, doubleSided=True))
-    bent = scene.hand_vertices - scene.hand_vertices[0]
-    moves = bool(np.abs(bent).max() > 1e-7)
-    gltf.meshes = [
-        _mesh(buffers, "object", scene.object.vertices, scene.object.faces, 0),
-        _mesh(buffers, "hand", scene.hand_vertices[0], scene.hand_faces, 1, bent if moves else bent[:0]),
-    ]
+    hands = scene.hands
+    gltf.meshes = [_mesh(buffers, "object", scene.object.vertices, scene.object.faces, 0)]
+    gltf.meshes += [_mesh(buffers, hand.name, hand.vertices[0], hand.faces, 1, _bending(hand)) for hand in hands]
     flip = [1.0, 0.0, 0.0, 0.0]  # half a turn about x: y down, z forward becomes y up, z back
-    gltf.nodes = [
-        Node(name="camera frame", rotation=flip, children=[1, 2]),
-        Node(name="object", mesh=0),
-        Node(name="hand", mesh=1),
-    ]
+    names = ["object", *(hand.name for hand in hands)]
+    gltf.nodes = [Node(name="camera frame", rotation=flip, children=[n + 1 for n in range(len(names))])]
+    gltf.nodes += [Node(name=name, mesh=n) for n, name in enumerate(names)]
     gltf.scenes, gltf.scene = [Root(name=scene.name, nodes=[0])], 0
     time = buffers.add((scene.time - scene.time[0]).astype(np.float32), bounds=True)
     animation = Animation(name="grasp")
-    for node, T in ((1, scene.T_cam_obj), (2, scene.T_cam_hand)):
+    for node, T in enumerate((scene.T_cam_obj, *(hand.T_cam_hand for hand in hands)), start=1):
         _channel(animation, time, buffers.add(T[:, :3, 3].astype(np.float32)), node, "translation")
         _channel(animation, time, buffers.add(_rotations(T)), node, "rotation")
-    if moves:
-        _channel(animation, time, buffers.add(np.eye(len(bent), dtype=np.float32).ravel()), 2, "weights")
+    for node, hand in enumerate(hands, start=2):
+        if steps := len(_bending(hand)):
+            _channel(animation, time, buffers.add(np.eye(steps, dtype=np.float32).ravel()), node, "weights")
+        if not hand.known.all():
+            shown = np.repeat(hand.known[:, None].astype(np.float32), 3, axis=1)
+            _channel(animation, time, buffers.add(shown), node, "scale", "STEP")
     gltf.animations = [animation]
     buffers.into(gltf)
     files.write_bytes(folder / FILE, b"".join(gltf.save_to_bytes()))
-    return {FILE: "glTF 2.0: y up, z towards the viewer; metres; nodes object and hand, an animation of both"}
+    return {FILE: f"glTF 2.0: y up, z towards the viewer; metres; an animation of the nodes {', '.join(names)}"}
+
+
+def _bending(hand: MovingHand) -> Float[ndarray, "S V 3"]:
+    """How a hand differs from the first frame in each; of a stiff one nothing."""
+    bent = hand.vertices - hand.vertices[0]
+    return bent if np.abs(bent).max() > 1e-7 else bent[:0]
 
 
 def _extras(scene: Scene) -> dict[str, Any]:
@@ -89,19 +94,18 @@ def _mesh(
         POSITION=buffers.add(vertices.astype(np.float32), bounds=True),
         NORMAL=buffers.add(vertex_normals(vertices, faces).astype(np.float32)),
     )
-    targets = [
-        {"POSITION": buffers.add(step.astype(np.float32), bounds=True)} for step in ([] if moved is None else moved)
-    ]
+    steps = () if moved is None else moved.astype(np.float32)
+    targets = [{"POSITION": buffers.add(step, bounds=True)} for step in steps]
     corners = buffers.add(faces.astype(np.uint32).ravel(), corners=True)
     part = Primitive(attributes=given, indices=corners, material=material, targets=targets)
     return Mesh(name=name, primitives=[part], weights=[0.0] * len(targets))
 
 
-def _channel(animation: Any, time: int, values: int, node: int, path: str) -> None:
+def _channel(animation: Any, time: int, values: int, node: int, path: str, between: str = "LINEAR") -> None:
     """Let a node's property go through values."""
     from pygltflib import AnimationChannel, AnimationChannelTarget, AnimationSampler
 
-    sampler = AnimationSampler(input=time, output=values, interpolation="LINEAR")
+    sampler = AnimationSampler(input=time, output=values, interpolation=between)
     target = AnimationChannelTarget(node=node, path=path)
     animation.channels.append(AnimationChannel(sampler=len(animation.samplers), target=target))
     animation.samplers.append(sampler)

@@ -1,4 +1,4 @@
-"""OBJ sequence: meshes of object and hand in every frame, posed in the camera frame."""
+"""OBJ sequence: meshes of object and hands in every frame, posed in the camera frame."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from getagrip.geometry.mesh_files import write_mesh
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
-    """Write ``object/<frame>.obj`` and ``hand/<frame>.obj``."""
+    """Write ``object/<frame>.obj``, ``hand/<frame>.obj`` and, where it is known, ``other_hand/<frame>.obj``."""
     in_camera = se3.transform(scene.T_cam_obj, scene.object.vertices[None])
-    moving = {"object": (in_camera, scene.object.faces), "hand": (scene.hand_in_camera, scene.hand_faces)}
-    for name, (vertices, faces) in moving.items():
+    moving = {"object": (in_camera, scene.object.faces, scene.hand.known)}
+    moving |= {hand.name: (hand.in_camera, hand.faces, hand.known) for hand in scene.hands}
+    for name, (vertices, faces, known) in moving.items():
         (folder / name).mkdir()
-        for frame, posed in zip(file_names(scene.frames), vertices, strict=True):
-            write_mesh(Mesh(posed, faces), folder / name / f"{frame}.obj")
+        for frame, posed, there in zip(file_names(scene.frames), vertices, known, strict=True):
+            if there:
+                write_mesh(Mesh(posed, faces), folder / name / f"{frame}.obj")
     axes = "camera frame of its image: x right, y down, z forward; metres"
     return {f"{name}/<frame>.obj": axes for name in moving}

@@ -7,7 +7,7 @@ import io
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.export.scene import AXES, Scene
@@ -18,15 +18,17 @@ POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
-    """Write ``poses.csv`` and, where joints are known, ``joints.csv``."""
-    columns = scene.poses
+    """Write ``poses.csv`` and, where joints are known, ``joints.csv``; of the other hand ``other_joints.csv``."""
+    columns = {name: _row(T) for name, T in scene.poses.items()}
+    for other in scene.hands[1:]:
+        columns["T_cam_other_hand"] = np.where(other.known[:, None], _row(other.T_cam_hand), np.nan)
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(
         ["frame", "time_s", *(f"{name}_{part}" for name in columns for part in POSE), "angle_deg", "iou", "frame_kind"]
     )
     angle = np.full(len(scene.frames), np.nan) if scene.angle is None else np.degrees(scene.angle)
-    poses = np.concatenate([_row(T) for T in columns.values()], axis=1)
+    poses = np.concatenate([*columns.values()], axis=1)
     for n, frame in enumerate(scene.frames):
         numbers = [scene.time[n], *poses[n], angle[n], scene.iou[n]]
         rows.writerow([frame, *("" if np.isnan(x) else f"{x:.9g}" for x in numbers), scene.frame_kind[n]])
@@ -34,19 +36,20 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     about = {
         "poses.csv": f"a row per frame; {AXES}; quaternions (w, x, y, z); the object's mesh is not scaled by poses"
     }
-    if (joints := scene.joints_in_camera) is not None:
-        files.write_bytes(folder / "joints.csv", _joints(scene, joints).encode())
-        about["joints.csv"] = "a row per frame; 21 joints in the camera frame, metres; wrist, then thumb to pinky"
+    for hand, name in zip(scene.hands, ("joints.csv", "other_joints.csv"), strict=False):
+        if (joints := hand.joints_in_camera) is not None:
+            files.write_bytes(folder / name, _joints(scene, joints, hand.known).encode())
+            about[name] = "a row per frame; 21 joints in the camera frame, metres; wrist, then thumb to pinky"
     return about
 
 
-def _joints(scene: Scene, joints: Float[ndarray, "T 21 3"]) -> str:
-    """The joints' table."""
+def _joints(scene: Scene, joints: Float[ndarray, "T 21 3"], known: Bool[ndarray, "T"]) -> str:
+    """The joints' table, of the frames in which they are known."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["frame", "time_s", *(f"joint{k:02d}_{axis}_m" for k in range(joints.shape[1]) for axis in "xyz")])
-    for n, frame in enumerate(scene.frames):
-        rows.writerow([frame, *(f"{x:.9g}" for x in (scene.time[n], *joints[n].ravel()))])
+    for n in np.flatnonzero(known):
+        rows.writerow([scene.frames[n], *(f"{x:.9g}" for x in (scene.time[n], *joints[n].ravel()))])
     return text.getvalue()
 
 

@@ -6,13 +6,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Clip, World
+from getagrip.clip import Clip, OtherHand, World
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io import files
@@ -20,6 +20,29 @@ from getagrip.result import FrameKind, Reconstruction
 
 OBJECT_COLOUR, HAND_COLOUR = (0.47, 0.60, 0.68), (0.86, 0.68, 0.58)
 AXES = "camera frame of each image: x right, y down, z forward; X_cam = T_cam_obj @ X_obj; metres"
+
+
+class MovingHand(NamedTuple):
+    """A hand in T frames; arrays as in ``Scene``."""
+
+    name: str
+    """Of its node, its arrays and its files."""
+    T_cam_hand: Float[ndarray, "T 4 4"]
+    vertices: Float[ndarray, "T V 3"]
+    faces: Int[ndarray, "F 3"]
+    joints: Float[ndarray, "T 21 3"] | None
+    known: Bool[ndarray, "T"]
+    """Frames in which it is known; elsewhere it stands as in the nearest of these."""
+
+    @property
+    def in_camera(self) -> Float[ndarray, "T V 3"]:
+        """Its vertices in the camera frame [m]."""
+        return se3.transform(self.T_cam_hand, self.vertices)
+
+    @property
+    def joints_in_camera(self) -> Float[ndarray, "T 21 3"] | None:
+        """Its joints in the camera frame [m]; None where not known."""
+        return None if self.joints is None else se3.transform(self.T_cam_hand, self.joints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +74,7 @@ class Scene:
         source: what the clip was made from, as its provenance says.
         camera: likewise, what its camera is.
         image_files: (T,) files of the images; None where a frame has none.
+        other_hand: of a timeline, the hand of the other side, in the frames in which it is known.
     """
 
     name: str
@@ -77,12 +101,13 @@ class Scene:
     source: str = ""
     camera: str = ""
     image_files: tuple[Path | None, ...] = ()
+    other_hand: OtherHand | None = None
 
     @staticmethod
     def of(result: Reconstruction, clip: Clip) -> Scene:
         """Of a result and the clip that it was made from. Raises ``InputError`` where the frames are not the clip's."""
         index = clip.index_of(result.frames)
-        some = clip.take(index).warped(result.warp).with_hand_at(result.T_cam_hand)
+        some = clip.take(index).warped(result.warp).with_hand_at(result.T_cam_hand, result.T_cam_other_hand)
         return Scene(
             name=clip.name,
             method=result.method,
@@ -108,6 +133,7 @@ class Scene:
             source=str(clip.provenance.get("source", "")),
             camera=str(clip.provenance.get("camera", "")),
             image_files=tuple(some.image_file(n) for n in range(len(some))),
+            other_hand=some.other_hand,
         )
 
     @property
@@ -121,9 +147,24 @@ class Scene:
         return None if self.world is None else np.asarray(self.world.T_world_cam @ self.T_cam_obj)
 
     @property
+    def hand(self) -> MovingHand:
+        """The clip's own hand."""
+        everywhere = np.ones(len(self.frames), dtype=bool)
+        return MovingHand("hand", self.T_cam_hand, self.hand_vertices, self.hand_faces, self.joints, everywhere)
+
+    @property
+    def hands(self) -> list[MovingHand]:
+        """The clip's own hand and, where there is one, that of the other side."""
+        if self.other_hand is None:
+            return [self.hand]
+        of = self.other_hand.track
+        other = MovingHand("other_hand", of.T_cam_hand, of.vertices, of.faces, of.joints, self.other_hand.known)
+        return [self.hand, other]
+
+    @property
     def joints_in_camera(self) -> Float[ndarray, "T 21 3"] | None:
         """The hand's joints in the camera frame [m]; None where not known."""
-        return None if self.joints is None else se3.transform(self.T_cam_hand, self.joints)
+        return self.hand.joints_in_camera
 
     @property
     def poses(self) -> dict[str, Float[ndarray, "T 4 4"]]:
@@ -138,7 +179,7 @@ class Scene:
     @property
     def hand_in_camera(self) -> Float[ndarray, "T V 3"]:
         """The hand's vertices in the camera frame [m]."""
-        return se3.transform(self.T_cam_hand, self.hand_vertices)
+        return self.hand.in_camera
 
     def about(self, written: dict[str, str]) -> dict[str, Any]:
         """What goes beside the files of any format, as ``about.json``."""
@@ -158,7 +199,13 @@ class Scene:
             "world_up": None if self.world is None else self.world.up,
             "poses": self.poses,
             "joints_cam": self.joints_in_camera,
+            "other_hand": None if self.other_hand is None else _about_hand(self.hands[1]),
         }
+
+
+def _about_hand(hand: MovingHand) -> dict[str, Any]:
+    """Where a hand is, and in which frames that is known."""
+    return {"known": hand.known, "T_cam_hand": hand.T_cam_hand, "joints_cam": hand.joints_in_camera}
 
 
 def word(text: str) -> str:

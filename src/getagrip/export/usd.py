@@ -1,4 +1,4 @@
-"""USD: one binary file with the object's and the hand's transforms and the hand's points sampled in time.
+"""USD: one binary file with the object's and the hands' transforms and the hands' points sampled in time.
 
 The stage is in metres (``metersPerUnit`` 1) with ``upAxis`` Z. Its time codes are seconds times ``timeCodesPerSecond``,
 the first frame at 0. USD multiplies rows with matrices, so its matrices are the transposes of ``T_a_b``; its cameras
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, Scene
+from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, MovingHand, Scene
 from getagrip.export.stage import Stage
 from getagrip.io import extras
 
@@ -40,7 +40,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     root = UsdGeom.Xform.Define(stage, "/clip").GetPrim()
     stage.SetDefaultPrim(root)
     _describe(root, scene, on_stage, codes)
-    T_stage_obj, T_stage_hand = on_stage.poses(scene)
+    T_stage_obj, _ = on_stage.poses(scene)
     _moving(stage, "/clip/object", T_stage_obj, codes)
     _mesh(
         stage,
@@ -50,20 +50,15 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
         scene.object.vertices[None],
         [Usd.TimeCode.Default()],
     )
-    _moving(stage, "/clip/hand", T_stage_hand, codes)
-    _mesh(stage, "/clip/hand/mesh", scene.hand_faces, HAND_COLOUR, scene.hand_vertices, codes)
-    if scene.joints is not None:
-        joints = UsdGeom.Points.Define(stage, "/clip/hand/joints")
-        joints.CreateWidthsAttr([0.006] * scene.joints.shape[1])
-        joints.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
-        for code, points in zip(codes, scene.joints, strict=True):
-            joints.CreatePointsAttr().Set(_points(points), code)
+    for hand in scene.hands:
+        _hand(stage, hand, np.asarray(on_stage.T_stage_cam @ hand.T_cam_hand), codes)
     _camera(stage, scene, on_stage, codes)
     if not stage.GetRootLayer().Export(str(folder / FILE)):
         raise OSError(f"{folder / FILE}: USD could not write it")
     return {
-        FILE: f"USD: {on_stage.words}; /clip/object and /clip/hand with time-sampled transforms, the hand's points and "
-        "joints in the hand frame, /clip/camera; /clip has T_cam_obj and the like (as USD has it, transposed)"
+        FILE: f"USD: {on_stage.words}; /clip/object and {' and '.join(f'/clip/{hand.name}' for hand in scene.hands)} "
+        "with time-sampled transforms, a hand's points and joints in its own frame, /clip/camera; /clip has "
+        "T_cam_obj and the like (as USD has it, transposed)"
     }
 
 
@@ -91,6 +86,24 @@ def _moving(stage: Any, path: str, T: Float[ndarray, "T 4 4"], codes: list[float
     op = UsdGeom.Xform.Define(stage, path).AddTransformOp()
     for code, matrix in zip(codes, T, strict=True):
         op.Set(_matrix(matrix), code)
+
+
+def _hand(stage: Any, hand: MovingHand, T_stage_hand: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
+    """A hand's transform, mesh and joints; invisible while it is not known."""
+    UsdGeom = extras.load("pxr.UsdGeom", "usd")
+    path = f"/clip/{hand.name}"
+    _moving(stage, path, T_stage_hand, codes)
+    _mesh(stage, f"{path}/mesh", hand.faces, HAND_COLOUR, hand.vertices, codes)
+    if hand.joints is not None:
+        joints = UsdGeom.Points.Define(stage, f"{path}/joints")
+        joints.CreateWidthsAttr([0.006] * hand.joints.shape[1])
+        joints.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
+        for code, points in zip(codes, hand.joints, strict=True):
+            joints.CreatePointsAttr().Set(_points(points), code)
+    if not hand.known.all():
+        seen = UsdGeom.Imageable(stage.GetPrimAtPath(path)).CreateVisibilityAttr()
+        for code, known in zip(codes, hand.known, strict=True):
+            seen.Set(UsdGeom.Tokens.inherited if known else UsdGeom.Tokens.invisible, code)
 
 
 def _mesh(
