@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from getagrip.clip import input_sha256, write_clip
+from getagrip.clip import OtherHand, input_sha256, write_clip
 from getagrip.commands.report import ReportRequest, report
 from getagrip.finding import Finding
 from getagrip.geometry import se3
@@ -34,7 +34,9 @@ def folder(tmp_path_factory: Any) -> Path:
     """Two results of one clip, one of them moved, one of changed input, and one that cannot be read; with an index."""
     root: Path = tmp_path_factory.mktemp("pages")
     clip, masks = egg_and_mug()
-    clip = replace(clip, name=EVIL, category="</script><script>hacked=1</script>")
+    aside = se3.rigid(t=np.array([-0.2, 0.0, 0.0])) @ clip.hand.T_cam_hand[:2]
+    other = OtherHand.at(replace(clip.hand.take(np.arange(2)), T_cam_hand=aside), np.arange(2), len(clip))
+    clip = replace(clip, name=EVIL, category="</script><script>hacked=1</script>", other_hand=other)
     written = write_clip(clip, masks, root / "clips" / "evil")
     good = perfect(clip, EVIL)
     T = good.T_hand_obj @ se3.rigid(t=np.array([0.0, 0.03, 0.0]))
@@ -99,6 +101,11 @@ def bluish(picture: np.ndarray) -> np.ndarray:
     return np.asarray((picture[..., 2] > 1.25 * picture[..., 0]) & (picture[..., 2] > picture[..., 1]))
 
 
+def skin(picture: np.ndarray) -> float:
+    """The share of the hands' pixels."""
+    return float(((picture[..., 0] > 1.2 * picture[..., 2]) & (picture[..., 0] > 0.2)).mean())
+
+
 def slide(page: Any, place: int) -> None:
     page.locator("#slider").fill(str(place))
 
@@ -128,6 +135,17 @@ def test_the_object_is_there_and_moves_with_the_slider(page: Any, folder: Path) 
     page.mouse.move(380, 420)
     page.mouse.up()
     assert (bluish(canvas(page)) != still).mean() > 0.005
+
+
+def test_the_other_hand_is_there_in_its_own_frames(page: Any, folder: Path) -> None:
+    opened(page, folder / "moved" / "one" / "report.html")
+    seen = []
+    for place in range(3):
+        slide(page, place)
+        seen.append(skin(canvas(page)))
+    assert min(seen[:2]) > 1.5 * seen[2] > 0.0
+    page.get_by_label("hands", exact=True).first.uncheck()
+    assert skin(canvas(page)) == 0.0
 
 
 def test_playing_goes_on_and_a_click_on_a_plot_jumps(page: Any, folder: Path) -> None:

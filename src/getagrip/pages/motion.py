@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.clip import OtherHand
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import decimate
 from getagrip.metrics.contact import close_holes, moving_distance
@@ -33,12 +34,14 @@ def arrays(view: View) -> dict[str, ndarray]:
 
     ``object_vertices`` are those of the mesh as it is, to be scaled by ``scale``, one for each candidate; the hand's
     are in the hand frame, in each frame. ``object_contact`` and ``hand_contact`` go from 0 to 255, in contact.
+    Where there is a hand of the other side, it has arrays of its own, and ``other_hand_known`` is 1 in its frames.
     ``T_hand_obj`` has those of the candidates one after another. ``focus`` is where to look, in the camera frame of
     each image.
     """
     result, hand = view.result, view.clip.hand
     on_object, on_hand = touched(view, CONTACT)
-    middles = [(view.hand(n).mean(axis=0) + _middle(view.object(n))) / 2.0 for n in range(len(view.clip))]
+    hands = [np.mean([vertices.mean(axis=0) for vertices, _ in view.hands(n)], axis=0) for n in range(len(view.clip))]
+    middles = [(hand + _middle(view.object(n))) / 2.0 for n, hand in enumerate(hands)]
     focus = smoothed(np.array(middles), FOLLOWED * view.clip.fps)
     out: dict[str, ndarray] = {
         "object_vertices": on_object.vertices[0] / result.scale,
@@ -52,6 +55,8 @@ def arrays(view: View) -> dict[str, ndarray]:
         "scale": result.candidates.scale,
         "focus": focus,
     }
+    if view.clip.other_hand is not None:
+        out |= _other_hand(view, view.clip.other_hand, out["object_contact"])
     if result.axis is not None:
         out["axis"] = axis_points(view)[[0, -1]]
     if view.clip.world is not None:
@@ -62,8 +67,33 @@ def arrays(view: View) -> dict[str, ndarray]:
     return {name: _small(name, values) for name, values in out.items()}
 
 
+def _other_hand(view: View, hand: OtherHand, object_contact: Float[ndarray, "T V"]) -> dict[str, ndarray]:
+    """The arrays of the hand of the other side; what it touches is added to the object's contact."""
+    contact = np.zeros(hand.track.vertices.shape[:2])
+    if (seen := view.by_other_hand()) is not None:
+        on_object, on_hand = touched(seen, CONTACT)
+        contact[hand.known] = on_hand.contact
+        object_contact[hand.known] = np.maximum(object_contact[hand.known], on_object.contact)
+    return {
+        "other_hand_vertices": hand.track.vertices,
+        "other_hand_faces": hand.track.faces,
+        "other_hand_contact": contact,
+        "other_hand_known": hand.known,
+        "T_cam_other_hand": hand.track.T_cam_hand,
+    }
+
+
 def gap_mm(view: View) -> Float[ndarray, "T"]:
-    """The smallest signed distance of hand and object in each frame [mm]; below 0 the hand is inside the object."""
+    """The smallest signed distance of hand and object in each frame [mm]; below 0 a hand is inside the object."""
+    gap = _gap_mm(view)
+    if (seen := view.by_other_hand()) is not None:
+        known = view.clip.hand_known(view.clip.other_side)
+        gap[known] = np.minimum(gap[known], _gap_mm(seen))
+    return gap
+
+
+def _gap_mm(view: View) -> Float[ndarray, "T"]:
+    """Of the clip's own hand."""
     mesh, T = view.clip.mesh, len(view.clip)
     scaled, faces = close_holes(view.result.scale * mesh.vertices, mesh.faces)
     in_object = se3.transform(se3.inverse(view.result.T_hand_obj), view.clip.hand.vertices)
@@ -80,6 +110,8 @@ def _small(name: str, values: ndarray) -> ndarray:
     """Values in the smallest of a page's types that will do."""
     if name.endswith("_contact"):
         return np.round(255.0 * values).astype(np.uint8)
+    if name.endswith("_known"):
+        return values.astype(np.uint8)
     if name.endswith("_faces"):
         return values.astype(np.uint16 if values.max(initial=0) < 2**16 else np.uint32)
     return values.astype(np.float32)

@@ -92,7 +92,8 @@ def _shown(view: View) -> Int[ndarray, "n"]:
 def _summary(view: View, record: Mapping[str, Any]) -> dict[str, Any]:
     """What the page says in words."""
     result, clip = view.result, view.clip
-    facts = [method_of(result.method).label, f"{clip.category} in a {clip.side} hand", view.frames_in_words]
+    hand = f"a {clip.side} hand" if clip.other_hand is None else "both hands"
+    facts = [method_of(result.method).label, f"{clip.category} in {hand}", view.frames_in_words]
     facts += view.size_in_words
     return {
         "name": clip.name,
@@ -187,7 +188,7 @@ def _pairs(view: View) -> list[tuple[float, float]]:
 
 
 def _outlines(view: View, crops: Crops) -> dict[str, Any]:
-    """Contours over each image: of each candidate, the hand, the ground truth and the observed mask."""
+    """Contours over each image: of each candidate, the hands, the ground truth and the observed mask."""
     frames = range(len(view.clip))
     result, true = view.result, view.true()
     candidates = [
@@ -207,8 +208,8 @@ def _outlines(view: View, crops: Crops) -> dict[str, Any]:
 
 def _contour(view: View, n: int, crops: Crops, what: str) -> str:
     K = intrinsics_of(view, n, crops, n)
-    surface = (view.hand(n), view.clip.hand.faces) if what == "hand" else (view.object(n), view.clip.mesh.faces)
-    return paths(silhouette_lines(*surface, K, crops.size))
+    surfaces = view.hands(n) if what == "hand" else [(view.object(n), view.clip.mesh.faces)]
+    return "".join(paths(silhouette_lines(*surface, K, crops.size)) for surface in surfaces)
 
 
 def _tables(view: View, metrics: Mapping[str, float], record: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -82,6 +82,16 @@ class View:
             shown.append((se3.transform(other.track.T_cam_hand[n], other.track.vertices[n]), other.track.faces))
         return shown
 
+    def by_other_hand(self) -> View | None:
+        """The same with the other hand for the clip's own, in the frames in which it is known; None without any."""
+        seen = self.clip.held_by(self.clip.other_side)
+        known = np.flatnonzero(self.clip.hand_known(self.clip.other_side))
+        if seen is None or not len(known):
+            return None
+        T_hand_obj = se3.inverse(seen.hand.T_cam_hand) @ self.clip.hand.T_cam_hand @ self.result.T_hand_obj
+        result = replace(self.result, T_hand_obj=T_hand_obj, T_cam_hand=None, T_cam_other_hand=None, axis=None)
+        return replace(self, clip=seen, result=result).at([self.result.frames[n] for n in known])
+
     def object(self, n: int) -> Float[ndarray, "V 3"]:
         """The reconstructed object in the camera frame [m]."""
         T_cam_obj = self.clip.hand.T_cam_hand[n] @ self.result.T_hand_obj[n]

@@ -1,6 +1,8 @@
 "use strict";
 // The page of one result.
 
+const HANDS = data.arrays.other_hand_faces ? "hands" : "hand";
+
 /** The words at the top, and what speaks against the result. */
 function head() {
   byId("name").textContent = data.name;
@@ -44,7 +46,7 @@ class Overlay {
     this.svg.setAttribute("viewBox", `0 0 ${data.size} ${data.size}`);
     this.candidate = 0;
     this.paths = {};
-    const words = { object: "object", hand: "hand", true: "ground truth", observed: "observed mask" };
+    const words = { object: "object", hand: HANDS, true: "ground truth", observed: "observed mask" };
     for (const name of ["observed", "hand", "true", "object"].filter((known) => data.outlines[known])) {
       const [halo, line] = ["halo", "line"].map((kind) => element("path", { class: kind, stroke: kind === "line" ? data.colours[name] : "#fff" }));
       this.paths[name] = element("g", { class: name }, halo, line);
@@ -148,7 +150,7 @@ function scene(arrays, overlay) {
       overlay.show(viewer.frame);
     }));
   }
-  options.append(toggle("hand", true, part("hand")), toggle("object", true, part("object")));
+  options.append(toggle(HANDS, true, part("hand")), toggle("object", true, part("object")));
   if (arrays.axis) options.append(toggle("axis", true, part("axis"), data.colours.axis));
   options.append(toggle(`contact ${data.contact}`, false, part("contact"), data.colours.object));
   if (arrays.true_T_cam_obj) options.append(toggle("ground truth", false, part("truth"), data.colours.true));

@@ -1,5 +1,5 @@
 "use strict";
-// Meshes in WebGL: hand, object, axis and the true object, with one light and a camera that turns about them.
+// Meshes in WebGL: hands, object, axis and the true object, with one light and a camera that turns about them.
 // Matrices are 4x4, row by row, as in the arrays; `T_a_b` maps points of frame b into frame a. The eye's axes are those
 // of the images' camera: x right, y down, z forward.
 

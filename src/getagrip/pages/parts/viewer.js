@@ -18,6 +18,7 @@ class Viewer {
     this.object = surface(arrays.object_faces);
     this.object.move(arrays.object_vertices);
     this.hand = surface(arrays.hand_faces);
+    if (arrays.other_hand_vertices) this.other = surface(arrays.other_hand_faces);
     this.size = this.extent();
     if (arrays.axis) {
       const [vertices, faces] = rod([...arrays.axis.slice(0, 3)], [...arrays.axis.slice(3)], 0.008 * this.size);
@@ -43,7 +44,12 @@ class Viewer {
     return [...this.arrays.T_hand_obj.subarray(first, first + 16)];
   }
 
-  /** Diameter of hand and object together, about [m]. */
+  /** Whether the hand of the other side is known in a frame. */
+  otherKnown(n = this.frame) {
+    return this.other !== undefined && this.at("other_hand_known", n)[0] > 0;
+  }
+
+  /** Diameter of hands and object together, about [m]. */
   extent() {
     const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
     const grow = (vertices, T) => {
@@ -56,6 +62,10 @@ class Viewer {
     };
     const middle = Math.floor(this.arrays.focus.shape[0] / 2);
     grow(this.at("hand_vertices", middle), IDENTITY);
+    if (this.otherKnown(middle)) {
+      const T_hand_cam = inverse([...this.at("T_cam_hand", middle)]);
+      grow(this.at("other_hand_vertices", middle), product(T_hand_cam, [...this.at("T_cam_other_hand", middle)]));
+    }
     grow(this.arrays.object_vertices, scaled(this.inHand(middle), this.arrays.scale[0]));
     return Math.hypot(...high.map((x, k) => x - low[k]));
   }
@@ -92,6 +102,7 @@ class Viewer {
   show(frame) {
     this.frame = frame;
     this.hand.move(this.at("hand_vertices"), this.at("hand_contact"));
+    if (this.other) this.other.move(this.at("other_hand_vertices"), this.at("other_hand_contact"));
     this.object.put("touch", this.at("object_contact"));
     this.ask();
   }
@@ -136,6 +147,9 @@ class Viewer {
     const T_eye_hand = product(T_eye_cam, [...this.at("T_cam_hand")]);
     const coloured = shown.contact && this.candidate === 0;
     if (shown.hand) this.part(this.hand, T_eye_hand, SHOWN.hand, { coloured });
+    if (shown.hand && this.otherKnown()) {
+      this.part(this.other, product(T_eye_cam, [...this.at("T_cam_other_hand")]), SHOWN.hand, { coloured });
+    }
     const scale = arrays.scale[this.candidate];
     if (shown.object) this.part(this.object, scaled(product(T_eye_hand, this.inHand()), scale), SHOWN.object, { coloured });
     if (shown.axis && this.axis && this.candidate === 0) {
