@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import jaxtyping
 import pytest
@@ -44,6 +45,7 @@ settings.load_profile("here")
 
 from getagrip.cli import main  # noqa: E402
 from getagrip.clip import write_clip  # noqa: E402
+from helpers.browser import chromium  # noqa: E402
 from helpers.clips import small_clip  # noqa: E402
 from helpers.command_line import Run  # noqa: E402
 from helpers.folders import FullDisk  # noqa: E402
@@ -83,6 +85,13 @@ def can_and_box(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for category in ("can", "box"):
         write_clip(*scene(category, 0, SHORT), folder / category)
     return folder
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """One for all tests of this process: it takes long to start."""
+    with chromium() as browser:
+        yield browser
 
 
 @pytest.fixture

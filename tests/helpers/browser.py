@@ -27,13 +27,13 @@ READS_BACK = "GPU stall due to ReadPixels"
 
 
 @contextmanager
-def chromium(*args: str) -> Iterator[Any]:
+def chromium() -> Iterator[Any]:
     """The browser, and patience with a page on a busy machine."""
     from playwright.sync_api import expect, sync_playwright
 
     expect.set_options(timeout=PATIENCE)
     with sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *args])
+        browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *WEBGL])
         yield browser
         browser.close()
 

@@ -6,15 +6,16 @@ themselves, checking the first of every test an eighth of their time.
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import is_dataclass
 from functools import cache, wraps
-from typing import Any, get_args
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
 
 import jaxtyping
-from beartype import beartype
 from jaxtyping import AbstractArray, AbstractDtype, install_import_hook, jaxtyped
 
 _called: set[Any] = set()
@@ -27,11 +28,10 @@ def check_package() -> None:
     """
 
     def where_there_are_arrays(typechecker: Callable[..., Any]) -> Callable[..., Any]:
-        check = jaxtyped(typechecker=typechecker)
-        return lambda it: in_first_call(it, check) if mentions_arrays(it) else it
+        return lambda it: in_first_call(it, typechecker) if mentions_arrays(it) else it
 
     jaxtyping.jaxtyped = where_there_are_arrays  # the import hook puts it before every function and class
-    install_import_hook("getagrip", f"{__name__}.arrays_only")
+    install_import_hook("getagrip", f"{__name__}.checked")
 
 
 def next_file() -> None:
@@ -44,40 +44,83 @@ def in_first_call(it: Any, check: Callable[[Any], Any]) -> Any:
     if isinstance(it, type):
         it.__init__ = in_first_call(it.__init__, check)  # type: ignore[misc]
         return it
-    checked = cache(lambda: check(it))  # made when it is first called: most never are
+    made = cache(lambda: check(it))  # when it is first called: most never are
 
     @wraps(it)
     def call(*args: Any, **kwargs: Any) -> Any:
-        if it in _called:
+        if it in _called or jaxtyping.config.jaxtyping_disable:
             return it(*args, **kwargs)
         _called.add(it)
-        return checked()(*args, **kwargs)
-
-    return call
-
-
-def arrays_only(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that refuses arrays of other shapes than its hints say, in its arguments and its result."""
-    hints = function.__annotations__
-    function.__annotations__ = {name: hint for name, hint in hints.items() if is_of_arrays(hint)}
-    made = cache(lambda: beartype(function))  # when it is first called, for most never are
-
-    def call(*args: Any, **kwargs: Any) -> Any:
         return made()(*args, **kwargs)
 
     return call
+
+
+def checked(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that refuses arrays of other shapes than its hints say, in its arguments and its result.
+
+    A checker for all types would take longer to be made than most functions are at work here.
+    """
+    signature = inspect.signature(function)
+    hints = array_hints(function)
+    result_hint = hints.pop("return", Any)
+    for name in hints:
+        if signature.parameters[name].kind is inspect.Parameter.VAR_POSITIONAL:
+            hints[name] = tuple[hints[name], ...]  # type: ignore[valid-type]  # of each of them
+
+    def call(*args: Any, **kwargs: Any) -> Any:
+        given = signature.bind(*args, **kwargs).arguments
+        with jaxtyped("context"):  # in which a name stands for one length
+            for name, hint in hints.items():
+                if name in given and not fits(given[name], hint):
+                    raise TypeError(f"{function.__qualname__}: {name} is {described(given[name])}, expected {hint}")
+            result = function(*args, **kwargs)
+            if not fits(result, result_hint):
+                raise TypeError(f"{function.__qualname__}: returns {described(result)}, expected {result_hint}")
+        return result
+
+    return call
+
+
+def fits(value: Any, hint: Any) -> bool:
+    """Whether a value is of a hint; of the entries of a collection, the first is looked at."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is None:
+        return hint is Any or not isinstance(hint, type) or isinstance(value, hint)
+    if origin in (Union, UnionType):
+        return any(fits(value, part) for part in parts)
+    if origin is Literal:
+        return value in parts
+    if origin is tuple and ... not in parts:
+        return isinstance(value, tuple) and len(value) == len(parts) and all(map(fits, value, parts))
+    if not isinstance(value, origin) or not issubclass(origin, Collection) or not value:
+        return isinstance(value, origin)
+    entry = next(iter(value.values() if issubclass(origin, Mapping) else value))
+    return fits(entry, parts[1] if issubclass(origin, Mapping) else parts[0])
+
+
+def described(value: Any) -> str:
+    """An array by its kind and shape, all else by its type."""
+    kind = type(value).__name__
+    return f"{kind} {value.dtype} {value.shape}" if hasattr(value, "shape") else kind
 
 
 def mentions_arrays(it: Any) -> bool:
     """Whether a hint of a function or a dataclass names an array or an alias of one; its other names must be known."""
     if isinstance(it, type) and not is_dataclass(it):
         return False
+    return bool(array_hints(it))
+
+
+def array_hints(it: Any) -> dict[str, Any]:
+    """The hints of a function or a dataclass in which there are arrays."""
     known = vars(sys.modules[it.__module__])
-    hints = [str(hint) for hint in it.__annotations__.values()]
-    hints = [hint for hint in hints if any(is_of_arrays(known.get(word)) for word in re.findall(r"\w+", hint))]
-    for hint in hints:
-        eval(hint, known)  # where this fails, jaxtyping would check nothing and say nothing
-    return bool(hints)
+    hints = {name: str(hint) for name, hint in it.__annotations__.items()}
+    return {
+        name: eval(hint, known)  # where this failed, nothing would be checked
+        for name, hint in hints.items()
+        if any(is_of_arrays(known.get(word)) for word in re.findall(r"\w+", hint))
+    }
 
 
 def is_of_arrays(hint: Any) -> bool:

@@ -16,7 +16,7 @@ from getagrip.commands.report import ReportRequest, report
 from getagrip.finding import Finding
 from getagrip.geometry import se3
 from getagrip.result import Axis, Candidates, write_result
-from helpers.browser import IN_BROWSER, READS_BACK, WEBGL, chromium, until
+from helpers.browser import IN_BROWSER, READS_BACK, until
 from helpers.egg_and_mug import egg_and_mug, perfect
 
 pytestmark = IN_BROWSER
@@ -57,12 +57,6 @@ def folder(tmp_path_factory: Any) -> Path:
     assert report([root], ReportRequest(), 1, debug=False) == 1
     assert (root / "moved" / "one" / "report.html").stat().st_size < 1_000_000
     return root
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium(*WEBGL) as browser:
-        yield browser
 
 
 @pytest.fixture

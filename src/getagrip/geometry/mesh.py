@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -119,6 +119,12 @@ def vertex_normals(vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "
 
 def edge_table(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
     """Pair the half-edges of a mesh; see ``Mesh.edges``."""
+    return _edge_table(np.ascontiguousarray(faces, dtype=np.int64).tobytes()).copy()
+
+
+@lru_cache(maxsize=8)  # of a hand, its closed surface and some objects, which are posed again and again
+def _edge_table(content: bytes) -> Int[ndarray, "E 4"]:
+    faces = np.frombuffer(content, np.int64).reshape(-1, 3)
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     face = np.repeat(np.arange(len(faces)), 3)
     forward = (start < end).astype(np.int64)

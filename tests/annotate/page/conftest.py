@@ -1,4 +1,4 @@
-"""One browser for all tests of the page, and a grasp to label."""
+"""A profile of the browser for each test of the page, and a grasp to label."""
 
 from __future__ import annotations
 
@@ -12,14 +12,7 @@ from getagrip.annotate import propagated_masks
 from getagrip.annotate.tasks import Task
 from getagrip.commands.annotate import DATABASE
 from helpers.annotation_page import Served
-from helpers.browser import chromium
 from helpers.labelling_page import FIRST, LAST, MARK
-
-
-@pytest.fixture(scope="package")
-def browser() -> Iterator[Any]:
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture
