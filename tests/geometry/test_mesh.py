@@ -61,6 +61,14 @@ def test_closed_meshes_obey_eulers_formula() -> None:
     assert not Mesh(box(1, 1, 1).vertices, box(1, 1, 1).faces[1:]).is_closed
 
 
+def test_edges_take_memory_of_a_few_arrays() -> None:
+    faces = sphere(subdivisions=5).faces
+    tracemalloc.start()
+    edge_table(faces)
+    assert tracemalloc.get_traced_memory()[1] < 100 * faces.size  # bytes for a half-edge
+    tracemalloc.stop()
+
+
 def test_known_measures() -> None:
     mesh = box(1.0, 2.0, 2.0)
     assert mesh.volume == pytest.approx(4.0)

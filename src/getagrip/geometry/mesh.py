@@ -118,31 +118,41 @@ def vertex_normals(vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "
 
 
 def edge_table(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
-    """Pair the half-edges of a mesh; see ``Mesh.edges``."""
-    return _edge_table(np.ascontiguousarray(faces, dtype=np.int64).tobytes()).copy()
+    """Pair the half-edges of a mesh; see ``Mesh.edges``. Those of very large meshes are not kept."""
+    if len(faces) > MOST_FACES:
+        return _paired(faces)
+    return _kept(np.ascontiguousarray(faces, dtype=np.int64).tobytes()).copy()
 
 
 @lru_cache(maxsize=8)  # of a hand, its closed surface and some objects, which are posed again and again
-def _edge_table(content: bytes) -> Int[ndarray, "E 4"]:
-    faces = np.frombuffer(content, np.int64).reshape(-1, 3)
+def _kept(content: bytes) -> Int[ndarray, "E 4"]:
+    return _paired(np.frombuffer(content, np.int64).reshape(-1, 3))
+
+
+def _paired(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
+    """``edge_table``. Half-edge h begins at corner h % 3 of face h // 3."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    face = np.repeat(np.arange(len(faces)), 3)
-    forward = (start < end).astype(np.int64)
-    low, high = np.minimum(start, end), np.maximum(start, end)
+    key = np.minimum(start, end).astype(np.int64)
+    key *= 2 * (int(faces.max()) + 1)
+    key += 2 * np.maximum(start, end) + (start < end)  # of the edge, twice; and 1 where it runs forward
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    forward = (key & 1).astype(np.int8)
     # The k-th forward half-edge of an edge is paired with its k-th backward one.
-    order = np.lexsort((forward, high, low))
-    key = np.stack([low, high, forward])[:, order]
-    first = np.concatenate([[True], np.any(key[:, 1:] != key[:, :-1], axis=0)])
-    position = np.arange(len(order))
-    rank = np.empty_like(position)
-    rank[order] = position - np.maximum.accumulate(np.where(first, position, 0))
-    pair = same_rows(np.stack([low, high, rank], axis=1))
-    halves = np.full((pair.max() + 1, 2), -1)
-    halves[pair, forward] = position
+    first = np.concatenate([[True], key[1:] != key[:-1]])
+    rank = np.arange(len(key))
+    rank -= np.maximum.accumulate(np.where(first, rank, 0))
+    key >>= 1
+    first[1:] = key[1:] != key[:-1]
+    begins = np.flatnonzero(first)
+    del key  # of a million faces it matters
+    pairs = np.maximum.reduceat(rank, begins) + 1
+    rank += np.repeat(np.cumsum(pairs) - pairs, np.diff(begins, append=len(rank)))
+    halves = np.full((pairs.sum(), 2), -1)
+    halves[rank, forward] = order
     head = np.where(halves[:, 1] >= 0, halves[:, 1], halves[:, 0])
-    both = halves.min(axis=1) >= 0
-    f2 = np.where(both, face[halves[:, 0]], len(faces))
-    return np.stack([start[head], end[head], face[head], f2], axis=1)
+    f2 = np.where(halves.min(axis=1) >= 0, halves[:, 0] // 3, len(faces))
+    return np.stack([start[head], end[head], head // 3, f2], axis=1)
 
 
 def diameter(points: Float[ndarray, "V 3"]) -> float:
