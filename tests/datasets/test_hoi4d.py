@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -81,7 +82,8 @@ def test_frames_without_a_hand_are_gaps(root: Path, mano: Path) -> None:
 def test_labels_are_masks(root: Path, mano: Path, kind: str) -> None:
     write_labels(root, kind)
     (piece,) = cutting.pieces(read(root, mano), print, PAPER.cut(print))
-    clip, masks = cutting.clip(piece, 20, print)
+    few = replace(piece, track=piece.track.take(np.arange(2)))
+    clip, masks = cutting.clip(few, 2, print)
     assert "drawn by people" in clip.provenance["masks"]
     seen, ignore = masks.object[0], masks.ignore[0]
     assert seen.shape == (540, 960)

@@ -55,7 +55,7 @@ def test_a_table_needs_timelines_that_lie_and_are_held(tmp_path: Path, monkeypat
 def test_every_way_answers_every_frame(way: str) -> None:
     clip, masks = timeline()
     assert clip.world is not None
-    motion = moved(way, replace(clip, truth=None), masks, Options(inits=10))
+    motion = moved(way, replace(clip, truth=None), masks, Options(inits=4))
     assert se3.is_rigid(motion.T_cam_obj).all()
     assert len(motion.kind) == len(clip)
     lying = clip.segments[0].rows

@@ -105,7 +105,7 @@ def test_a_planted_fault_is_found_made_small_and_kept(
     monkeypatch.setitem(READERS, "planted", whole)
     monkeypatch.setattr(corpus, "CASES", tmp_path / "cases")
     monkeypatch.setattr(command, "SHRINKING", 1.0)
-    assert command.main(["--minutes", "0.02", "--only", "planted", "--seed", "3"]) == 1
+    assert command.main(["--minutes", "0.01", "--only", "planted", "--seed", "3"]) == 1
     (kept,) = (tmp_path / "cases").glob("planted-*.json")
     assert "ZeroDivisionError" in capsys.readouterr().out
     name, changes = corpus.read(kept)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import os
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -178,10 +179,16 @@ def _cache_folder() -> Path:
 def _read_cache(cache: Path) -> dict[str, ndarray] | None:
     if not cache.is_file():
         return None
+    state = cache.stat()
     try:
-        return checked(cache, dict(arrays.read(cache, ARRAYS.__contains__)))
+        return _cached(cache, state.st_mtime_ns, state.st_size)
     except InputError:
         return None  # a damaged cache is made again
+
+
+@lru_cache(maxsize=2)  # one for each side: it is asked for at every clip
+def _cached(cache: Path, changed: int, size: int) -> dict[str, ndarray]:
+    return checked(cache, dict(arrays.read(cache, ARRAYS.__contains__)))
 
 
 def _write_cache(cache: Path, content: dict[str, ndarray]) -> None:
