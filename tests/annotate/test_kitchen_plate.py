@@ -65,7 +65,7 @@ def test_from_video_to_reconstruction(tmp_path: Path, run: Run) -> None:
     status, _, err = run(*words)
     assert status == 0
     assert err.count("a guess") == 2
-    assert run("reconstruct", tmp_path / "carried", "--out", tmp_path / "results", "--inits", 20)[0] == 0
+    assert run("reconstruct", tmp_path / "carried", "--out", tmp_path / "results", "--inits", 8)[0] == 0
     result = json.loads((tmp_path / "results" / "carried" / "result.json").read_text())
     with np.load(tmp_path / "results" / "carried" / "result.npz") as file:
         assert file["iou"].mean() > 0.93

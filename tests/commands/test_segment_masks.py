@@ -6,6 +6,7 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from getagrip.clip.timeline import read_segments
 from getagrip.grasps import lists
 from getagrip.io.images import write_image
 from getagrip.result import read_result
+from getagrip.segmentation import found
+from getagrip.segmentation.found import FoundSegments
 from helpers.command_line import Run
 from helpers.table_scene import HOLDING, LYING, from_table
 
@@ -80,7 +83,17 @@ def test_timelines_have_one_method(tmp_path: Path, run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_grasps_and_the_whole_are_reconstructed_and_named(tmp_path: Path, run: Run) -> None:
+def test_grasps_and_the_whole_are_reconstructed_and_named(
+    tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known: list[FoundSegments] = []
+    find = found.find_segments
+
+    def find_once(*args: Any, **kwargs: Any) -> FoundSegments:  # both commands ask for the same
+        known.extend([] if known else [find(*args, **kwargs)])
+        return known[0]
+
+    monkeypatch.setattr(found, "find_segments", find_once)
     clip, masks = from_table()
     folder = write_clip(clip, masks, tmp_path / "clip")
     (folder / "frames").mkdir()

@@ -41,7 +41,7 @@ CASES = [
 @pytest.mark.parametrize(("troubles", "method"), CASES)
 @pytest.mark.slow
 def test_troubles_end_in_a_sound_result_or_in_one_line(troubles: tuple[str, ...], method: str) -> None:
-    frames = 2 if len(troubles[0]) % 2 else 4
+    frames = 2 if len(troubles[0]) % 2 else 3
     ((_, fine, how),) = attempts(Case(len(troubles[0]), "mug", frames, "known", troubles, (method,)))
     assert fine, how
 

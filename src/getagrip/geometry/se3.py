@@ -27,11 +27,13 @@ def hat(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
 
 def exp_so3(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
     """Rotation matrix of a rotation vector [rad] (Rodrigues' formula)."""
-    theta = np.linalg.norm(w, axis=-1)[..., None, None]
+    theta = np.sqrt(np.add.reduce(w * w, axis=-1))[..., None, None]
     small = theta < 1e-4
     safe = np.where(small, 1.0, theta)
-    a = np.where(small, 1.0 - theta**2 / 6.0, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - theta**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    a, b = np.sin(safe) / safe, (1.0 - np.cos(safe)) / safe**2
+    if small.any():
+        a = np.where(small, 1.0 - theta**2 / 6.0, a)
+        b = np.where(small, 0.5 - theta**2 / 24.0, b)
     W = hat(w)
     return np.eye(3) + a * W + b * (W @ W)
 

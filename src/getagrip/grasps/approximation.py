@@ -17,11 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from getagrip.geometry import se3
 
@@ -97,9 +98,7 @@ def pose_hinge(
     the two best axes that the eigenvectors of the quaternions span with the mean rotation, each with the best angles
     of its rotations, and with all angles zero. The latter begin at the E of the best single pose, and E only falls.
     """
-    import scipy.optimize  # noqa: F401  (before the limit: it brings a BLAS of its own)
-
-    with threadpool_limits(1, user_api="blas"):  # several threads on such small matrices wait for each other
+    with _libraries().limit(limits=1, user_api="blas"):  # several threads on such small matrices wait for each other
         guesses = list(_circles(R, c, size, through))[:2]
         guesses += [_still(guess, R, c, through) for guess in guesses]
         tried = [_refined(guess, R, c, through, TRIAL) for guess in guesses]
@@ -109,10 +108,16 @@ def pose_hinge(
 
 def nearby_hinge(start: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> AxisRotation:
     """The hinge to which a few steps lead from a good guess; several times as quick as ``pose_hinge``."""
-    import scipy.optimize  # noqa: F401  (as above)
-
-    with threadpool_limits(1, user_api="blas"):
+    with _libraries().limit(limits=1, user_api="blas"):
         return _refined(start, R, c, None, TRIAL)
+
+
+@cache  # to look for them takes longer than a few steps
+def _libraries() -> ThreadpoolController:
+    """What uses several threads."""
+    import scipy.optimize  # noqa: F401  (first: it brings a BLAS of its own)
+
+    return ThreadpoolController()
 
 
 def _circles(
