@@ -6,7 +6,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
-from contextlib import nullcontext, redirect_stderr, redirect_stdout, suppress
+from contextlib import nullcontext, redirect_stdout
 from typing import Annotated, Any, get_args
 
 # Commands share their work between processes, one for each core. Said before numpy is loaded, which reads it once.
@@ -112,11 +112,12 @@ def _parsed(args: Sequence[str]) -> Command:
             file=sys.stderr,
         )
         sys.exit(2)
-    known, config = commands(imports, figures), (OmitArgPrefixes,)
-    own = [one for one in get_args(known) if args and one.__metadata__[0].name == args[0]]
-    if own and "--help" not in args:
-        with suppress(SystemExit), redirect_stdout(Silence()), redirect_stderr(Silence()):
-            right: Command = tyro.cli(own[0], args=args[1:], config=config)
-            return right  # for a call that is right, its own command is enough, and twice as quick
-    command: Command = tyro.cli(known, prog="getagrip", description=DESCRIPTION, args=args, config=config)
+    known: Any = commands(imports, figures)
+    program, description = "getagrip", DESCRIPTION
+    for one in get_args(known):
+        about = one.__metadata__[0]
+        if args and about.name == args[0]:  # its own command is enough, and several times as quick
+            known, program, description, args = one, f"getagrip {args[0]}", about.description, args[1:]
+            break
+    command: Command = tyro.cli(known, prog=program, description=description, args=args, config=(OmitArgPrefixes,))
     return command
