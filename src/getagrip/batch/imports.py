@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +29,8 @@ class ImportJob:
     part: Part
     out: Path
     """The folder that holds the clips' own."""
+    only: Set[str] | None = None
+    """Names of the clips to make; None: all."""
 
     @property
     def name(self) -> str:
@@ -49,15 +51,15 @@ class Imported:
     """Clips, made or kept, that lack their hands."""
 
 
-def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE) -> int:
-    """Write the clips of a dataset as ``out/<clip name>/``; 1 if something failed, else 0.
+def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE, only: Set[str] | None = None) -> int:
+    """Write the clips of a dataset as ``out/<clip name>/``, or ``only`` some of them; 1 if something failed, else 0.
 
     Clips that are there already are kept, unless they lack hands that are known now. What killed processes have left
     is removed. Beside clips that are cut to grasps stands the list of them (``grasp_list``). Several calls may share a
     folder: its ledger says who reads which part. Raises as ``Dataset.parts`` does, ``UsageError`` where clips in the
     folder were cut in another way, and ``GetagripError`` where the ledger cannot be written.
     """
-    jobs = [ImportJob(part, out) for part in dataset.parts(report) if part.name in share.shard]
+    jobs = [ImportJob(part, out, only) for part in dataset.parts(report) if part.name in share.shard]
     cut = dataset.cut_record()
     grasp_list.claim(out, cut)
     leftovers.sweep(out)
@@ -106,6 +108,8 @@ def import_part(job: ImportJob) -> Imported:
 
     def missing(name: str, with_hands: bool = False) -> bool:
         folder = job.out / name
+        if job.only is not None and name not in job.only:
+            return False
         if folder.exists() and ((folder / "hand.npz").exists() or not with_hands):
             outcomes.append(Outcome(name, "kept", f"{folder}: already there"))
             return False

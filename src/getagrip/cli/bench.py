@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 from getagrip.cli.command import Command, Inits, Method, Seed, hands_of, masks_of, mesh_of, priors_of
 from getagrip.cli.sharing import Sharing
 from getagrip.errors import UsageError
-from getagrip.experiments.sources import SOURCES, source_of
+from getagrip.experiments.sources import SOURCES, names_in, source_of
 from getagrip.experiments.sources.dexycb import DexYcbSequences
 from getagrip.experiments.sources.timelines import Timelines
 from getagrip.fitting.options import Init, Options
@@ -66,6 +66,8 @@ class Bench(Command):
     MM. The paper's is 0 on ARCTIC."""
     clips: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """Use N clips, evenly sampled."""
+    only: OptionalFile = None
+    """Use the clips that FILE names, one a line; of a dataset no others are imported."""
     preset: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_presets)] = None
     """synthetic: exact input, the noise assumed for a hand tracker, or that and a mean shape of unknown scale.
     dexycb-segments: noise of hands and masks: none (the default), moderate, strong or estimated. ...-timelines:
@@ -107,7 +109,7 @@ class Bench(Command):
 
         source = source_of(
             self.dataset, split=self.split, preset=self.preset, root=self.root, meshes=self.meshes,
-            shortest=self.shortest,
+            shortest=self.shortest, only=None if self.only is None else names_in(self.only),
         )  # fmt: skip
         options = Options(
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,

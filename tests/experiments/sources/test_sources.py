@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -12,9 +12,11 @@ from getagrip.clip import write_clip
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError, UsageError
-from getagrip.experiments.sources import samples, source_of
+from getagrip.experiments.sources import names_in, samples, source_of
+from getagrip.experiments.sources.recorded import Recorded
 from getagrip.experiments.sources.source import Split
 from getagrip.grasps import lists
+from helpers.library import Library, Shelf
 from helpers.scenes import SHORT, scene
 
 
@@ -27,8 +29,38 @@ def test_a_folder_of_synthetic_clips_belongs_to_one_preset(tmp_path: Path) -> No
     both = {sample.name for sample in samples(replace(clean, split="all"), clips, None, debug=False)[0]}
     train = {sample.name for sample in samples(replace(clean, split="train"), clips, None, debug=False)[0]}
     assert both - train == {sample.name for sample in found}
+    two = frozenset({found[3].name, "teapot"})
+    chosen, failed = samples(source_of("synthetic", only=two), clips, None, debug=False)
+    assert [sample.name for sample in chosen] == [found[3].name]
+    assert [(outcome.name, outcome.message) for outcome in failed] == [
+        ("teapot", "no such clip of synthetic, clean, clips by name")
+    ]
+    with pytest.raises(UsageError, match=r"--split: got test and --only"):
+        source_of("synthetic", only=two, split="test")
     with pytest.raises(UsageError, match="another dataset"):
         samples(source_of("synthetic", preset="wild"), clips, None, debug=False)
+
+
+def test_names_are_read_one_a_line(tmp_path: Path) -> None:
+    path = tmp_path / "names.txt"
+    path.write_text("b--1\r\n\n a \n")
+    assert names_in(path) == {"a", "b--1"}
+    for text in ("", "a\n../b\n"):
+        path.write_text(text)
+        with pytest.raises(InputError, match="expected names of clips, one a line"):
+            names_in(path)
+
+
+def test_only_what_is_named_is_imported(tmp_path: Path) -> None:
+    @dataclass(frozen=True)
+    class Shelves(Recorded):
+        def reader(self, root: Path) -> Library:
+            return Library(shelves=(Shelf("s1--a--can"), Shelf("s1--b--can")))
+
+    source = Shelves("shelves", root=tmp_path, split="all", only=frozenset({"s1--b--can-0"}))
+    for _ in range(2):
+        assert [sample.name for sample in samples(source, tmp_path / "clips", None, debug=False)[0]] == ["s1--b--can-0"]
+        assert [path.parent.name for path in tmp_path.glob("clips/*/clip.json")] == ["s1--b--can-0"]
 
 
 @pytest.mark.slow

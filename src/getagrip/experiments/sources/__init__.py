@@ -6,13 +6,14 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from getagrip.errors import UsageError
+from getagrip.errors import InputError, UsageError
 from getagrip.experiments.sources.artigrasp import ArtiGrasp, EstimatedArtiGrasp
 from getagrip.experiments.sources.dexycb import DexYcb, DexYcbSequences, DexYcbTimelines
 from getagrip.experiments.sources.folder import ClipFolder
 from getagrip.experiments.sources.hot3d import Hot3dTimelines
 from getagrip.experiments.sources.source import ClipSource, Sample
 from getagrip.experiments.sources.synthetic import Synthetic
+from getagrip.io import files
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
@@ -28,7 +29,7 @@ SOURCES: dict[str, type[ClipSource]] = {
 }
 """The datasets, by the names that ``getagrip bench`` knows them by."""
 
-__all__ = ["SOURCES", "ClipSource", "Sample", "samples", "source_of"]
+__all__ = ["SOURCES", "ClipSource", "Sample", "names_in", "samples", "source_of"]
 
 
 def source_of(dataset: str, **options: Any) -> ClipSource:
@@ -43,19 +44,40 @@ def source_of(dataset: str, **options: Any) -> ClipSource:
         if name not in taken:
             takes = ", ".join(f"--{option}" for option in taken)
             raise UsageError(f"--{name}: got {value}, expected none: {dataset} takes {takes}")
+    if "only" in given:
+        if "split" in given:
+            raise UsageError(f"--split: got {given['split']} and --only, expected one of them")
+        given["split"] = "all"
     return kind(dataset, **given)
 
 
+def names_in(path: Path) -> frozenset[str]:
+    """The names of clips that a text file holds, one a line. Raises ``InputError``."""
+    lines = files.read_bytes(path, files.LARGEST_JSON).decode("utf-8", "replace").splitlines()
+    names = frozenset(filter(None, map(str.strip, lines)))
+    bad = next((name for name in names if not files.is_plain_name(name)), None)
+    if bad is not None or not names:
+        given = "no names" if bad is None else f"the name {files.shown(bad)}"
+        raise InputError(path, "", given, "names of clips, one a line")
+    return names
+
+
 def samples(source: ClipSource, clips: Path, count: int | None, debug: bool) -> tuple[list[Sample], list[Outcome]]:
-    """The clips of a source, ``count`` of them evenly sampled, and what became of folders that are none.
+    """The clips of a source, ``count`` of them evenly sampled, and what became of those that are none.
 
     ``clips`` is where a source may make them. Raises ``UsageError`` for a count below 1, and as the source does.
     """
     import numpy as np
 
+    from getagrip.batch.job import Outcome
+
     if count is not None and count < 1:
         raise UsageError(f"--clips: got {count}, expected 1 or more")
     found, failed = source.samples(clips, debug)
+    if source.only is not None:
+        missing = sorted(source.only - {sample.name for sample in found})
+        failed += [Outcome(name, "failed", f"no such clip of {source.title}") for name in missing]
+        found = [sample for sample in found if sample.name in source.only]
     if count is not None and count < len(found):
         found = [found[n] for n in np.linspace(0, len(found) - 1, count).round().astype(int)]
     return found, failed

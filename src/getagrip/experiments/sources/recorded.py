@@ -39,8 +39,11 @@ class Recorded(ClipSource):
             raise UsageError(f"--root: got nothing, expected the folder of {self.dataset}")
         self.claim(clips)
         done = clips / "imported"
-        if not done.exists() and import_clips(self.reader(self.root), clips, debug) == 0:
-            done.touch()  # else what failed is tried again next time
+        missing = self.only is None or any(not (clips / name).exists() for name in self.only)
+        if not done.exists() and missing:
+            status = import_clips(self.reader(self.root), clips, debug, only=self.only)
+            if status == 0 and self.only is None:
+                done.touch()  # else what failed is tried again next time
         found, failed = by_name([clips])
         subject = {name: subject_of(name) for name in found}
         train = self.training({*subject.values()})

@@ -32,11 +32,14 @@ class ClipSource:
     dataset: str
     """What the user calls it."""
     split: Split = "test"
+    only: frozenset[str] | None = None
+    """Names of the clips to use, and to import, of ``split`` "all"; None: all."""
 
     @property
     def title(self) -> str:
         """The clips, for the head of a page."""
-        return f"{self.description}, {'both splits' if self.split == 'all' else f'{self.split} split'}"
+        part = "both splits" if self.split == "all" else f"{self.split} split"
+        return f"{self.description}, {part if self.only is None else 'clips by name'}"
 
     @property
     def description(self) -> str:
@@ -63,7 +66,7 @@ class ClipSource:
         """
         from getagrip.io import files
 
-        options = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "split"}
+        options = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("split", "only")}
         mine = {name: str(value.resolve()) if isinstance(value, Path) else value for name, value in options.items()}
         note = clips / "source.json"
         if not note.exists():
