@@ -10,11 +10,13 @@ import pytest
 
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.deform import misfit as unlike
+from getagrip.fitting.methods.all_frames import coarse_energy
 from getagrip.fitting.motion import Fixed, PosesInHand, Soft
 from getagrip.fitting.options import Options
-from getagrip.fitting.problem import Problem, prepare
+from getagrip.fitting.problem import CONTACT_IF_FITTED, Problem, prepare
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.fitting.shape import MISFIT, own_shape
+from getagrip.fitting.solve import evaluate
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
@@ -58,6 +60,25 @@ def test_the_objects_own_mesh_is_believed() -> None:
     clip, masks = scene("mug", 0)
     assert shape_at_truth(clip, masks) is None
     assert shape_at_truth(stretched(clip), masks, misfit=0.9 * MISFIT) is None
+
+
+def test_contact_reaches_farther_and_counts_more_where_the_mesh_is_fitted() -> None:
+    clip, masks = scene("mug", 0)
+    given = prepare(clip, masks, Options())
+    fitted = given.warped(Warp.by(clip.mesh.centre, 1.0, np.zeros((9, 3))))
+    motion = at_truth(given)
+    shifts = 0.02 * np.concatenate([np.eye(3), -np.eye(3)])
+    core = motion.core.take(np.zeros(6, int))
+    near = replace(motion.take(np.zeros(6, int)), core=replace(core, centre=core.centre + shifts))
+    values = []
+    for problem in (given, fitted):
+        _, push, pull = coarse_energy(problem)(64, np.arange(len(clip)))
+        values.append(evaluate(near, [push, pull], clip.hand.T_cam_hand, np.full(6, np.inf)).values)
+    push, pull = values[1].T[:2] - CONTACT_IF_FITTED * values[0].T[:2]
+    assert values[0][:, 0].max() > 0.0
+    np.testing.assert_allclose(push, 0.0, atol=1e-9 * values[0].max())
+    assert pull.min() > -1e-9 * values[0].max()
+    assert pull.max() > 0.2 * values[0][:, 1].max()  # fingers too far away to be drawn to the given mesh
 
 
 @pytest.mark.slow

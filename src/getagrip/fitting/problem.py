@@ -24,6 +24,13 @@ from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry.warp import Warp
 from getagrip.result import Axis
 
+CONTACT_IF_FITTED = 4.0
+"""Contact counts so many times as much where the mesh is fitted. The masks then tell size and distance less well, and
+the hand tells them better: the object is where it can be held."""
+REACH, REACH_IF_FITTED = 0.01, 0.03
+"""Farthest that a finger may be from the object and still be drawn to it [m]; beyond, it is taken to hold nothing. A
+fitted mesh may be that much nearer or farther than the object."""
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -44,6 +51,8 @@ class Problem:
         doubted: names of frames that were left out because their masks contradict the others (``doubted_masks``).
         most_differing: pixels by which a mask may differ from the silhouette that other frames foretell before it is
             doubted, too.
+        contact: contact counts so many times as much as the options say.
+        reach: farthest that a finger may be from the object and still be drawn to it [m].
     """
 
     clip: Clip
@@ -59,6 +68,8 @@ class Problem:
     threads: int = 1
     doubted: tuple[str, ...] = ()
     most_differing: float = np.inf
+    contact: float = 1.0
+    reach: float = REACH
 
     def at(self, clip: Clip, masks: Masks) -> Problem:
         """The same problem in other frames of its clip, with the masks that are given for them."""
@@ -67,11 +78,12 @@ class Problem:
         return replace(self, clip=clip, masks=shown, given_masks=masks, observation=observation)
 
     def warped(self, warp: Warp | None) -> Problem:
-        """The same problem with its mesh warped, where there is a warp."""
+        """The same problem with its mesh warped, where there is a warp, and contact of more weight."""
         if warp is None:
             return self
         clip = self.clip.warped(warp)
-        return replace(self, clip=clip, surface=ObjectSurface.of(clip.mesh))
+        surface = ObjectSurface.of(clip.mesh)
+        return replace(self, clip=clip, surface=surface, contact=CONTACT_IF_FITTED, reach=REACH_IF_FITTED)
 
 
 EnergyOf = Callable[[Problem], Energy]

@@ -30,7 +30,7 @@ def physical_terms(mesh: Mesh, hand: HandContacts, delta: float = 0.002) -> tupl
     frames = len(hand.position)
     body, weight = solid(mesh, mesh.centre), 1000.0 * np.arange(1, frames + 1)
     # Half a millimetre, for the mug's wall is thin.
-    return PushTerm(body, hand, weight, tolerance=5e-4, delta=delta), PullTerm(body, hand, weight, delta=delta)
+    return PushTerm(body, hand, weight, tolerance=5e-4, delta=delta), PullTerm(body, hand, weight, 0.01, delta=delta)
 
 
 def heights(mesh: Mesh, hand: HandContacts, poses: PosesInCamera, b: int, n: int) -> ndarray:

@@ -52,7 +52,7 @@ def joint_scene(seed: int = 0) -> tuple[JointEnergy, Bodies]:
         hand_in_camera=[some_term("reprojection", rng), SmoothnessTerm(moments(points[0] - points[0].mean(0)), 1e5)],
         object_in_hand=[
             PushTerm(body, contacts, weight, delta=1e-9),
-            PullTerm(body, contacts, weight, delta=1e-9),
+            PullTerm(body, contacts, weight, 0.01, delta=1e-9),
             some_term("interaction", rng),
         ],
         T_cam_hand=given_hand,

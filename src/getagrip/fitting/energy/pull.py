@@ -29,7 +29,7 @@ class PullTerm:
     hand: HandContacts
     weight: Float[ndarray, "N"]
     """Energy per metre of mean distance, per frame [px^2 / m]."""
-    max_distance: float = 0.01
+    max_distance: float
     """Largest distance that pulls [m]."""
     delta: float = 0.002
     """Distances below this count as this in the curvature [m]."""

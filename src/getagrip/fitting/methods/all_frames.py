@@ -113,6 +113,7 @@ def energy_alone(problem: Problem) -> Energy:
 
 def total_energy(problem: Problem, contact: float) -> Energy:
     """Eq. 5, with so many times the push and pull that the options name."""
+    contact *= problem.contact
     return energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
 
 
@@ -127,7 +128,7 @@ def steady(problem: Problem, energy: Energy) -> Energy:
     Contact that stays is what makes a grasp stable (Eq. 2). A hinge keeps it by itself; where frames may deviate from
     the hinge, in depth above all, which silhouettes hardly show, a term keeps it.
     """
-    pull = problem.options.pull
+    pull = problem.contact * problem.options.pull
     return plus(energy, consistency_of(problem, STEADY * pull)) if pull else energy
 
 
