@@ -8,14 +8,19 @@ import runpy
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import getagrip
+from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.methods import METHODS
+from getagrip.fitting.options import Options
+from getagrip.result import Reconstruction
 from helpers.pages import python
 from helpers.paths import DATA, ROOT, needs
 
@@ -24,6 +29,7 @@ EXAMPLES = {path.name[:2]: path for path in sorted((ROOT / "examples").glob("*.p
 
 Call = Callable[..., str]
 
+FEW = 16
 QUICK = ("--clips", "1", "--workers", "2", "--inits", "6")
 SMALL = {"frames": 8, "size": (320, 240), "focal": 300.0}
 ON_SMALL_CLIPS = """
@@ -38,8 +44,17 @@ runpy.run_path({script!r}, run_name=__name__)
 
 @pytest.fixture
 def printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    """Run a script in a folder of its own, in this process, on short clips; returns what it prints."""
+    """Run a script in a folder of its own, in this process, on short clips; returns what it prints.
+
+    Its searches begin at few initial poses.
+    """
+    full = getagrip.reconstruct
+
+    def searched_briefly(clip: Clip, masks: Masks, options: Options | None = None, **more: Any) -> Reconstruction:
+        return full(clip, masks, replace(options or Options(), inits=FEW), **more)
+
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(getagrip, "reconstruct", searched_briefly)
     monkeypatch.setattr(getagrip, "synthesise", partial(getagrip.synthesise, options=SceneOptions(**SMALL)))
     before = dict(METHODS)
 
