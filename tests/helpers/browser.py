@@ -22,6 +22,7 @@ IN_BROWSER = [
 """Marks of tests that use it."""
 WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing")
 """Arguments with which it renders WebGL without a graphics card, and all else without WebGL."""
+FEW_PROCESSES = ("--renderer-process-limit=1", "--disable-site-isolation-trials")
 READS_BACK = "GPU stall due to ReadPixels"
 """What it warns of then."""
 
@@ -33,7 +34,7 @@ def chromium() -> Iterator[Any]:
 
     expect.set_options(timeout=PATIENCE)
     with sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *WEBGL])
+        browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *WEBGL, *FEW_PROCESSES])
         yield browser
         browser.close()
 

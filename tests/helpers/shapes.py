@@ -106,21 +106,23 @@ def described(value: Any) -> str:
 
 
 def mentions_arrays(it: Any) -> bool:
-    """Whether a hint of a function or a dataclass names an array or an alias of one; its other names must be known."""
+    """Whether a hint of a function or a dataclass names an array or an alias of one."""
     if isinstance(it, type) and not is_dataclass(it):
         return False
-    return bool(array_hints(it))
-
-
-def array_hints(it: Any) -> dict[str, Any]:
-    """The hints of a function or a dataclass in which there are arrays."""
     known = vars(sys.modules[it.__module__])
-    hints = {name: str(hint) for name, hint in it.__annotations__.items()}
-    return {
-        name: eval(hint, known)  # where this failed, nothing would be checked
-        for name, hint in hints.items()
-        if any(is_of_arrays(known.get(word)) for word in re.findall(r"\w+", hint))
-    }
+    return any(names_array(str(hint), known) for hint in it.__annotations__.values())
+
+
+def array_hints(function: Callable[..., Any]) -> dict[str, Any]:
+    """The hints of a function in which there are arrays; their other names must be known."""
+    known = vars(sys.modules[function.__module__])
+    hints = {name: str(hint) for name, hint in function.__annotations__.items()}
+    return {name: eval(hint, known) for name, hint in hints.items() if names_array(hint, known)}
+
+
+def names_array(hint: str, known: dict[str, Any]) -> bool:
+    """Whether a hint as text has the name of an array or of an alias of one in it."""
+    return any(is_of_arrays(known[word]) for word in re.findall(r"\w+", hint) if word in known)
 
 
 def is_of_arrays(hint: Any) -> bool:
