@@ -20,7 +20,7 @@ from helpers.true_result import true_result
 
 
 def given() -> tuple[Clip, Masks, Axis]:
-    return scene_with_axis("mug", 0, SceneOptions(frames=6, scale="free"))
+    return scene_with_axis("mug", 0, SceneOptions(frames=6, scale="free", size=(320, 240), focal=300.0))
 
 
 @pytest.mark.slow
