@@ -10,7 +10,8 @@ function head() {
   byId("status").textContent = data.status;
   for (const { name, value } of data.main) byId("main").append(element("div", {}, element("dd", {}, value), element("dt", {}, name)));
   const doubts = data.findings.map(({ serious, check, message }) => [serious ? "serious" : "note", check, message]);
-  if (data.ambiguous) doubts.unshift(["note", "ambiguous", "another pose explains the masks almost as well; the candidates below show it"]);
+  const shown = data.candidates.length > 1 ? "; the candidates below show it" : "";  // of a timeline there is one only
+  if (data.ambiguous) doubts.unshift(["note", "ambiguous", `another pose explains the masks almost as well${shown}`]);
   for (const [kind, check, message] of doubts) {
     byId("doubts").append(element("li", { class: kind }, element("b", {}, kind), ` ${check}: ${message}`));
   }
