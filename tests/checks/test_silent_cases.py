@@ -53,7 +53,8 @@ OF_INPUTS = {
     "6 mm mesh": "mask-size",
     "a third of the faces missing": "mesh-holes",
 }
-OF_RESULTS = {"hands 24 cm away": "contact-gap", "other mesh": "mesh-much-deformed"}
+OF_RESULTS = {"hands 24 cm away": {"contact-gap", "mask-fit"}, "other mesh": {"mesh-much-deformed"}}
+"""One of these is found: a wrong hand is missed, or wins against the masks."""
 
 
 @pytest.mark.parametrize(("mistake", "check"), OF_INPUTS.items())
@@ -61,11 +62,11 @@ def test_what_is_wrong_with_inputs_is_found_before_the_fit(mistake: str, check: 
     assert check in faults(*Wrong(mistake)(*mug(), seed=0))
 
 
-@pytest.mark.parametrize(("mistake", "check"), OF_RESULTS.items())
+@pytest.mark.parametrize(("mistake", "checks"), OF_RESULTS.items())
 @pytest.mark.slow
-def test_what_only_the_result_shows_is_found_after_the_fit(mistake: str, check: str) -> None:
+def test_what_only_the_result_shows_is_found_after_the_fit(mistake: str, checks: set[str]) -> None:
     result = reconstruct(*Wrong(mistake)(*mug(), seed=0), QUICK)
-    assert check in {finding.check for finding in result.findings if finding.serious}
+    assert checks & {finding.check for finding in result.findings if finding.serious}
 
 
 @pytest.mark.slow

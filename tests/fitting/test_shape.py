@@ -15,7 +15,7 @@ from getagrip.fitting.motion import Fixed, PosesInHand, Soft
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import CONTACT_IF_FITTED, Problem, prepare
 from getagrip.fitting.reconstruct import reconstruct
-from getagrip.fitting.shape import MISFIT, own_shape
+from getagrip.fitting.shape import LEAST, MISFIT, own_shape
 from getagrip.fitting.solve import evaluate
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -60,6 +60,16 @@ def test_the_objects_own_mesh_is_believed() -> None:
     clip, masks = scene("mug", 0)
     assert shape_at_truth(clip, masks) is None
     assert shape_at_truth(stretched(clip), masks, misfit=0.9 * MISFIT) is None
+
+
+def test_a_shape_that_is_nearly_the_meshs_own_is_believed_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    clip, masks = scene("mug", 0)
+    warp = shape_at_truth(stretched(clip), masks)
+    assert warp is not None
+    deformed = warp.displacement(stretched(clip).mesh) / stretched(clip).mesh.diameter
+    assert deformed > LEAST
+    monkeypatch.setattr("getagrip.fitting.shape.LEAST", 1.01 * deformed)
+    assert shape_at_truth(stretched(clip), masks) is None
 
 
 def test_contact_reaches_farther_and_counts_more_where_the_mesh_is_fitted() -> None:
