@@ -14,6 +14,7 @@ from getagrip.clip import Clip, Masks, observed_frames, read_masks, read_observe
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting import pose_priors
+from getagrip.fitting.contact import MARGIN
 from getagrip.fitting.energy import Energy
 from getagrip.fitting.hand_correction import correct_hand
 from getagrip.fitting.methods import method_of
@@ -27,7 +28,7 @@ from getagrip.result import Axis
 CONTACT_IF_FITTED = 4.0
 """Contact counts so many times as much where the mesh is fitted. The masks then tell size and distance less well, and
 the hand tells them better: the object is where it can be held."""
-REACH, REACH_IF_FITTED = 0.01, 0.03
+REACH, REACH_IF_FITTED = 0.01, MARGIN
 """Farthest that a finger may be from the object and still be drawn to it [m]; beyond, it is taken to hold nothing. A
 fitted mesh may be that much nearer or farther than the object."""
 
