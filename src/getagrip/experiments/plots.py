@@ -31,9 +31,10 @@ def plot(table: Table, title: str, path: Path) -> None:
     steps = list(dict.fromkeys(row.variant.step for row in table.rows))
     down = -(-(len(columns) + 1) // PER_ROW)  # one panel is the legend's
     width = max(3.0, 0.35 * len(steps) + 1.2)
-    figure, grid = plt.subplots(down, PER_ROW, figsize=(width * PER_ROW, 2.9 * down), layout="constrained")
-    panels = grid.ravel()
     slanted = max(map(len, steps)) * len(steps) > 25
+    height = 2.9 + slanted * 0.04 * max(0, max(map(len, steps)) - 12)  # slanted labels hang down
+    figure, grid = plt.subplots(down, PER_ROW, figsize=(width * PER_ROW, height * down), layout="constrained")
+    panels = grid.ravel()
     turn = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if slanted else {}
     for panel, column in zip(panels, columns, strict=False):
         for n, method in enumerate(methods):
