@@ -20,8 +20,8 @@ import numpy as np
 
 from benchmarks import page
 from getagrip.clip import read_clip, read_masks
-from getagrip.experiments.settings import Variant, ablation_variants, method_variants
 from getagrip.experiments.stamp import stamp
+from getagrip.experiments.variants import Variant, ablation_variants, method_variants
 from getagrip.fitting.methods.all_frames import SOFT_RIDGE, coarse_energy, steady
 from getagrip.fitting.motion import Fixed, Hinge, PosesInHand, Soft
 from getagrip.fitting.options import Options

@@ -20,8 +20,9 @@ from benchmarks import page
 from getagrip.clip import read_clip, read_masks
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM
-from getagrip.experiments.settings import ABLATIONS, Variant, ablation_variants
+from getagrip.experiments.settings import ABLATIONS
 from getagrip.experiments.stamp import stamp
+from getagrip.experiments.variants import Variant, ablation_variants
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3

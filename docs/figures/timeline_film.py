@@ -30,7 +30,7 @@ from getagrip.hands import generic
 from getagrip.result import write_result
 from getagrip.timelines.reconstruct import reconstruct
 from getagrip.view.film import write_film
-from getagrip.view.tiles import View
+from getagrip.view.shown import View
 
 PICTURE = Path(__file__).resolve().parents[1] / "images" / "timeline.webp"
 WIDTH, QUALITY = 720, 60

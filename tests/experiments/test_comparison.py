@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from getagrip.experiments.comparison import COLUMNS, ERRORS, compare, groups
-from getagrip.experiments.settings import ABLATIONS, ablation_variants, method_variants
+from getagrip.experiments.settings import ABLATIONS
 from getagrip.experiments.tables import (
     CATEGORIES,
     DIFFERENCES,
@@ -20,6 +20,7 @@ from getagrip.experiments.tables import (
     markdown,
 )
 from getagrip.experiments.trials import Score, Scores
+from getagrip.experiments.variants import ablation_variants, method_variants
 from getagrip.fitting.options import Options
 from helpers.scores import score
 

@@ -1,48 +1,26 @@
-"""Laws of whole reconstructions, on small synthetic clips: what is recovered, what does not matter, what is refused."""
+"""Laws of whole reconstructions, on small synthetic clips: what is recovered, what a result holds, what is refused."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy import ndarray
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from getagrip.clip import Clip, Masks
-from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.clip import Masks
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import AMBIGUOUS, reconstruct
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import Mesh
-from getagrip.result import Reconstruction
 from helpers.clips import small_clip
+from helpers.reconstructions import DEFAULT, found
 from helpers.scenes import SHORT, SMALL, scene, scores
 
 STILL = replace(SMALL, turn_deg=(0.0, 0.0), residual_deg=0.0, residual_mm=0.0)
-
-
-DEFAULT = Options(inits=16)
-
-
-@cache
-def found(category: str, seed: int, clip_options: SceneOptions = SMALL, options: Options = DEFAULT) -> Reconstruction:
-    return reconstruct(*scene(category, seed, clip_options), options)
-
-
-def posed(result: Reconstruction, mesh: Mesh) -> ndarray:
-    """Vertices (T, V, 3) in the hand frame."""
-    return se3.transform(result.T_hand_obj, result.scale * mesh.vertices)
-
-
-def apart(a: ndarray, b: ndarray) -> float:
-    """Mean distance of corresponding vertices [m]."""
-    return float(np.linalg.norm(a - b, axis=-1).mean())
 
 
 # What is recovered
@@ -170,114 +148,6 @@ def test_the_truth_explains_clean_masks() -> None:
     assert image_iou(clip, masks, T_hand_obj, clip.truth.scale).min() > 0.999  # two rasterisers, one or two pixels
 
 
-# What does not matter
-
-
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_result_to_the_bit() -> None:
-    a, b = found("spoon", 1), reconstruct(*scene("spoon", 1), DEFAULT)
-    np.testing.assert_array_equal(a.T_hand_obj, b.T_hand_obj)
-    np.testing.assert_array_equal(a.candidates.energy, b.candidates.energy)
-    assert a.energy == b.energy
-
-
-@pytest.mark.slow
-def test_threads_share_the_work_and_find_the_same_to_the_bit() -> None:
-    options = Options(inits=5)  # not to be shared out evenly
-    one, more = (reconstruct(*scene("spoon", 1, SHORT), options, threads=threads) for threads in (1, 3))
-    np.testing.assert_array_equal(one.candidates.T_hand_obj, more.candidates.T_hand_obj)
-    np.testing.assert_array_equal(one.candidates.energy, more.candidates.energy)
-    assert (one.energy, one.status, one.options) == (more.energy, more.status, more.options)
-
-
-def test_no_threads_are_too_few() -> None:
-    with pytest.raises(UsageError, match=r"threads: got 0, expected 1 or more"):
-        reconstruct(*scene("spoon", 1, SHORT), threads=0)
-
-
-@pytest.mark.slow
-def test_another_seed_finds_the_same() -> None:
-    a, b = found("kettle", 1), reconstruct(*scene("kettle", 1), replace(DEFAULT, seed=1))
-    mesh = scene("kettle", 1)[0].mesh
-    assert 0.0 < apart(posed(a, mesh), posed(b, mesh)) < 0.02 * mesh.diameter
-
-
-def _reframed(clip: Clip, T_new_old: ndarray) -> Clip:
-    """The same object, its CAD drawn in another frame."""
-    return replace(clip, mesh=Mesh(se3.transform(T_new_old, clip.mesh.vertices), clip.mesh.faces), truth=None)
-
-
-@pytest.mark.parametrize(
-    ("T", "tolerance"),
-    [
-        (se3.rigid(None, np.array([0.1, -0.2, 0.05])), 2e-3),
-        (se3.rigid(se3.exp_so3(np.array([0.0, 0.0, np.pi / 2])), np.zeros(3)), 0.02),
-    ],
-    ids=["shifted", "turned"],
-)
-@pytest.mark.slow
-def test_the_frame_of_the_cad_does_not_matter(T: ndarray, tolerance: float) -> None:
-    """Turned, the search starts from other poses of the object, and ends where it did."""
-    clip, masks = scene("kettle", 1)
-    other = _reframed(clip, T)
-    a, b = found("kettle", 1), reconstruct(other, masks, DEFAULT)
-    assert apart(posed(a, clip.mesh), posed(b, other.mesh)) < tolerance * clip.mesh.diameter
-
-
-@pytest.mark.parametrize("lie", ["half", "elsewhere", "everything"])
-@pytest.mark.slow
-def test_one_wrong_mask_of_eight_hardly_matters(lie: str) -> None:
-    """Half of the object, another place, the hand's pixels too: the other frames stay where they are."""
-    clip, masks = scene("kettle", 1)
-    wrong, n = masks.object.copy(), 3
-    rows = np.flatnonzero(wrong[n].any(axis=1))
-    if lie == "half":
-        wrong[n, : int(rows.mean())] = False
-    elif lie == "elsewhere":
-        wrong[n] = np.roll(wrong[n], len(rows), axis=0)
-    else:
-        wrong[n] |= masks.ignore[n]
-    a, b = found("kettle", 1), reconstruct(clip, Masks(wrong, masks.ignore & ~wrong), DEFAULT)
-    others = np.arange(len(clip)) != n
-    off = apart(posed(a, clip.mesh)[others], posed(b, clip.mesh)[others])
-    assert off < 0.05 * clip.mesh.diameter
-
-
-@pytest.mark.slow
-def test_turning_the_camera_about_its_axis_does_not_matter() -> None:
-    """A quarter turn: pixel (u, v) of a picture of width W becomes (v, W - u)."""
-    clip, masks = scene("kettle", 1)
-    width, height = clip.size
-    (fx, fy), (cx, cy) = clip.K[0, [0, 1], [0, 1]], clip.K[0, :2, 2]
-    K = np.tile([[fy, 0.0, cy], [0.0, fx, width - cx], [0.0, 0.0, 1.0]], (len(clip), 1, 1))
-    turn = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    hand = replace(clip.hand, T_cam_hand=turn @ clip.hand.T_cam_hand)
-    turned = replace(clip, K=K, size=(height, width), hand=hand, truth=None)
-    quarter = Masks(*(np.ascontiguousarray(np.rot90(m, axes=(1, 2))) for m in (masks.object, masks.ignore)))
-    a, b = found("kettle", 1), reconstruct(turned, quarter, DEFAULT)
-    assert apart(posed(a, clip.mesh), posed(b, clip.mesh)) < 0.02 * clip.mesh.diameter
-
-
-@pytest.mark.slow
-def test_a_left_hand_is_a_right_hand_in_a_mirror() -> None:
-    left = replace(SMALL, side="left")
-    a, b = found("kettle", 1), found("kettle", 1, left)
-    mesh, mirrored = scene("kettle", 1)[0].mesh, scene("kettle", 1, left)[0].mesh
-    assert apart(posed(a, mesh), posed(b, mirrored) * [-1.0, 1.0, 1.0]) < 0.02 * mesh.diameter
-
-
-@pytest.mark.slow
-def test_the_size_of_the_pixels_does_not_matter() -> None:
-    """Masks of twice the resolution give the same object."""
-    clip, masks = scene("kettle", 1)
-    double = np.diag([2.0, 2.0, 1.0])
-    width, height = clip.size
-    finer = replace(clip, K=double @ clip.K, size=(2 * width, 2 * height), truth=None)
-    grown = Masks(*(m.repeat(2, axis=1).repeat(2, axis=2) for m in (masks.object, masks.ignore)))
-    a, b = found("kettle", 1), reconstruct(finer, grown, DEFAULT)
-    assert apart(posed(a, clip.mesh), posed(b, clip.mesh)) < 0.01 * clip.mesh.diameter
-
-
 # What is refused
 
 
@@ -287,6 +157,11 @@ def test_the_size_of_the_pixels_does_not_matter() -> None:
 def test_impossible_options_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match="expected"):
         Options(**options)
+
+
+def test_no_threads_are_too_few() -> None:
+    with pytest.raises(UsageError, match=r"threads: got 0, expected 1 or more"):
+        reconstruct(*scene("spoon", 1, SHORT), threads=0)
 
 
 def test_a_clip_without_a_visible_object_is_refused(refused: Callable[..., str]) -> None:

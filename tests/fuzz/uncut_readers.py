@@ -25,7 +25,7 @@ from getagrip.pages.report import write_page
 from getagrip.result import read_record, write_result
 from getagrip.segmentation.found import find_segments
 from getagrip.timelines.reconstruct import reconstruct
-from getagrip.view.report import View
+from getagrip.view.shown import View
 from helpers.clips import small_clip
 from helpers.true_result import true_result
 

@@ -12,7 +12,7 @@ from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.geometry import se3
 from getagrip.result import Candidates, Reconstruction
 from getagrip.view.live.column import Column
-from getagrip.view.tiles import View
+from getagrip.view.shown import View
 from helpers.scenes import scene_with_axis
 from helpers.true_result import true_result
 

@@ -9,7 +9,7 @@ import numpy as np
 from getagrip.clip import OtherHand
 from getagrip.geometry import se3
 from getagrip.pages import motion
-from getagrip.view.tiles import View
+from getagrip.view.shown import View
 from helpers.egg_and_mug import egg_and_mug, perfect
 
 

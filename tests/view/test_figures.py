@@ -29,8 +29,8 @@ from getagrip.view.figures.kind import summary
 from getagrip.view.figures.methods import Methods
 from getagrip.view.figures.rows import distinct, numbers
 from getagrip.view.looking import Eye, looking
+from getagrip.view.shown import View
 from getagrip.view.style import AXIS, FOUND, HAND_LINE
-from getagrip.view.tiles import View
 from helpers.clips import box
 from helpers.command_line import Run
 from helpers.pictures import panel, pixels, pixels_of, texts

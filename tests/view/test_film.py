@@ -12,9 +12,9 @@ import pytest
 
 from getagrip.result import Axis
 from getagrip.view.film import SIDE, STRIP, write_film
+from getagrip.view.shown import View
 from getagrip.view.stills import overlay, smoothed, steady_windows, turned
 from getagrip.view.style import AXIS, FOUND, HAND_LINE
-from getagrip.view.tiles import View
 from helpers.egg_and_mug import FRAMES, egg_and_mug, perfect
 from helpers.pictures import pixels_of
 

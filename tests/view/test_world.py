@@ -9,8 +9,8 @@ import numpy as np
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.view.film import SIDE, STRIP, _timeline
+from getagrip.view.shown import View
 from getagrip.view.style import INK, STATE
-from getagrip.view.tiles import View
 from getagrip.view.world import Stage, segment_bar
 from helpers.egg_and_mug import perfect
 from helpers.pictures import pixels_of

@@ -19,12 +19,13 @@ from getagrip.evaluation.other_poses import OtherSystem
 from getagrip.experiments.comparison import Table, compare, groups
 from getagrip.experiments.hand_sources import HandSource, comparison
 from getagrip.experiments.other_systems import system_variants
-from getagrip.experiments.settings import ABLATIONS, Ablation, Variant, ablation_variants, method_variants
+from getagrip.experiments.settings import ABLATIONS, Ablation
 from getagrip.experiments.sources import ClipSource, samples
 from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import RESAMPLES
 from getagrip.experiments.tables import as_json, latex, markdown, terminal, write_clips_csv, write_csv
 from getagrip.experiments.trials import Scores, Trial, run
+from getagrip.experiments.variants import Variant, ablation_variants, method_variants
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.io import files, leftovers
 from getagrip.io.terminal import console, report

@@ -14,7 +14,7 @@ from getagrip.io.terminal import console, progress_bar
 from getagrip.pages import write_page
 from getagrip.result import read_record, write_result
 from getagrip.view.report import write_report
-from getagrip.view.tiles import View
+from getagrip.view.shown import View
 
 CATEGORY, SEED = "mug", 2
 CLIP = SceneOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)

@@ -20,7 +20,7 @@ from getagrip.pages import IndexRow, row, row_without_clip, write_index, write_p
 from getagrip.result import read_record, read_result
 from getagrip.view.film import write_film
 from getagrip.view.report import write_report
-from getagrip.view.tiles import View
+from getagrip.view.shown import View
 
 PAGE, PICTURE, FILM, INDEX = "report.html", "report.png", "report.mp4", "index.html"
 DEEPEST = 4

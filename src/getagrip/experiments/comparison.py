@@ -11,9 +11,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.evaluation.metric import ADD_SYM, METRICS, Metric
-from getagrip.experiments.settings import Variant
 from getagrip.experiments.statistics import Estimate, estimate, resamples
 from getagrip.experiments.trials import Score, Scores
+from getagrip.experiments.variants import Variant
 
 COLUMNS = tuple(metric for metric in METRICS if metric.label and metric.unit == "%" and not metric.folded)
 """Metrics shown as means: the paper's, and up to the object's symmetries."""

@@ -12,7 +12,8 @@ from getagrip.clip.sampling import frame_indices
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation.other_poses import OtherSystem
 from getagrip.experiments.changes import AS_GIVEN
-from getagrip.experiments.settings import REFERENCE, Variant, by_contact
+from getagrip.experiments.settings import REFERENCE
+from getagrip.experiments.variants import Variant, by_contact
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.io.files import is_plain_name, sha256

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from getagrip.experiments.comparison import ERRORS, Table
-from getagrip.experiments.settings import Variant
 from getagrip.experiments.statistics import LEVEL, Estimate
 from getagrip.experiments.trials import Scores
+from getagrip.experiments.variants import Variant
 from getagrip.io.terminal import plain_table
 
 if TYPE_CHECKING:

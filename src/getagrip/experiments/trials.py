@@ -23,8 +23,8 @@ from getagrip.errors import InputError, UsageError
 from getagrip.evaluation.metric import SCA
 from getagrip.experiments.changes import AS_GIVEN
 from getagrip.experiments.other_systems import options_of, result_of
-from getagrip.experiments.settings import Variant
 from getagrip.experiments.sources import Sample
+from getagrip.experiments.variants import Variant
 from getagrip.finding import read_findings
 from getagrip.io import files
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition

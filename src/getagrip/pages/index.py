@@ -19,8 +19,9 @@ from getagrip.pages.document import document
 from getagrip.pages.pictures import jpeg
 from getagrip.pages.report import CONTACT, MAIN
 from getagrip.result import Reconstruction
+from getagrip.view.shown import View
 from getagrip.view.stills import overlay, turned
-from getagrip.view.tiles import View, input_windows
+from getagrip.view.tiles import input_windows
 
 THUMBNAIL, QUALITY = 220, 72
 """Side of each of the two pictures of a result [px], and their JPEG quality."""

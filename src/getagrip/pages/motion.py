@@ -12,8 +12,9 @@ from getagrip.clip import OtherHand
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import decimate
 from getagrip.metrics.contact import close_holes, moving_distance
+from getagrip.view.shown import View
 from getagrip.view.stills import smoothed
-from getagrip.view.tiles import View, axis_points
+from getagrip.view.tiles import axis_points
 from getagrip.view.touched import touched
 
 FACES = 20_000

@@ -22,9 +22,10 @@ from getagrip.pages.pictures import jpeg, mask_path, paths
 from getagrip.probability import of_segment
 from getagrip.result import Reconstruction
 from getagrip.view.curves import angle_curve, seconds
+from getagrip.view.shown import View
 from getagrip.view.stills import steady_windows
 from getagrip.view.style import AXIS, FOUND, HAND_LINE, INK, TRUE
-from getagrip.view.tiles import View, image_in, intrinsics_of, silhouette_lines
+from getagrip.view.tiles import image_in, intrinsics_of, silhouette_lines
 
 FRAMES = 120
 """Frames that a page plays, at most; of longer clips as many, evenly sampled, and the worst."""

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.geometry import se3
-from getagrip.view.tiles import View
+from getagrip.view.shown import View
 
 
 @dataclass(frozen=True, eq=False)

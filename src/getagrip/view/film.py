@@ -16,9 +16,9 @@ from numpy import ndarray
 from getagrip.fitting.methods import method_of
 from getagrip.io.videos import write_video
 from getagrip.view.curves import seconds
+from getagrip.view.shown import View
 from getagrip.view.stills import overlay, steady_windows, turned
 from getagrip.view.style import INK
-from getagrip.view.tiles import View
 from getagrip.view.world import Stage, captioned, font, segment_bar
 
 SIDE, STRIP, MARGIN = 540, 36, 12

@@ -14,8 +14,9 @@ from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, ROTATION_SYM
 from getagrip.fitting.methods import method_of
 from getagrip.result import Reconstruction
 from getagrip.view.curves import angle_curve, seconds
+from getagrip.view.shown import View
 from getagrip.view.style import AXIS, FAINT, FOUND, INK, LINE, PAPER, TRUE, letters
-from getagrip.view.tiles import View, over_image, rendered, windows
+from getagrip.view.tiles import over_image, rendered, windows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

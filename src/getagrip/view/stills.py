@@ -11,8 +11,9 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from getagrip.geometry.camera import Crops
+from getagrip.view.shown import View
 from getagrip.view.style import AXIS, FOUND, HAND_LINE, HIDDEN
-from getagrip.view.tiles import View, image_in, input_windows, intrinsics_of, posed, silhouette_lines
+from getagrip.view.tiles import image_in, input_windows, intrinsics_of, posed, silhouette_lines
 
 STEADY = 0.35
 """Windows move as smoothly as a mean over this time [s]."""

@@ -15,8 +15,8 @@ from getagrip.geometry.render import render_rgb
 from getagrip.geometry.subdivide import edge_length, subdivided
 from getagrip.metrics.contact import close_holes, moving_distance
 from getagrip.view.looking import looking
+from getagrip.view.shown import View
 from getagrip.view.style import FOUND, PAPER_RGB
-from getagrip.view.tiles import View
 
 ONCE, SHARE = ("#c9cdcf", FOUND), ("#c9cdcf", "#f0c05a", FOUND)
 """Colours of a surface: out of contact and in contact; and by the share of frames in contact, from 0 to 1."""

@@ -14,8 +14,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from getagrip.geometry import se3
 from getagrip.geometry.render import nearest_surface, render_rgb
+from getagrip.view.shown import View
 from getagrip.view.style import HAND, INK, OBJECT, PAPER_RGB, STATE
-from getagrip.view.tiles import View
 
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont

@@ -17,8 +17,9 @@ from getagrip.geometry.render import Colour, Surface, render_rgb
 from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, evenly, summary, the_one
 from getagrip.view.looking import Eye, looking
 from getagrip.view.sheet import HEAD, Sheet, frame
+from getagrip.view.shown import View
 from getagrip.view.style import AXIS, HAND, OBJECT, PAPER_RGB, TRUE
-from getagrip.view.tiles import View, axis_line, axis_points, contour, rendered, show, windows
+from getagrip.view.tiles import axis_line, axis_points, contour, rendered, show, windows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -19,8 +19,9 @@ from getagrip.metrics.pose import ObjectTrack
 from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, Millimetres, evenly, summary, the_one
 from getagrip.view.matrix import IOU_RAMP
 from getagrip.view.sheet import HEAD, Sheet, frame
+from getagrip.view.shown import View
 from getagrip.view.style import FAINT, LINE, TRUE
-from getagrip.view.tiles import View, rendered, show, windows
+from getagrip.view.tiles import rendered, show, windows
 from getagrip.view.touched import SHARE, Touched, touched
 
 if TYPE_CHECKING:

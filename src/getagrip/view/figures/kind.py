@@ -13,7 +13,7 @@ from tyro.conf import arg
 from getagrip.errors import GetagripError, UsageError
 from getagrip.evaluation import read_evaluated
 from getagrip.fitting.methods import method_of
-from getagrip.view.tiles import View
+from getagrip.view.shown import View
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

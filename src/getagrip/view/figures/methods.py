@@ -13,7 +13,7 @@ from getagrip.fitting.methods import method_of
 from getagrip.metrics.contact import at_millimetres
 from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, Millimetres, about, readable
 from getagrip.view.figures.rows import Row, at_common_frames, distinct, draw_rows, numbers
-from getagrip.view.tiles import View
+from getagrip.view.shown import View
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

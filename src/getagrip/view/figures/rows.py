@@ -18,8 +18,9 @@ from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, SCA
 from getagrip.metrics.contact import ContactDefinition
 from getagrip.view.figures.kind import GivenResult, doubts, evenly
 from getagrip.view.sheet import HEAD, Sheet
+from getagrip.view.shown import View
 from getagrip.view.style import AXIS, FAINT, FOUND, HAND_LINE, TRUE
-from getagrip.view.tiles import View, input_windows, over_image, rendered
+from getagrip.view.tiles import input_windows, over_image, rendered
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,7 +14,8 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import diameter
 from getagrip.grasps.approximation import pose_hinge
 from getagrip.result import Axis, Candidates, Reconstruction
-from getagrip.view.tiles import View, axis_points
+from getagrip.view.shown import View
+from getagrip.view.tiles import axis_points
 
 TRUTH = "ground truth"
 

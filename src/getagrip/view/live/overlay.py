@@ -13,8 +13,9 @@ from numpy import ndarray
 
 from getagrip.geometry.camera import Crops
 from getagrip.view.live.column import Column
+from getagrip.view.shown import View
 from getagrip.view.style import FOUND, HAND_LINE, TRUE
-from getagrip.view.tiles import View, image_in, input_windows, intrinsics_of, silhouette_lines
+from getagrip.view.tiles import image_in, input_windows, intrinsics_of, silhouette_lines
 
 SIZE = 480
 """Side of an overlay [px]."""

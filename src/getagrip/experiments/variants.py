@@ -1,0 +1,95 @@
+"""What is run on every clip, by which options, and in which folder its results go: each method in each setting."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from getagrip.evaluation.other_poses import OtherSystem
+from getagrip.experiments.changes import AS_GIVEN, Change
+from getagrip.experiments.settings import ABLATIONS, COMPARED, CONTACTS, REFERENCE, Ablation
+from getagrip.fitting.options import Options
+from getagrip.metrics.contact import ContactDefinition
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One row of a table: what is done with every clip, and where the results go."""
+
+    label: str
+    folder: str
+    """Variants with the same folder share their results."""
+    options: Options
+    change: Change
+    contact: ContactDefinition
+    against: str
+    """Label of the variant that this one is compared with."""
+    group: str
+    """What a plot draws as one line: the method."""
+    step: str
+    """The place on the plot's axis."""
+    system: OtherSystem | None = None
+    """Whose results these are, where they are not ours."""
+
+    @property
+    def method(self) -> str:
+        """The method's name, or the other system's."""
+        return self.options.method if self.system is None else self.system.name
+
+
+def method_variants(
+    methods: Sequence[str], base: Options, contacts: Sequence[ContactDefinition] = CONTACTS
+) -> list[Variant]:
+    """Each method as it is, by each definition of contact; all but the slow ones where none is named."""
+    named: Sequence[str] = methods or COMPARED
+    plain = [Variant(m, m, replace(base, method=m), AS_GIVEN, contacts[0], REFERENCE, m, m) for m in named]
+    return by_contact(plain, contacts)
+
+
+def ablation_variants(
+    name: str,
+    methods: Sequence[str],
+    base: Options,
+    contacts: Sequence[ContactDefinition] = CONTACTS,
+    ablation: Ablation | None = None,
+) -> list[Variant]:
+    """Each method in each setting of an ablation, by default that of the name in ``ABLATIONS``.
+
+    They are measured by each definition of contact, unless the ablation is about these. A setting that changes nothing
+    shares the method's own results.
+    """
+    ablation, variants = ablation or ABLATIONS[name], []
+    for method in methods or ablation.methods:
+        usual = replace(base, method=method)
+        for setting in ablation.settings:
+            options = replace(usual, **setting.options)
+            same = options == usual and setting.change == AS_GIVEN
+            folder = method if same else f"{method}+{name}-{_slug(setting.label)}"
+            against = f"{REFERENCE}, {setting.label}" if ablation.usual is None else f"{method}, {ablation.usual}"
+            label, contact = f"{method}, {setting.label}", setting.contact or contacts[0]
+            variants.append(Variant(label, folder, options, setting.change, contact, against, method, setting.label))
+    own = any(setting.contact for setting in ablation.settings)
+    return variants if own else by_contact(variants, contacts)
+
+
+def by_contact(variants: Sequence[Variant], contacts: Sequence[ContactDefinition]) -> list[Variant]:
+    """The same variants by each definition of contact, which their labels name where there are several."""
+    if len(contacts) == 1:
+        return [replace(variant, contact=contacts[0]) for variant in variants]
+    return [
+        replace(
+            variant,
+            contact=contact,
+            label=f"{variant.label}, {contact.distance}",
+            against=f"{variant.against}, {contact.distance}",
+            group=f"{variant.group}, {contact.distance}",
+        )
+        for variant in variants
+        for contact in contacts
+    ]
+
+
+def _slug(label: str) -> str:
+    """A label as part of a folder's name."""
+    return re.sub(r"[^a-z0-9.]+", "-", label.lower().replace("°", " deg")).strip("-")
