@@ -17,7 +17,7 @@ from numpy import ndarray
 from getagrip.clip import Clip, Masks, read_masks
 from getagrip.fitting.foretold import Foretold
 from getagrip.fitting.image_iou import image_iou
-from getagrip.fitting.motion import Frozen, Hinge, Motion, PosesInHand, interpolated, placed
+from getagrip.fitting.motion import Frozen, Motion, PosesInHand, interpolated, placed
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
@@ -162,6 +162,6 @@ def _others(
 
 
 def _angle(motion: Motion) -> Float[ndarray, "T"] | float:
-    """The angle of the best hypothesis of a hinge, or of one that others deviate from; NaN for other motions."""
-    core = getattr(motion, "core", motion)
-    return core.angle[0] if isinstance(core, Hinge) else np.nan
+    """The angles of the best hypothesis; NaN where the motion has no latent axis."""
+    angles = motion.angles()
+    return np.nan if angles is None else angles[0]

@@ -88,6 +88,10 @@ class Motion(Protocol):
         """Which shared and which per-frame parameters are in metres; the others are radians or logarithms."""
         ...
 
+    def angles(self) -> Float[ndarray, "B N"] | None:
+        """The angles about the latent axis [rad], where the model has one."""
+        ...
+
     def prior(self) -> Prior: ...
 
     def retract(self, shared: Float[ndarray, "B S"], local: Float[ndarray, "B N L"]) -> Self:

@@ -38,6 +38,9 @@ class Fixed(Batch):
     def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
         return np.arange(6 + self.free_scale) < 3, np.zeros(0, bool)
 
+    def angles(self) -> None:
+        return None
+
     def prior(self) -> Prior:
         return no_prior(len(self.R), self.frames, 0)
 

@@ -36,6 +36,9 @@ class Free(Batch):
     def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
         return np.zeros(int(self.free_scale), bool), np.arange(6) < 3
 
+    def angles(self) -> None:
+        return None
+
     def prior(self) -> Prior:
         return no_prior(len(self.centre), self.centre.shape[1], 6)
 

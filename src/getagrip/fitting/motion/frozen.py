@@ -34,6 +34,9 @@ class Frozen(Batch, Generic[Core]):
         shared, local = self.core.lengths()
         return shared[:0], local
 
+    def angles(self) -> Float[ndarray, "B N"] | None:
+        return self.core.angles()
+
     def prior(self) -> Prior:
         return self.core.prior()
 

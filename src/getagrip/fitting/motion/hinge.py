@@ -22,8 +22,8 @@ a bottle from spinning about its own axis, which no silhouette shows.
 class Hinge(Batch):
     """One pose, turned about one line: ``T_hand_obj(n) = rot(angle_n; point, direction) . T_base`` (Eq. 3).
 
-    The paper's equation shows only the line's direction; the authors' code has its location too, and with the axis at
-    the grasp and not at the wrist a direction alone is wrong. ``free_location=False`` keeps the line where it is.
+    The paper's equation shows only the line's direction; the authors' code has its location too, and the best
+    axis seldom passes through the origin of the hand frame. ``free_location=False`` keeps the line where it is.
 
     S = 6 + scale + 2 (direction) + 2 (location), L = 1. A common offset of the angles and the base pose do the same;
     the solver's damping keeps them still and ``zero_mean`` settles it.
@@ -117,6 +117,9 @@ class Hinge(Batch):
     def lengths(self) -> tuple[Bool[ndarray, "S"], Bool[ndarray, "L"]]:
         k = np.arange(8 + self.free_scale + 2 * self.free_location)
         return (k < 3) | (k >= 8 + self.free_scale), np.zeros(1, bool)
+
+    def angles(self) -> Float[ndarray, "B N"]:
+        return self.angle
 
     def prior(self) -> Prior:
         value = 0.5 * self.ridge * np.sum(self.angle**2, axis=1)

@@ -61,6 +61,9 @@ class Soft(Batch, Generic[Core]):
         shared, angles = self.core.lengths()
         return shared, np.concatenate([angles, np.arange(6) < 3])
 
+    def angles(self) -> Float[ndarray, "B N"] | None:
+        return self.core.angles()
+
     def prior(self) -> Prior:
         stiffness = np.repeat(self.ridge, 3)
         pull = stiffness * self.deviation
