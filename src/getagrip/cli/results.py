@@ -69,8 +69,8 @@ class Reconstruct(Command):
     """Where the latent axis of one-dof and soft-hinge may lie: anywhere (free), or through the origin of the hand frame
     (hand), as the paper's Eq. 3 has it."""
     given_hands: Flag = False
-    """Keep the hands where they are given. Else they are turned and moved to where their own pixels (masks/ignore) are,
-    if they disagree."""
+    """Keep the hands where they are given. Else they are turned and moved to where their own pixels (masks/hand, else
+    masks/ignore) are, if they disagree."""
     given_masks: Flag = False
     """Believe all masks. Else soft-hinge leaves out those that contradict the masks of other frames."""
     given_mesh: Flag = False

@@ -26,6 +26,7 @@ from getagrip.experiments.statistics import RESAMPLES
 from getagrip.experiments.tables import as_json, latex, markdown, terminal, write_clips_csv, write_csv
 from getagrip.experiments.trials import Scores, Trial, run
 from getagrip.experiments.variants import Variant, ablation_variants, method_variants
+from getagrip.fitting.methods import method_of
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.io import files, leftovers
 from getagrip.io.terminal import console, report
@@ -191,8 +192,7 @@ def _settings(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     units = f"the {len(set(drawn))} subjects, all clips of one together" if together else f"the {len(drawn)} clips"
     versions = ", ".join(f"{key} {version}" for key, version in software().items())
     return [
-        f"{plan.options.inits} initial poses ({_initial_poses(plan.options)}; {WITH_FREE_SCALE * plan.options.inits} "
-        f"where the scale is free), {_frames(plan.options)}, seed {plan.options.seed}; the same frames, masks and "
+        f"{_initial_poses(plan)}, {_frames(plan.options)}, seed {plan.options.seed}; the same frames, masks and "
         "evaluation for all",
         "per cent, means over clips, the best bold, the second best underlined; s: median seconds for a clip",
         f"in brackets: 95 % intervals from {RESAMPLES} bootstrap resamples of {units}",
@@ -207,12 +207,16 @@ def _frames(options: Options) -> str:
     return f"{options.frames} frames" + (" and the others that follow them" if options.every_frame else "")
 
 
-def _initial_poses(options: Options) -> str:
-    """Which initial poses the search has, in words."""
-    thorough = ", thorough" if options.thorough else ""
-    if options.priors is None:
-        return f"{options.init}{thorough}"
-    return f"{options.init} of {options.priors.path.name}, sha256 {options.priors.sha256[:12]}, then uniform{thorough}"
+def _initial_poses(plan: Plan) -> str:
+    """How many initial poses the search has, and which, in words."""
+    options, thorough = plan.options, ", thorough" if plan.options.thorough else ""
+    kind: str = options.init
+    if options.priors is not None:
+        kind = f"{options.init} of {options.priors.path.name}, sha256 {options.priors.sha256[:12]}, then uniform"
+    published = [v.method for v in plan.variants() if v.system is None and method_of(v.method).as_published]
+    but = f", but for {' and '.join(dict.fromkeys(published))}" if published else ""
+    free = f"{WITH_FREE_SCALE * options.inits} where the scale is free{but}"
+    return f"{options.inits} initial poses ({kind}{thorough}; {free})"
 
 
 def _outdated(scores: Sequence[Scores]) -> list[str]:

@@ -1,6 +1,7 @@
 """Multi-start, coarse-to-fine search: many rotations at low resolution and few frames, fewer and fewer at higher.
 
-Pruning waits until the motion model has been fitted: on the energy of a static fit the right hypothesis is often lost.
+By the energy of a static fit the right hypothesis is often lost: the first are dropped after a relaxed fit, most after
+the motion model has been fitted.
 Then the best are rotated and fitted again, a few rounds of it: local minima lie side by side, and in pairs; once more
 by less in the middle, for a mug whose handle is in the hand has minima all around it. The axis of a hinge comes from
 the data: after a static fit, a relaxed fit with a small deviation per frame, whose rotation vectors' principal

@@ -40,6 +40,16 @@ def test_with_all_departures_it_is_one_dof() -> None:
     assert all_made.energy == ours.energy
 
 
+@pytest.mark.slow
+def test_at_a_free_scale_one_dof_has_twice_as_many_initial_poses() -> None:
+    clip, masks = small_clip()
+    clip = replace(clip, scale="free")
+    ours = reconstruct(clip, masks, Options(method="one-dof", inits=2, hands="as-given"))
+    same = reconstruct(clip, masks, Options(method="paper", inits=4, departures=ALL))
+    np.testing.assert_array_equal(same.T_hand_obj, ours.T_hand_obj)
+    assert same.energy == ours.energy
+
+
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.slow
 def test_each_departure_can_be_made_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
