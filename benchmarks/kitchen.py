@@ -31,7 +31,7 @@ from getagrip.geometry.camera import project
 from getagrip.result import read_result
 
 LABELLED = page.ROOT / "tests" / "helpers" / "kitchen_plate_labels.json"
-LENSES = {"guessed: 1920 px": [], "1000 px": ["--focal", "1000"]}
+LENSES = {"guessed, 1920 px": [], "1000 px": ["--focal", "1000"]}
 """Options by what they mean: the image's longer side, and a wide lens, usual for cameras worn on the head."""
 METHODS = ("soft-hinge", "contact-consistency", "one-dof", "static")
 
@@ -51,7 +51,10 @@ def left_out(video: Path) -> str:
     none = ("", "", "")
     rows = [[str(n), *masks.get(n, none[:2]), *joints.get(n, none)] for n in sorted(masks | joints)]
     columns = ["polygon gap", "IOU of the mask", "joint gap", "joint error, smooth only", "joint error, with tracking"]
-    return f"*Made {stamp()}.*\n\n{page.table(['frame left out', *columns], rows)}"
+    K, _ = intrinsics(Lens(guess_focal=True), annotation.size)
+    fit = hands_from_clicks(annotation.clicks, K, annotation.side, annotation.first, annotation.last)
+    off = f"All clicks in use, the joints are {np.sqrt(np.nanmean(fit.residuals**2)):.1f} px off, root mean square."
+    return f"*Made {stamp()}.*\n\n{page.table(['frame left out', *columns], rows)}\n\n{off}"
 
 
 def joints_left_out(annotation: Labels, image: Images) -> dict[int, tuple[str, str, str]]:

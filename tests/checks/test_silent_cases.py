@@ -62,6 +62,13 @@ def test_what_is_wrong_with_inputs_is_found_before_the_fit(mistake: str, check: 
     assert check in faults(*Wrong(mistake)(*mug(), seed=0))
 
 
+@pytest.mark.parametrize("of", ["everything", "the background"])
+def test_masks_of_the_whole_image_are_found_where_no_size_tells(of: str) -> None:
+    clip, masks = mug()
+    shown = ~masks.object & ~masks.ignore if of == "the background" else np.ones_like(masks.object)
+    assert "mask-at-edges" in faults(replace(clip, scale="free"), Masks(shown, masks.ignore & ~shown))
+
+
 @pytest.mark.parametrize(("mistake", "checks"), OF_RESULTS.items())
 @pytest.mark.slow
 def test_what_only_the_result_shows_is_found_after_the_fit(mistake: str, checks: set[str]) -> None:

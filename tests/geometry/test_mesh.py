@@ -113,6 +113,16 @@ def test_closed_meshes_wound_inward_are_turned(tmp_path: Path) -> None:
     assert read_mesh(tmp_path / "inward.ply").volume == pytest.approx(mesh.volume, rel=1e-5)
 
 
+def test_a_mesh_far_from_its_origin_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
+    mesh = sphere()
+    for away in (90.0, 5e5):
+        path = write_mesh(Mesh(mesh.vertices + np.array([away, 0.0, 0.0]), mesh.faces), tmp_path / f"{away:g}.ply")
+        if away < 100.0:
+            assert read_mesh(path).diameter == pytest.approx(0.1, abs=1e-4)
+        else:
+            refused(lambda path=path: read_mesh(path), "vertices: got an object 5e+05 m from its origin")
+
+
 def test_vertices_without_faces_are_left_out(tmp_path: Path) -> None:
     (tmp_path / "m.obj").write_text("v .1 .1 .1\nv 0 0 0\nv .1 0 0\nv 0 .1 0\nf 2 3 4\n")
     mesh = read_mesh(tmp_path / "m.obj")

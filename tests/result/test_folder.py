@@ -90,9 +90,9 @@ def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, candidates:
 
 
 def test_numbers_that_json_lacks_become_null(tmp_path: Path) -> None:
-    metrics = {"nan": float("nan"), "list": np.array([1.0, np.inf]), "count": np.int64(3)}
+    metrics = {"nan": float("nan"), "infinite": np.inf, "count": np.int64(3)}
     _, record = read_result(write_result(small_result(), tmp_path / "r", "sum", metrics))
-    assert record["metrics"] == {"nan": None, "list": [1.0, None], "count": 3}
+    assert record["metrics"] == {"nan": None, "infinite": None, "count": 3}
 
 
 def test_only_results_are_overwritten_and_only_on_request(tmp_path: Path) -> None:
@@ -120,6 +120,7 @@ def edited(folder: Path, arrays: dict[str, object], fields: dict[str, object]) -
 
 
 EYE = np.tile(np.eye(4), (3, 1, 1))
+SEGMENT = {"state": "grasp", "first": "0000", "last": "0002"}
 BROKEN: dict[str, tuple[dict[str, object], dict[str, object], str]] = {
     "a warp beyond all shapes": (
         {"warp_centre": np.zeros(3), "warp_radius": np.array(0.1), "warp_coefficients": np.full((10, 3), 1e9)},
@@ -140,11 +141,30 @@ BROKEN: dict[str, tuple[dict[str, object], dict[str, object], str]] = {
         "result.json: probability_right.value",
     ),
     "energy a number": ({}, {"energy": 7}, "result.json: energy"),
+    "energy of a text": ({}, {"energy": {"total": "x"}}, "result.json: energy.'total'"),
+    "seconds a text": ({}, {"seconds": {"total": "x"}}, "result.json: seconds.'total'"),
+    "metrics a list": ({}, {"metrics": {"iou": [1]}}, "result.json: metrics.'iou'"),
+    "notes numbers": ({}, {"notes": [1]}, "result.json: notes[0]"),
+    "segment of a third hand": ({}, {"segments": [SEGMENT | {"side": 7}]}, "result.json: segments[0].side"),
+    "segment's IOU a text": ({}, {"segments": [SEGMENT | {"iou": "z"}]}, "result.json: segments[0].'iou'"),
+    "segment's checks a list": ({}, {"segments": [SEGMENT | {"checks": [1]}]}, "result.json: segments[0].checks"),
+    "segment's pose short": ({}, {"segments": [SEGMENT | {"T_world_obj": [[1]]}]}, "segments[0].T_world_obj"),
+    "segment's pose too far": (
+        {},
+        {"segments": [SEGMENT | {"T_world_obj": [[1, 0, 0, 1e300], *np.eye(4).tolist()[1:]]}]},
+        "segments[0].T_world_obj",
+    ),
     "no poses": ({"T_hand_obj": None}, {}, "result.npz: T_hand_obj"),
     "poses short": ({"T_hand_obj": EYE[:2]}, {}, "result.npz: T_hand_obj"),
     "poses not rigid": ({"T_hand_obj": 2 * EYE}, {}, "result.npz: T_hand_obj"),
+    "poses too far": ({"T_hand_obj": se3.rigid(EYE[:, :3, :3], np.full((3, 3), 1e300))}, {}, "result.npz: T_hand_obj"),
     "poses NaN": ({"T_hand_obj": np.nan * EYE}, {}, "result.npz: T_hand_obj"),
     "scale negative": ({"scale": np.array(-1.0)}, {}, "result.npz: scale"),
+    "scale of nothing": ({"scale": np.array(1e-300)}, {}, "result.npz: scale"),
+    "scale of a world": ({"scale": np.array(1e300)}, {}, "result.npz: scale"),
+    "candidate too large": ({"candidate_scale": np.full(2, 1e50)}, {}, "result.npz: candidate_scale"),
+    "a frame twice": ({"frames": np.array(["0000", "0001", "0000"])}, {}, "result.npz: frames"),
+    "iou above one": ({"iou": np.full(3, 1e300)}, {}, "result.npz: iou"),
     "frames numbers": ({"frames": np.arange(3)}, {}, "result.npz: frames"),
     "frames objects": ({"frames": np.array(["a", None, "b"])}, {}, "result.npz: frames"),
     "no frames": ({"frames": None}, {}, "result.npz: frames"),

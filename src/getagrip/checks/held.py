@@ -29,6 +29,13 @@ def seen_size(it: Evidence) -> float:
     return it.apparent_size / it.hand_size if it.clip.scale == "free" else UNKNOWN
 
 
+def edge_share(it: Evidence) -> float:
+    """Share of the image's edge that the masks cover, median over frames: all of it, where they are the background."""
+    edges = (it.masks.object[:, [0, -1]].mean(axis=(1, 2)), it.masks.object[:, :, [0, -1]].mean(axis=(1, 2)))
+    width, height = it.clip.size
+    return float(np.median((width * edges[0] + height * edges[1]) / (width + height)))
+
+
 def focal_jump(it: Evidence) -> float:
     """The largest factor by which the focal length changes from one frame to the next."""
     steps = np.abs(np.diff(np.log(it.clip.K[:, [0, 1], [0, 1]]), axis=0))

@@ -82,6 +82,11 @@ INPUT_CHECKS: tuple[Check, ...] = (
         advice="check the masks' label, the focal length and the hand's distance",
     ),
     Check(
+        "mask-at-edges", held.edge_share, high=0.7,
+        fault="the masks cover {value} of the image's edge",
+        advice="are these masks of the background, or of the whole image? Check their label",
+    ),
+    Check(
         "focal-jumps", held.focal_jump, high=1.1,
         fault="from one frame to the next the focal length changes by a factor of {value}",
         advice="give one camera for all frames, unless the lens zooms",

@@ -40,6 +40,8 @@ def pose_spread(problem: Problem, found: MethodResult) -> float:
     own = H[:, S:, S:] + np.diag(prior.diagonal) + LEAST * np.eye(H.shape[-1] - S)
     reduced = (H[:, :S, :S] - H[:, :S, S:] @ np.linalg.solve(own, H[:, S:, :S])).sum(axis=0)
     certain, directions = np.linalg.eigh(reduced)
+    if not certain[-1] > 0.0:  # no contour and no contact tells anything
+        return float("nan")
     spread = directions / np.sqrt(np.maximum(certain, LEAST * certain[-1]))
     noise = found.terms["mask"] / len(frames)
     middle, scale = len(frames) // 2, float(found.poses.scale[0])

@@ -19,6 +19,8 @@ from getagrip.io import files
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 LARGEST, SMALLEST = 2.0, 0.005
 """Plausible sizes of hands and objects [m]."""
+FARTHEST = 100.0
+"""Farthest that a mesh may be from its origin [m]; the shape of one that is farther has too few digits."""
 LARGEST_FILE = 128 * 2**20
 """Limit in bytes: parsing takes several times as much memory."""
 
@@ -117,6 +119,10 @@ def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray
     vertices, faces = vertices[used], remapped.reshape(faces.shape)
     extent = float(np.ptp(vertices, axis=0).max())
     check_size(path, "vertices", extent, "the object")
+    away = float(np.abs(vertices.mean(axis=0)).max())
+    if away > FARTHEST:
+        expected = f"at most {FARTHEST:g} m: so far off, as in a map, its shape has too few digits; move it"
+        raise InputError(path, "vertices", f"an object {away:.4g} m from its origin", expected)
     corners = vertices[faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     bad = np.flatnonzero(area < 1e-12 * extent**2)

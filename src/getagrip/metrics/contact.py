@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.errors import UsageError
+from getagrip.errors import GetagripError, UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, edge_table
 from getagrip.io.choices import check_values
@@ -35,6 +35,8 @@ THRESHOLDS = (0.0, 0.005, 0.010)
 """Contact thresholds in use [m]."""
 MAX_DISTANCE = 0.011
 """Signed distances are exact up to here [m]; beyond, they may be infinite."""
+FARTHEST = 1e5
+"""No point of any scene is farther from its origin [m]."""
 LARGEST_MM = 50.0
 """Largest threshold that anybody may ask for [mm]."""
 AREA_POINTS = 2000
@@ -157,9 +159,13 @@ def moving_distance(
 
     From frame to frame a distance changes by no more than the point and the surface have moved, and its sign changes
     only where it passes zero. A distance that is thus known to be beyond ``max_distance``, or a side that is known to
-    be the same as before, is not computed again.
+    be the same as before, is not computed again. Raises ``GetagripError`` for coordinates beyond all scenes, at which
+    libigl's search would run out of its memory.
     """
     import igl
+
+    if not max(np.abs(points).max(initial=0.0), np.abs(vertices).max(initial=0.0)) < FARTHEST:
+        raise GetagripError(f"distances of points more than {FARTHEST:g} m away, or of no number, are not computed")
 
     closed = bool(np.all(edge_table(faces)[:, 3] < len(faces)))  # else one can get inside without crossing the surface
     inside, least = np.zeros(points.shape[1], dtype=bool), np.full(points.shape[1], -np.inf)

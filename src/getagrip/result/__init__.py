@@ -1,7 +1,8 @@
 """Results: the object in the hand in every frame, and the folder that holds it."""
 
 from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction
-from getagrip.result.folder import FILES, is_result, read_record, read_result, software, write_result
+from getagrip.result.folder import FILES, is_result, software, write_result
+from getagrip.result.reading import read_record, read_result
 
 __all__ = [
     "FILES",

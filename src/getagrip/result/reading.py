@@ -1,0 +1,237 @@
+"""Reading the folder of a reconstruction (docs/formats.md): from anyone, so that every value is checked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.finding import read_checks, read_findings
+from getagrip.geometry import se3
+from getagrip.geometry.warp import MONOMIALS, Warp
+from getagrip.io import arrays, files
+from getagrip.probability import read_probability
+from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction
+from getagrip.result.folder import AXIS, VERSION, WARP
+
+FARTHEST = 1e4
+"""No object is farther than this from its hand, and no hand from the camera [m]."""
+SMALLEST, LARGEST = 1e-4, 1e4
+"""Scales of meshes lie between these: meshes are checked when they are read, in metres."""
+MOST_WARPED = 10.0
+"""Coefficients of a warp are about 1 or 0; far more would be no shape of a mesh."""
+ARRAYS = (
+    "T_hand_obj", "T_cam_hand", "T_cam_other_hand", "scale", "frames", "frame_kind", "iou", *AXIS,
+    "candidate_T_hand_obj", "candidate_scale", "candidate_energy", *WARP,
+)  # fmt: skip
+"""What ``result.npz`` holds."""
+FIELDS: dict[str, tuple[type, str]] = {
+    "clip": (str, "the clip's name"),
+    "method": (str, "the method's name"),
+    "options": (dict, "an object"),
+    "seed": (int, "a whole number"),
+    "status": (str, "a text"),
+    "ambiguous": (bool, "true or false"),
+    "notes": (list, "a list of texts"),
+    "findings": (list, "a list of findings"),
+    "checks": (dict, "numbers by name"),
+    "signs": (dict, "numbers by name"),
+    "energy": (dict, "numbers by name"),
+    "metrics": (dict, "numbers by name"),
+    "seconds": (dict, "numbers by name"),
+    "segments": (list, "a list of segments"),
+    "software": (dict, "an object"),
+    "input_sha256": (str, "a checksum"),
+}
+"""Keys of ``result.json``, each with its type."""
+
+
+def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
+    """Read and check a result folder: the reconstruction, and ``result.json`` as it stands. Raises ``InputError``."""
+    folder = Path(folder)
+    fields = read_record(folder)
+    path = files.inside(folder, "result.npz", "", "the poses of a result")
+    given = arrays.read(path, lambda key: key in ARRAYS)
+    frames = _texts(path, given, "frames")
+    T = len(frames)
+    if len({*frames}) < T:
+        twice = next(name for name in frames if frames.count(name) > 1)
+        raise InputError(path, "frames", f"{files.shown(twice)} twice", "each frame once")
+    kind = _frame_kind(path, given, T)
+    K = len(given.get("candidate_energy", [])) if np.ndim(given.get("candidate_energy", 0)) else 1
+    axis = None
+    if any(key in given for key in AXIS):
+        direction = arrays.floats(path, given, "axis_direction", (3,))
+        if abs(np.linalg.norm(direction) - 1.0) > 1e-3:
+            raise InputError(path, "axis_direction", f"length {np.linalg.norm(direction):.4g}", "a unit vector")
+        point = _within(path, "axis_point", arrays.floats(path, given, "axis_point", (3,)), -FARTHEST, FARTHEST)
+        axis = Axis(point=point, direction=direction, angle=arrays.floats(path, given, "angle", (T,)))
+    result = Reconstruction(
+        clip=fields["clip"],
+        method=fields["method"],
+        frames=frames,
+        frame_kind=kind,
+        T_hand_obj=_rigid(path, given, "T_hand_obj", (T, 4, 4)),
+        scale=float(_scales(path, given, "scale", ())),
+        iou=_iou(path, given, kind),
+        axis=axis,
+        candidates=Candidates(
+            T_hand_obj=_rigid(path, given, "candidate_T_hand_obj", (K, T, 4, 4)),
+            scale=_scales(path, given, "candidate_scale", (K,)),
+            energy=arrays.floats(path, given, "candidate_energy", (K,)),
+        ),
+        energy=read_checks(folder / "result.json", fields["energy"], "energy"),
+        status=fields["status"],
+        ambiguous=fields["ambiguous"],
+        seconds=read_checks(folder / "result.json", fields["seconds"], "seconds"),
+        options=fields["options"],
+        seed=fields["seed"],
+        notes=tuple(fields["notes"]),
+        findings=read_findings(folder / "result.json", fields["findings"]),
+        checks=read_checks(folder / "result.json", fields["checks"]),
+        signs=read_checks(folder / "result.json", fields["signs"], "signs"),
+        probability_right=read_probability(folder / "result.json", fields["probability_right"]),
+        probability_right_in_camera=read_probability(
+            folder / "result.json", fields["probability_right_in_camera"], "probability_right_in_camera"
+        ),
+        T_cam_hand=_rigid(path, given, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in given else None,
+        T_cam_other_hand=_rigid(path, given, "T_cam_other_hand", (T, 4, 4)) if "T_cam_other_hand" in given else None,
+        warp=_warp(path, given) if any(key in given for key in WARP) else None,
+        segments=_segments(folder / "result.json", fields["segments"]),
+    )
+    return result, fields
+
+
+def read_record(folder: str | Path) -> dict[str, Any]:
+    """The checked content of a result's ``result.json``. Raises ``InputError``."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(folder, "", "no such folder", "the folder of a result")
+    path = files.inside(folder, "result.json", "", "the record of a result")
+    fields = files.read_json(path)
+    if fields.get("version") != VERSION:
+        raise InputError(path, "version", files.shown(fields.get("version")), str(VERSION))
+    fields.setdefault("ambiguous", False)
+    fields.setdefault("notes", [])
+    fields.setdefault("findings", [])
+    fields.setdefault("checks", {})
+    fields.setdefault("signs", {})
+    fields.setdefault("probability_right", None)
+    fields.setdefault("probability_right_in_camera", None)
+    fields.setdefault("segments", [])
+    for key, (kind, expected) in FIELDS.items():
+        if key not in fields:
+            raise InputError(path, key, "no such key", expected)
+        if not isinstance(fields[key], kind):
+            raise InputError(path, key, files.shown(fields[key]), expected)
+    for n, note in enumerate(fields["notes"]):
+        if not isinstance(note, str):
+            raise InputError(path, f"notes[{n}]", files.shown(note), "a text")
+    for key in ("energy", "metrics", "seconds"):
+        read_checks(path, fields[key], key)
+    if not files.is_plain_name(fields["clip"]):
+        raise InputError(path, "clip", files.shown(fields["clip"]), "a text fit to name a folder")
+    return fields
+
+
+def _segments(path: Path, given: list[Any]) -> tuple[dict[str, Any], ...]:
+    """What a timeline's result says of its segments: each an object with a state and its frames."""
+    for n, segment in enumerate(given):
+        key = f"segments[{n}]"
+        if not isinstance(segment, dict) or not all(
+            isinstance(segment.get(k), str) for k in ("state", "first", "last")
+        ):
+            raise InputError(path, key, files.shown(segment), "an object with state, first and last")
+        if segment.get("side") not in (None, "left", "right"):
+            raise InputError(path, f"{key}.side", files.shown(segment["side"]), "left or right")
+        read_checks(path, {"iou": segment.get("iou")}, key)
+        for of_numbers in ("checks", "signs"):
+            read_checks(path, _object(path, f"{key}.{of_numbers}", segment.get(of_numbers)), f"{key}.{of_numbers}")
+        if "T_world_obj" in segment:
+            _pose(path, f"{key}.T_world_obj", segment["T_world_obj"])
+        read_probability(path, segment.get("probability_right"), f"{key}.probability_right")
+    return tuple(given)
+
+
+def _object(path: Path, key: str, given: Any) -> dict[str, Any]:
+    """An object, empty where there is none."""
+    if given is not None and not isinstance(given, dict):
+        raise InputError(path, key, files.shown(given), "an object")
+    return given or {}
+
+
+def _pose(path: Path, key: str, given: Any) -> None:
+    """Four rows of four numbers: a rigid motion that takes nothing too far."""
+    expected = "4 rows of 4 numbers: a rotation and a translation [m]"
+    rows = [row for row in given if isinstance(row, list)] if isinstance(given, list) else []
+    numbers = [x for row in rows for x in row if isinstance(x, int | float) and not isinstance(x, bool)]
+    if [len(row) for row in rows] != [4] * 4 or len(numbers) != 16 or max(map(abs, numbers)) > FARTHEST:
+        raise InputError(path, key, files.shown(given), expected)
+    if not se3.is_rigid(np.array(numbers, dtype=float).reshape(4, 4)).all():
+        raise InputError(path, key, "a matrix that is no rigid motion", expected)
+
+
+def _texts(path: Path, given: dict[str, ndarray], key: str) -> tuple[str, ...]:
+    """An array of names."""
+    if key not in given or given[key].dtype.kind != "U" or given[key].ndim != 1 or len(given[key]) == 0:
+        raise InputError(path, key, "no array of names", "the frames' names")
+    try:
+        return tuple(str(text) for text in given[key])
+    except ValueError as error:  # code points that do not exist
+        raise InputError(path, key, "a damaged text", "the frames' names") from error
+
+
+def _frame_kind(path: Path, given: dict[str, ndarray], frames: int) -> tuple[FrameKind, ...]:
+    """How each frame's pose was found; in older results, all frames were sampled."""
+    if "frame_kind" not in given:
+        return tuple("sampled" for _ in range(frames))
+    kinds: dict[str, FrameKind] = {kind: kind for kind in get_args(FrameKind)}
+    texts = _texts(path, given, "frame_kind")
+    if len(texts) != frames or not {*texts} <= {*kinds}:
+        given_texts = f"{len(texts)} texts, {files.shown(' '.join(sorted({*texts}))[:80])}"
+        raise InputError(path, "frame_kind", given_texts, f"{', '.join(kinds)} for each of {frames} frames")
+    return tuple(kinds[text] for text in texts)
+
+
+def _iou(path: Path, given: dict[str, ndarray], kind: tuple[FrameKind, ...]) -> Float[ndarray, "T"]:
+    """The IOU of each frame; only interpolated ones may have none."""
+    if "iou" in given and given["iou"].dtype.kind == "f" and given["iou"].shape == (len(kind),):
+        unknown = np.isnan(given["iou"]) & (np.array(kind) == "interpolated")
+        known = arrays.floats(path, given | {"iou": np.where(unknown, 0.0, given["iou"])}, "iou", (len(kind),))
+        return np.where(unknown, np.nan, _within(path, "iou", known, 0.0, 1.0))
+    return _within(path, "iou", arrays.floats(path, given, "iou", (len(kind),)), 0.0, 1.0)
+
+
+def _rigid(path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "*batch 4 4"]:
+    """An array of rigid motions."""
+    T = arrays.floats(path, given, key, shape)
+    if not se3.is_rigid(T).all():
+        raise InputError(path, key, "a matrix that is no rigid motion", "rotations and translations [m]")
+    _within(path, key, T[..., :3, 3], -FARTHEST, FARTHEST)
+    return T
+
+
+def _warp(path: Path, given: dict[str, ndarray]) -> Warp:
+    """What the mesh was made into."""
+    centre, radius, factors = WARP
+    coefficients = arrays.floats(path, given, factors, (MONOMIALS, 3))
+    _within(path, factors, coefficients, -MOST_WARPED, MOST_WARPED)
+    about = _within(path, centre, arrays.floats(path, given, centre, (3,)), -FARTHEST, FARTHEST)
+    return Warp(about, float(_scales(path, given, radius, ())), coefficients)
+
+
+def _scales(path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...]) -> Float[ndarray, "..."]:
+    """An array of scales."""
+    return _within(path, key, arrays.floats(path, given, key, shape, kinds="fiu"), SMALLEST, LARGEST)
+
+
+def _within(path: Path, key: str, values: Float[ndarray, "..."], least: float, most: float) -> Float[ndarray, "..."]:
+    """The values, none of which is below the least or above the most."""
+    for value in (values.min(), values.max()):
+        if not least <= value <= most:
+            raise InputError(path, key, f"{value:g}", f"{least:g} to {most:g}")
+    return values
