@@ -17,6 +17,10 @@ from getagrip.io import files
 from getagrip.io.storage import ARCHIVE, Place, Remote, place
 
 
+OUR_FILES = ("index.html", "summary.csv", "ledger.sqlite", "ledger.sqlite-wal", "ledger.sqlite-shm", "clips")
+"""What stands beside the results in a folder of them: no clip may have these names."""
+
+
 @dataclass(frozen=True)
 class Shard:
     """One of several equal parts of all clips, by their names: which one a clip is in depends on nothing else."""
@@ -54,6 +58,12 @@ class Plan:
         self._db.execute("CREATE TABLE clips (place INTEGER PRIMARY KEY, name TEXT UNIQUE, folder BLOB)")
         for name, clip in _named_clips(paths, self.failed):
             if name not in shard:
+                continue
+            if name in OUR_FILES:
+                known = InputError(
+                    str(clip), "name", files.shown(name), f"another name; {', '.join(OUR_FILES)} are taken"
+                )
+                self.failed.append(failure(name, known))
                 continue
             try:
                 self._db.execute("INSERT INTO clips (name, folder) VALUES (?, ?)", (name, os.fsencode(str(clip))))
