@@ -16,7 +16,6 @@ from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.io import files
 from getagrip.io.storage import ARCHIVE, Place, Remote, place
 
-
 OUR_FILES = ("index.html", "summary.csv", "ledger.sqlite", "ledger.sqlite-wal", "ledger.sqlite-shm", "clips")
 """What stands beside the results in a folder of them: no clip may have these names."""
 
