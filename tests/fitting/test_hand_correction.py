@@ -79,7 +79,7 @@ def test_at_the_truth_hardly_a_pixel_differs(
 
 @pytest.mark.slow
 def test_a_true_hand_is_left_alone(made: tuple[Clip, Masks]) -> None:
-    assert correct_hand(*made) is None
+    assert correct_hand(*made)[0] is None
     problem = prepare(*made, Options())
     assert not problem.hand_corrected
     np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, made[0].hand.T_cam_hand)
@@ -88,7 +88,7 @@ def test_a_true_hand_is_left_alone(made: tuple[Clip, Masks]) -> None:
 @pytest.mark.slow
 def test_a_constant_error_is_found(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
-    found = correct_hand(clip, made[1])
+    found = correct_hand(clip, made[1])[0]
     assert found is not None
     assert found.after < 0.3 * found.before
     before, after = apart(clip, clip.hand.T_cam_hand), apart(clip, found.T_cam_hand)
@@ -100,21 +100,21 @@ def test_a_constant_error_is_found(made: tuple[Clip, Masks]) -> None:
 def test_without_joints_the_hand_is_corrected_as_a_rigid_one(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
     clip = replace(clip, hand=replace(clip.hand, joints=None))
-    found = correct_hand(clip, made[1])
+    found = correct_hand(clip, made[1])[0]
     assert found is not None
     assert apart(clip, found.T_cam_hand)[1] < 0.3 * apart(clip, clip.hand.T_cam_hand)[1]
 
 
 def test_without_pixels_the_prior_decides(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
-    assert correct_hand(clip, Masks(made[1].object, np.zeros_like(made[1].ignore))) is None
+    assert correct_hand(clip, Masks(made[1].object, np.zeros_like(made[1].ignore)))[0] is None
 
 
 @pytest.mark.slow
 def test_pixels_that_are_not_the_hand_move_nothing(made: tuple[Clip, Masks]) -> None:
     clip, masks = made
     everything = Masks(masks.object, ~masks.object)
-    assert correct_hand(clip, everything) is None
+    assert correct_hand(clip, everything)[0] is None
     far = np.zeros_like(masks.ignore)
     far[:, :20, :20] = True
     assert HandMask.of(clip, Masks(masks.object, masks.ignore | far)).pixels == HandMask.of(clip, masks).pixels
@@ -132,7 +132,7 @@ def test_the_arm_says_nothing(made: tuple[Clip, Masks]) -> None:
             u, v = int(u0 + t * (u0 - u1)), int(v0 + t * (v0 - v1))
             arm.ignore[n, max(v - 3, 0) : v + 3, max(u - 3, 0) : u + 3] = True
     assert (arm.ignore & ~masks.ignore).any()
-    assert correct_hand(clip, arm) is None
+    assert correct_hand(clip, arm)[0] is None
 
 
 @pytest.mark.slow
@@ -149,8 +149,8 @@ def test_as_given_leaves_everything_as_it_is(made: tuple[Clip, Masks]) -> None:
 def test_where_the_hand_is_known_alone_another_one_does_not_count(made: tuple[Clip, Masks]) -> None:
     clip, masks = off(made[0], CONSTANT), made[1]
     beside = masks.ignore | (np.roll(masks.ignore, 25, axis=2) & ~masks.object)
-    alone = correct_hand(clip, Masks(masks.object, masks.ignore, masks.ignore))
-    both = correct_hand(clip, Masks(masks.object, beside, masks.ignore))
+    alone, _ = correct_hand(clip, Masks(masks.object, masks.ignore, masks.ignore))
+    both, _ = correct_hand(clip, Masks(masks.object, beside, masks.ignore))
     assert alone is not None
     assert both is not None
     assert apart(clip, both.T_cam_hand)[1] < 0.4 * apart(clip, clip.hand.T_cam_hand)[1]

@@ -14,12 +14,17 @@ from getagrip.clip.sampling import frame_indices
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
 from getagrip.geometry.depth import covered
+from getagrip.geometry.render import nearest_surface
 from getagrip.metrics.contact import moving_distance
 
 POINTS = 400
 """Vertices of the hand whose distances to the object are measured."""
 SMALL = 64
 """Longer side of the images in which the hand is drawn [px]."""
+LARGE, FRAMES = 256, 8
+"""Longer side of the images in which hand and object are drawn [px], and frames in which they are."""
+PER_REGION = 6
+"""Vertices that stand for a contact region of the hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +41,8 @@ class Evidence:
         doubted: share of the frames whose masks are doubted; NaN where none was checked.
         deformed: root mean square distance by which the fit has deformed the mesh, in diameters; NaN where there was
             none.
+        hand_differing: share of the hand's seen pixels that differ from its silhouette; NaN where that is not known.
+        misfit: how much farther contours are from those of the masks than the object's own mesh would leave them.
     """
 
     clip: Clip
@@ -45,6 +52,8 @@ class Evidence:
     iou: Float[ndarray, "n"] | None = None
     doubted: float = np.nan
     deformed: float = np.nan
+    hand_differing: float = np.nan
+    misfit: float = np.nan
 
     @cached_property
     def hand_middle(self) -> Float[ndarray, "T 3"]:
@@ -129,3 +138,40 @@ class Evidence:
         points = se3.transform(se3.inverse(self.T_hand_obj), hand.vertices[:, some])
         vertices = np.broadcast_to(self.scale * mesh.vertices, (len(points), *mesh.vertices.shape))
         return moving_distance(points, vertices, mesh.faces)
+
+    @cached_property
+    def region_distance(self) -> Float[ndarray, "T R"]:
+        """Signed distance [m] of each contact region of the hand to the found object, negative inside."""
+        assert self.T_hand_obj is not None
+        hand, mesh = self.clip.hand, self.clip.mesh
+        some = [ids[frame_indices(len(ids), PER_REGION)] for ids in hand.regions.values() if len(ids)]
+        points = se3.transform(se3.inverse(self.T_hand_obj), hand.vertices[:, np.concatenate(some)])
+        vertices = np.broadcast_to(self.scale * mesh.vertices, (len(points), *mesh.vertices.shape))
+        distance = moving_distance(points, vertices, mesh.faces)
+        ends = np.cumsum([len(ids) for ids in some])[:-1]
+        return np.stack([part.min(axis=1) for part in np.split(distance, ends, axis=1)], axis=1)
+
+    @cached_property
+    def in_front(self) -> tuple[float, float]:
+        """Share of the seen pixels of the hand in which the found object is in front of it, and share of the object's
+        mask in which the hand is in front: both 0 where all is right. NaN where there are no such pixels.
+        """
+        assert self.T_hand_obj is not None
+        few, zoom = frame_indices(len(self.clip), FRAMES), min(1.0, LARGE / max(self.clip.size))
+        size = max(1, int(self.clip.size[0] * zoom)), max(1, int(self.clip.size[1] * zoom))
+        rows, columns = (((np.arange(side) + 0.5) / zoom).astype(int) for side in size[::-1])
+        counts = np.zeros((2, 2))
+        for n in few:
+            hand = self.clip.hand.T_cam_hand[n]
+            surfaces = (
+                (se3.transform(hand @ self.T_hand_obj[n], self.scale * self.clip.mesh.vertices), self.clip.mesh.faces),
+                (se3.transform(hand, self.clip.hand.vertices[n]), self.clip.hand.faces),
+            )
+            nearest = nearest_surface(surfaces, np.diag([zoom, zoom, 1.0]) @ self.clip.K[n], size)
+            seen = self.masks.object if self.masks.hand is None else self.masks.hand
+            for k, mask in enumerate((seen[n] & (self.masks.hand is not None), self.masks.object[n])):
+                shown = mask[rows[:, None], columns]
+                counts[k] += np.count_nonzero(shown & (nearest == k)), np.count_nonzero(shown)
+        with np.errstate(invalid="ignore"):
+            over, under = counts[:, 0] / counts[:, 1]
+        return float(over), float(under)

@@ -69,12 +69,23 @@ def _miss(given: Evidence, frames: Int[ndarray, "n"], masks: Int[ndarray, "n"]) 
     P = K @ T[:, :3]
     uv, depth = given.centroids[masks], given.depth[frames]
     rows = (P[:, :2] - uv[..., None] * P[:, 2:]) / depth[:, None, None]  # (n, 2, 4): pixels off, nearly
-    size = np.sqrt(np.median(given.mask_area[masks]))
+    size = max(np.sqrt(np.median(given.mask_area[masks])), _expected_size(given))
     rows = rows / size
     A, b = rows[..., :3].reshape(-1, 3), -(rows @ np.append(middle, 1.0)).ravel()
     ridge = 0.01 * len(frames) / NEAR**2
     p = np.linalg.solve(A.T @ A + ridge * np.eye(3), A.T @ b)
     return float(np.sqrt(np.sum((A @ p - b) ** 2) / len(frames)))
+
+
+def _expected_size(given: Evidence) -> float:
+    """The object's diameter in the image, over two, where it is known [px]: about the root of the area of a whole mask.
+
+    What little the hand leaves to see of an object may lie anywhere in it.
+    """
+    if given.clip.scale != "known":
+        return 0.0
+    focal = given.clip.K[:, [0, 1], [0, 1]].mean(axis=1)
+    return float(np.median(focal / given.depth)) * given.clip.mesh.diameter / 2.0
 
 
 def _overlap(given: Evidence) -> Float[ndarray, "T T"]:

@@ -50,3 +50,19 @@ def gap(it: Evidence) -> float:
 def penetration(it: Evidence) -> float:
     """Depth of the hand's deepest point inside the object, median over frames [mm]."""
     return 1e3 * float(np.median(np.maximum(-it.to_object.min(axis=1), 0.0)))
+
+
+def second_gap(it: Evidence) -> float:
+    """Distance of the second nearest contact region of the hand, median over frames [mm]; 0 where it touches."""
+    regions = it.region_distance
+    return 1e3 * float(np.median(np.maximum(np.sort(regions, axis=1)[:, 1], 0.0))) if regions.shape[1] > 1 else UNKNOWN
+
+
+def hand_off_pixels(it: Evidence) -> float:
+    """Share of the hand's own pixels that differ from its silhouette, where they are known to be its own."""
+    return it.hand_differing if it.masks.hand is not None else UNKNOWN
+
+
+def hand_off_ignored(it: Evidence) -> float:
+    """The same where the ignored pixels near the hand are taken for its own."""
+    return it.hand_differing if it.masks.hand is None else UNKNOWN

@@ -12,12 +12,9 @@ from numpy import ndarray
 from getagrip.checks.evidence import Evidence
 from getagrip.clip.sampling import frame_indices
 from getagrip.geometry import se3
-from getagrip.metrics.contact import moving_distance
 from getagrip.metrics.symmetry import surface_points
 from getagrip.result import Axis, Candidates
 
-PER_REGION = 6
-"""Vertices that stand for a contact region of the hand."""
 FRAMES, POINTS = 5, 200
 """Frames in which candidates are compared, and points of the object's surface."""
 
@@ -32,14 +29,12 @@ class Solved(Evidence):
         candidates: the best distinct solutions in these frames; the first is the one that was found.
         axis: the axis that was found, where the method has one.
         T_cam_hand_given: (T, 4, 4) poses of the hand as it was given.
-        misfit: how much farther contours are from those of the masks than the object's own mesh would leave them.
         spread: standard deviation of the pose that the energy leaves, in diameters; NaN where it is not known.
     """
 
     candidates: Candidates
     axis: Axis | None
     T_cam_hand_given: Float[ndarray, "T 4 4"]
-    misfit: float
     spread: float
 
     @property
@@ -75,17 +70,6 @@ class Solved(Evidence):
         off = [[tree.query(x)[0].mean() for tree, x in zip(trees, surface, strict=True)] for surface in surfaces]
         nearest = [tree.query(x, k=2)[0][:, 1].mean() for tree, x in zip(trees, surfaces[0], strict=True)]
         return np.maximum(np.mean(off, axis=1) - 0.5 * np.mean(nearest), 0.0) / self.diameter
-
-    @cached_property
-    def region_distance(self) -> Float[ndarray, "T R"]:
-        """Signed distance [m] of each contact region of the hand to the object, negative inside."""
-        hand, mesh = self.clip.hand, self.clip.mesh
-        some = [ids[frame_indices(len(ids), PER_REGION)] for ids in hand.regions.values() if len(ids)]
-        points = se3.transform(se3.inverse(self.poses), hand.vertices[:, np.concatenate(some)])
-        vertices = np.broadcast_to(self.scale * mesh.vertices, (len(points), *mesh.vertices.shape))
-        distance = moving_distance(points, vertices, mesh.faces)
-        ends = np.cumsum([len(ids) for ids in some])[:-1]
-        return np.stack([part.min(axis=1) for part in np.split(distance, ends, axis=1)], axis=1)
 
     @cached_property
     def off_axis(self) -> float:

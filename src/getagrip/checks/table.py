@@ -140,6 +140,36 @@ RESULT_CHECKS: tuple[Check, ...] = (
         advice="it is not the object's own, or all masks are off alike; --given-mesh takes it as it is",
     ),
     Check(
+        "mask-misfit", lambda it: it.misfit, high=3.0, serious=False,
+        fault="contours are {value} times as far from those of the masks as the object's own mesh would leave them",
+        advice="do the masks show a box, a shadow, the hand, or only a part? Are they rough? Is it another mesh?",
+    ),
+    Check(
+        "hand-off-pixels", held.hand_off_pixels, high=0.4,
+        fault="the hand's silhouette and its pixels (masks/hand) differ by {value} of these, and no correction helps",
+        advice="check the hand's poses, size and side, the camera, and the label of its masks",
+    ),
+    Check(
+        "hand-off-ignored", held.hand_off_ignored, high=0.4, serious=False,
+        fault="the hand's silhouette and the ignored pixels there differ by {value} of these, and no correction helps",
+        advice="if nothing else is ignored there, check the hand's poses, size and side, and the camera",
+    ),
+    Check(
+        "object-over-hand", lambda it: it.in_front[0], high=0.2,
+        fault="the object was found in front of the hand in {value} of the pixels that show the hand",
+        advice="hand and object are at the wrong distance: check the sizes of hand and mesh, and the hand's distance",
+    ),
+    Check(
+        "hand-over-object", lambda it: it.in_front[1], high=0.25, serious=False,
+        fault="the hand is in front of the object in {value} of the object's mask",
+        advice="do the masks include what the hand hides, or the hand itself? Or is one at the wrong distance?",
+    ),
+    Check(
+        "second-gap", held.second_gap, high=12.0, serious=False,
+        fault="only one part of the hand is near the object, the next {value} mm away",
+        advice="is it held so? Else sizes or distances of hand and object do not agree",
+    ),
+    Check(
         "contact-gap", held.gap, high=15.0,
         fault="hand and object are {value} mm apart in half of the frames",
         advice="nothing is held there: check the hands' distance from the camera, and --method one-dof",

@@ -66,27 +66,28 @@ class HandCorrection:
         )
 
 
-def correct_hand(clip: Clip, masks: Masks) -> HandCorrection | None:
-    """The correction of a clip's hand; None where its pixels are not known or ask for none.
+def correct_hand(clip: Clip, masks: Masks) -> tuple[HandCorrection | None, float]:
+    """The correction of a clip's hand, and the share of its seen pixels that differ from its silhouette then.
 
-    Pixels of the hand are the ignored ones near the given hand. They are known to be its own if it can be made to
-    agree with them.
+    There is no correction where its pixels are not known (the share is NaN) or ask for none, and where it cannot be
+    made to agree with them: then they are not this hand's, or it is too far off. Pixels of the hand are those of
+    ``masks.hand``, else the ignored ones near the given hand.
     """
     seen = HandSilhouette.of(clip, masks)
     if seen.mask.pixels == 0:
-        return None
+        return None, float("nan")
     given = np.zeros((len(clip), RIGID))
     before = seen.differing(given) / seen.mask.pixels
     if not np.isfinite(before) or before < WORTH:
-        return None
+        return None, before
     found = _fitted(seen.with_field, given)
     after = found.pixels / seen.mask.pixels
     if after > AGREE or before - after < WORTH:
-        return None
+        return None, before
     T, T_given, middle = found.T_cam_hand, clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_given[:, :3, :3])
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_given, middle), axis=-1)
-    return HandCorrection(T, float(turned.mean()), float(moved.mean()), before, after)
+    return HandCorrection(T, float(turned.mean()), float(moved.mean()), before, after), after
 
 
 def _fitted(seen: HandSilhouette, given: Float[ndarray, "N P"]) -> _Fit:

@@ -47,6 +47,7 @@ class Problem:
         hand_drawn: whether pixels that the drawn hand covers are ignored, for want of ignore masks.
         prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations.
         hand_corrected: whether the clip's hand is no longer as it was given.
+        hand_differing: share of the hand's seen pixels that differ from its silhouette; NaN where that is not known.
         notes: dropped frames, guesses, initial poses, what stands in for missing masks.
         threads: so many share the hypotheses of a fit, and what can be prepared apart.
         doubted: names of frames that were left out because their masks contradict the others (``doubted_masks``).
@@ -71,6 +72,7 @@ class Problem:
     most_differing: float = np.inf
     contact: float = 1.0
     reach: float = REACH
+    hand_differing: float = np.nan
 
     def at(self, clip: Clip, masks: Masks) -> Problem:
         """The same problem in other frames of its clip, with the masks that are given for them."""
@@ -142,9 +144,9 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     if clip.left_out:
         names = ", ".join(clip.left_out)
         notes.append(f"{len(clip.left_out)} frames without a visible object were left out of the fit: {names}")
-    correction = None
+    correction, differing = None, float("nan")
     if options.hands == "corrected" and not as_published:
-        correction = correct_hand(clip, masks)
+        correction, differing = correct_hand(clip, masks)
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
@@ -158,7 +160,18 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     observation = observe(masks, clip.K, options.occlusion)
     corrected = correction is not None
     return Problem(
-        clip, masks, given, observation, surface.result(), options, poses, corrected, tuple(notes), hand_drawn, threads
+        clip,
+        masks,
+        given,
+        observation,
+        surface.result(),
+        options,
+        poses,
+        corrected,
+        tuple(notes),
+        hand_drawn,
+        threads,
+        hand_differing=differing,
     )
 
 

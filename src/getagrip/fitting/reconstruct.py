@@ -81,15 +81,16 @@ def reconstruct(
         whole = at_every_frame(*footage, problem, found, track)
         clock("every frame")
         solved = Solved(
-            problem.clip, problem.given_masks, track.T_hand_obj[0], scale, track.iou,
+            problem.clip, problem.given_masks, track.T_hand_obj[0], scale, whole.iou,
             doubted=len(whole.doubted) / len(whole.frames),
             deformed=0.0 if found.warp is None else found.warp.displacement(light.mesh) / light.mesh.diameter,
             candidates=Candidates(track.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
+            hand_differing=problem.hand_differing,
             T_cam_hand_given=clip.hand.T_cam_hand[clip.index_of(problem.clip.frames)],
             misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
             spread=pose_spread(problem, found),
         )  # fmt: skip
-        of_result, more = examine(RESULT_CHECKS, replace(solved, iou=whole.iou))
+        of_result, more = examine(RESULT_CHECKS, solved)
         signs = read_signs(solved)
         clock("check of the result")
     result = _reconstruction(problem, options, found, whole, clock.seconds())
@@ -99,18 +100,18 @@ def reconstruct(
         findings=(*findings, *more),
         checks=measured | of_result,
         signs=signs,
-        probability_right=probability_right(options, signs, findings),
-        probability_right_in_camera=probability_right(options, signs, findings, "camera"),
+        probability_right=probability_right(options, signs, (*findings, *more)),
+        probability_right_in_camera=probability_right(options, signs, (*findings, *more), "camera"),
     )
 
 
 def probability_right(
     options: Options, signs: Mapping[str, float], findings: Sequence[Finding], where: Where = "hand"
 ) -> Probability | None:
-    """How probable it is that a result with such signs is right; ``findings`` are those about its input.
+    """How probable it is that a result with such signs is right; ``findings`` are those about its input and itself.
 
     None where nothing is calibrated: for methods and energies other than those that were, for shorter searches, and
-    where something serious is found about the input.
+    where a finding is serious: inputs that are wrong were no part of the calibration.
     """
     calibration = CALIBRATIONS.get((options.method, where))
     as_usual = options.inits >= Options.inits and all(
