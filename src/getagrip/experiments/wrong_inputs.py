@@ -20,6 +20,8 @@ from getagrip.geometry.mesh import Mesh, merged
 Mistake = Callable[[Clip, Masks, np.random.Generator], tuple[Clip, Masks]]
 AWAY, FAR, TINY = 0.24, 10.0, 0.006
 """How much farther from the camera a hand is moved [m], how far from it one is put [m], and a tiny mesh's size [m]."""
+TOO_LARGE = 1.15
+"""How many times too large a hand is, and too far away: it looks as before."""
 
 
 def other_mesh(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
@@ -54,6 +56,23 @@ def far(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks
     T = clip.hand.T_cam_hand.copy()
     T[:, :3, 3] *= FAR / T[:, 2:3, 3]
     return replace(clip, hand=replace(clip.hand, T_cam_hand=T)), masks
+
+
+def too_large(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The hand ``TOO_LARGE`` and farther by as much, as where an estimator takes every hand for a large one."""
+    T = clip.hand.T_cam_hand.copy()
+    T[:, :3, 3] *= TOO_LARGE
+    return replace(clip, hand=replace(clip.hand, vertices=TOO_LARGE * clip.hand.vertices, T_cam_hand=T)), masks
+
+
+def with_hand(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The object's masks with the pixels of the hand in them."""
+    return clip, replace(masks, object=masks.object | masks.ignore, ignore=np.zeros_like(masks.ignore))
+
+
+def background(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The masks of what is neither hand nor object, its size unknown."""
+    return replace(clip, scale="free"), replace(masks, object=~masks.object & ~masks.ignore)
 
 
 def one_pixel(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
@@ -109,6 +128,9 @@ MISTAKES: dict[str, Mistake] = {
     "side flipped": other_side,
     "hands 24 cm away": away,
     "hand at 10 m": far,
+    "hand too large": too_large,
+    "masks with the hand": with_hand,
+    "masks of the background": background,
     "one-pixel masks": one_pixel,
     "noise masks": noise_masks,
     "focal jumps": focal_jumps,
