@@ -97,7 +97,7 @@ def test_nothing_that_misses_the_masks_is_called_converged() -> None:
 @pytest.mark.slow
 def test_a_hand_too_large_is_found_behind_the_object() -> None:
     """Not for every object: what the hand covers of a mug from behind is little."""
-    result = reconstruct(*Wrong("hand too large")(*scene("box", 1, SMALL), seed=0), QUICK)
+    result = reconstruct(*Wrong("hand too large")(*scene("box", 1, SMALL), seed=0))
     assert "object-over-hand" in {finding.check for finding in result.findings if finding.serious}
     assert result.probability_right is None
 
