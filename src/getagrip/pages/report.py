@@ -22,6 +22,7 @@ from getagrip.pages.pictures import jpeg, mask_path, paths
 from getagrip.probability import of_segment
 from getagrip.result import Reconstruction
 from getagrip.view.curves import angle_curve, seconds
+from getagrip.view.gap import coarse, gap
 from getagrip.view.shown import View
 from getagrip.view.stills import steady_windows
 from getagrip.view.style import AXIS, FOUND, HAND_LINE, INK, TRUE
@@ -48,7 +49,7 @@ def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, A
     ``evaluation`` is what ``evaluate`` gives for it, ``record`` the content of its ``result.json``. Raises
     ``InputError`` for an image that cannot be read, ``UsageError`` for an unknown method.
     """
-    view = motion.coarse(view)
+    view = coarse(view)
     shown = _shown(view)
     some = view.at([view.result.frames[n] for n in shown])
     where, packed = pack(motion.arrays(some))
@@ -167,7 +168,7 @@ def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[st
         {
             "title": "gap of hand and object",
             "unit": "mm",
-            "lines": [_line("gap", motion.gap_mm(view), HAND_LINE)],
+            "lines": [_line("gap", 1e3 * gap(view), HAND_LINE)],
             "upTo": (0, 0),
         },
     ]
