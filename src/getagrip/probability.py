@@ -11,6 +11,10 @@ from getagrip.errors import InputError
 from getagrip.io.files import shown
 
 
+RIGHT = "right if the mean vertex distance is below 10 % of the diameter"
+"""What is meant, in short, where a probability is shown; ``Probability.meaning`` says it at length."""
+
+
 @dataclass(frozen=True)
 class Probability:
     """A calibrated probability, from what is known without ground truth.

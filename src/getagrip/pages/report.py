@@ -19,7 +19,7 @@ from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 from getagrip.pages import motion
 from getagrip.pages.document import document, pack
 from getagrip.pages.pictures import jpeg, mask_path, paths
-from getagrip.probability import of_segment
+from getagrip.probability import RIGHT, of_segment
 from getagrip.result import Reconstruction
 from getagrip.view.curves import angle_curve, seconds
 from getagrip.view.gap import coarse, gap
@@ -103,7 +103,7 @@ def _summary(view: View, record: Mapping[str, Any]) -> dict[str, Any]:
         "status": result.status,
         "ambiguous": result.ambiguous,
         "findings": [{"serious": f.serious, "check": f.check, "message": f.message} for f in result.findings],
-        "notes": [*_segments(result), *(str(note) for note in result.notes), *_meaning(result)],
+        "notes": [*_segments(result), *(str(note) for note in result.notes), *_in_short(result)],
         "truth": clip.truth is not None,
         "version": str(record.get("software", {}).get("getagrip", "")),
     }
@@ -126,15 +126,21 @@ def _segments(result: Reconstruction) -> list[str]:
 def _probably(result: Reconstruction) -> list[dict[str, str]]:
     """How probable it is that the result is right, where that is calibrated."""
     return [
-        {"name": f"probability right {where}", "value": str(right)} for where, right in result.probabilities.items()
+        {"name": f"probability right {where}", "value": str(right), "meaning": right.meaning}
+        for where, right in result.probabilities.items()
     ]
 
 
-def _meaning(result: Reconstruction) -> list[str]:
-    """What that means, in words."""
+def _in_short(result: Reconstruction) -> list[str]:
+    """What that means, as a note."""
+    return [f"probability: {RIGHT}"] * bool(_meanings(result))
+
+
+def _meanings(result: Reconstruction) -> dict[str, str]:
+    """What that means, at length, by where; of a timeline, that of its grasps."""
     of_grasps = [right for right in map(of_segment, result.segments) if right is not None]
     known = [*result.probabilities.items(), *(("in the hand", right) for right in of_grasps[:1])]
-    return [f"probability right {where}: {right.meaning}" for where, right in known]
+    return {f"right {where}": right.meaning for where, right in known}
 
 
 def _main(metrics: Mapping[str, float]) -> list[dict[str, str]]:
@@ -220,6 +226,7 @@ def _tables(view: View, metrics: Mapping[str, float], record: Mapping[str, Any])
     known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
     values = [[key, f"{known[key].text(v)}{unit_of(known[key])}"] for key, v in metrics.items() if key in known]
     tables = {
+        "What the probabilities mean": _rows(_meanings(result)),
         "Metrics (docs/metrics.md)": values,
         "Checks": _rows(result.checks),
         "Energy [px²]": _rows(result.energy),

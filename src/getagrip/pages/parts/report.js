@@ -8,7 +8,9 @@ function head() {
   byId("name").textContent = data.name;
   byId("facts").textContent = data.facts.join("  ·  ");
   byId("status").textContent = data.status;
-  for (const { name, value } of data.main) byId("main").append(element("div", {}, element("dd", {}, value), element("dt", {}, name)));
+  for (const { name, value, meaning } of data.main) {
+    byId("main").append(element("div", { title: meaning }, element("dd", {}, value), element("dt", {}, name)));
+  }
   const doubts = data.findings.map(({ serious, check, message }) => [serious ? "serious" : "note", check, message]);
   const shown = data.candidates.length > 1 ? "; the candidates below show it" : "";  // of a timeline there is one only
   if (data.ambiguous) doubts.unshift(["note", "ambiguous", `another pose explains the masks almost as well${shown}`]);
