@@ -46,7 +46,8 @@ def folder(tmp_path_factory: Any) -> Path:
     pair = Candidates(np.stack([T, good.T_hand_obj]), np.ones(2), np.array([1.0, 2.0]))
     moved = replace(
         good, method="one-dof", T_hand_obj=T, iou=np.linspace(0.9, 0.4, len(clip)), findings=(finding,), axis=axis,
-        notes=(f"a guess: {EVIL}",), candidates=pair, ambiguous=True, probability_right=Probability(0.93, f"long {EVIL}"),
+        notes=(f"a guess: {EVIL}",), candidates=pair, ambiguous=True,
+        probability_right=Probability(0.995, f"long {EVIL}"),
     )  # fmt: skip
     checksum = input_sha256(written)
     for name, result in (("good", good), ("moved", moved)):
@@ -173,7 +174,7 @@ def test_words_of_strangers_stay_words(page: Any, folder: Path) -> None:
 def test_what_a_probability_means_is_said_once_and_folded(page: Any, folder: Path) -> None:
     opened(page, folder / "moved" / "one" / "report.html")
     shown = page.locator("#main div").first
-    assert shown.inner_text() == "93 %\nprobability right in the hand"
+    assert shown.inner_text() == "> 99 %\nprobability right in the hand"
     assert shown.get_attribute("title") == f"long {EVIL}"
     assert "long" not in page.inner_text("body")
     page.get_by_text("What the probabilities mean").click()
@@ -196,6 +197,9 @@ def test_the_index_sorts_filters_and_links(page: Any, folder: Path) -> None:
     assert sets()[1].startswith("other: ")
     assert "expected an unchanged clip" in sets()[1]
     assert page.locator("tbody .value.by").first.inner_text() == "40.0"
+    page.get_by_role("button", name="probability right in the hand").click()
+    assert page.locator("tbody .value.by").first.inner_text() == "> 99"
+    page.get_by_role("button", name="worst frame").click()
     page.locator("#flags").select_option("serious")
     assert sets()[0] == "moved"
     assert len(sets()) == 2

@@ -28,7 +28,7 @@ def ball_and(mesh: Mesh, x: float) -> View:
 
 @pytest.mark.parametrize("apart", [-0.01, 0.01, 2.0 * REACH])
 def test_an_edge_of_a_box_is_as_far_from_a_ball_as_it_is(apart: float) -> None:
-    """No corner of the box is near the ball, and no vertex of the ball as deep in the box as the edge is in the ball."""
+    """No corner of the box is near the ball, and no vertex of the ball as deep in the box as its edge."""
     half = 0.1
     view = ball_and(box(2.0 * half, 2.0 * half, 2.0 * half), RADIUS + apart + np.sqrt(2.0) * half)
     np.testing.assert_allclose(gap(view), apart, atol=1.5e-3)

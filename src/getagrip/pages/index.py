@@ -18,6 +18,7 @@ from getagrip.io import files
 from getagrip.pages.document import document
 from getagrip.pages.pictures import jpeg
 from getagrip.pages.report import CONTACT, MAIN
+from getagrip.probability import LEAST
 from getagrip.result import Reconstruction
 from getagrip.view.shown import View
 from getagrip.view.stills import overlay, turned
@@ -111,7 +112,13 @@ def write_index(rows: Sequence[IndexRow], title: str, tables: Sequence[str], pat
             for one, name in zip(rows, _sets([one.folder for one in rows]), strict=True)
         ],
         "columns": [
-            {"name": name, "unit": units[name][0], "decimals": units[name][1], "more": units[name][0] == "%"}
+            {
+                "name": name,
+                "unit": units[name][0],
+                "decimals": units[name][1],
+                "more": units[name][0] == "%",
+                "least": LEAST if name.startswith("probability") else 0.0,
+            }
             for name in known
         ],
         "first": "ADD sym." if "ADD sym." in known else "IOU",

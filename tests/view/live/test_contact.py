@@ -10,8 +10,8 @@ import pytest
 from getagrip.geometry import se3
 from getagrip.metrics.contact import contact_distances
 from getagrip.metrics.pose import ObjectTrack
-from getagrip.view.live.column import Column
 from getagrip.view.gap import FACES
+from getagrip.view.live.column import Column
 from getagrip.view.live.contact import REACH, Surfaces
 from getagrip.view.live.patch import NOTHING
 from helpers.two_candidates import column

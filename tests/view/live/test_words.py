@@ -35,7 +35,8 @@ def test_the_summary_says_what_is_known_and_quotes_it() -> None:
     assert "probability right in the camera: 97 %" in text
     assert text.count("10 % of the diameter") == 1
     assert "within" not in text
-    assert words.about_probabilities(it) == "**right in the hand**: within &lt;10\\> %\n\n**right in the camera**: camera"
+    meanings = "**right in the hand**: within &lt;10\\> %\n\n**right in the camera**: camera"
+    assert words.about_probabilities(it) == meanings
     assert words.about_probabilities(column()) == ""
 
 
