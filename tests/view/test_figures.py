@@ -271,10 +271,12 @@ def test_figures_are_written_whole_or_not_at_all(run: Run, made: Path, tmp_path:
         assert (status, out.strip()) == (1, str(tmp_path / name))  # one folder is missing, the others are drawn
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+    assert run("figure", "gallery", mug, "--out", tmp_path / "new" / "er" / "a.png", "--dpi", 50)[0] == 0
+    assert (tmp_path / "new" / "er" / "a.png").is_file()
     before = sorted(tmp_path.iterdir())
     for args, code, words in [
         (("contact", mug, "--out", tmp_path / "x.svg"), 2, "x.svg, expected a file whose name ends in .png or .pdf"),
-        (("contact", mug, "--out", tmp_path / "no" / "x.png"), 2, "--out: got"),
+        (("contact", mug, "--out", tmp_path / "a.png" / "x.png"), 2, "--out: got"),
         (("contact", mug, "--out", tmp_path / "x.png", "--contact", 90), 2, "--contact: got 90 mm"),
         (("contact", "--out", tmp_path / "x.png"), 2, "RESULT: name at least one result"),
         (("aligned", mug, "--out", tmp_path / "x.png", "--frames", 0), 2, "--frames: got 0, expected 1 to 12"),
