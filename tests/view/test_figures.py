@@ -29,6 +29,7 @@ from getagrip.view.figures.kind import summary
 from getagrip.view.figures.methods import Methods
 from getagrip.view.figures.rows import distinct, numbers
 from getagrip.view.looking import Eye, looking
+from getagrip.view.sheet import Sheet
 from getagrip.view.shown import View
 from getagrip.view.style import AXIS, FOUND, HAND_LINE
 from helpers.clips import box
@@ -315,3 +316,15 @@ def test_cameras_see_all_that_they_look_at(side: list[float], up: list[float]) -
     np.testing.assert_allclose(towards, [0.0, 0.0, -1.0], atol=1e-12)
     if side != up:
         assert (eye.T_view_frame[:3, :3] @ np.array(up))[1] < 0.0  # rows count downwards
+
+
+def test_long_names_keep_their_beginning_and_their_end() -> None:
+    sheet = Sheet.of(4.0, 1.0, DPI)
+    name = "20200709-subject-01--20200709_150413--025_mug-right-000012-000047"
+    sheet.text(0.1, 0.1, name, 3.0)
+    (text,) = sheet.figure.texts
+    head, tail = text.get_text().split("...")
+    assert name.startswith(head)
+    assert name.endswith(tail)
+    assert abs(len(head) - len(tail)) <= 1
+    assert 2.8 * DPI < text.get_window_extent().width <= 3.0 * DPI
