@@ -11,14 +11,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, IOU, METRICS, ROTATION_SYM, SCA, Metric
+from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, IOU, ROTATION_SYM, SCA, Metric
 from getagrip.fitting.methods import method_of
 from getagrip.geometry.camera import Crops
 from getagrip.io import files
-from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
+from getagrip.metrics.contact import ContactDefinition
 from getagrip.pages import motion
 from getagrip.pages.document import document, pack
 from getagrip.pages.pictures import jpeg, mask_path, paths
+from getagrip.pages.tables import meanings, tables, unit_of
 from getagrip.probability import RIGHT, of_segment
 from getagrip.result import Reconstruction
 from getagrip.view.curves import angle_curve, seconds
@@ -65,7 +66,7 @@ def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, A
         "pictures": [jpeg(image_in(some, k, crops, k), QUALITY) for k in range(len(shown))],
         "size": PICTURE,
         "outlines": _outlines(some, crops),
-        "tables": _tables(view, evaluation["metrics"], record),
+        "tables": tables(view, evaluation["metrics"], record),
         "arrays": where,
         "colours": {"object": FOUND, "hand": HAND_LINE, "true": TRUE, "observed": INK, "axis": AXIS},
         "contact": f"within {1e3 * motion.CONTACT:g} mm",
@@ -133,14 +134,7 @@ def _probably(result: Reconstruction) -> list[dict[str, str]]:
 
 def _in_short(result: Reconstruction) -> list[str]:
     """What that means, as a note."""
-    return [f"probability: {RIGHT}"] * bool(_meanings(result))
-
-
-def _meanings(result: Reconstruction) -> dict[str, str]:
-    """What that means, at length, by where; of a timeline, that of its grasps."""
-    of_grasps = [right for right in map(of_segment, result.segments) if right is not None]
-    known = [*result.probabilities.items(), *(("in the hand", right) for right in of_grasps[:1])]
-    return {f"right {where}": right.meaning for where, right in known}
+    return [f"probability: {RIGHT}"] * bool(meanings(result))
 
 
 def _main(metrics: Mapping[str, float]) -> list[dict[str, str]]:
@@ -150,11 +144,6 @@ def _main(metrics: Mapping[str, float]) -> list[dict[str, str]]:
         if (value := metrics.get(metric.key(CONTACT))) is not None and not np.isnan(value):
             out.append({"name": name, "value": f"{metric.text(value)}{unit_of(metric)}"})
     return out
-
-
-def unit_of(metric: Metric) -> str:
-    """A metric's unit as it follows a number."""
-    return "°" if metric.unit == "deg" else f" {metric.unit}"
 
 
 def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[str, Any]]:
@@ -218,26 +207,3 @@ def _contour(view: View, n: int, crops: Crops, what: str) -> str:
     K = intrinsics_of(view, n, crops, n)
     surfaces = view.hands(n) if what == "hand" else [(view.object(n), view.clip.mesh.faces)]
     return "".join(paths(silhouette_lines(*surface, K, crops.size)) for surface in surfaces)
-
-
-def _tables(view: View, metrics: Mapping[str, float], record: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Everything else that is known, as tables of a name and a value."""
-    result = view.result
-    known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
-    values = [[key, f"{known[key].text(v)}{unit_of(known[key])}"] for key, v in metrics.items() if key in known]
-    tables = {
-        "What the probabilities mean": _rows(_meanings(result)),
-        "Metrics (docs/metrics.md)": values,
-        "Checks": _rows(result.checks),
-        "Energy [px²]": _rows(result.energy),
-        "Time [s]": _rows(result.seconds),
-        "Options": [*_rows(result.options), ["seed", str(result.seed)]],
-        "Sources of the clip": _rows(view.clip.provenance),
-        "Software": _rows(record.get("software", {})),
-    }
-    return [{"title": title, "rows": rows} for title, rows in tables.items() if rows]
-
-
-def _rows(content: Mapping[str, Any]) -> list[list[str]]:
-    """Names and values as texts."""
-    return [[str(key), f"{value:.4g}" if isinstance(value, float) else str(value)] for key, value in content.items()]

@@ -20,8 +20,9 @@ function head() {
   if (data.notes.length) {
     byId("notes").append(element("h2", {}, "Guesses and notes"), element("ul", {}, ...data.notes.map((note) => element("li", {}, note))));
   }
-  for (const { title, rows } of data.tables) {
-    const lines = rows.map(([name, value]) => element("tr", {}, element("th", {}, name), element("td", {}, value)));
+  for (const { title, head, rows } of data.tables) {
+    const lines = rows.map(([name, ...values]) => element("tr", {}, element("th", {}, name), ...values.map((value) => element("td", {}, value))));
+    if (head.length) lines.unshift(element("tr", {}, ...head.map((name) => element("th", {}, name))));
     byId("tables").append(element("details", {}, element("summary", {}, title), element("table", {}, ...lines)));
   }
   byId("footer").textContent = `getagrip ${data.version}. Metres and radians inside; angles here in degrees, distances in millimetres.`;
