@@ -17,7 +17,7 @@ from getagrip.fitting.methods import method_of
 from getagrip.io import files
 from getagrip.pages.document import document
 from getagrip.pages.pictures import jpeg
-from getagrip.pages.report import CONTACT, MAIN
+from getagrip.pages.report import CONTACT, MAIN, headline
 from getagrip.probability import LEAST
 from getagrip.result import Reconstruction
 from getagrip.view.shown import View
@@ -60,7 +60,7 @@ def row(folder: str, view: View, evaluation: Mapping[str, Any], page: bool) -> I
     worst = int(np.nanargmin(result.iou)) if known else 0
     crops = input_windows([view], np.array([worst]), THUMBNAIL)
     pair = np.concatenate([overlay(view, worst, crops, 0), turned(view, worst, crops, 0)], axis=1)
-    plain = _row(folder, result, evaluation["metrics"])
+    plain = _row(folder, result, headline(evaluation))
     values = plain.values | {"worst frame": float(result.iou[worst]) if known else np.nan}
     return replace(plain, page=page, values=values, thumbnail=jpeg(pair, QUALITY))
 

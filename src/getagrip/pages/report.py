@@ -26,8 +26,9 @@ from getagrip.view.curves import angle_curve, seconds
 from getagrip.view.gap import coarse, gap
 from getagrip.view.shown import View
 from getagrip.view.stills import steady_windows
-from getagrip.view.style import AXIS, FOUND, HAND_LINE, INK, TRUE
+from getagrip.view.style import AXIS, FOUND, HAND_LINE, INK, STATE, TRUE
 from getagrip.view.tiles import image_in, intrinsics_of, silhouette_lines
+from getagrip.view.world import called
 
 FRAMES = 120
 """Frames that a page plays, at most; of longer clips as many, evenly sampled, and the worst."""
@@ -57,7 +58,8 @@ def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, A
     crops = steady_windows(some, PICTURE)
     data = {
         **_summary(view, record),
-        "main": [*_probably(view.result), *_main(evaluation["metrics"])],
+        "main": [*_probably(view.result), *_main(headline(evaluation), "metrics_of_grasps" in evaluation)],
+        "segments": _bar(view),
         "plots": _plots(view, evaluation["per_frame"]),
         "times": seconds(view),
         "shown": shown,
@@ -66,7 +68,7 @@ def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, A
         "pictures": [jpeg(image_in(some, k, crops, k), QUALITY) for k in range(len(shown))],
         "size": PICTURE,
         "outlines": _outlines(some, crops),
-        "tables": tables(view, evaluation["metrics"], record),
+        "tables": tables(view, evaluation, record),
         "arrays": where,
         "colours": {"object": FOUND, "hand": HAND_LINE, "true": TRUE, "observed": INK, "axis": AXIS},
         "contact": f"within {1e3 * motion.CONTACT:g} mm",
@@ -124,6 +126,14 @@ def _segments(result: Reconstruction) -> list[str]:
     return out
 
 
+def _bar(view: View) -> list[dict[str, Any]]:
+    """The segments of a timeline for the bar under the slider; none of a clip without."""
+    return [
+        {"words": called(view, s)[0], "colour": STATE[s.state], "first": s.first, "last": s.last}
+        for s in view.clip.segments
+    ]
+
+
 def _probably(result: Reconstruction) -> list[dict[str, str]]:
     """How probable it is that the result is right, where that is calibrated."""
     return [
@@ -137,12 +147,18 @@ def _in_short(result: Reconstruction) -> list[str]:
     return [f"probability: {RIGHT}"] * bool(meanings(result))
 
 
-def _main(metrics: Mapping[str, float]) -> list[dict[str, str]]:
+def headline(evaluation: Mapping[str, Any]) -> dict[str, float]:
+    """The metrics of a result, of which the main ones are shown first; a timeline's stable contact is of its grasps."""
+    return {**evaluation["metrics"], **evaluation.get("metrics_of_grasps", {})}
+
+
+def _main(metrics: Mapping[str, float], of_grasps: bool) -> list[dict[str, str]]:
     """The main metrics that are known."""
     out = []
     for name, metric in MAIN.items():
         if (value := metrics.get(metric.key(CONTACT))) is not None and not np.isnan(value):
-            out.append({"name": name, "value": f"{metric.text(value)}{unit_of(metric)}"})
+            where = ", in grasps" if of_grasps and metric is SCA else ""
+            out.append({"name": f"{name}{where}", "value": f"{metric.text(value)}{unit_of(metric)}"})
     return out
 
 

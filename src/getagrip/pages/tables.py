@@ -16,11 +16,16 @@ from getagrip.view.shown import View
 CHECKS = {check.name: check for check in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP)}
 
 
-def tables(view: View, metrics: Mapping[str, float], record: Mapping[str, Any]) -> list[dict[str, Any]]:
+def tables(view: View, evaluation: Mapping[str, Any], record: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Tables as ``parts/report.js`` reads them: a title, names of columns or none, and rows of texts."""
     result = view.result
     known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
-    values = [[key, f"{known[key].text(v)}{unit_of(known[key])}"] for key, v in metrics.items() if key in known]
+    values = [
+        [f"{key}{where}", f"{known[key].text(value)}{unit_of(known[key])}"]
+        for of, where in (("metrics", ""), ("metrics_of_grasps", ", in grasps"))
+        for key, value in evaluation.get(of, {}).items()
+        if key in known
+    ]
     content = {
         "What the probabilities mean": _rows(meanings(result)),
         "Metrics (docs/metrics.md)": values,

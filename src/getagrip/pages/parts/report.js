@@ -129,6 +129,20 @@ class Player {
   }
 }
 
+/** The segments of a timeline under the slider, whose frames are those that are played; a click goes to its first one. */
+function segmentBar(player) {
+  const last = Math.max(data.shown.length - 1, 1);
+  const at = (n) => data.shown.filter((shown) => shown < n).length;  // how many of them are before a frame
+  const share = (place) => Math.max(0, Math.min(1, (place - 0.5) / last));
+  for (const { words, colour, first, last: end } of data.segments) {
+    const box = element("button", { type: "button", title: words, onclick: () => player.jump(first) }, words);
+    const [left, right] = [share(at(first)), share(at(end + 1))];
+    Object.assign(box.style, { left: `${100 * left}%`, width: `${100 * (right - left)}%`, background: colour });
+    byId("segments").append(box);
+  }
+  byId("segments").hidden = data.segments.length === 0;
+}
+
 /** The 3D view and what can be switched in it; null where the browser has none. */
 function scene(arrays, overlay) {
   let viewer;
@@ -166,8 +180,9 @@ async function start() {
   const overlay = new Overlay();
   const plots = [];
   const player = new Player([overlay], plots);
+  segmentBar(player);
   for (const given of data.plots) {
-    plots.push(new Plot(given, data.times, (n) => player.jump(n)));
+    plots.push(new Plot(given, data.times, data.segments, (n) => player.jump(n)));
     byId("plots").append(plots[plots.length - 1].figure);
   }
   player.show(0);
