@@ -173,6 +173,7 @@ def test_words_of_strangers_stay_words(page: Any, folder: Path) -> None:
 
 def test_what_a_probability_means_is_said_once_and_folded(page: Any, folder: Path) -> None:
     opened(page, folder / "moved" / "one" / "report.html")
+    assert "65.0 %\nIOU" in page.locator("#main div").all_inner_texts()  # the mean of the curve
     shown = page.locator("#main div").first
     assert shown.inner_text() == "> 99 %\nprobability right in the hand"
     assert shown.get_attribute("title") == f"long {EVIL}"

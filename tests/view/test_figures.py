@@ -173,10 +173,8 @@ def test_methods_stand_under_one_another_with_their_numbers(made: Path) -> None:
     for one in source:
         view = one.read()
         known = evaluate(view.result, view.clip, view.masks, wanted=[IOU, SCA, ADD_MM])["metrics"]
-        line = (
-            f"IOU {100 * known['iou']:.1f} %\nSCA {100 * known['sca_object_10mm']:.1f} %\nADD {known['add_mm']:.1f} mm"
-        )
-        assert any(words.startswith(line) for words in texts(figure))
+        shares = f"crop IOU {100 * known['iou']:.1f} %\nSCA {100 * known['sca_object_10mm']:.1f} %"
+        assert any(words.startswith(f"{shares}\nADD {known['add_mm']:.1f} mm") for words in texts(figure))
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ THUMBNAIL, QUALITY = 220, 72
 """Side of each of the two pictures of a result [px], and their JPEG quality."""
 PENETRATION = next(metric for metric in METRICS if metric.name == "penetration_object_mm")
 COLUMNS: Mapping[str, Metric] = {**MAIN, "penetration": PENETRATION}
-"""Metrics of the index, each under a short name."""
+"""Metrics of the index beside the IOU, each under a short name."""
 
 
 @dataclass(frozen=True)
@@ -95,13 +95,14 @@ def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> I
         status=result.status,
         flags=tuple(name for name, holds in flags.items() if holds),
         doubts=tuple(str(finding) for finding in result.findings),
-        values=values | probable | {"time": float(result.seconds.get("total", np.nan))},
+        values={"IOU": result.mean_iou} | values | probable | {"time": float(result.seconds.get("total", np.nan))},
     )
 
 
 def write_index(rows: Sequence[IndexRow], title: str, tables: Sequence[str], path: Path) -> Path:
     """Write the page and return its path. ``tables`` are files beside it that it links to."""
-    units: dict[str, tuple[str, int]] = {name: (metric.unit, metric.decimals) for name, metric in COLUMNS.items()}
+    units: dict[str, tuple[str, int]] = {"IOU": ("%", 1)}
+    units |= {name: (metric.unit, metric.decimals) for name, metric in COLUMNS.items()}
     units |= {f"probability right {where}": ("%", 0) for where in ("in the hand", "in the camera")}
     units |= {"worst frame": ("%", 1), "time": ("s", 2)}
     known = [name for name in units if any(np.isfinite(one.values.get(name, np.nan)) for one in rows)] or ["IOU"]

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, IOU, ROTATION_SYM, SCA, Metric
+from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, ROTATION_SYM, SCA, Metric
 from getagrip.fitting.methods import method_of
 from getagrip.geometry.camera import Crops
 from getagrip.io import files
@@ -37,10 +37,10 @@ PICTURE, QUALITY = 480, 78
 CONTACT = ContactDefinition("object", 0.010)
 """Of stable contact among the main metrics."""
 MAIN: Mapping[str, Metric] = {
-    "IOU": IOU, "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "in the camera": ADD_SYM_CAM_MM, "rotation sym.": ROTATION_SYM,
+    "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "in the camera": ADD_SYM_CAM_MM, "rotation sym.": ROTATION_SYM,
     f"SCA {CONTACT.distance}": SCA,
 }  # fmt: skip
-"""Metrics at the top of the page, each under a short name."""
+"""Metrics at the top of the page beside the IOU, each under a short name."""
 PLOTTED: Mapping[str, Metric] = {"ADD, symmetries allowed": ADD_SYM_MM}
 """Metrics of each frame that are plotted where they are known."""
 
@@ -58,7 +58,11 @@ def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, A
     crops = steady_windows(some, PICTURE)
     data = {
         **_summary(view, record),
-        "main": [*_probably(view.result), *_main(headline(evaluation), "metrics_of_grasps" in evaluation)],
+        "main": [
+            *_probably(view.result),
+            *_met(view.result),
+            *_main(headline(evaluation), "metrics_of_grasps" in evaluation),
+        ],
         "segments": _bar(view),
         "plots": _plots(view, evaluation["per_frame"]),
         "times": seconds(view),
@@ -150,6 +154,11 @@ def _in_short(result: Reconstruction) -> list[str]:
 def headline(evaluation: Mapping[str, Any]) -> dict[str, float]:
     """The metrics of a result, of which the main ones are shown first; a timeline's stable contact is of its grasps."""
     return {**evaluation["metrics"], **evaluation.get("metrics_of_grasps", {})}
+
+
+def _met(result: Reconstruction) -> list[dict[str, str]]:
+    """How well the masks are met, where they are known: the mean of the curve below."""
+    return [] if np.isnan(result.mean_iou) else [{"name": "IOU", "value": f"{100 * result.mean_iou:.1f} %"}]
 
 
 def _main(metrics: Mapping[str, float], of_grasps: bool) -> list[dict[str, str]]:

@@ -14,6 +14,8 @@ from getagrip.result import Reconstruction
 from getagrip.view.shown import View
 
 CHECKS = {check.name: check for check in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP)}
+SAID = {"iou": "iou, in the crop", "iou_soft": "iou_soft, in the crop"}
+"""Metrics whose keys could be taken for the IOU at the top of the page."""
 
 
 def tables(view: View, evaluation: Mapping[str, Any], record: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -21,7 +23,7 @@ def tables(view: View, evaluation: Mapping[str, Any], record: Mapping[str, Any])
     result = view.result
     known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
     values = [
-        [f"{key}{where}", f"{known[key].text(value)}{unit_of(known[key])}"]
+        [f"{SAID.get(key, key)}{where}", f"{known[key].text(value)}{unit_of(known[key])}"]
         for of, where in (("metrics", ""), ("metrics_of_grasps", ", in grasps"))
         for key, value in evaluation.get(of, {}).items()
         if key in known
