@@ -10,6 +10,12 @@ from typing import Any
 from getagrip.errors import InputError
 from getagrip.io.files import shown
 
+RIGHT = "right if the mean vertex distance is below 10 % of the diameter"
+"""What is meant, in short, where a probability is shown; ``Probability.meaning`` says it at length."""
+
+LEAST = 0.01
+"""Nearer to 0 or 1 than this, no number is shown: the calibration does not tell them apart."""
+
 
 @dataclass(frozen=True)
 class Probability:
@@ -26,11 +32,18 @@ class Probability:
     beyond: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        return f"{100.0 * self.value:.0f} %{' (extrapolated)' if self.beyond else ''}"
+        return f"{percent(self.value)}{' (extrapolated)' if self.beyond else ''}"
 
     def fields(self) -> dict[str, Any]:
         """As ``result.json`` holds it."""
         return asdict(self)
+
+
+def percent(value: float) -> str:
+    """A probability, 0 to 1, in words: it is never so sure as 0 or 100 %."""
+    if value < LEAST or value > 1.0 - LEAST:
+        return "< 1 %" if value < LEAST else "> 99 %"
+    return f"{100.0 * value:.0f} %"
 
 
 KINDS: dict[str, tuple[type, ...]] = {"value": (int, float), "meaning": (str,), "beyond": (list,)}

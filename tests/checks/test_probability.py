@@ -33,6 +33,7 @@ from getagrip.finding import Finding
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import probability_right
 from getagrip.geometry import se3
+from getagrip.probability import Probability, percent
 from getagrip.result import Axis, Candidates
 
 DIRECTION = {sign.name: sign.direction for sign in SIGNS}
@@ -178,6 +179,13 @@ def test_what_is_worse_than_in_training_is_said_to_be_extrapolated() -> None:
     assert {*calibration.probability(worst).beyond} == {name for name, w in calibration.weights.items() if w.weight}
     assert calibration.probability({name: -value for name, value in worst.items()}).beyond == ()
     assert "extrapolated" in str(calibration.probability(worst))
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(0.0, "< 1 %"), (0.009, "< 1 %"), (0.01, "1 %"), (0.99, "99 %"), (0.995, "> 99 %")]
+)
+def test_nothing_is_said_to_be_sure(value: float, words: str) -> None:
+    assert percent(value) == str(Probability(value, "")) == words
 
 
 def test_the_calibration_says_on_what_it_was_made() -> None:

@@ -63,7 +63,7 @@ def test_help_is_there(run: Run, args: tuple[str, ...]) -> None:
         ("reconstruct", "a", "--out", "x", "--color"),
         ("reconstruct", "a", "--out", __file__),
         ("evaluate",),
-        ("evaluate", "a", "--json", "no/such/folder/file.json"),
+        ("evaluate", "a", "--json", f"{__file__}/file.json"),
         ("import", "dexycb", "root", "--out", "x"),
         ("report",),
     ],
@@ -118,7 +118,7 @@ def test_a_clip_goes_all_the_way(run: Run, can_and_box: Path, tmp_path: Path) ->
     for name, T_hand_obj in here.items():
         np.testing.assert_array_equal(read_result(out / name)[0].T_hand_obj, T_hand_obj)
 
-    file = tmp_path / "numbers.json"
+    file = tmp_path / "new" / "numbers.json"
     status, printed, _ = run("evaluate", out, "--clips", can_and_box, "--json", file)
     assert status == 1  # the folders are not named as the clips are
     status, printed, _ = run("evaluate", *sorted(out.iterdir()), "--json", file)  # as `out/*` names them

@@ -9,6 +9,7 @@ import numpy as np
 from getagrip.clip import OtherHand
 from getagrip.geometry import se3
 from getagrip.pages import motion
+from getagrip.view.gap import gap
 from getagrip.view.shown import View
 from helpers.egg_and_mug import egg_and_mug, perfect
 
@@ -24,9 +25,9 @@ def test_what_the_other_hand_touches_is_touched() -> None:
     )  # fmt: skip
     moved = replace(result, T_hand_obj=se3.inverse(aside) @ clip.hand.T_cam_hand @ result.T_hand_obj)
     one, both = View.of(result, clip, None), View.of(moved, given, None)
-    gaps = motion.gap_mm(both)
-    np.testing.assert_allclose(gaps[known], motion.gap_mm(one)[known], atol=1e-6)
-    assert gaps[[1, 3, 4]].min() > 100.0
+    gaps = gap(both)
+    np.testing.assert_allclose(gaps[known], gap(one)[known], atol=1e-9)
+    assert gaps[[1, 3, 4]].min() > 0.1
     alone, found = motion.arrays(one), motion.arrays(both)
     assert alone["hand_contact"][known].max() == 255
     for name, of in (("object_contact", "object_contact"), ("other_hand_contact", "hand_contact")):

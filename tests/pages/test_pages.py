@@ -15,6 +15,7 @@ from getagrip.clip import OtherHand, input_sha256, write_clip
 from getagrip.commands.report import ReportRequest, report
 from getagrip.finding import Finding
 from getagrip.geometry import se3
+from getagrip.probability import RIGHT, Probability
 from getagrip.result import Axis, Candidates, write_result
 from helpers.browser import IN_BROWSER, READS_BACK, until
 from helpers.egg_and_mug import egg_and_mug, perfect
@@ -46,6 +47,7 @@ def folder(tmp_path_factory: Any) -> Path:
     moved = replace(
         good, method="one-dof", T_hand_obj=T, iou=np.linspace(0.9, 0.4, len(clip)), findings=(finding,), axis=axis,
         notes=(f"a guess: {EVIL}",), candidates=pair, ambiguous=True,
+        probability_right=Probability(0.995, f"long {EVIL}"),
     )  # fmt: skip
     checksum = input_sha256(written)
     for name, result in (("good", good), ("moved", moved)):
@@ -166,7 +168,18 @@ def test_words_of_strangers_stay_words(page: Any, folder: Path) -> None:
         "note ambiguous: another pose explains the masks almost as well; the candidates below show it",
         f"serious mask-fit: </script>{EVIL}",
     ]
-    assert page.inner_text("#notes li") == f"a guess: {EVIL}"
+    assert page.locator("#notes li").all_inner_texts() == [f"a guess: {EVIL}", f"probability: {RIGHT}"]
+
+
+def test_what_a_probability_means_is_said_once_and_folded(page: Any, folder: Path) -> None:
+    opened(page, folder / "moved" / "one" / "report.html")
+    assert "65.0 %\nIOU" in page.locator("#main div").all_inner_texts()  # the mean of the curve
+    shown = page.locator("#main div").first
+    assert shown.inner_text() == "> 99 %\nprobability right in the hand"
+    assert shown.get_attribute("title") == f"long {EVIL}"
+    assert "long" not in page.inner_text("body")
+    page.get_by_text("What the probabilities mean").click()
+    assert page.inner_text("body").count("long") == 1
 
 
 def test_the_index_sorts_filters_and_links(page: Any, folder: Path) -> None:
@@ -185,6 +198,9 @@ def test_the_index_sorts_filters_and_links(page: Any, folder: Path) -> None:
     assert sets()[1].startswith("other: ")
     assert "expected an unchanged clip" in sets()[1]
     assert page.locator("tbody .value.by").first.inner_text() == "40.0"
+    page.get_by_role("button", name="probability right in the hand").click()
+    assert page.locator("tbody .value.by").first.inner_text() == "> 99"
+    page.get_by_role("button", name="worst frame").click()
     page.locator("#flags").select_option("serious")
     assert sets()[0] == "moved"
     assert len(sets()) == 2

@@ -29,6 +29,7 @@ from getagrip.view.figures.kind import summary
 from getagrip.view.figures.methods import Methods
 from getagrip.view.figures.rows import distinct, numbers
 from getagrip.view.looking import Eye, looking
+from getagrip.view.sheet import Sheet
 from getagrip.view.shown import View
 from getagrip.view.style import AXIS, FOUND, HAND_LINE
 from helpers.clips import box
@@ -172,10 +173,8 @@ def test_methods_stand_under_one_another_with_their_numbers(made: Path) -> None:
     for one in source:
         view = one.read()
         known = evaluate(view.result, view.clip, view.masks, wanted=[IOU, SCA, ADD_MM])["metrics"]
-        line = (
-            f"IOU {100 * known['iou']:.1f} %\nSCA {100 * known['sca_object_10mm']:.1f} %\nADD {known['add_mm']:.1f} mm"
-        )
-        assert any(words.startswith(line) for words in texts(figure))
+        shares = f"crop IOU {100 * known['iou']:.1f} %\nSCA {100 * known['sca_object_10mm']:.1f} %"
+        assert any(words.startswith(f"{shares}\nADD {known['add_mm']:.1f} mm") for words in texts(figure))
 
 
 @pytest.mark.slow
@@ -271,10 +270,12 @@ def test_figures_are_written_whole_or_not_at_all(run: Run, made: Path, tmp_path:
         assert (status, out.strip()) == (1, str(tmp_path / name))  # one folder is missing, the others are drawn
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+    assert run("figure", "gallery", mug, "--out", tmp_path / "new" / "er" / "a.png", "--dpi", 50)[0] == 0
+    assert (tmp_path / "new" / "er" / "a.png").is_file()
     before = sorted(tmp_path.iterdir())
     for args, code, words in [
         (("contact", mug, "--out", tmp_path / "x.svg"), 2, "x.svg, expected a file whose name ends in .png or .pdf"),
-        (("contact", mug, "--out", tmp_path / "no" / "x.png"), 2, "--out: got"),
+        (("contact", mug, "--out", tmp_path / "a.png" / "x.png"), 2, "--out: got"),
         (("contact", mug, "--out", tmp_path / "x.png", "--contact", 90), 2, "--contact: got 90 mm"),
         (("contact", "--out", tmp_path / "x.png"), 2, "RESULT: name at least one result"),
         (("aligned", mug, "--out", tmp_path / "x.png", "--frames", 0), 2, "--frames: got 0, expected 1 to 12"),
@@ -313,3 +314,15 @@ def test_cameras_see_all_that_they_look_at(side: list[float], up: list[float]) -
     np.testing.assert_allclose(towards, [0.0, 0.0, -1.0], atol=1e-12)
     if side != up:
         assert (eye.T_view_frame[:3, :3] @ np.array(up))[1] < 0.0  # rows count downwards
+
+
+def test_long_names_keep_their_beginning_and_their_end() -> None:
+    sheet = Sheet.of(4.0, 1.0, DPI)
+    name = "20200709-subject-01--20200709_150413--025_mug-right-000012-000047"
+    sheet.text(0.1, 0.1, name, 3.0)
+    (text,) = sheet.figure.texts
+    head, tail = text.get_text().split("...")
+    assert name.startswith(head)
+    assert name.endswith(tail)
+    assert abs(len(head) - len(tail)) <= 1
+    assert 2.8 * DPI < text.get_window_extent().width <= 3.0 * DPI

@@ -11,6 +11,7 @@ import pytest
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError, UsageError
+from getagrip.probability import Probability
 from getagrip.result import Axis
 from getagrip.view.report import TILES, report_figure, write_report
 from getagrip.view.style import AXIS, FOUND, TRUE
@@ -27,13 +28,15 @@ def given() -> tuple[Clip, Masks, Axis]:
 def test_every_part_of_the_picture_is_drawn(tmp_path: Path) -> None:
     clip, masks, axis = given()
     metrics = {"add_mm": 1.25, "add_sym_mm": 1.0, "rotation_sym_deg": 2.0}
-    result = true_result(clip, axis)
+    sure, unsure = Probability(0.996, ""), Probability(0.3, "")
+    result = replace(true_result(clip, axis), probability_right=sure, probability_right_in_camera=unsure)
     figure = report_figure(result, clip, masks, metrics)
     assert len(figure.axes) == 3 * TILES + 2
     assert texts(figure) >= {
         clip.name,
         "input and fitted contour",
         "75.0 %",
+        "> 99 %, 30 %",
         "1.2 mm",
         "2.0°",
         "angle of the object about the axis [°]",

@@ -20,10 +20,7 @@ from getagrip.probability import Probability
 
 Where = Literal["hand", "camera"]
 """The frame in which a pose is compared with the true one: that of the hand, or of the camera."""
-MEANING = (
-    "probability that the pose is right in the {}: that there the mean distance of vertices (ADD), up to symmetries, "
-    "is below 10 % of the diameter"
-)
+MEANING = "right: the mean distance of vertices (ADD) in the {}, up to symmetries, is below 10 % of the diameter"
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,21 @@ class Check:
     serious: bool = True
     """Whether the result is probably worthless; else it may be right."""
 
+    @property
+    def usual(self) -> str:
+        """The range in words."""
+        if np.isfinite(self.low) and np.isfinite(self.high):
+            return f"{self.low:g} to {self.high:g}"
+        return f"at least {self.low:g}" if np.isfinite(self.low) else f"at most {self.high:g}"
+
+    def verdict(self, value: float) -> str:
+        """What a measured value says, in a word or two."""
+        if np.isnan(value):
+            return "not applicable"
+        if self.finding(value) is None:
+            return "usual"
+        return "serious" if self.serious else "note"
+
     def finding(self, value: float) -> Finding | None:
         """What there is to say about a measured value."""
         if np.isnan(value) or self.low <= value <= self.high:

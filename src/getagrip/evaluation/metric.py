@@ -109,7 +109,11 @@ def _closed(it: Comparison) -> float:
     return float(np.mean(closed))
 
 
-IOU = Metric("iou", lambda it, _: it.iou.crop, heading="IOU", meaning="IOU: of the visible silhouettes", label="IOU")
+IOU = Metric(
+    "iou", lambda it, _: it.iou.crop, heading="crop\nIOU", meaning="crop IOU: in crops around the masks",
+    label="IOU",
+)  # fmt: skip
+"""In a crop around each mask; that of results themselves is of the whole image."""
 ADD_MM = Metric(
     "add_mm",
     lambda it, _: 1e3 * it.errors.add,
@@ -149,7 +153,7 @@ TRUE_SCA = Metric(
 METRICS: tuple[Metric, ...] = (
     IOU,
     Metric("iou_soft", lambda it, _: it.iou.soft),
-    Metric("iou_full", lambda it, _: it.iou.full, heading="full", meaning="full: of the whole silhouettes"),
+    Metric("iou_full", lambda it, _: it.iou.full, heading="full\nIOU", meaning="full IOU: in the whole image"),
     ADD_MM,
     Metric(
         "add_success", lambda it, _: float(it.errors.success), "%", "ADD", label="ADD", decimals=0, needs_truth=True,

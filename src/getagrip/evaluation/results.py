@@ -15,7 +15,8 @@ from numpy import ndarray
 from getagrip.clip import Clip, Masks, check_masks, find_masks, input_sha256, read_clip
 from getagrip.errors import InputError
 from getagrip.evaluation.comparison import Comparison
-from getagrip.evaluation.metric import METRICS, Metric, measure
+from getagrip.evaluation.grasps import contact_in_grasps
+from getagrip.evaluation.metric import METRICS, SCA, Metric, measure
 from getagrip.geometry.mesh import Mesh
 from getagrip.io import files
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, ContactDistances, contact_distances
@@ -25,7 +26,7 @@ from getagrip.result import Reconstruction, read_result
 
 OF_TIMELINE = (
     "a timeline: poses are compared in the frame of the clip's own hand, and contact is with that hand, in all frames, "
-    "also in those in which it does not hold the object"
+    "also in those in which it does not hold the object; metrics_of_grasps has the stable contact area of its grasps"
 )
 """What is to be known about the metrics of one."""
 
@@ -59,7 +60,8 @@ def evaluate(
     """All metrics of a reconstruction (docs/metrics.md), at the result's frames of the clip and its masks.
 
     ``metrics`` has one number each, ``per_frame`` a list each; names end in their units. Where poses of some frames are
-    interpolated, ``metrics_of_fitted`` leaves these out. What needs masks or ground truth is left out without them.
+    interpolated, ``metrics_of_fitted`` leaves these out; of a timeline, ``metrics_of_grasps`` has the stable contact
+    area of its grasps alone (``contact_in_grasps``). What needs masks or ground truth is left out without them.
     ``contacts`` are the definitions of contact by which it is measured; of the table of metrics only those ``wanted``
     are computed. Of a very large mesh ``notes`` say with how many faces it was measured (``Mesh.light``). Raises
     ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for masks of another clip.
@@ -76,6 +78,10 @@ def evaluate(
     notes = [*clip.mesh.stands_for(whole_mesh, "measured"), *([OF_TIMELINE] if result.segments else [])]
     if notes:
         made["notes"] = notes
+    if SCA in wanted:
+        hands = clip.with_hand_at(None, result.T_cam_other_hand)
+        if in_grasps := contact_in_grasps(hands, found, track, it.contacts, it.reach):
+            made["metrics_of_grasps"] = in_grasps
     fitted = result.frames_of("sampled", "fitted")
     if 0 < len(fitted) < len(clip):
         made["metrics_of_fitted"] = measure(it.take(fitted), wanted)[0]

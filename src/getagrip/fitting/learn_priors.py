@@ -121,7 +121,8 @@ class LearntGrasps:
         return learn(self.holds, self.k, self.way, self.seed) if self.holds else Priors((), (), np.zeros((0, 4, 4)))
 
     def write(self, path: Path) -> None:
-        """Write it as an ``.npz`` file."""
+        """Write it as an ``.npz`` file, its folder made where there is none."""
+        path.parent.mkdir(parents=True, exist_ok=True)
         names = {"category": "category", "side": "side", "clips": "clip", "subjects": "subject"}
         texts = {key: np.array([getattr(h, name) for h in self.holds], np.str_) for key, name in names.items()}
         numbers = {key: np.stack([getattr(h, key) for h in self.holds]) for key in ("R", "centre", "mesh_centre")}

@@ -151,7 +151,11 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def write_json(path: Path, content: Mapping[str, Any] | list[Any]) -> None:
-    """Write a JSON object or list; arrays become lists, numbers that are not finite become null."""
+    """Write a JSON object or list, its folder made where there is none.
+
+    Arrays become lists, numbers that are not finite become null.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, (to_json(content) + "\n").encode())
 
 
@@ -186,8 +190,14 @@ def check_folder(option: str, folder: Path) -> None:
 
 
 def check_file(option: str, file: Path) -> None:
-    """Raise ``UsageError``, in the name of an option, where a file cannot be written; leaves no trace."""
+    """Raise ``UsageError``, in the name of an option, where a file cannot be written; leaves no trace.
+
+    Its folder need not be there yet: whoever writes the file makes it.
+    """
     try:
+        if not file.parent.exists():
+            check_folder(option, file.parent)
+            return
         new = not file.exists()
         file.open("ab").close()
         if new:
@@ -227,8 +237,9 @@ def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
 def new_file(target: Path) -> Iterator[Path]:
     """A path beside ``target`` of a file that takes its place once the block has ended well, and is removed if not.
 
-    An ``OSError`` of the block about the file names it ``target``.
+    The folder is made where there is none. An ``OSError`` of the block about the file names it ``target``.
     """
+    target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(f".{target.name}.{os.getpid()}")
     try:
         with _named(part, target):

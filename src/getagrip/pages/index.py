@@ -17,7 +17,8 @@ from getagrip.fitting.methods import method_of
 from getagrip.io import files
 from getagrip.pages.document import document
 from getagrip.pages.pictures import jpeg
-from getagrip.pages.report import CONTACT, MAIN
+from getagrip.pages.report import CONTACT, MAIN, headline
+from getagrip.probability import LEAST
 from getagrip.result import Reconstruction
 from getagrip.view.shown import View
 from getagrip.view.stills import overlay, turned
@@ -27,7 +28,7 @@ THUMBNAIL, QUALITY = 220, 72
 """Side of each of the two pictures of a result [px], and their JPEG quality."""
 PENETRATION = next(metric for metric in METRICS if metric.name == "penetration_object_mm")
 COLUMNS: Mapping[str, Metric] = {**MAIN, "penetration": PENETRATION}
-"""Metrics of the index, each under a short name."""
+"""Metrics of the index beside the IOU, each under a short name."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ def row(folder: str, view: View, evaluation: Mapping[str, Any], page: bool) -> I
     worst = int(np.nanargmin(result.iou)) if known else 0
     crops = input_windows([view], np.array([worst]), THUMBNAIL)
     pair = np.concatenate([overlay(view, worst, crops, 0), turned(view, worst, crops, 0)], axis=1)
-    plain = _row(folder, result, evaluation["metrics"])
+    plain = _row(folder, result, headline(evaluation))
     values = plain.values | {"worst frame": float(result.iou[worst]) if known else np.nan}
     return replace(plain, page=page, values=values, thumbnail=jpeg(pair, QUALITY))
 
@@ -94,13 +95,14 @@ def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> I
         status=result.status,
         flags=tuple(name for name, holds in flags.items() if holds),
         doubts=tuple(str(finding) for finding in result.findings),
-        values=values | probable | {"time": float(result.seconds.get("total", np.nan))},
+        values={"IOU": result.mean_iou} | values | probable | {"time": float(result.seconds.get("total", np.nan))},
     )
 
 
 def write_index(rows: Sequence[IndexRow], title: str, tables: Sequence[str], path: Path) -> Path:
     """Write the page and return its path. ``tables`` are files beside it that it links to."""
-    units: dict[str, tuple[str, int]] = {name: (metric.unit, metric.decimals) for name, metric in COLUMNS.items()}
+    units: dict[str, tuple[str, int]] = {"IOU": ("%", 1)}
+    units |= {name: (metric.unit, metric.decimals) for name, metric in COLUMNS.items()}
     units |= {f"probability right {where}": ("%", 0) for where in ("in the hand", "in the camera")}
     units |= {"worst frame": ("%", 1), "time": ("s", 2)}
     known = [name for name in units if any(np.isfinite(one.values.get(name, np.nan)) for one in rows)] or ["IOU"]
@@ -111,7 +113,13 @@ def write_index(rows: Sequence[IndexRow], title: str, tables: Sequence[str], pat
             for one, name in zip(rows, _sets([one.folder for one in rows]), strict=True)
         ],
         "columns": [
-            {"name": name, "unit": units[name][0], "decimals": units[name][1], "more": units[name][0] == "%"}
+            {
+                "name": name,
+                "unit": units[name][0],
+                "decimals": units[name][1],
+                "more": units[name][0] == "%",
+                "least": LEAST if name.startswith("probability") else 0.0,
+            }
             for name in known
         ],
         "first": "ADD sym." if "ADD sym." in known else "IOU",

@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import OtherHand
-from getagrip.geometry import se3
-from getagrip.geometry.mesh import decimate
-from getagrip.metrics.contact import close_holes, moving_distance
 from getagrip.view.shown import View
 from getagrip.view.stills import smoothed
 from getagrip.view.tiles import axis_points
 from getagrip.view.touched import touched
 
-FACES = 20_000
-"""An object of more faces than this is decimated, for pages."""
 CONTACT = 0.010
 """Surfaces nearer to each other than this are shown as in contact [m]."""
 FOLLOWED = 0.35
 """The camera looks at the mean place of hand and object over this time [s]."""
-
-
-def coarse(view: View) -> View:
-    """The same with a mesh of at most about ``FACES`` faces."""
-    return replace(view, clip=replace(view.clip, mesh=decimate(view.clip.mesh, FACES)))
 
 
 def arrays(view: View) -> dict[str, ndarray]:
@@ -82,24 +70,6 @@ def _other_hand(view: View, hand: OtherHand, object_contact: Float[ndarray, "T V
         "other_hand_known": hand.known,
         "T_cam_other_hand": hand.track.T_cam_hand,
     }
-
-
-def gap_mm(view: View) -> Float[ndarray, "T"]:
-    """The smallest signed distance of hand and object in each frame [mm]; below 0 a hand is inside the object."""
-    gap = _gap_mm(view)
-    if (seen := view.by_other_hand()) is not None:
-        known = view.clip.hand_known(view.clip.other_side)
-        gap[known] = np.minimum(gap[known], _gap_mm(seen))
-    return gap
-
-
-def _gap_mm(view: View) -> Float[ndarray, "T"]:
-    """Of the clip's own hand."""
-    mesh, T = view.clip.mesh, len(view.clip)
-    scaled, faces = close_holes(view.result.scale * mesh.vertices, mesh.faces)
-    in_object = se3.transform(se3.inverse(view.result.T_hand_obj), view.clip.hand.vertices)
-    distances = moving_distance(in_object, np.broadcast_to(scaled, (T, *scaled.shape)), faces)
-    return np.asarray(1e3 * distances.min(axis=1))
 
 
 def _middle(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "3"]:

@@ -11,21 +11,24 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, IOU, METRICS, ROTATION_SYM, SCA, Metric
+from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, ROTATION_SYM, SCA, Metric
 from getagrip.fitting.methods import method_of
 from getagrip.geometry.camera import Crops
 from getagrip.io import files
-from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
+from getagrip.metrics.contact import ContactDefinition
 from getagrip.pages import motion
 from getagrip.pages.document import document, pack
 from getagrip.pages.pictures import jpeg, mask_path, paths
-from getagrip.probability import of_segment
+from getagrip.pages.tables import meanings, tables, unit_of
+from getagrip.probability import RIGHT, of_segment
 from getagrip.result import Reconstruction
 from getagrip.view.curves import angle_curve, seconds
+from getagrip.view.gap import coarse, gap
 from getagrip.view.shown import View
 from getagrip.view.stills import steady_windows
-from getagrip.view.style import AXIS, FOUND, HAND_LINE, INK, TRUE
+from getagrip.view.style import AXIS, FOUND, HAND_LINE, INK, STATE, TRUE
 from getagrip.view.tiles import image_in, intrinsics_of, silhouette_lines
+from getagrip.view.world import called
 
 FRAMES = 120
 """Frames that a page plays, at most; of longer clips as many, evenly sampled, and the worst."""
@@ -34,10 +37,10 @@ PICTURE, QUALITY = 480, 78
 CONTACT = ContactDefinition("object", 0.010)
 """Of stable contact among the main metrics."""
 MAIN: Mapping[str, Metric] = {
-    "IOU": IOU, "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "in the camera": ADD_SYM_CAM_MM, "rotation sym.": ROTATION_SYM,
+    "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "in the camera": ADD_SYM_CAM_MM, "rotation sym.": ROTATION_SYM,
     f"SCA {CONTACT.distance}": SCA,
 }  # fmt: skip
-"""Metrics at the top of the page, each under a short name."""
+"""Metrics at the top of the page beside the IOU, each under a short name."""
 PLOTTED: Mapping[str, Metric] = {"ADD, symmetries allowed": ADD_SYM_MM}
 """Metrics of each frame that are plotted where they are known."""
 
@@ -48,14 +51,19 @@ def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, A
     ``evaluation`` is what ``evaluate`` gives for it, ``record`` the content of its ``result.json``. Raises
     ``InputError`` for an image that cannot be read, ``UsageError`` for an unknown method.
     """
-    view = motion.coarse(view)
+    view = coarse(view)
     shown = _shown(view)
     some = view.at([view.result.frames[n] for n in shown])
     where, packed = pack(motion.arrays(some))
     crops = steady_windows(some, PICTURE)
     data = {
         **_summary(view, record),
-        "main": [*_probably(view.result), *_main(evaluation["metrics"])],
+        "main": [
+            *_probably(view.result),
+            *_met(view.result),
+            *_main(headline(evaluation), "metrics_of_grasps" in evaluation),
+        ],
+        "segments": _bar(view),
         "plots": _plots(view, evaluation["per_frame"]),
         "times": seconds(view),
         "shown": shown,
@@ -64,7 +72,7 @@ def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, A
         "pictures": [jpeg(image_in(some, k, crops, k), QUALITY) for k in range(len(shown))],
         "size": PICTURE,
         "outlines": _outlines(some, crops),
-        "tables": _tables(view, evaluation["metrics"], record),
+        "tables": tables(view, evaluation, record),
         "arrays": where,
         "colours": {"object": FOUND, "hand": HAND_LINE, "true": TRUE, "observed": INK, "axis": AXIS},
         "contact": f"within {1e3 * motion.CONTACT:g} mm",
@@ -102,7 +110,7 @@ def _summary(view: View, record: Mapping[str, Any]) -> dict[str, Any]:
         "status": result.status,
         "ambiguous": result.ambiguous,
         "findings": [{"serious": f.serious, "check": f.check, "message": f.message} for f in result.findings],
-        "notes": [*_segments(result), *(str(note) for note in result.notes), *_meaning(result)],
+        "notes": [*_segments(result), *(str(note) for note in result.notes), *_in_short(result)],
         "truth": clip.truth is not None,
         "version": str(record.get("software", {}).get("getagrip", "")),
     }
@@ -122,32 +130,45 @@ def _segments(result: Reconstruction) -> list[str]:
     return out
 
 
-def _probably(result: Reconstruction) -> list[dict[str, str]]:
-    """How probable it is that the result is right, where that is calibrated."""
+def _bar(view: View) -> list[dict[str, Any]]:
+    """The segments of a timeline for the bar under the slider; none of a clip without."""
     return [
-        {"name": f"probability right {where}", "value": str(right)} for where, right in result.probabilities.items()
+        {"words": called(view, s)[0], "colour": STATE[s.state], "first": s.first, "last": s.last}
+        for s in view.clip.segments
     ]
 
 
-def _meaning(result: Reconstruction) -> list[str]:
-    """What that means, in words."""
-    of_grasps = [right for right in map(of_segment, result.segments) if right is not None]
-    known = [*result.probabilities.items(), *(("in the hand", right) for right in of_grasps[:1])]
-    return [f"probability right {where}: {right.meaning}" for where, right in known]
+def _probably(result: Reconstruction) -> list[dict[str, str]]:
+    """How probable it is that the result is right, where that is calibrated."""
+    return [
+        {"name": f"probability right {where}", "value": str(right), "meaning": right.meaning}
+        for where, right in result.probabilities.items()
+    ]
 
 
-def _main(metrics: Mapping[str, float]) -> list[dict[str, str]]:
+def _in_short(result: Reconstruction) -> list[str]:
+    """What that means, as a note."""
+    return [f"probability: {RIGHT}"] * bool(meanings(result))
+
+
+def headline(evaluation: Mapping[str, Any]) -> dict[str, float]:
+    """The metrics of a result, of which the main ones are shown first; a timeline's stable contact is of its grasps."""
+    return {**evaluation["metrics"], **evaluation.get("metrics_of_grasps", {})}
+
+
+def _met(result: Reconstruction) -> list[dict[str, str]]:
+    """How well the masks are met, where they are known: the mean of the curve below."""
+    return [] if np.isnan(result.mean_iou) else [{"name": "IOU", "value": f"{100 * result.mean_iou:.1f} %"}]
+
+
+def _main(metrics: Mapping[str, float], of_grasps: bool) -> list[dict[str, str]]:
     """The main metrics that are known."""
     out = []
     for name, metric in MAIN.items():
         if (value := metrics.get(metric.key(CONTACT))) is not None and not np.isnan(value):
-            out.append({"name": name, "value": f"{metric.text(value)}{unit_of(metric)}"})
+            where = ", in grasps" if of_grasps and metric is SCA else ""
+            out.append({"name": f"{name}{where}", "value": f"{metric.text(value)}{unit_of(metric)}"})
     return out
-
-
-def unit_of(metric: Metric) -> str:
-    """A metric's unit as it follows a number."""
-    return "°" if metric.unit == "deg" else f" {metric.unit}"
 
 
 def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[str, Any]]:
@@ -167,7 +188,7 @@ def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[st
         {
             "title": "gap of hand and object",
             "unit": "mm",
-            "lines": [_line("gap", motion.gap_mm(view), HAND_LINE)],
+            "lines": [_line("gap", 1e3 * gap(view), HAND_LINE)],
             "upTo": (0, 0),
         },
     ]
@@ -211,25 +232,3 @@ def _contour(view: View, n: int, crops: Crops, what: str) -> str:
     K = intrinsics_of(view, n, crops, n)
     surfaces = view.hands(n) if what == "hand" else [(view.object(n), view.clip.mesh.faces)]
     return "".join(paths(silhouette_lines(*surface, K, crops.size)) for surface in surfaces)
-
-
-def _tables(view: View, metrics: Mapping[str, float], record: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Everything else that is known, as tables of a name and a value."""
-    result = view.result
-    known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
-    values = [[key, f"{known[key].text(v)}{unit_of(known[key])}"] for key, v in metrics.items() if key in known]
-    tables = {
-        "Metrics (docs/metrics.md)": values,
-        "Checks": _rows(result.checks),
-        "Energy [px²]": _rows(result.energy),
-        "Time [s]": _rows(result.seconds),
-        "Options": [*_rows(result.options), ["seed", str(result.seed)]],
-        "Sources of the clip": _rows(view.clip.provenance),
-        "Software": _rows(record.get("software", {})),
-    }
-    return [{"title": title, "rows": rows} for title, rows in tables.items() if rows]
-
-
-def _rows(content: Mapping[str, Any]) -> list[list[str]]:
-    """Names and values as texts."""
-    return [[str(key), f"{value:.4g}" if isinstance(value, float) else str(value)] for key, value in content.items()]

@@ -151,5 +151,6 @@ class Reconstruction(ArrayData):
 
     @property
     def mean_iou(self) -> float:
-        """Mean IOU over the frames whose masks show the object."""
-        return float(np.nanmean(self.iou))
+        """Mean of ``iou`` over the frames in which it is known; NaN where it is in none."""
+        known = self.iou[~np.isnan(self.iou)]
+        return float(known.mean()) if len(known) else float("nan")

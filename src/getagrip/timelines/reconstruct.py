@@ -33,7 +33,7 @@ METHOD = "soft-hinge"
 """How objects move in the grasps of a timeline."""
 MEANING = f"{calibration.MEANING.format('hand')}; calibrated on grasps by themselves, of timelines a rough guide only"
 """Of a grasp's probability (docs/checks.md)."""
-CHOSEN = "the chain of segments with the least energy"
+CHOSEN = "all segments were fitted together"
 UNEXPLAINED = "failed in part: masks are hardly met (mean IOU) in the segments {}"
 """The status of a result some of whose segments are below ``LEAST_IOU``."""
 

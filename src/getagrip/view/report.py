@@ -12,6 +12,7 @@ import numpy as np
 from getagrip.clip import Clip, Masks, check_masks
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, ROTATION_SYM
 from getagrip.fitting.methods import method_of
+from getagrip.probability import percent
 from getagrip.result import Reconstruction
 from getagrip.view.curves import angle_curve, seconds
 from getagrip.view.shown import View
@@ -116,8 +117,7 @@ def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y
     numbers = [("IOU", f"{100 * result.mean_iou:.1f} %")]
     if known := result.probabilities:
         frames = (f"{where.split()[-1]}{'*' if one.beyond else ''}" for where, one in known.items())
-        values = ", ".join(f"{100 * one.value:.0f}" for one in known.values())
-        numbers.append((f"probability: {', '.join(frames)}", f"{values} %"))
+        numbers.append((f"probability: {', '.join(frames)}", ", ".join(percent(one.value) for one in known.values())))
     for name, metric in SHOWN.items():
         if metric.name in metrics:
             unit = "°" if metric.unit == "deg" else f" {metric.unit}"
@@ -126,9 +126,10 @@ def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y
         numbers.append(("time", f"{result.seconds['total']:.2f} s"))
     right = end = 0.98
     for name, number in numbers[::-1]:
-        figure.text(right, y, number, fontsize=15, va="top", ha="right")
+        value = figure.text(right, y, number, fontsize=15, va="top", ha="right")
         label = figure.text(right, y - 1.25 * step, name, fontsize=9.5, color=FAINT, va="top", ha="right")
-        end = right - label.get_window_extent().width / figure.bbox.width - 0.012
+        widest = max(text.get_window_extent().width for text in (value, label))
+        end = right - widest / figure.bbox.width - 0.012
         right = min(right - 0.092, end)
     for text, size, room in ((title, 15.0, right - x), (line, 9.5, end - x)):
         too_wide = text.get_window_extent().width / figure.bbox.width / room

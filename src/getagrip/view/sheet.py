@@ -56,12 +56,16 @@ class Sheet:
         return axes
 
     def text(self, x: float, top: float, words: str, within: float = np.inf, **style: Any) -> None:
-        """Words at a place, as they are: a dollar sign in a name begins no formula. Cut to a width [in], if any."""
+        """Words at a place, as they are: a dollar sign in a name begins no formula.
+
+        Words that are wider than ``within`` [in] are shortened in the middle: names of clips differ at their ends.
+        """
         style = {"va": "top", "color": INK} | style
         text = self.figure.text(x / self.width, 1.0 - top / self.height, words, parse_math=False, **style)
-        while len(words) > 1 and text.get_window_extent().width > within * self.dpi:
-            words = words[:-1]
-            text.set_text(f"{words.rstrip()}...")
+        kept = len(words)
+        while kept > 1 and text.get_window_extent().width > within * self.dpi:
+            kept -= 1
+            text.set_text(f"{words[: (kept + 1) // 2].rstrip()}...{words[len(words) - kept // 2 :].lstrip()}")
 
     def title(self, words: str, under: str) -> None:
         """What the figure shows, and a line under it; ``HEAD`` is their height."""

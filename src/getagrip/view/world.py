@@ -12,6 +12,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 from scipy.spatial import ConvexHull, QhullError
 
+from getagrip.clip import Segment
 from getagrip.geometry import se3
 from getagrip.geometry.render import nearest_surface, render_rgb
 from getagrip.view.shown import View
@@ -184,21 +185,26 @@ def segment_bar(view: View, n: int, size: tuple[int, int]) -> UInt8[ndarray, "H 
     picture = Image.new("RGB", size, "white")
     draw, letters = ImageDraw.Draw(picture), font(int(0.4 * height))
     edge = np.linspace(0, width, len(view.clip) + 1)
-    followed = {record["first"] for record in view.result.segments if record.get("followed")}
     top, bottom = int(0.15 * height), int(0.85 * height)
     draw.rectangle((0, top, width, bottom), STATE["unknown"])
     for segment in view.clip.segments:
         left, right = float(edge[segment.first]), float(edge[segment.last + 1])
         draw.rectangle((left + 1, top, right - 2, bottom), STATE[segment.state])
-        words = segment.state if segment.side is None else f"{segment.state}, {segment.side} hand"
-        by_masks = f"{words}, by masks only"
-        for said in (by_masks,) if view.clip.frames[segment.first] in followed else (words, segment.state):
+        for said in called(view, segment):
             if draw.textlength(said, letters) < right - left - 8:
                 draw.text(((left + right) / 2, height / 2), said, "white", letters, "mm")
                 break
     at = float(edge[n] + edge[n + 1]) / 2.0
     draw.rectangle((at - 2, 0, at + 2, height), INK)
     return np.asarray(picture)
+
+
+def called(view: View, segment: Segment) -> tuple[str, ...]:
+    """What a segment is called, and what else where there is less room."""
+    words = segment.state if segment.side is None else f"{segment.state}, {segment.side} hand"
+    followed = {record["first"] for record in view.result.segments if record.get("followed")}
+    by_masks = view.clip.frames[segment.first] in followed
+    return (f"{words}, by masks only",) if by_masks else (words, segment.state)
 
 
 def captioned(picture: UInt8[ndarray, "H W 3"], words: str) -> UInt8[ndarray, "H W 3"]:

@@ -12,6 +12,7 @@ import pytest
 
 from getagrip.errors import InputError
 from getagrip.geometry import se3
+from getagrip.view.gap import gap
 from getagrip.view.live import standing
 from getagrip.view.live.column import Column
 from getagrip.view.live.entries import Entry
@@ -96,6 +97,7 @@ def test_what_is_measured_appears_in_time(running: Running) -> None:
     (actor,) = running.page._actors
     running.until(lambda: bool(np.isfinite(actor.gap).all() and np.isfinite(actor.iou).all()))
     assert actor.iou.mean() < 0.7
+    np.testing.assert_allclose(actor.gap, gap(column().candidate(1).view))  # as the report has it
     running.until(lambda: len(running.page._known[0]) == 2)
     running.until(lambda: "Speaks against it" in running.page._panel._compared[0].content)
 

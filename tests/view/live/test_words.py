@@ -25,7 +25,7 @@ def test_the_summary_says_what_is_known_and_quotes_it() -> None:
     it = column()
     result = replace(it.view.result, status="<img src=x onerror=alert(1)>", notes=("the *scale* is a guess",))
     result = replace(result, probability_right=Probability(0.93, "within <10> %"))
-    result = replace(result, probability_right_in_camera=Probability(0.97, ""))
+    result = replace(result, probability_right_in_camera=Probability(0.97, "camera"))
     it = replace(it, view=replace(it.view, result=result))
     text = words.about_clip(it) + words.about_result(it)
     assert "ambiguous" in text
@@ -33,7 +33,11 @@ def test_the_summary_says_what_is_known_and_quotes_it() -> None:
     assert r"\*scale\* is a guess" in text
     assert "mug in a" in text
     assert "probability right in the camera: 97 %" in text
-    assert "probability right in the hand: 93 %. within &lt;10" in text
+    assert text.count("10 % of the diameter") == 1
+    assert "within" not in text
+    meanings = "**right in the hand**: within &lt;10\\> %\n\n**right in the camera**: camera"
+    assert words.about_probabilities(it) == meanings
+    assert words.about_probabilities(column()) == ""
 
 
 def test_candidates_are_named_by_their_energy() -> None:

@@ -8,7 +8,11 @@ const FLAGS = {
 const MORE_FLAGS = new Set(["serious", "failed"]);
 const column = (name) => data.columns.find((one) => one.name === name);
 
-function number(value, { unit, decimals }) {
+/** A value as text; below `least`, or as near to 1, which of the two it is. */
+function number(value, { unit, decimals, least }) {
+  if (least && value !== null && value !== undefined && (value < least || value > 1 - least)) {
+    return value < least ? `< ${100 * least}` : `> ${100 * (1 - least)}`;
+  }
   return value === null || value === undefined ? "–" : (unit === "%" ? 100 * value : value).toFixed(decimals);
 }
 

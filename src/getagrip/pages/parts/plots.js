@@ -2,8 +2,8 @@
 // Small plots over time; a click on one jumps to its frame.
 
 class Plot {
-  /** `times` are of all frames of the result; `jump` is called with the one that is clicked. */
-  constructor({ title, unit, lines, upTo }, times, jump) {
+  /** `times` are of all frames of the result, `segments` of a timeline; `jump` is called with the frame that is clicked. */
+  constructor({ title, unit, lines, upTo }, times, segments, jump) {
     const [W, H, left, top, right, bottom] = [300, 130, 34, 6, 6, 18];
     const values = lines.flatMap((line) => line.values).filter((value) => value !== null);
     const [least, most] = upTo || [Infinity, -Infinity];
@@ -21,6 +21,12 @@ class Plot {
         element("line", { x1: left, x2: W - right, y1: y(tick), y2: y(tick), class: tick === 0 ? "zero" : "grid" }),
         element("text", { x: left - 5, y: y(tick) + 3.5, class: "left" }, String(tick)),
       );
+    }
+    const border = (n) => (this.x(Math.max(n - 1, 0)) + this.x(Math.min(n, times.length - 1))) / 2;  // before a frame
+    for (const { colour, first, last: end } of segments) {
+      const [x1, x2] = [border(first), border(end + 1)];
+      plot.append(element("rect", { x: x1, y: H - bottom, width: x2 - x1, height: 3, fill: colour }));
+      if (first) plot.append(element("line", { x1, x2: x1, y1: top, y2: H - bottom, class: "border" }));
     }
     for (const [n, words] of [[0, "0 s"], [times.length - 1, `${times[times.length - 1].toFixed(2)} s`]]) {
       plot.append(element("text", { x: this.x(n), y: H - 5, class: n ? "last" : "first" }, words));

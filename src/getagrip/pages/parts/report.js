@@ -8,7 +8,9 @@ function head() {
   byId("name").textContent = data.name;
   byId("facts").textContent = data.facts.join("  ·  ");
   byId("status").textContent = data.status;
-  for (const { name, value } of data.main) byId("main").append(element("div", {}, element("dd", {}, value), element("dt", {}, name)));
+  for (const { name, value, meaning } of data.main) {
+    byId("main").append(element("div", { title: meaning }, element("dd", {}, value), element("dt", {}, name)));
+  }
   const doubts = data.findings.map(({ serious, check, message }) => [serious ? "serious" : "note", check, message]);
   const shown = data.candidates.length > 1 ? "; the candidates below show it" : "";  // of a timeline there is one only
   if (data.ambiguous) doubts.unshift(["note", "ambiguous", `another pose explains the masks almost as well${shown}`]);
@@ -18,8 +20,9 @@ function head() {
   if (data.notes.length) {
     byId("notes").append(element("h2", {}, "Guesses and notes"), element("ul", {}, ...data.notes.map((note) => element("li", {}, note))));
   }
-  for (const { title, rows } of data.tables) {
-    const lines = rows.map(([name, value]) => element("tr", {}, element("th", {}, name), element("td", {}, value)));
+  for (const { title, head, rows } of data.tables) {
+    const lines = rows.map(([name, ...values]) => element("tr", {}, element("th", {}, name), ...values.map((value) => element("td", {}, value))));
+    if (head.length) lines.unshift(element("tr", {}, ...head.map((name) => element("th", {}, name))));
     byId("tables").append(element("details", {}, element("summary", {}, title), element("table", {}, ...lines)));
   }
   byId("footer").textContent = `getagrip ${data.version}. Metres and radians inside; angles here in degrees, distances in millimetres.`;
@@ -126,6 +129,20 @@ class Player {
   }
 }
 
+/** The segments of a timeline under the slider, whose frames are those that are played; a click goes to its first one. */
+function segmentBar(player) {
+  const last = Math.max(data.shown.length - 1, 1);
+  const at = (n) => data.shown.filter((shown) => shown < n).length;  // how many of them are before a frame
+  const share = (place) => Math.max(0, Math.min(1, (place - 0.5) / last));
+  for (const { words, colour, first, last: end } of data.segments) {
+    const box = element("button", { type: "button", title: words, onclick: () => player.jump(first) }, words);
+    const [left, right] = [share(at(first)), share(at(end + 1))];
+    Object.assign(box.style, { left: `${100 * left}%`, width: `${100 * (right - left)}%`, background: colour });
+    byId("segments").append(box);
+  }
+  byId("segments").hidden = data.segments.length === 0;
+}
+
 /** The 3D view and what can be switched in it; null where the browser has none. */
 function scene(arrays, overlay) {
   let viewer;
@@ -163,8 +180,9 @@ async function start() {
   const overlay = new Overlay();
   const plots = [];
   const player = new Player([overlay], plots);
+  segmentBar(player);
   for (const given of data.plots) {
-    plots.push(new Plot(given, data.times, (n) => player.jump(n)));
+    plots.push(new Plot(given, data.times, data.segments, (n) => player.jump(n)));
     byId("plots").append(plots[plots.length - 1].figure);
   }
   player.show(0);

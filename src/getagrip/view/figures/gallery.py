@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 CONTACT = ContactDefinition("object", 0.010)
 """Of SCA."""
 METRICS: dict[str, tuple[str, Metric]] = {
-    "iou": ("IOU", IOU),
+    "iou": ("crop IOU", IOU),
     "sca": (f"SCA within {CONTACT.distance}", SCA),
     "add": ("ADD", ADD_MM),
     "add-sym": ("ADD sym.", ADD_SYM_MM),

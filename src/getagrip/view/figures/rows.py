@@ -39,8 +39,8 @@ class Row:
 
 
 def numbers(view: View, contact: ContactDefinition) -> list[str]:
-    """IOU and stable contact area; where ground truth is known, ADD, and ADD up to symmetries; how many findings."""
-    shown = {"IOU": IOU, "SCA": SCA, "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM}
+    """Crop IOU and stable contact area; where ground truth is known, ADD, also up to symmetries; how many findings."""
+    shown = {"crop IOU": IOU, "SCA": SCA, "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM}
     known = evaluate(view.result, view.clip, view.masks, [contact], tuple(shown.values()))["metrics"]
     texts = []
     for name, metric in shown.items():

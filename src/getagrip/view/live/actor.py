@@ -12,6 +12,7 @@ from numpy import ndarray
 from getagrip.clip.occlusion import occluded_by_hand
 from getagrip.metrics.mask import iou_of_poses
 from getagrip.view.curves import angle_curve
+from getagrip.view.gap import coarse, gap
 from getagrip.view.live.column import TRUTH, Column
 from getagrip.view.live.contact import Surfaces
 from getagrip.view.live.overlay import Overlays
@@ -39,13 +40,12 @@ class Actor:
 
     def measure(self, go_on: Callable[[], bool]) -> None:
         """Find the gap, and the IOU where it is not known, frame by frame, while ``go_on`` says so."""
-        view = self.column.view
+        view, posed = self.column.view, coarse(self.column.view)
         for n in range(0, len(self.iou) if self.column.posed else 0, BATCH):
             some = np.arange(n, min(n + BATCH, len(self.iou)))
             if not go_on():
                 return
-            for k in some:
-                self.gap[k] = self.surfaces.touch(int(k)).gap
+            self.gap[some] = gap(posed.at([view.result.frames[k] for k in some]))
             if view.masks is not None and np.isnan(view.result.iou[some]).all():
                 masks, clip = view.masks.take(some), view.clip.take(some)
                 masks = masks if view.masks.ignore.any() else occluded_by_hand(clip, masks)

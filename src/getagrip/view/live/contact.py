@@ -1,4 +1,4 @@
-"""How far hand and object are apart, over both of their surfaces, frame by frame."""
+"""Where hand and object are in contact, on both of their surfaces, frame by frame."""
 
 from __future__ import annotations
 
@@ -11,15 +11,12 @@ from numpy import ndarray
 
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, decimate
-from getagrip.geometry.subdivide import edge_length, subdivided
+from getagrip.geometry.subdivide import fine
 from getagrip.metrics.contact import close_holes, moving_distance
+from getagrip.view.gap import FACES, VERTICES
 from getagrip.view.live.column import Column
 from getagrip.view.live.patch import patch
 
-FACES = 20_000
-"""Larger meshes are shown, and asked for contact, with about so many faces."""
-VERTICES = 6_000
-"""Coarse ones are asked with about so many vertices."""
 REACH = 0.03
 """Distances [m] are exact up to here; what is farther away counts as so far."""
 
@@ -35,11 +32,6 @@ class Touch:
 
     object: Float[ndarray, "Vo"]
     hand: Float[ndarray, "Vh"]
-
-    @property
-    def gap(self) -> float:
-        """The smallest of them: below 0 where the two penetrate each other."""
-        return float(min(self.object.min(), self.hand.min()))
 
 
 class Surfaces:
@@ -59,8 +51,7 @@ class Surfaces:
     @cached_property
     def fine(self) -> Mesh:
         """The same with more vertices, on which contact is marked."""
-        longest = edge_length(float(self.object.vertex_areas.sum()), VERTICES)
-        return Mesh(*subdivided(self.object.vertices, self.object.faces, longest))
+        return fine([self.object], VERTICES)[0]
 
     @property
     def hand_faces(self) -> Int[ndarray, "F 3"]:

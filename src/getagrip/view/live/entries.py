@@ -79,4 +79,4 @@ def _label(group: Sequence[tuple[Path, Reconstruction]]) -> str:
 
 
 def _iou(result: Reconstruction) -> float:
-    return result.mean_iou if np.isfinite(result.iou).any() else 0.0
+    return float(np.nan_to_num(result.mean_iou))

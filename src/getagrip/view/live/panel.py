@@ -113,6 +113,9 @@ class Panel:
             gui.add_markdown(words.about_clip(columns[0]))
             for column in columns:
                 gui.add_markdown(words.about_result(column))
+                if meaning := words.about_probabilities(column):
+                    with gui.add_folder("What the probabilities mean", expand_by_default=False):
+                        gui.add_markdown(meaning)
         self._compared = []
         if any(column.is_result for column in columns):
             with tabs.add_tab("Candidates"):

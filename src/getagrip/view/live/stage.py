@@ -12,8 +12,9 @@ from numpy import ndarray
 
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import decimate, vertex_normals
+from getagrip.view.gap import FACES
 from getagrip.view.live.column import Column
-from getagrip.view.live.contact import FACES, Surfaces
+from getagrip.view.live.contact import Surfaces
 from getagrip.view.live.standing import T_scene_cam
 from getagrip.view.style import AXIS, FOUND, HAND, OBJECT, TRUE
 

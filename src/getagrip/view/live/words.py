@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from getagrip.probability import RIGHT
 from getagrip.view.figures.kind import about
 from getagrip.view.live.column import Column
 from getagrip.view.live.evidence import Numbers, arguments
@@ -32,16 +33,21 @@ def about_result(column: Column) -> str:
     result = column.view.result
     if not column.is_result:
         return quoted(column.name) if column.posed else ""
-    overlap = f", mean IOU {100 * np.nanmean(result.iou):.1f} %" if np.isfinite(result.iou).any() else ""
+    overlap = "" if np.isnan(result.mean_iou) else f", mean IOU {100 * result.mean_iou:.1f} %"
     lines = [f"**{quoted(column.name)}**{overlap}", quoted(result.status)]
-    lines += [
-        f"probability right {where}: {right}. {quoted(right.meaning)}" for where, right in result.probabilities.items()
-    ]
+    lines += [f"probability right {where}: {right}" for where, right in result.probabilities.items()]
+    lines += [RIGHT] * bool(result.probabilities)
     if result.ambiguous:
         lines.append("**ambiguous**: another candidate explains the masks almost as well")
     lines += [f"**{'serious' if f.serious else 'note'}**: {quoted(f.message)}" for f in result.findings]
     lines += [f"note: {quoted(note)}" for note in result.notes]
     return "\n\n".join(lines)
+
+
+def about_probabilities(column: Column) -> str:
+    """What its probabilities mean, at length; empty where it has none."""
+    known = column.view.result.probabilities
+    return "\n\n".join(f"**right {where}**: {quoted(right.meaning)}" for where, right in known.items())
 
 
 def candidate_name(column: Column, rank: int) -> str:

@@ -1,0 +1,69 @@
+"""What the page of a result says in tables that are folded at first: everything that is known but not shown above."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
+from getagrip.checks.of_timeline import JUMP
+from getagrip.evaluation.metric import METRICS, Metric
+from getagrip.metrics.contact import CONTACT_DEFINITIONS
+from getagrip.probability import of_segment
+from getagrip.result import Reconstruction
+from getagrip.view.shown import View
+
+CHECKS = {check.name: check for check in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP)}
+SAID = {"iou": "iou, in the crop", "iou_soft": "iou_soft, in the crop"}
+"""Metrics whose keys could be taken for the IOU at the top of the page."""
+
+
+def tables(view: View, evaluation: Mapping[str, Any], record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Tables as ``parts/report.js`` reads them: a title, names of columns or none, and rows of texts."""
+    result = view.result
+    known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
+    values = [
+        [f"{SAID.get(key, key)}{where}", f"{known[key].text(value)}{unit_of(known[key])}"]
+        for of, where in (("metrics", ""), ("metrics_of_grasps", ", in grasps"))
+        for key, value in evaluation.get(of, {}).items()
+        if key in known
+    ]
+    content = {
+        "What the probabilities mean": _rows(meanings(result)),
+        "Metrics (docs/metrics.md)": values,
+        "Checks (docs/checks.md)": _checked(result.checks),
+        "Energy [px²]": _rows(result.energy),
+        "Time [s]": _rows(result.seconds),
+        "Options": [*_rows(result.options), ["seed", str(result.seed)]],
+        "Sources of the clip": _rows(view.clip.provenance),
+        "Software": _rows(record.get("software", {})),
+    }
+    heads = {"Checks (docs/checks.md)": ("check", "value", "usual", "verdict")}
+    return [{"title": title, "head": heads.get(title, ()), "rows": rows} for title, rows in content.items() if rows]
+
+
+def meanings(result: Reconstruction) -> dict[str, str]:
+    """What its probabilities mean, at length, by where; of a timeline, that of its grasps."""
+    of_grasps = [right for right in map(of_segment, result.segments) if right is not None]
+    known = [*result.probabilities.items(), *(("in the hand", right) for right in of_grasps[:1])]
+    return {f"right {where}": right.meaning for where, right in known}
+
+
+def unit_of(metric: Metric) -> str:
+    """A metric's unit as it follows a number."""
+    return "°" if metric.unit == "deg" else f" {metric.unit}"
+
+
+def _checked(checks: Mapping[str, float]) -> list[list[str]]:
+    """What each check has measured, what is usual, and what it says; of an unknown one the value alone."""
+    out = []
+    for name, value in checks.items():
+        check = CHECKS.get(name)
+        said = ["", ""] if check is None else [check.usual, check.verdict(value)]
+        out.append([name, "" if said[1] == "not applicable" else f"{value:.3g}", *said])
+    return out
+
+
+def _rows(content: Mapping[str, Any]) -> list[list[str]]:
+    """Names and values as texts."""
+    return [[str(key), f"{value:.4g}" if isinstance(value, float) else str(value)] for key, value in content.items()]

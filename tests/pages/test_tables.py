@@ -1,0 +1,24 @@
+"""The folded tables of a page say what numbers mean."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from getagrip.pages.tables import tables
+from getagrip.view.shown import View
+from helpers.egg_and_mug import egg_and_mug, perfect
+
+
+def test_checks_have_their_usual_range_and_a_verdict() -> None:
+    clip, masks = egg_and_mug()
+    checks = {"hand-side": 68.46, "seen-size": float("nan"), "contact-gap": 20.0, "penetration": 40.0, "unknown": 1.0}
+    result = replace(perfect(clip), checks=checks)
+    (table,) = (one for one in tables(View.of(result, clip, masks), {}, {}) if one["title"].startswith("Checks"))
+    assert table["head"] == ("check", "value", "usual", "verdict")
+    assert table["rows"] == [
+        ["hand-side", "68.5", "at least -5", "usual"],
+        ["seen-size", "", "0.1 to 8", "not applicable"],
+        ["contact-gap", "20", "at most 15", "serious"],
+        ["penetration", "40", "at most 35", "note"],
+        ["unknown", "1", "", ""],
+    ]
