@@ -150,14 +150,14 @@ def test_object_names_that_could_be_paths_are_refused(root, name):
 def test_an_import_goes_on_where_it_stopped(root, tmp_path, run):
     call = ("import", "hot3d", root, "--out", tmp_path / "out")
     status, printed, _ = run(*call)
-    assert (status, printed.splitlines()[-1]) == (0, "1 clips, 0 already there, 0 sequences failed")
+    assert (status, printed.splitlines()[-1]) == (0, "1 clip, 0 already there, 0 of 1 sequences failed")
     made = tmp_path / "out" / HOLD
     stamp = (made / "hand.npz").stat().st_mtime_ns
     broken = root / "sequences" / "P0000_bad"
     broken.mkdir()
     (broken / "dynamic_objects.csv").write_text("object_uid\n")
     status, printed, err = run(*call)
-    assert (status, printed.splitlines()[-1]) == (1, "0 clips, 1 already there, 1 sequences failed")
+    assert (status, printed.splitlines()[-1]) == (1, "0 clips, 1 already there, 1 of 2 sequences failed")
     assert "P0000_bad" in err
     assert (made / "hand.npz").stat().st_mtime_ns == stamp
     assert json.loads((made / "clip.json").read_text())["provenance"]["subject"] == "P0000"

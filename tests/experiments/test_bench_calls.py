@@ -36,19 +36,23 @@ def test_wrong_calls_are_refused(can_and_box: Path, tmp_path: Path, run: Run, ar
     assert word in err
 
 
-def test_folders_that_are_no_clips_are_refused(tmp_path: Path, run: Run) -> None:
-    status, _, err = run("bench", tmp_path / "nowhere", "--out", tmp_path / "out")
-    assert status != 0
-    assert "nowhere" in err
-    assert main(["bench", "dexycb", "--out", str(tmp_path / "out")]) == 2
+def test_without_clips_nothing_is_written(tmp_path: Path, run: Run) -> None:
+    out = tmp_path / "out"
+    status, _, err = run("bench", tmp_path / "nowhere", "--out", out)
+    assert (status, "nowhere, expected synthetic, dexycb" in err) == (2, True)
+    (tmp_path / "empty").mkdir()
+    status, _, err = run("bench", tmp_path / "empty", "--out", out)
+    assert (status, "empty: got no clip.json" in err) == (1, True)
+    assert main(["bench", "dexycb", "--out", str(out)]) == 2
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(
     ("preset", "message"),
     [
-        ("tame", "preset: got 'tame', expected one of clean"),
-        ("hamer", "preset: 'hamer' is now called 'moderate'"),
-        ("frankmocap", "preset: 'frankmocap' is now called 'strong'"),
+        ("tame", "getagrip: --preset: got 'tame', expected one of clean"),
+        ("hamer", "getagrip: --preset: 'hamer' is now called 'moderate'"),
+        ("frankmocap", "getagrip: --preset: 'frankmocap' is now called 'strong'"),
     ],
 )
 def test_an_unknown_preset_is_refused_before_a_folder_is_claimed(

@@ -101,8 +101,12 @@ def bench(plan: Plan, debug: bool) -> int:
     or there are no clips, ``GetagripError`` where the ledger cannot be written.
     """
     variants = plan.variants()
-    plan.out.mkdir(parents=True, exist_ok=True)
     clips, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
+    for outcome in bad:
+        print_outcome(outcome, debug)
+    if not clips:
+        return 1
+    plan.out.mkdir(parents=True, exist_ok=True)
     scores = []
     results = plan.out / "results"
     distinct = tuple({variant.folder: variant for variant in variants}.values())
@@ -112,8 +116,6 @@ def bench(plan: Plan, debug: bool) -> int:
     chosen = [sample for sample in clips if sample.name in plan.share.shard]
     trials = [Trial(sample, distinct, results, plan.overwrite, contacts) for sample in chosen]
     failures = len(bad)
-    for outcome in bad:
-        print_outcome(outcome, debug)
     engine = Engine(work=run, lost=_lost, entry=_entry, options=repr(distinct), prepare=load)
     with closing(plan.share.ended(engine, trials, plan.out, "clips", few=0)) as ended:
         for clip in ended:

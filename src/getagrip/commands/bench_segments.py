@@ -35,10 +35,12 @@ def bench_segments(plan: Plan, debug: bool) -> int:
 
     Raises ``UsageError`` where the call is wrong or there are no sequences.
     """
-    plan.out.mkdir(parents=True, exist_ok=True)
     found, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
     for outcome in bad:
         print_outcome(outcome, debug)
+    if not found:
+        return 1
+    plan.out.mkdir(parents=True, exist_ok=True)
     noise = plan.source.preset
     trials = [
         SequenceTrial(sample, noise, plan.options, plan.out / "results" / noise, plan.overwrite)

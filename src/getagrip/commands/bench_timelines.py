@@ -25,10 +25,12 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
 
     Raises ``UsageError`` where the call is wrong or no timeline has both a static segment and a stable grasp.
     """
-    plan.out.mkdir(parents=True, exist_ok=True)
     found, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
     for outcome in bad:
         print_outcome(outcome, debug)
+    if not found:
+        return 1
+    plan.out.mkdir(parents=True, exist_ok=True)
     preset, results = plan.source.preset, plan.out / "results"
     levels = tuple(LEVELS) if preset == ALL else (preset,)
     trials = [

@@ -72,12 +72,12 @@ def test_clips_that_the_disk_has_no_room_for_are_reported_and_made_the_next_time
     with full_disk(100_000):
         status, out, err = import_epic(run, epic_folder)
     assert status == 1
-    assert "0 clips, 0 already there, 1 videos failed" in out
+    assert "0 clips, 0 already there, 1 of 1 videos failed" in out
     assert str(epic_folder / "out" / NAME / "frames" / "0000001000.jpg") in err
     assert [path.name for path in (epic_folder / "out").iterdir()] == ["ledger.sqlite"]
     status, out, _ = import_epic(run, epic_folder)
     assert status == 0
-    assert "1 clips, 0 already there" in out
+    assert "1 clip, 0 already there" in out
     assert all(cv2.imread(str(image)) is not None for image in (epic_folder / "out" / NAME / "frames").iterdir())
 
 
