@@ -242,6 +242,11 @@ def test_help_shows_commands_as_they_are_typed(run: Run, words: str) -> None:
     assert f" {words} " in run("--help")[1]
 
 
+def test_help_shows_what_may_be_left_out_and_what_a_root_may_be(run: Run) -> None:
+    assert "epic-grasps|LIST [CSV]\n" in run("stats", "--help")[1]
+    assert "a packed file" in run("import", "dexycb", "--help")[1].split("options ─")[0]
+
+
 @pytest.mark.parametrize(
     ("args", "words"),
     [

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
 from getagrip.cli import main
+from getagrip.datasets.synthetic.noise import NOISE
 from getagrip.datasets.synthetic.splits import PRESETS
 from getagrip.experiments.settings import ABLATIONS
 from getagrip.experiments.sources import SOURCES
+from getagrip.experiments.timeline_trials import ALL, LEVELS
 from helpers.command_line import Run
 
 
@@ -69,3 +72,13 @@ def test_the_commands_ablations_are_those_that_exist(run: Run) -> None:
     assert all(
         name in out.replace(" ", "").replace("\n", "").replace("│", "") for name in (*ABLATIONS, *PRESETS, *SOURCES)
     )
+
+
+def test_presets_are_described_for_each_dataset(run: Run) -> None:
+    words = re.sub(r"[\s│]+", " ", run("bench", "--help")[1])
+    said = words[words.index("--preset NAME") : words.index("--root DIR")]
+    of_synthetic, of_sequences, of_timelines = re.split(r"dexycb-segments:|Timelines", said)
+    assert all(preset in of_synthetic for preset in PRESETS)
+    assert all(noise in of_sequences for noise in NOISE)
+    assert all(level in of_timelines for level in (ALL, *LEVELS))
+    assert "one of" not in said

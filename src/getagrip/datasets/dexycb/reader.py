@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from getagrip.clip import FINGERS, FrameMasks, HandTrack, World
 from getagrip.datasets import fitted_hands, ycb
@@ -44,6 +44,8 @@ FPS = 30.0
 class DexYcb(TrackedDataset):
     """DexYCB, or a packed file of its sequences: every visible stable grasp."""
 
+    root: Annotated[Positional[Path], arg(metavar="ROOT")]
+    """The folder that holds it, as it came; or a packed file of its sequences (.npz), or a folder of such files."""
     grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
     """What counts as a stable grasp."""
 
