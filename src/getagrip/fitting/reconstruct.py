@@ -22,7 +22,6 @@ from getagrip.fitting.misfit import misfit
 from getagrip.fitting.options import Options
 from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem, prepare
-from getagrip.geometry.mesh import Mesh
 from getagrip.probability import Probability
 from getagrip.result import Candidates, Reconstruction
 
@@ -31,6 +30,9 @@ AMBIGUOUS = 1.05
 
 CHOICES = ("method", "inits", "init", "priors", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
+
+SHAPE_GUESSED = "the object's shape is a guess from the masks: the mesh leaves contours that no pose explains"
+"""A note where the mesh was not taken as it is given."""
 
 UNEXPLAINED = "failed: the best pose meets the masks with a mean IOU of {:.2f} only; nothing is known of the object"
 """The status of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
@@ -80,10 +82,10 @@ def reconstruct(
         footage = (clip, masks) if options.every_frame else (sampled, given.masks)
         whole = at_every_frame(*footage, problem, found, track)
         clock("every frame")
+        deformed = 0.0 if found.warp is None else found.warp.displacement(light.mesh)
         solved = Solved(
             problem.clip, problem.given_masks, track.T_hand_obj[0], scale, track.iou,
-            doubted=len(whole.doubted) / len(whole.frames),
-            deformed=0.0 if found.warp is None else found.warp.displacement(light.mesh) / light.mesh.diameter,
+            doubted=whole.doubted, deformed=deformed / light.mesh.diameter, deformed_mm=1e3 * scale * deformed,
             candidates=Candidates(track.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
             T_cam_hand_given=clip.hand.T_cam_hand[clip.index_of(problem.clip.frames)],
             misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
@@ -95,7 +97,7 @@ def reconstruct(
     result = _reconstruction(problem, options, found, whole, clock.seconds())
     return replace(
         result,
-        notes=(*result.notes, *_of_shape(found, light.mesh), *light.mesh.stands_for(whole_mesh, "fitted")),
+        notes=(*result.notes, *([] if found.warp is None else [SHAPE_GUESSED]), *light.mesh.stands_for(whole_mesh, "fitted")),
         findings=(*findings, *more),
         checks=measured | of_result,
         signs=signs,
@@ -168,19 +170,8 @@ def _reconstruction(
         seed=options.seed,
         T_cam_hand=track.T_cam_hand if problem.hand_corrected else None,
         warp=found.warp,
-        notes=(*problem.notes, *track.notes, *([guess] if clip.scale == "free" else [])),
+        notes=(*problem.notes, *([guess] if clip.scale == "free" else [])),
     )
-
-
-def _of_shape(found: MethodResult, mesh: Mesh) -> list[str]:
-    """What is to be said where the mesh was not taken as it is given."""
-    if found.warp is None:
-        return []
-    by = 1e3 * float(found.poses.scale[0]) * found.warp.displacement(mesh)
-    return [
-        f"the object's shape is a guess from the masks: the mesh leaves contours that no pose explains, and was "
-        f"deformed by {by:.1f} mm (--given-mesh takes it as it is)"
-    ]
 
 
 class Clock:
