@@ -238,7 +238,7 @@ def test_the_version_is_printed(run: Run) -> None:
 @pytest.mark.parametrize("words", ["clip new", "epic candidates", "init learn"])
 def test_help_shows_commands_as_they_are_typed(run: Run, words: str) -> None:
     assert run(*words.split(), "--help")[1].startswith(f"usage: getagrip {words} ")
-    assert run(words.split()[0], "--help")[1] == run(*words.split(), "--help")[1]
+    assert run(words.split(maxsplit=1)[0], "--help")[1] == run(*words.split(), "--help")[1]
     assert f" {words} " in run("--help")[1]
 
 

@@ -221,7 +221,7 @@ def test_grasps_of_a_list(root, tmp_path, run):
     listed = timelines(tmp_path / "hit.json")
     status, _, err = run("import", "hot3d", root, "--out", tmp_path / "out", "--list", listed)
     assert status == 0
-    assert "hit.json: 1 grasps and 0 other segments end before they start: skipped" in err
+    assert "hit.json: 1 grasp and 0 other segments end before they start: skipped" in err
     assert f"{HOLD}--00009-00009: hand and object are known in 1 of its frames: skipped" in err
     found = {path.parent.name: frames(path.parent) for path in (tmp_path / "out").glob("*/clip.json")}
     assert found == {

@@ -61,7 +61,7 @@ class Share:
     def ended(
         self, engine: Engine[J, R], tasks: Sequence[J], out: Path, called: str, few: int = FEW
     ) -> Generator[R, None, None]:
-        """What an ``engine`` makes of each task, as they end, while they are counted (``Pace``); the ledger is that of ``out``.
+        """What an ``engine`` makes of each task, as they end, counted by a ``Pace``; the ledger is that of ``out``.
 
         ``called`` is what tasks are, in the plural. Raises ``UsageError`` as ``crew``, else as ``Engine.run``.
         """

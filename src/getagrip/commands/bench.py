@@ -28,6 +28,7 @@ from getagrip.experiments.trials import Scores, Trial, run
 from getagrip.experiments.variants import Variant, ablation_variants, method_variants
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.io import files, leftovers
+from getagrip.io.counts import counted
 from getagrip.io.terminal import console, report
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
 from getagrip.result import software
@@ -182,7 +183,7 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     """What was run, and when."""
     good = sum(bool(clip.scores) for clip in scores)
     skipped = f", {len(scores) - good} failed and skipped" if good < len(scores) else ""
-    return [f"{plan.source.title}: {good} clips{skipped}; made {stamp()}"]
+    return [f"{plan.source.title}: {counted(good, 'clip')}{skipped}; made {stamp()}"]
 
 
 def _settings(plan: Plan, scores: Sequence[Scores]) -> list[str]:
@@ -190,7 +191,9 @@ def _settings(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     good = [clip for clip in scores if clip.scores]
     drawn = groups(good) if good else []
     together = len(set(drawn)) < len(drawn)
-    units = f"the {len(set(drawn))} subjects, all clips of one together" if together else f"the {len(drawn)} clips"
+    units = counted(len(drawn), "clip")
+    if together:
+        units = f"{counted(len(set(drawn)), 'subject')}, all clips of one together"
     versions = ", ".join(f"{key} {version}" for key, version in software().items())
     return [
         f"{plan.options.inits} initial poses ({_initial_poses(plan.options)}; {WITH_FREE_SCALE * plan.options.inits} "
@@ -222,6 +225,7 @@ def _outdated(scores: Sequence[Scores]) -> list[str]:
     count = sum(score.outdated for clip in scores for score in clip.scores)
     if not count:
         return []
-    warning = f"{count} results are older than the package's files; --overwrite recomputes them"
+    results = counted(count, "result is", "results are")
+    warning = f"{results} older than the package's files; --overwrite recomputes them"
     print(f"warning: {warning}", file=sys.stderr)
     return [warning]

@@ -84,7 +84,8 @@ LATER = {
 
 
 def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
-    """Write a clip. Returns 0 when it is complete, 3 when masks or hands are yet to come, 2 when the call lacks something.
+    """Write a clip. Returns 0 when it is complete, 3 when masks or hands are yet to come, 2 when the call lacks
+    what a clip cannot be made without.
 
     Raises ``InputError`` for what is there and does not fit, ``UsageError`` where the folder exists, unless it is that
     of a clip to be overwritten.

@@ -97,7 +97,7 @@ def reconstruct(
     result = _reconstruction(problem, options, found, whole, clock.seconds())
     return replace(
         result,
-        notes=(*result.notes, *([] if found.warp is None else [SHAPE_GUESSED]), *light.mesh.stands_for(whole_mesh, "fitted")),
+        notes=(*result.notes, *light.mesh.stands_for(whole_mesh, "fitted")),
         findings=(*findings, *more),
         checks=measured | of_result,
         signs=signs,
@@ -150,7 +150,11 @@ def _reconstruction(
     scale = float(found.poses.scale[0])
     shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.doubted)
     mean_iou = float(np.nansum(track.iou)) / shown  # a doubted mask is one that is not explained
-    guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
+    guesses = []
+    if clip.scale == "free":
+        guesses.append(f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement")
+    if found.warp is not None:
+        guesses.append(SHAPE_GUESSED)
     axis = None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle)
     return Reconstruction(
         clip=clip.name,
@@ -170,7 +174,7 @@ def _reconstruction(
         seed=options.seed,
         T_cam_hand=track.T_cam_hand if problem.hand_corrected else None,
         warp=found.warp,
-        notes=(*problem.notes, *([guess] if clip.scale == "free" else [])),
+        notes=(*problem.notes, *guesses),
     )
 
 

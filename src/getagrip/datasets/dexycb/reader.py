@@ -31,6 +31,7 @@ from getagrip.grasps.definition import FEWEST
 from getagrip.grasps.lists import BETWEEN
 from getagrip.grasps.options import GraspOptions
 from getagrip.io.arguments import Flag
+from getagrip.io.counts import counted
 from getagrip.metrics.contact import signed_distance
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ class FittedTrack(Track):
             + ", ".join(f"{finger} {1e3 * d:.1f}" for finger, d in zip(FINGERS, pads, strict=True))
             + f" mm from the object (median over frames; negative: inside), at most {-1e3 * depth.min():.1f} mm inside",
             **({"stable_contact_area": piece.stable_area} if piece.stable_area else {}),
-            "dropped": f"{len(piece.track) - len(self)} frames in which the object is not visible",
+            "dropped": f"{counted(len(piece.track) - len(self), 'frame')} in which the object is not visible",
         }
 
     def hand_depth(self) -> Float[ndarray, "T V"]:

@@ -43,7 +43,9 @@ class Recorded(ClipSource):
         missing = self.only is None or any(not (clips / name).exists() for name in self.only)
         if not done.exists() and missing:
             if self.only is None:
-                report(f"{self.dataset}: all clips are imported first, and kept; --only FILE imports those that it names")
+                report(
+                    f"{self.dataset}: all clips are imported first, and kept; --only FILE imports those that it names"
+                )
             status = import_clips(self.reader(self.root), clips, debug, only=self.only)
             if status == 0 and self.only is None:
                 done.touch()  # else what failed is tried again next time
