@@ -111,18 +111,33 @@ def probability_right(
 ) -> Probability | None:
     """How probable it is that a result with such signs is right; ``findings`` are those about its input.
 
-    None where nothing is calibrated: for methods and energies other than those that were, for shorter searches, and
-    where something serious is found about the input.
+    None where nothing is calibrated (``uncalibrated``).
     """
     calibration = CALIBRATIONS.get((options.method, where))
-    as_usual = options.inits >= Options.inits and all(
-        getattr(options, option.name) == option.default for option in fields(Options) if option.name not in CHOICES
-    )
-    if calibration is None or not as_usual or any(finding.serious for finding in findings):
+    if calibration is None or uncalibrated(options, findings):
         return None
     if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
         return None
     return calibration.probability(signs)
+
+
+def uncalibrated(options: Options, findings: Sequence[Finding]) -> str:
+    """Why there is no probability that a result is right, in words; empty where there is one.
+
+    There is none for methods and energies other than those that were calibrated, for shorter searches, and where
+    something serious is found about the input: of ``findings`` those by the checks of inputs count.
+    """
+    if not any(method == options.method for method, _ in CALIBRATIONS):
+        return f"none is calibrated for {options.method}"
+    if options.inits < Options.inits:
+        return f"none is calibrated for fewer than {Options.inits} initial poses"
+    for option in fields(Options):
+        if option.name not in CHOICES and (value := getattr(options, option.name)) != option.default:
+            return f"none is calibrated with {option.name} {value}"
+    of_input = {check.name for check in INPUT_CHECKS}
+    if any(finding.serious and finding.check in of_input for finding in findings):
+        return "a check of the input is serious"
+    return ""
 
 
 def _fitted(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> tuple[Problem, MethodResult]:
