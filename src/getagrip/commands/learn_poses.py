@@ -62,6 +62,6 @@ def learn(
         print("a clip of one of them starts from what is learnt without its subject")
     nameless = sum(not hold.subject for hold in kept)
     if nameless:
-        clips = counted(nameless, "clip names", "clips name")
-        print(f"{clips} no subject: each starts from the others, whoever they are", file=sys.stderr)
+        those = counted(nameless, "clip names", "clips name")
+        print(f"{those} no subject: each starts from the others, whoever they are", file=sys.stderr)
     return 1 if failed else 0
