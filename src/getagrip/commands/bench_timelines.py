@@ -16,6 +16,7 @@ from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import estimate, resamples
 from getagrip.experiments.timeline_trials import ALL, LEVELS, TimelineScores, TimelineTrial, run_timeline
 from getagrip.io import files
+from getagrip.io.counts import counted
 
 HEADINGS = ("hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, grasp", "jump, mm", "SCA", "s")
 
@@ -41,7 +42,7 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
     scores = scored(run_timeline, TimelineScores, trials, plan, debug)
     whole = [one for one in scores if one.by]
     if scores and not whole:
-        given = f"{len(scores)} timelines, none with both a static segment and a stable grasp"
+        given = f"{counted(len(scores), 'timeline')}, none with both a static segment and a stable grasp"
         raise UsageError(f"{plan.source.dataset}: got {given}, expected one at least")
     if whole:
         text = _markdown(plan, whole, len(scores))
