@@ -84,7 +84,7 @@ def test_the_command_writes_what_was_marked(project: Project, video: Path, run: 
     grasp(project, 12, 45)
     status, out, err = run("annotate", video, "--out", tmp_path, "--export")
     assert status == 0
-    assert "ann: 1 grasps" in out
+    assert "ann: list of 1 grasp, " in out
     assert "grasps-ann.csv" in out
     assert err == ""
     assert run("annotate", video, "--out", tmp_path / "empty", "--export")[0] == 2

@@ -101,9 +101,12 @@ def test_files_make_a_clip_and_labels_are_taken_back(
     (file,) = tmp_path.glob("labels-*.json")
     other = tmp_path / "other"
     assert run("annotate", scene_video, "--out", other, "--import-labels", file, "--annotator", "bob")[0] == 0
-    assert (
-        run("annotate", scene_video, "--out", other, "--import-labels", file, "--annotator", "bob", "--export")[0] == 0
-    )
+    call = ("annotate", scene_video, "--out", other, "--import-labels", file, "--annotator", "bob", "--export")
+    status, out, err = run(*call)
+    assert status == 0
+    assert f"making the hand and the masks of {len(clip)} frames ...\n" in out
+    assert f"hand.npz and masks of {len(clip)} frames; a clip is made of them, with the object's mesh, by\n" in out
+    assert err == "bob: 1 grasp is not in this list: name the kind of object on the page to have it there, too\n"
     (again,) = other.glob("labels-*.json")
     assert again.read_text() == file.read_text()
     assert len(json.loads((other / "grasps-bob.json").read_text())) <= 1  # the grasp was marked once

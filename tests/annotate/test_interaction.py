@@ -127,9 +127,9 @@ def test_a_draft_is_imported_by_the_command(tmp_path: Path, video: Path, run: Ru
     file.write_text(json.dumps({"a-clip": {"segments": [{"state": "static", "first": "5", "last": "900"}]}}))
     call = ("annotate", video, "--out", tmp_path, "--import-segments", file, "--annotator", "ann")
     status, out, _ = run(*call)
-    assert (status, "ann: 1 segments" in out) == (0, True)
+    assert (status, "ann: 1 segment;" in out) == (0, True)
     status, out, err = run("annotate", video, "--out", tmp_path, "--export")
-    assert (status, "segments of 1 clips" in out, "camera" in err) == (0, True, True)
+    assert (status, "segments of 1 clip," in out, "camera" in err) == (0, True, True)
     written = json.loads((tmp_path / "segments-ann.json").read_text())["cup"]["segments"]
     assert written == [{"state": "static", "first": "000005", "last": "000070"}]
     assert run(*call)[0] == 2

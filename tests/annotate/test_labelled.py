@@ -113,7 +113,9 @@ def test_labels_become_a_clip(tmp_path: Path, run: Run) -> None:
         for n in range(LAST + 1):
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image(n), format="rgb24")))
         container.mux(stream.encode(None))
-    made = make(labels_of(0, LAST), image, Lens(), tmp_path / "made")
+    done: list[int] = []
+    made = make(labels_of(0, LAST), image, Lens(), tmp_path / "made", done=done.append)
+    assert done == [*range(1, LAST + 2)]
     assert made.confidence[0] == made.confidence[LAST] == 1.0
     assert sorted(made.confidence) == list(range(LAST + 1))
     write_mesh(box(0.1, 0.08, 0.002), tmp_path / "box.obj")

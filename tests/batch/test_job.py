@@ -37,3 +37,19 @@ def test_a_result_that_another_run_made_meanwhile_is_kept(tmp_path: Path, monkey
     assert outcome.findings == (DOUBT,)
     other = replace(job, options=Options(method="static", seed=1))
     assert standing(other, input_sha256(folder)) == (None, "what was there is of another seed")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [(Options(mesh="as-given"), "none is calibrated with mesh as-given"), (Options(method="static"), "for static")],
+)
+def test_why_there_is_no_probability_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: Options, said: str
+) -> None:
+    scene = egg_and_mug()
+    folder = write_clip(*scene, tmp_path / "clip")
+    monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", lambda *_: perfect(scene[0]))
+    outcome = reconstruct_one(Job("egg-and-mug", folder, tmp_path / "out", options, overwrite=False))
+    assert (outcome.state, f"{said}), " in outcome.message) == ("done", True)
+    assert outcome.message.startswith("IOU ")
+    assert ", no probability that it is right (none is calibrated " in outcome.message

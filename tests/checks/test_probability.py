@@ -31,7 +31,7 @@ from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.finding import Finding
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import probability_right
+from getagrip.fitting.reconstruct import probability_right, uncalibrated
 from getagrip.geometry import se3
 from getagrip.probability import Probability, percent
 from getagrip.result import Axis, Candidates
@@ -151,17 +151,18 @@ SERIOUS = Finding("frame-order", True, 3.0, 2.5, "in another order")
 
 
 @pytest.mark.parametrize(
-    ("options", "findings"),
+    ("options", "findings", "why"),
     [
-        (Options(method="one-dof"), ()),
-        (Options(method="static"), ()),
-        (Options(inits=10), ()),
-        (Options(push=0.5), ()),
-        (Options(hands="as-given"), ()),
-        (Options(), (SERIOUS,)),
+        (Options(method="one-dof"), (), "none is calibrated for one-dof"),
+        (Options(method="static"), (), "none is calibrated for static"),
+        (Options(inits=10), (), "none is calibrated for fewer than 50 initial poses"),
+        (Options(push=0.5), (), "none is calibrated with push 0.5"),
+        (Options(hands="as-given"), (), "none is calibrated with hands as-given"),
+        (Options(), (SERIOUS,), "a finding is serious"),
     ],
 )
-def test_there_is_none_where_nothing_is_calibrated(options: Options, findings: tuple[Finding, ...]) -> None:
+def test_there_is_none_where_nothing_is_calibrated(options: Options, findings: tuple[Finding, ...], why: str) -> None:
+    assert uncalibrated(options, findings) == why
     assert probability_right(options, USUAL, findings) is None
     assert probability_right(options, USUAL, findings, "camera") is None
 
@@ -169,6 +170,8 @@ def test_there_is_none_where_nothing_is_calibrated(options: Options, findings: t
 @pytest.mark.parametrize("options", [Options(), Options(seed=3), Options(inits=200), Options(frames=10)])
 def test_there_is_one_with_the_usual_energy(options: Options) -> None:
     note = replace(SERIOUS, serious=False)
+    assert uncalibrated(options, (note,)) == ""
+    assert uncalibrated(options, (note, replace(SERIOUS, check="mask-fit"))) == "a finding is serious"
     assert probability_right(options, USUAL, (note,)) == CALIBRATIONS["soft-hinge", "hand"].probability(USUAL)
 
 

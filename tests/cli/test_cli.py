@@ -77,6 +77,28 @@ def test_wrong_calls_exit_with_2(run: Run, args: tuple[str, ...], tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("call", "expected"),
+    [
+        ("recon dexall --out x", "got recon, expected reconstruct"),
+        ("sudy", "got sudy, expected study"),
+        ("cip new v.mp4", "got cip, expected clip new"),
+        ("clip --out x", "got clip --out, expected clip new"),
+        ("init lern", "got init lern, expected init learn"),
+        ("e", "got e, expected epic candidates or evaluate or export"),
+        ("frobnicate", "got frobnicate, expected one of demo, doctor, clip new"),
+        ("import dexicb root --out x", "got import dexicb, expected import dexycb"),
+        ("import frobnicate", "got import frobnicate, expected import and one of hot3d, dexycb"),
+        ("figure galery", "got figure galery, expected figure gallery"),
+    ],
+)
+def test_a_mistyped_command_is_answered_with_the_nearest(run: Run, call: str, expected: str) -> None:
+    status, out, err = run(*call.split())
+    assert (status, out) == (2, "")
+    assert err.startswith(f"getagrip: {expected}")
+    assert err.count("\n") == 1
+
+
 @pytest.mark.parametrize("out", ["/proc/u1", "/dev/null", "/dev/null/sub", "a" * 300])
 def test_places_that_cannot_be_written_are_refused_first(run: Run, out: str, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
@@ -216,7 +238,13 @@ def test_the_version_is_printed(run: Run) -> None:
 @pytest.mark.parametrize("words", ["clip new", "epic candidates", "init learn"])
 def test_help_shows_commands_as_they_are_typed(run: Run, words: str) -> None:
     assert run(*words.split(), "--help")[1].startswith(f"usage: getagrip {words} ")
+    assert run(words.split(maxsplit=1)[0], "--help")[1] == run(*words.split(), "--help")[1]
     assert f" {words} " in run("--help")[1]
+
+
+def test_help_shows_what_may_be_left_out_and_what_a_root_may_be(run: Run) -> None:
+    assert "epic-grasps|LIST [CSV]\n" in run("stats", "--help")[1]
+    assert "a packed file" in run("import", "dexycb", "--help")[1].split("options ─")[0]
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from helpers.folders import FullDisk, contents
 def test_in_steps(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without masks and hands the clip has its images; each is added later, frames without a hand are left out."""
     mesh = ["--mesh", str(made / "unit.obj"), "--diameter-mm", "130", "--guess-focal"]
-    assert main(new(made, "--interval", "3", "8", "--side", "right", *mesh)) == 1
+    assert main(new(made, "--interval", "3", "8", "--side", "right", *mesh)) == 3
     printed = capsys.readouterr().err
     for word in ("missing: masks", "missing: hands", "guess", "import hands"):
         assert word in printed
@@ -149,7 +149,7 @@ def test_joints_that_do_not_fit_the_clip_are_refused_in_plain_words(
     made: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     base = ["--interval", "3", "8", "--side", "right", "--focal", "60", "--mesh", "mug"]
-    assert main(new(made, *base)) == 1
+    assert main(new(made, *base)) == 3
     joints = np.tile(generic.load("right").with_shape().with_pose().joints + AHEAD, (6, 1, 1))
     for values, first, words in [
         (joints, 300, "got hands in other frames (300, ...), expected hands in the clip's, 000003 to 000008"),

@@ -31,7 +31,7 @@ def test_learning_from_folders(folder: Path, tmp_path: Path, capsys: pytest.Capt
     assert main(["init", "learn", str(folder), "--out", str(out), "--leave-out", "Bob"]) == 1
     printed = capsys.readouterr()
     assert "truth.npz" in printed.err
-    assert "1 clips name no subject" in printed.err
+    assert "1 clip names no subject" in printed.err
     assert "box, right: 2 poses from 2 grasps" in printed.out
     learnt = read_learnt(out)
     assert isinstance(learnt, LearntGrasps)

@@ -85,9 +85,9 @@ def test_what_is_missing_is_reported(made: Path, capsys: pytest.CaptureFixture[s
 
 def test_only_a_clip_is_overwritten(made: Path, run: Run) -> None:
     command = new(made, *everything(made))
-    assert run(*command)[0] == 1  # without hands
+    assert run(*command)[0] == 3  # without hands
     assert run(*command)[0] == 2
-    assert run(*command, "--overwrite")[0] == 1
+    assert run(*command, "--overwrite")[0] == 3
     (made / "cup" / "clip.json").rename(made / "cup" / "mine.json")
     before = contents(made)
     status, _, err = run(*command, "--overwrite")
@@ -101,6 +101,7 @@ def test_only_a_clip_is_overwritten(made: Path, run: Run) -> None:
     [
         (["--interval", "3", "30"], 1, "no mask of 18 of 28 frames"),
         (["--interval", "8", "3"], 2, "--interval"),
+        (["--mesh", "plte"], 1, "plte"),
         (["--object", "7"], 1, "without a pixel of the object; there are 0, 1, 2"),
         (["--masks", "nowhere"], 1, "no such file or folder"),
         (["--K", "60", "60", "32000", "24"], 2, "--K"),
@@ -131,7 +132,7 @@ def test_generated_meshes_may_have_slivers(made: Path) -> None:
     with (made / "unit.obj").open("a") as file:
         file.write("\nf 1 1 2\nf 3 3 3\n")
     mesh = ["--mesh", str(made / "unit.obj"), "--size-mm", "120", "--interval", "1", "3", "--side", "left"]
-    assert main(new(made, *mesh, "--focal", "60")) == 1
+    assert main(new(made, *mesh, "--focal", "60")) == 3
     fields = json.loads((made / "cup" / "clip.json").read_text())
     assert "2 faces without area" in fields["provenance"]["mesh"]
 
@@ -142,12 +143,12 @@ def test_a_kind_of_object_is_a_shape_of_the_package(
     """Its size is to be found, or stated; a file of that name comes first."""
     monkeypatch.chdir(made)
     base = ["--interval", "1", "3", "--side", "left", "--focal", "60", "--mesh", "plate", "--overwrite"]
-    assert main(new(made, *base)) == 1
+    assert main(new(made, *base)) == 3
     fields = json.loads((made / "cup" / "clip.json").read_text())
     assert (fields["category"], fields["scale"]) == ("plate", "free")
     assert "this package's own plate: a guess" in fields["provenance"]["mesh"]
     assert "warning: mesh: " in capsys.readouterr().err
-    assert main(new(made, *base, "--category", "saucer", "--size-mm", "150")) == 1
+    assert main(new(made, *base, "--category", "saucer", "--size-mm", "150")) == 3
     fields = json.loads((made / "cup" / "clip.json").read_text())
     assert (fields["category"], fields["scale"]) == ("saucer", "known")
     np.testing.assert_allclose(np.ptp(read_mesh(made / "cup" / "object.obj").vertices, axis=0).max(), 0.15)
@@ -159,7 +160,7 @@ def test_a_kind_of_object_is_a_shape_of_the_package(
 
 
 def test_the_way_without_an_estimator_is_shown(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(new(made, "--interval", "1", "3", "--side", "left", "--focal", "60", "--mesh", "mug")) == 1
+    assert main(new(made, "--interval", "1", "3", "--side", "left", "--focal", "60", "--mesh", "mug")) == 3
     assert capsys.readouterr().err.count(f"getagrip annotate {made / 'video.mp4'}") == 2
 
 

@@ -209,7 +209,8 @@ def test_all_is_written_and_printed(run: Run, tmp_path: Path) -> None:
     assert shared.read_bytes() == file.read_bytes()
     status, printed, _ = run("segment", tmp_path / "clips" / "a", "--shortest", 5)
     assert status == 0
-    assert "2 stable grasps in 1 of 1 clips, 88.0 % of their frames" in printed
+    assert "2 stable grasps in 1 of 1 clip, 88.0 % of their frames" in printed
+    assert " 0024 " in printed
 
 
 def test_one_bad_clip_stops_no_other(run: Run, tmp_path: Path) -> None:

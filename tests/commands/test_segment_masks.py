@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,9 @@ def test_all_segments_are_written_and_the_assumption_is_said(tmp_path: Path, run
     clip = lying(tmp_path / "clips")
     status, out, err = run("segment", "--from-masks", tmp_path / "clips", "--out", tmp_path / "out", "--write")
     assert status == 0
-    assert "0 stable grasps in 0 of 1 clips" in out
+    assert "0 stable grasps in 0 of 1 clip" in out
+    assert re.search(rf"lying +static +{clip.frames[0]} +{clip.frames[-1]} ", out)
+    assert "margin: how much worse" in out
     assert "lying: the camera is taken to stand still: a guess" in err
     written = json.loads((tmp_path / "out" / "segments.json").read_text())["lying"]
     (segment,) = read_segments(tmp_path, written["segments"], clip.frames, has_world=True)

@@ -84,7 +84,7 @@ def test_one_bad_clip_stops_no_other(run: Run, tmp_path: Path) -> None:
     options = ("--tau", 0.3, "--contact-mm", 5, "--shortest", 10, "--out", tmp_path / "out")
     status, printed, err = run("study", *paths, *options)
     assert status == 1
-    assert "1 stable grasps in 1 of 1 clips" in printed
+    assert "1 stable grasp in 1 of 1 clip" in printed
     assert "gone: got no such folder" in err
     assert "truth.npz: got no such file" in err
     with pytest.raises(InputError, match=r"truth\.npz"):

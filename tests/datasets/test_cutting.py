@@ -159,7 +159,7 @@ def test_every_command_takes_the_same_list(tmp_path: Path, run: Run) -> None:
         out = tmp_path / command
         status, said, err = run(command, tmp_path / "whole", option, marked, "--out", out)
         assert (status, err.strip()) == (0, "1 of the 2 grasps of marked.json are in these clips")
-        assert "1 stable grasps in 1 of 1 clips" in said
+        assert "1 stable grasp in 1 of 1 clip" in said
         lists_made.append(out / "grasps.json")
     grasps = [lists.read(path).grasps for path in (*lists_made, tmp_path / "segment" / "segments.csv")]
     assert {(one.sequence, one.first, one.last) for found in grasps for one in found} == {(NAME, "00047", "00067")}

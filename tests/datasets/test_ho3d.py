@@ -77,7 +77,7 @@ def test_hands_of_the_evaluation_split_are_not_known(root: Path) -> None:
         list(source.read(notes.append))
     assert notes == [
         f"evaluation/SM1: {FRAMES} frames without the pose of the hand or of the object: skipped",
-        "train/ABF12: 1 frames without the pose of the hand or of the object: skipped",
+        "train/ABF12: 1 frame without the pose of the hand or of the object: skipped",
     ]
 
 

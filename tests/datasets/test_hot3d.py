@@ -150,14 +150,14 @@ def test_object_names_that_could_be_paths_are_refused(root, name):
 def test_an_import_goes_on_where_it_stopped(root, tmp_path, run):
     call = ("import", "hot3d", root, "--out", tmp_path / "out")
     status, printed, _ = run(*call)
-    assert (status, printed.splitlines()[-1]) == (0, "1 clips, 0 already there, 0 sequences failed")
+    assert (status, printed.splitlines()[-1]) == (0, "1 clip, 0 already there, 0 of 1 sequences failed")
     made = tmp_path / "out" / HOLD
     stamp = (made / "hand.npz").stat().st_mtime_ns
     broken = root / "sequences" / "P0000_bad"
     broken.mkdir()
     (broken / "dynamic_objects.csv").write_text("object_uid\n")
     status, printed, err = run(*call)
-    assert (status, printed.splitlines()[-1]) == (1, "0 clips, 1 already there, 1 sequences failed")
+    assert (status, printed.splitlines()[-1]) == (1, "0 clips, 1 already there, 1 of 2 sequences failed")
     assert "P0000_bad" in err
     assert (made / "hand.npz").stat().st_mtime_ns == stamp
     assert json.loads((made / "clip.json").read_text())["provenance"]["subject"] == "P0000"
@@ -221,7 +221,7 @@ def test_grasps_of_a_list(root, tmp_path, run):
     listed = timelines(tmp_path / "hit.json")
     status, _, err = run("import", "hot3d", root, "--out", tmp_path / "out", "--list", listed)
     assert status == 0
-    assert "hit.json: 1 grasps and 0 other segments end before they start: skipped" in err
+    assert "hit.json: 1 grasp and 0 other segments end before they start: skipped" in err
     assert f"{HOLD}--00009-00009: hand and object are known in 1 of its frames: skipped" in err
     found = {path.parent.name: frames(path.parent) for path in (tmp_path / "out").glob("*/clip.json")}
     assert found == {

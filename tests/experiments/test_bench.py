@@ -232,7 +232,7 @@ def test_results_of_other_options_are_made_again(can_and_box: Path, tmp_path: Pa
     assert err == ""
     record = next(tmp_path.glob("results/static/*/result.json"))
     os.utime(record, (0.0, 0.0))
-    assert "1 results are older" in run(*call, "--inits", "5")[2]
+    assert "1 result is older" in run(*call, "--inits", "5")[2]
     assert "1 done" in run(*call, "--inits", "5", "--overwrite")[1]
 
 

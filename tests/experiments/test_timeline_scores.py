@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from getagrip.batch.share import ALONE
 from getagrip.commands import bench_timelines
 from getagrip.commands.bench_sequences import Plan
 from getagrip.datasets.hot3d.reader import Hot3d
 from getagrip.errors import UsageError
-from getagrip.experiments.sources import source_of
+from getagrip.experiments.sources import Sample, source_of
 from getagrip.experiments.sources.timelines import Timelines
 from getagrip.experiments.timeline_scores import jumps, segment_scores
 from getagrip.experiments.timeline_trials import TimelineScores
@@ -43,10 +44,10 @@ def test_a_table_needs_timelines_that_lie_and_are_held(tmp_path: Path, monkeypat
     source = source_of("hot3d-timelines", root=tmp_path, preset="strong")
     assert isinstance(source, Timelines)
     assert isinstance(source.reader(tmp_path), Hot3d)
-    monkeypatch.setattr(bench_timelines, "samples", lambda *_: ([], []))
+    monkeypatch.setattr(bench_timelines, "samples", lambda *_: ([Sample("P0001--a--mug", tmp_path)], []))
     monkeypatch.setattr(bench_timelines, "scored", lambda *_: [TimelineScores("P0001--a--mug")])
-    plan = Plan(source, tmp_path, Options(), None, 1, False, None)
-    with pytest.raises(UsageError, match="got 1 timelines, none with both a static segment and a stable grasp"):
+    plan = Plan(source, tmp_path, Options(), None, ALONE, False, None)
+    with pytest.raises(UsageError, match="got 1 timeline, none with both a static segment and a stable grasp"):
         bench_timelines.bench_timelines(plan, False)
 
 

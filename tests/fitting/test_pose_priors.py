@@ -20,6 +20,7 @@ from getagrip.fitting.pose_priors import poses_for, read_folder, read_learnt
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
+from getagrip.io.counts import counted
 from helpers.clips import small_clip
 from helpers.grasp_priors import held, old_file, rotations
 from helpers.paths import DATA, needs
@@ -58,7 +59,7 @@ def test_one_file_gives_everybody_what_was_learnt_from_others(tmp_path: Path) ->
         assert np.array_equal(poses, poses_for(replace(clip, name="x", provenance={}), own)[0])
         assert note.startswith(f"started from {len(others)} poses of all.npz")
         left_out = len(clips) - len(others)
-        assert (f"without {left_out} grasps of its own subject" in note) == (left_out > 0)
+        assert (f"without {counted(left_out, 'grasp')} of its own subject" in note) == (left_out > 0)
     alone = poses_file(tmp_path / "alone.npz", clips[0])
     assert poses_for(clips[0], alone)[1][0].endswith("has no poses of box in a right hand: 12 uniform rotations")
 

@@ -16,9 +16,9 @@ def test_checks_have_their_usual_range_and_a_verdict() -> None:
     (table,) = (one for one in tables(View.of(result, clip, masks), {}, {}) if one["title"].startswith("Checks"))
     assert table["head"] == ("check", "value", "usual", "verdict")
     assert table["rows"] == [
-        ["hand-side", "68.5", "at least -5", "usual"],
+        ["hand-side", "68.5 degrees", "at least -5 degrees", "usual"],
         ["seen-size", "", "0.1 to 8", "not applicable"],
-        ["contact-gap", "20", "at most 15", "serious"],
-        ["penetration", "40", "at most 35", "note"],
+        ["contact-gap", "20 mm", "at most 15 mm", "serious"],
+        ["penetration", "40 mm", "at most 35 mm", "note"],
         ["unknown", "1", "", ""],
     ]

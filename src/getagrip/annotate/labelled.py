@@ -41,13 +41,19 @@ class Made:
 
 
 def make(
-    labels: Labels, image: Callable[[int], UInt8[ndarray, "H W 3"]], lens: Lens, out: Path, overwrite: bool = False
+    labels: Labels,
+    image: Callable[[int], UInt8[ndarray, "H W 3"]],
+    lens: Lens,
+    out: Path,
+    overwrite: bool = False,
+    done: Callable[[int], None] = lambda _: None,
 ) -> Made:
     """Write ``out/hand.npz`` and ``out/masks/<number>.png``: 0, ``OBJECT``, or ``FRONT`` for what hides it or may.
 
     ``image`` gives the footage's frames, from 0. Files number frames from 1, as ``clip new`` does. Where the lens is a
-    guess, or nothing is known of it, the files say that depth and size are guesses, too. Raises ``UsageError`` for
-    labels that do not suffice, and where ``out`` exists and is not to be replaced, or is not what this made before.
+    guess, or nothing is known of it, the files say that depth and size are guesses, too. ``done`` is called with the
+    number of masks that are written. Raises ``UsageError`` for labels that do not suffice, and where ``out`` exists and
+    is not to be replaced, or is not what this made before.
     """
     K, camera = intrinsics(lens if lens.given else Lens(guess_focal=True), labels.size)
     clicked = hands_from_clicks(labels.clicks, K, labels.side, labels.first, labels.last)
@@ -59,6 +65,7 @@ def make(
             mask = with_hand(drawn, hands, n - labels.first, K)
             write_image(new / "masks" / f"{n + 1:06d}.png", mask)
             confidence[n] = sure
+            done(len(confidence))
         write_hand(hands.hand, new / "hand.npz", _extra(labels, hands, K, camera))
     return Made(hands, confidence, command(labels, out))
 

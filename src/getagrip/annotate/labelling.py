@@ -197,14 +197,16 @@ class Labelling:
             files.write_json(path, {grasp.task.key: grasp.whole.listed().fields})
         whole = replace(given, sha256=checksum(_path(grasp)))
         labels.write(whole, self.out / f"labels-{grasp.name}.json")
+        frames = given.last - given.first + 1
         with closing(open_footage(_path(grasp))) as footage:
 
             def image(n: int) -> UInt8[ndarray, "H W 3"]:
-                job.report(max(job.done, n - given.first), given.last - given.first + 1)
+                job.report(job.done, frames)
                 return footage.image(n)
 
-            make(given, image, self.lens, self.out / grasp.name, overwrite=True)
-        return command(replace(given, video=str(_path(grasp))), self.out / grasp.name, self._segments(grasp))
+            out = self.out / grasp.name
+            make(given, image, self.lens, out, overwrite=True, done=lambda masks: job.report(masks, frames))
+        return command(replace(given, video=str(_path(grasp))), out, self._segments(grasp))
 
     def _segments(self, grasp: Grasp) -> Path | None:
         """Where the segments of a whole interaction go."""

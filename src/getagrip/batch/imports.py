@@ -19,6 +19,7 @@ from getagrip.clip import write_clip
 from getagrip.datasets.dataset import Dataset, Draft, Part
 from getagrip.grasps import lists
 from getagrip.io import leftovers
+from getagrip.io.counts import counted
 from getagrip.io.terminal import report
 
 
@@ -82,8 +83,9 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
                 report(f"--fail-fast: no other of the {dataset.parts_are} is begun")
                 break
     if cut is not None:
-        print(f"{out / lists.FILE}: {grasp_list.write(out, cut, report)} grasps")
-    print(f"{counts['done']} clips, {counts['kept']} already there, {counts['failed']} {dataset.parts_are} failed")
+        print(f"{out / lists.FILE}: {counted(grasp_list.write(out, cut, report), 'grasp')}")
+    failed = f"{counts['failed']} of {len(jobs)} {dataset.parts_are} failed"
+    print(f"{counted(counts['done'], 'clip')}, {counts['kept']} already there, {failed}")
     for advice in dataset.advice(made, handless):
         report(advice)
     return 1 if counts["failed"] else 0

@@ -98,10 +98,14 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         write_result(result, job.out, checksum, metrics, clip_folder=job.origin or job.clip, overwrite=True)
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.name, error)
+    from getagrip.fitting.reconstruct import uncalibrated
+
     known = ", ".join(f"{right} {where}" for where, right in result.probabilities.items())
     probably = f", right with a probability of {known}" if known else ""
     if grasps := of_grasps(result.segments):
         probably = f", {grasps}"
+    if not known and (none := uncalibrated(job.options, result.findings)):
+        probably = f"{probably or ', no probability that it is right'} ({none})"
     about = f"{probably}{', ambiguous' if result.ambiguous else ''}"
     again = f"done again, since {why}: " if why else ""
     summary = f"{again}IOU {result.mean_iou:.2f}{about}, {result.seconds['total']:.1f} s, {job.out}; {result.status}"

@@ -21,7 +21,7 @@ class Pace:
     def __init__(self, bar: Progress, tasks: str, total: int) -> None:
         """``tasks`` what they are called, in the plural."""
         self._bar, self._tasks, self._total = bar, tasks, total
-        self._task = bar.add_task(tasks, total=total, visible=total > 1)
+        self._task = bar.add_task(f"0 of {total} {tasks}", total=total, visible=total > 1)
         self._since = self._said = time.monotonic()
         self._ended = self._worked = self._failed = 0
 
@@ -30,11 +30,12 @@ class Pace:
         self._ended += 1
         self._worked += state != "kept"
         self._failed += state == "failed"
-        self._bar.update(self._task, completed=self._ended, description=f"{self._tasks}: {self}")
+        said = f"{self._ended} of {self._total} {self._tasks}, {self}"
+        self._bar.update(self._task, completed=self._ended, description=said)
         now = time.monotonic()
         if self._bar.disable and now - self._said > EVERY and not isinstance(sys.stdout, Silence):
             self._said = now
-            report(f"{self._ended} of {self._total} {self._tasks}, {self}")
+            report(said)
 
     def __str__(self) -> str:
         """What was kept took no time: it counts neither for the pace nor for what is left to do."""

@@ -16,6 +16,7 @@ from getagrip.batch.ledger_place import ledger_folder
 from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.plan import ALL, Shard
 from getagrip.batch.pool import cores
+from getagrip.batch.progress import Pace
 from getagrip.errors import UsageError
 from getagrip.io.terminal import progress_bar
 
@@ -60,17 +61,17 @@ class Share:
     def ended(
         self, engine: Engine[J, R], tasks: Sequence[J], out: Path, called: str, few: int = FEW
     ) -> Generator[R, None, None]:
-        """What an ``engine`` makes of each task, as they end, while a bar counts them; the ledger is that of ``out``.
+        """What an ``engine`` makes of each task, as they end, counted by a ``Pace``; the ledger is that of ``out``.
 
         ``called`` is what tasks are, in the plural. Raises ``UsageError`` as ``crew``, else as ``Engine.run``.
         """
         engine = replace(engine, crew=self.crew(len(tasks), few), limits=self.limits)
         ledger = Ledger(ledger_folder(out, self.ledger))
-        with ledger, progress_bar(counted=True) as bar, closing(engine.run(tasks, ledger)) as ends:
-            shown = bar.add_task(called, total=len(tasks))
+        with ledger, progress_bar() as bar, closing(engine.run(tasks, ledger)) as ends:
+            pace = Pace(bar, called, len(tasks))
             for result in ends:
                 yield result
-                bar.advance(shown)
+                pace.count(engine.entry(result).state)
 
 
 ALONE = Share()

@@ -38,9 +38,10 @@ class Evidence:
         scale: the scale that was found.
         iou: (n,) overlap of rendered and observed mask, in these frames or more; NaN where no mask shows the object, or
             one is doubted.
-        doubted: share of the frames whose masks are doubted; NaN where none was checked.
+        doubted: names of the frames whose masks are doubted; None where none was checked.
         deformed: root mean square distance by which the fit has deformed the mesh, in diameters; NaN where there was
             none.
+        deformed_mm: the same in millimetres.
         hand_differing: share of the hand's seen pixels that differ from its silhouette; NaN where that is not known.
         misfit: how much farther contours are from those of the masks than the object's own mesh would leave them.
     """
@@ -50,10 +51,16 @@ class Evidence:
     T_hand_obj: Float[ndarray, "T 4 4"] | None = None
     scale: float = 1.0
     iou: Float[ndarray, "n"] | None = None
-    doubted: float = np.nan
+    doubted: tuple[str, ...] | None = None
     deformed: float = np.nan
+    deformed_mm: float = np.nan
     hand_differing: float = np.nan
     misfit: float = np.nan
+
+    @property
+    def doubted_share(self) -> float:
+        """Share of the frames whose masks are doubted; NaN where none was checked."""
+        return np.nan if self.doubted is None else len(self.doubted) / len(self.overlaps)
 
     @cached_property
     def hand_middle(self) -> Float[ndarray, "T 3"]:

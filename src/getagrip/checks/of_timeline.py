@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.checks.evidence import Evidence
-from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Check, examine
+from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Check, examine, millimetres, of_diameter
 from getagrip.clip import Clip, Masks, Segment
 from getagrip.clip.sampling import frame_indices
 from getagrip.finding import Finding
@@ -143,12 +143,12 @@ def _surface_in_world(it: Evidence, some: Int[ndarray, "n"]) -> Float[ndarray, "
 
 
 JUMP = Check(
-    "jump", jump, high=0.2,
-    fault="where segments meet, the object jumps by {value} diameters more than it moves anywhere else",
+    "jump", jump, high=0.2, shown=of_diameter,
+    fault="where segments meet, the object jumps by {value} more than it moves anywhere else",
     advice="the pose in one of the two is probably wrong; are the segments right?",
 )  # fmt: skip
 FLOATS = Check(
-    "floats", height, low=-15.0, high=15.0, serious=False,
-    fault="it lies {value} mm above the support plane",
+    "floats", height, low=-15.0, high=15.0, serious=False, shown=millimetres,
+    fault="it lies {value} above the support plane",
     advice="right if it lies on something else; else check world_support, the mesh's size and the camera",
 )  # fmt: skip

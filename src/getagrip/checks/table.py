@@ -29,55 +29,88 @@ class Check:
     name: str
     measure: Callable[[Evidence], float]
     """NaN where it cannot be known."""
-    fault: str
-    """What is wrong beyond the limits, with the ``{value}``."""
+    fault: str | Callable[[Evidence], str]
+    """What is wrong beyond the limits, with the ``{value}`` as it is ``shown``; or in words for what was looked at."""
     advice: str
     low: float = -np.inf
     high: float = np.inf
     serious: bool = True
     """Whether the result is probably worthless; else it may be right."""
+    shown: Callable[[float], str] = "{:.3g}".format
+    """A value, and a limit, as people read it."""
 
     @property
     def usual(self) -> str:
         """The range in words."""
         if np.isfinite(self.low) and np.isfinite(self.high):
-            return f"{self.low:g} to {self.high:g}"
-        return f"at least {self.low:g}" if np.isfinite(self.low) else f"at most {self.high:g}"
+            return f"{self.shown(self.low)} to {self.shown(self.high)}"
+        return f"at least {self.shown(self.low)}" if np.isfinite(self.low) else f"at most {self.shown(self.high)}"
+
+    def is_usual(self, value: float) -> bool:
+        """Whether there is nothing to say about a value; nor is there about one that is not known, NaN."""
+        return bool(np.isnan(value) or self.low <= value <= self.high)
 
     def verdict(self, value: float) -> str:
         """What a measured value says, in a word or two."""
         if np.isnan(value):
             return "not applicable"
-        if self.finding(value) is None:
-            return "usual"
-        return "serious" if self.serious else "note"
+        return "usual" if self.is_usual(value) else "serious" if self.serious else "note"
 
-    def finding(self, value: float) -> Finding | None:
-        """What there is to say about a measured value."""
-        if np.isnan(value) or self.low <= value <= self.high:
+    def finding(self, value: float, given: Evidence) -> Finding | None:
+        """What there is to say about a value that was measured."""
+        if self.is_usual(value):
             return None
         limit, least = (self.low, "least") if value < self.low else (self.high, "most")
-        fault = self.fault.format(value=f"{value:.3g}")
-        message = f"{fault} (usual: at {least} {limit:g}); {self.advice}"
-        return Finding(self.name, self.serious, value, limit, message)
+        fault = self.fault.format(value=self.shown(value)) if isinstance(self.fault, str) else self.fault(given)
+        usual = f" (usual: at {least} {self.shown(limit)})" if limit else ""  # that there is usually none is plain
+        return Finding(self.name, self.serious, value, limit, f"{fault}{usual}; {self.advice}")
+
+
+def percent(share: float) -> str:
+    """A share as people read it."""
+    return f"{100.0 * share:.3g} %"
+
+
+def millimetres(length: float) -> str:
+    """A length likewise."""
+    return f"{length:.3g} mm"
+
+
+def of_diameter(share: float) -> str:
+    """A length by the object's."""
+    return f"{percent(share)} of its diameter"
+
+
+def contradicting(it: Evidence) -> str:
+    """Which masks are doubted."""
+    assert it.doubted
+    masks, names = f"{len(it.doubted)} of {len(it.overlaps)} masks", ", ".join(it.doubted)
+    if len(it.doubted) == 1:
+        return f"{masks} contradicts the others and was left out: frame {names}"
+    return f"{masks} contradict the others and were left out: frames {names}"
+
+
+def deformation(it: Evidence) -> str:
+    """How far the mesh was deformed."""
+    return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is a guess"
 
 
 INPUT_CHECKS: tuple[Check, ...] = (
     Check(
-        "mesh-holes", lambda it: mesh_form.hole_share(it.clip.mesh), high=0.15,
+        "mesh-holes", lambda it: mesh_form.hole_share(it.clip.mesh), high=0.15, shown=percent,
         fault="holes are {value} of the mesh's surface",
         advice="are faces missing? Close the mesh, or give a thin shell its two sides",
     ),
     Check(
-        "mesh-open", lambda it: mesh_form.hole_share(it.clip.mesh), high=0.01, serious=False,
+        "mesh-open", lambda it: mesh_form.hole_share(it.clip.mesh), high=0.01, serious=False, shown=percent,
         fault="the mesh is open, by {value} of its surface", advice="what is inside it is a guess; close it",
     ),
     Check(
-        "mesh-flat", lambda it: float(mesh_form.extents(it.clip.mesh)[0]), low=0.005,
+        "mesh-flat", lambda it: float(mesh_form.extents(it.clip.mesh)[0]), low=0.005, shown=percent,
         fault="the mesh's thickness is {value} of its length", advice="a flat mesh is no body: give it its thickness",
     ),
     Check(
-        "mesh-needle", lambda it: float(mesh_form.extents(it.clip.mesh)[1]), low=0.015,
+        "mesh-needle", lambda it: float(mesh_form.extents(it.clip.mesh)[1]), low=0.015, shown=percent,
         fault="the mesh's width is {value} of its length",
         advice="is it stretched along one axis, or another object's?",
     ),
@@ -97,7 +130,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
         advice="check the masks' label, the focal length and the hand's distance",
     ),
     Check(
-        "mask-at-edges", held.edge_share, high=0.7,
+        "mask-at-edges", held.edge_share, high=0.7, shown=percent,
         fault="the masks cover {value} of the image's edge",
         advice="are these masks of the background, or of the whole image? Check their label",
     ),
@@ -107,8 +140,8 @@ INPUT_CHECKS: tuple[Check, ...] = (
         advice="give one camera for all frames, unless the lens zooms",
     ),
     Check(
-        "hand-side", lambda it: bend(it.clip), low=-5.0,
-        fault="the fingers bend by {value} degrees towards the palm that such a hand would have",
+        "hand-side", lambda it: bend(it.clip), low=-5.0, shown="{:.3g} degrees".format,
+        fault="the fingers bend by {value} towards the palm that such a hand would have",
         advice="it is the other hand: correct \"side\" in clip.json, or the hand was mirrored",
     ),
     Check(
@@ -117,7 +150,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
         advice="check that hands and masks have the same frames in the same order, counted from the same number",
     ),
     Check(
-        "masks-follow-hand", frame_order.following, high=1.0, serious=False,
+        "masks-follow-hand", frame_order.following, high=1.0, serious=False, shown=percent,
         fault="the masks' middles stray from the hand's motion by {value} of their size",
         advice="check that hands and masks are of the same frames, and that the grasp is stable throughout",
     ),
@@ -135,23 +168,20 @@ RESULT_CHECKS: tuple[Check, ...] = (
         advice="look at the IOU over time in the report: is the mask of that frame right?",
     ),
     Check(
-        "many-masks-doubted", lambda it: it.doubted, high=0.3,
-        fault="a share of {value} of the masks contradicts the others and was left out",
-        advice="are they all of the same object? --given-masks believes all",
+        "many-masks-doubted", lambda it: it.doubted_share, high=0.3, shown=percent,
+        fault=contradicting, advice="are they all of the same object? --given-masks believes all",
     ),
     Check(
-        "masks-doubted", lambda it: it.doubted, high=0.0, serious=False,
-        fault="a share of {value} of the masks contradicts the others and was left out",
-        advice="the notes name their frames; --given-masks believes all",
+        "masks-doubted", lambda it: it.doubted_share, high=0.0, serious=False,
+        fault=contradicting, advice="--given-masks believes all",
     ),
     Check(
-        "mesh-much-deformed", lambda it: it.deformed, high=0.06,
-        fault="to meet the masks the mesh was deformed by {value} of its diameter",
-        advice="is it the mesh of such an object? --given-mesh takes it as it is",
+        "mesh-much-deformed", lambda it: it.deformed, high=0.06, shown=of_diameter,
+        fault=deformation, advice="is it the mesh of such an object? --given-mesh takes it as it is",
     ),
     Check(
         "mesh-deformed", lambda it: it.deformed, high=0.0, serious=False,
-        fault="to meet the masks the mesh was deformed by {value} of its diameter: a guess",
+        fault=deformation,
         advice="it is not the object's own, or all masks are off alike; --given-mesh takes it as it is",
     ),
     Check(
@@ -160,38 +190,38 @@ RESULT_CHECKS: tuple[Check, ...] = (
         advice="do the masks show a box, a shadow, the hand, or only a part? Are they rough? Is it another mesh?",
     ),
     Check(
-        "hand-off-pixels", held.hand_off_pixels, high=0.4,
+        "hand-off-pixels", held.hand_off_pixels, high=0.4, shown=percent,
         fault="the hand's silhouette and its pixels (masks/hand) differ by {value} of these, and no correction helps",
         advice="check the hand's poses, size and side, the camera, and the label of its masks",
     ),
     Check(
-        "hand-off-ignored", held.hand_off_ignored, high=0.4, serious=False,
+        "hand-off-ignored", held.hand_off_ignored, high=0.4, serious=False, shown=percent,
         fault="the hand's silhouette and the ignored pixels there differ by {value} of these, and no correction helps",
         advice="if nothing else is ignored there, check the hand's poses, size and side, and the camera",
     ),
     Check(
-        "object-over-hand", lambda it: it.in_front[0], high=0.2,
+        "object-over-hand", lambda it: it.in_front[0], high=0.2, shown=percent,
         fault="the object was found in front of the hand in {value} of the pixels that show the hand",
         advice="hand and object are at the wrong distance: check the sizes of hand and mesh, and the hand's distance",
     ),
     Check(
-        "hand-over-object", lambda it: it.in_front[1], high=0.25, serious=False,
+        "hand-over-object", lambda it: it.in_front[1], high=0.25, serious=False, shown=percent,
         fault="the hand is in front of the object in {value} of the object's mask",
         advice="do the masks include what the hand hides, or the hand itself? Or is one at the wrong distance?",
     ),
     Check(
-        "second-gap", held.second_gap, high=12.0, serious=False,
-        fault="only one part of the hand is near the object, the next {value} mm away",
+        "second-gap", held.second_gap, high=12.0, serious=False, shown=millimetres,
+        fault="only one part of the hand is near the object, the next is {value} away",
         advice="is it held so? Else sizes or distances of hand and object do not agree",
     ),
     Check(
-        "contact-gap", held.gap, high=15.0,
-        fault="hand and object are {value} mm apart in half of the frames",
+        "contact-gap", held.gap, high=15.0, shown=millimetres,
+        fault="hand and object are {value} apart in half of the frames",
         advice="nothing is held there: check the hands' distance from the camera, and --method one-dof",
     ),
     Check(
-        "penetration", held.penetration, high=35.0, serious=False,
-        fault="the hand is {value} mm inside the object in half of the frames",
+        "penetration", held.penetration, high=35.0, serious=False, shown=millimetres,
+        fault="the hand is {value} inside the object in half of the frames",
         advice="hands, mesh size or pose are off by about as much",
     ),
     Check(
@@ -205,7 +235,7 @@ RESULT_CHECKS: tuple[Check, ...] = (
 def examine(checks: Iterable[Check], given: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
     """What each check measures, and what is found."""
     measured = {check.name: float(check.measure(given)) for check in checks}
-    findings = [check.finding(measured[check.name]) for check in checks]
+    findings = [check.finding(measured[check.name], given) for check in checks]
     found = [finding for finding in findings if finding is not None]
     names = {finding.check for finding in found}
     return measured, tuple(f for f in found if GRAVER.get(f.check) not in names)

@@ -20,6 +20,7 @@ from getagrip.cli.bench import Bench
 from getagrip.cli.command import Command
 from getagrip.cli.footage import Annotate, ClipCommand, Epic
 from getagrip.cli.labelled import Segment, Stats, Study
+from getagrip.cli.names import joined
 from getagrip.cli.report import Report
 from getagrip.cli.results import Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct
 from getagrip.cli.view import View
@@ -30,9 +31,6 @@ DESCRIPTION = (
     "Reconstruct where an object is in the hand that holds it, in every frame of a video, from hand poses, masks and "
     "the object's mesh. --version prints the version."
 )
-
-TWO_WORDS = ("clip new", "epic candidates", "init learn")
-"""Commands that are typed as two words."""
 
 
 def commands(imports: Any, figures: Any) -> Any:
@@ -104,20 +102,19 @@ def _parsed(args: Sequence[str]) -> Command:
     if list(args) == ["--version"]:
         print(f"getagrip {__version__}")
         sys.exit(0)
-    if " ".join(args[:2]) in TWO_WORDS:
-        args = [" ".join(args[:2]), *args[2:]]
-    elif meant := [name for name in TWO_WORDS if args and name.split()[0] == args[0] and "--help" not in args]:
-        print(
-            f"getagrip: {args[0]}: got {' '.join(args[1:2]) or 'nothing'} after it, expected {meant[0]}",
-            file=sys.stderr,
-        )
-        sys.exit(2)
     known: Any = commands(imports, figures)
     program, description = "getagrip", DESCRIPTION
-    for one in get_args(known):
-        about = one.__metadata__[0]
-        if args and about.name == args[0]:  # its own command is enough, and several times as quick
-            known, program, description, args = one, f"getagrip {args[0]}", about.description, args[1:]
-            break
+    by_name = _by_name(known)
+    args = joined(args, by_name)
+    if args and args[0] in by_name:  # its own command is enough, and several times as quick
+        name, known = args[0], by_name[args[0]]
+        program, description, args = f"getagrip {name}", known.__metadata__[0].description, args[1:]
+        if parts := _by_name(known.__origin__):
+            args = joined(args, parts, f"{name} ")
     command: Command = tyro.cli(known, prog=program, description=description, args=args, config=(OmitArgPrefixes,))
     return command
+
+
+def _by_name(choice: Any) -> dict[str, Any]:
+    """The commands of a union, by the words that are typed; none of a command that has none below it."""
+    return {one.__metadata__[0].name: one for one in get_args(choice)}

@@ -24,13 +24,6 @@ def _ablations(_: str) -> str:
     return f"(one of {', '.join(ABLATIONS)}; default: none)"
 
 
-def _presets(_: str) -> str:
-    """As ``_ablations``."""
-    from getagrip.datasets.synthetic.splits import PRESETS
-
-    return f"(one of {', '.join(PRESETS)}; default: clean)"
-
-
 @dataclass(frozen=True, kw_only=True)
 class Bench(Command):
     """Compare methods on a dataset: the paper's tables, with intervals. Existing results are kept."""
@@ -68,10 +61,12 @@ class Bench(Command):
     """Use N clips, evenly sampled."""
     only: OptionalFile = None
     """Use the clips that FILE names, one a line; of a dataset no others are imported."""
-    preset: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_presets)] = None
-    """synthetic: exact input, the noise assumed for a hand tracker, or that and a mean shape of unknown scale.
-    dexycb-segments: noise of hands and masks: none (the default), moderate, strong or estimated. ...-timelines:
-    exact, moderate, strong (hands only), ragged (strong, and masks) or all of them (the default)."""
+    preset: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
+    """What is done to the input. synthetic: clean (the default: nothing); moderate, strong or estimated (noise of hands
+    and masks); wild (moderate noise, and a mean shape of unknown scale); measured (that, and deformed, with motion as
+    measured). dexycb-segments: none (the default), moderate, strong or estimated (noise of hands and masks). Timelines
+    have exact, moderate or strong (noise of hands), ragged (strong, and noise of masks), and all (the default: each of
+    these). Other datasets have none."""
     root: OptionalFolder = None
     """dexycb..., hot3d-timelines, artigrasp...: the dataset's folder, as for import."""
     meshes: OptionalFolder = None

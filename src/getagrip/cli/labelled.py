@@ -88,8 +88,8 @@ class Stats(Command):
 
     source: Annotated[Positional[str], arg(metavar="epic-grasps|LIST")]
     """epic-grasps, followed by its CSV; or a list of grasps, or the folder of clips that import wrote it into."""
-    csv: Annotated[Positional[Path | None], arg(metavar="CSV", help_behavior_hint="")] = None
-    """EPIC-Grasps' table, as published."""
+    csv: Annotated[Positional[Path | None], arg(metavar="[CSV]", help_behavior_hint="")] = None
+    """With epic-grasps: its table, as published."""
     errata: bool = False
     """epic-grasps: apply the errata that lie beside the table (<CSV>_errata.csv). The paper's table is without."""
     errata_file: OptionalFile = None

@@ -9,6 +9,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from getagrip.cli.command import ClipsFolder, Command
+from getagrip.errors import UsageError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +27,13 @@ class View(Command):
     """The address of this machine that the page is served at. By default other machines cannot reach it: forward the
     port with ssh -L (docs/view.md)."""
 
+    def check(self) -> None:
+        super().check()
+        if not self.paths:
+            raise UsageError("PATH: name at least one result, clip, or folder of them")
+
     def run(self) -> int:
+        print(f"reading {', '.join(map(str, self.paths))} ...", flush=True)  # to load what draws takes seconds, too
         from getagrip.commands.view import view
 
         return view(self.paths, self.clips, self.port, self.host, self.debug)

@@ -16,6 +16,7 @@ from numpy import ndarray
 
 from getagrip.clip.reading import LARGEST_IMAGE, LARGEST_SIDE
 from getagrip.errors import InputError
+from getagrip.io.counts import counted
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -56,7 +57,7 @@ def video_frames(path: Path, first: int, last: int) -> Iterator[UInt8[ndarray, "
             yield image
         if n == last:
             return
-    raise InputError(path, "", f"{n} frames", f"at least {last}, for the interval {first} to {last}")
+    raise InputError(path, "", counted(n, "frame"), f"at least {last}, for the interval {first} to {last}")
 
 
 def open_video(path: Path) -> InputContainer:

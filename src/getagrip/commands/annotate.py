@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from getagrip.annotate import export, labels
 from getagrip.annotate.agreement import Agreement, agreements
@@ -13,7 +15,7 @@ from getagrip.annotate.background import BackgroundJob
 from getagrip.annotate.labelled_footage import tasks_of
 from getagrip.annotate.labelling import Grasp
 from getagrip.annotate.labels import Labels
-from getagrip.annotate.marks import GRASP
+from getagrip.annotate.marks import GRASP, Mark
 from getagrip.annotate.project import Project
 from getagrip.annotate.server import Server, first_free, kept_token
 from getagrip.annotate.store import Store
@@ -22,6 +24,11 @@ from getagrip.annotate.versions import RefusedError
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.io import files
+from getagrip.io.counts import counted
+from getagrip.io.terminal import progress_bar
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 DATABASE = "marks.sqlite"
 """The marks, in the folder of the annotations."""
@@ -66,11 +73,11 @@ def annotate(
             intrinsics(lens, project.footage(there).size)  # refused now rather than once joints are clicked
         if given is not None:
             grasp = take_labels(project, given, request)
-            frames = f"{len(given.frames)} key frames of {grasp.task.key}, {grasp.mark.start_number}"
+            frames = f"{counted(len(given.frames), 'key frame')} of {grasp.task.key}, {grasp.mark.start_number}"
             print(f"{request.annotator}: {frames} to {grasp.mark.end_number}")
         if request.segments is not None:
             count = take_segments(project, request.segments, request.annotator)
-            print(f"{request.annotator}: {count} segments; give the page this name to correct them")
+            print(f"{request.annotator}: {counted(count, 'segment')}; give the page this name to correct them")
         if request.export:
             return max(write_files(project, out), write_labels(project))
         if given is None and request.segments is None:
@@ -128,12 +135,30 @@ def write_labels(project: Project) -> int:
             status = 1
             continue
         written.add(grasp.name)
+        given = project.labelling.labels(grasp)
+        frames = counted(given.last - given.first + 1, "frame")
+        print(f"{grasp.name}: making the hand and the masks of {frames} ...", flush=True)
         try:
-            print(project.labelling.write(grasp, project.labelling.labels(grasp), BackgroundJob("files")))
+            with progress_bar(counted=True) as bar:
+                command = project.labelling.write(grasp, given, JobOnBar(bar, grasp.name))
         except GetagripError as error:
             print(f"{grasp.name}: labels only: {error}", file=sys.stderr)
             status = 1
+            continue
+        made = project.labelling.out / grasp.name
+        print(f"{made}: hand.npz and masks of {frames}; a clip is made of them, with the object's mesh, by\n{command}")
     return status
+
+
+class JobOnBar(BackgroundJob):
+    """Work that a bar shows."""
+
+    def __init__(self, bar: Progress, name: str) -> None:
+        super().__init__("files")
+        self._bar, self._task = bar, bar.add_task(name, total=None)
+
+    def report(self, done: int, total: int) -> None:
+        self._bar.update(self._task, completed=done, total=total)
 
 
 def write_files(project: Project, out: Path) -> int:
@@ -151,10 +176,11 @@ def write_files(project: Project, out: Path) -> int:
         table = out / f"grasps-{name}.csv"
         table.write_text(export.epic_csv(own, project.tasks), "utf-8", newline="")
         files.write_json(table.with_suffix(".json"), rows)
-        print(f"{name}: {len(rows)} grasps, {table} and .json")
+        print(f"{name}: list of {counted(len(rows), 'grasp')}, {table} and .json")
+        listed = export.grasps(own)
         marked = [mark for mark in own if mark.start is not None and mark.state == GRASP]
-        if unfinished := len(marked) - len(export.grasps(own)):
-            print(f"{name}: {unfinished} grasps left out: they lack an end or the kind of object", file=sys.stderr)
+        if unfinished := [mark for mark in marked if mark not in listed]:
+            print(f"{name}: {not_listed(unfinished)}", file=sys.stderr)
         status = max(status, write_segments(project, out, name))
     with (out / "discards.csv").open("w", encoding="utf-8", newline="") as stream:
         lines = csv.DictWriter(stream, ("task", "clip", "annotator", "reason"))
@@ -165,6 +191,18 @@ def write_files(project: Project, out: Path) -> int:
     for one in found:
         print(in_words(one))
     return status
+
+
+def not_listed(unfinished: Sequence[Mark]) -> str:
+    """What grasps lack to be in the list."""
+    lacks = {
+        "mark the end": any(mark.end is None for mark in unfinished),
+        "state the hand": any(not mark.side for mark in unfinished),
+        "name the kind of object": any(not mark.category for mark in unfinished),
+    }
+    todo = " and ".join(what for what, lacking in lacks.items() if lacking)
+    grasps, it = counted(len(unfinished), "grasp is", "grasps are"), "it" if len(unfinished) == 1 else "them"
+    return f"{grasps} not in this list: {todo} on the page to have {it} there, too"
 
 
 def write_segments(project: Project, out: Path, annotator: str) -> int:
@@ -180,7 +218,7 @@ def write_segments(project: Project, out: Path, annotator: str) -> int:
             print(f"{annotator}: {one.task.key}: {hint}", file=sys.stderr)
     if listed:
         files.write_json(out / f"segments-{annotator}.json", listed)
-        print(f"{annotator}: segments of {len(listed)} clips, {out / f'segments-{annotator}.json'}")
+        print(f"{annotator}: segments of {counted(len(listed), 'clip')}, {out / f'segments-{annotator}.json'}")
     return status
 
 
@@ -188,6 +226,6 @@ def in_words(one: Agreement) -> str:
     """The agreement of two people in a line."""
     reached = "no grasps to compare"
     if one.iou is not None:
-        reached = f"mean temporal IOU {100 * one.iou:.1f} % of {one.grasps} grasps"
+        reached = f"mean temporal IOU {100 * one.iou:.1f} % of {counted(one.grasps, 'grasp')}"
     discards = f"both discarded {one.both_discarded}, one of them {one.one_discarded}"
     return f"{one.first} and {one.second}, {one.tasks} tasks: {reached}; {discards}"

@@ -29,6 +29,7 @@ from getagrip.experiments.variants import Variant, ablation_variants, method_var
 from getagrip.fitting.methods import method_of
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.io import files, leftovers
+from getagrip.io.counts import counted
 from getagrip.io.terminal import console, report
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
 from getagrip.result import software
@@ -102,8 +103,12 @@ def bench(plan: Plan, debug: bool) -> int:
     or there are no clips, ``GetagripError`` where the ledger cannot be written.
     """
     variants = plan.variants()
-    plan.out.mkdir(parents=True, exist_ok=True)
     clips, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
+    for outcome in bad:
+        print_outcome(outcome, debug)
+    if not clips:
+        return 1
+    plan.out.mkdir(parents=True, exist_ok=True)
     scores = []
     results = plan.out / "results"
     distinct = tuple({variant.folder: variant for variant in variants}.values())
@@ -113,8 +118,6 @@ def bench(plan: Plan, debug: bool) -> int:
     chosen = [sample for sample in clips if sample.name in plan.share.shard]
     trials = [Trial(sample, distinct, results, plan.overwrite, contacts) for sample in chosen]
     failures = len(bad)
-    for outcome in bad:
-        print_outcome(outcome, debug)
     engine = Engine(work=run, lost=_lost, entry=_entry, options=repr(distinct), prepare=load)
     with closing(plan.share.ended(engine, trials, plan.out, "clips", few=0)) as ended:
         for clip in ended:
@@ -181,7 +184,7 @@ def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     """What was run, and when."""
     good = sum(bool(clip.scores) for clip in scores)
     skipped = f", {len(scores) - good} failed and skipped" if good < len(scores) else ""
-    return [f"{plan.source.title}: {good} clips{skipped}; made {stamp()}"]
+    return [f"{plan.source.title}: {counted(good, 'clip')}{skipped}; made {stamp()}"]
 
 
 def _settings(plan: Plan, scores: Sequence[Scores]) -> list[str]:
@@ -189,7 +192,9 @@ def _settings(plan: Plan, scores: Sequence[Scores]) -> list[str]:
     good = [clip for clip in scores if clip.scores]
     drawn = groups(good) if good else []
     together = len(set(drawn)) < len(drawn)
-    units = f"the {len(set(drawn))} subjects, all clips of one together" if together else f"the {len(drawn)} clips"
+    units = counted(len(drawn), "clip")
+    if together:
+        units = f"{counted(len(set(drawn)), 'subject')}, all clips of one together"
     versions = ", ".join(f"{key} {version}" for key, version in software().items())
     return [
         f"{_initial_poses(plan)}, {_frames(plan.options)}, seed {plan.options.seed}; the same frames, masks and "
@@ -224,6 +229,7 @@ def _outdated(scores: Sequence[Scores]) -> list[str]:
     count = sum(score.outdated for clip in scores for score in clip.scores)
     if not count:
         return []
-    warning = f"{count} results are older than the package's files; --overwrite recomputes them"
+    results = counted(count, "result is", "results are")
+    warning = f"{results} older than the package's files; --overwrite recomputes them"
     print(f"warning: {warning}", file=sys.stderr)
     return [warning]

@@ -24,6 +24,7 @@ from getagrip.experiments.sources import samples
 from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import resamples
 from getagrip.io import files
+from getagrip.io.counts import counted
 
 HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
 DRAWS = 400
@@ -35,10 +36,12 @@ def bench_segments(plan: Plan, debug: bool) -> int:
 
     Raises ``UsageError`` where the call is wrong or there are no sequences.
     """
-    plan.out.mkdir(parents=True, exist_ok=True)
     found, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
     for outcome in bad:
         print_outcome(outcome, debug)
+    if not found:
+        return 1
+    plan.out.mkdir(parents=True, exist_ok=True)
     noise = plan.source.preset
     trials = [
         SequenceTrial(sample, noise, plan.options, plan.out / "results" / noise, plan.overwrite)
@@ -92,7 +95,7 @@ def _markdown(plan: Plan, scores: Sequence[SequenceScores]) -> str:
         subjects = [subject_of(one.name) for one in scores for _ in range(len(rows) // len(scores))]
         lines.append(f"| {' | '.join((label, *_cells(rows, subjects)))} |")
     about = [
-        f"{plan.source.title}: {len(scores)} sequences; noise of hands and masks: {plan.source.preset}",
+        f"{plan.source.title}: {counted(len(scores), 'sequence')}; noise of hands and masks: {plan.source.preset}",
         f"a stable grasp: {DEFINITION.description}",
         "tIoU: mean over true grasps, missed ones 0; F1: grasps with a tIoU of at least .5, .7; start, end: mean "
         "absolute errors of those that something overlaps, in frames; false: sequences without a grasp in which one "

@@ -16,6 +16,7 @@ from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import estimate, resamples
 from getagrip.experiments.timeline_trials import ALL, LEVELS, TimelineScores, TimelineTrial, run_timeline
 from getagrip.io import files
+from getagrip.io.counts import counted
 
 HEADINGS = ("hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, grasp", "jump, mm", "SCA", "s")
 
@@ -25,10 +26,12 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
 
     Raises ``UsageError`` where the call is wrong or no timeline has both a static segment and a stable grasp.
     """
-    plan.out.mkdir(parents=True, exist_ok=True)
     found, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
     for outcome in bad:
         print_outcome(outcome, debug)
+    if not found:
+        return 1
+    plan.out.mkdir(parents=True, exist_ok=True)
     preset, results = plan.source.preset, plan.out / "results"
     levels = tuple(LEVELS) if preset == ALL else (preset,)
     trials = [
@@ -39,7 +42,7 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
     scores = scored(run_timeline, TimelineScores, trials, plan, debug)
     whole = [one for one in scores if one.by]
     if scores and not whole:
-        given = f"{len(scores)} timelines, none with both a static segment and a stable grasp"
+        given = f"{counted(len(scores), 'timeline')}, none with both a static segment and a stable grasp"
         raise UsageError(f"{plan.source.dataset}: got {given}, expected one at least")
     if whole:
         text = _markdown(plan, whole, len(scores))

@@ -14,6 +14,7 @@ from getagrip.batch.job import failure
 from getagrip.datasets.epic import candidates, tables, visor
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
+from getagrip.io.counts import counted
 from getagrip.io.terminal import progress_bar
 
 COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name", "mp4_name")
@@ -56,7 +57,7 @@ def find_candidates(
         print(f"{category}: {count}")
     if unlabelled:
         print(f"{unlabelled} of {len(there)} videos have no labelled actions: skipped", file=sys.stderr)
-    print(f"{out}: {len(chosen)} candidates from {len(there) - failed} videos")
+    print(f"{out}: {counted(len(chosen), 'candidate')} from {counted(len(there) - failed, 'video')}")
     return 1 if failed else 0
 
 

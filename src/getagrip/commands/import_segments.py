@@ -9,6 +9,7 @@ from getagrip.clip import Segment, segment_files
 from getagrip.clip.reading import read_header
 from getagrip.clip.segment_files import STATED, SegmentList
 from getagrip.errors import UsageError
+from getagrip.io.counts import counted
 
 
 def into_clip(source: Path, folder: Path, still_camera: bool, overwrite: bool) -> int:
@@ -33,4 +34,4 @@ def stated(given: SegmentList, still_camera: bool) -> SegmentList:
 
 def in_words(segments: tuple[Segment, ...]) -> str:
     """Which segments there are."""
-    return f"{len(segments)} segments: {', '.join(one.state for one in segments)}"
+    return f"{counted(len(segments), 'segment')}: {', '.join(one.state for one in segments)}"

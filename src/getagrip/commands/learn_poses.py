@@ -13,6 +13,7 @@ from getagrip.batch.plan import by_name
 from getagrip.clip import read_clip
 from getagrip.errors import UsageError
 from getagrip.fitting import learn_priors as clusters
+from getagrip.io.counts import counted
 
 
 def learn(
@@ -52,12 +53,15 @@ def learn(
         Counter(zip(learnt.category, learnt.side, strict=True)), Counter((hold.category, hold.side) for hold in kept)
     )  # fmt: skip
     for category, side in sorted(poses):
-        print(f"{category}, {side}: {poses[category, side]} poses from {grasps[category, side]} grasps")
-    whose = f"{len(learnt.subjects)} subjects" if learnt.subjects else "unknown subjects"
-    print(f"{out}: {len(learnt.side)} poses from {len(kept)} clips of {whose}, {len(holds) - len(kept)} left out")
+        of = poses[category, side], grasps[category, side]
+        print(f"{category}, {side}: {counted(of[0], 'pose')} from {counted(of[1], 'grasp')}")
+    whose = counted(len(learnt.subjects), "subject") if learnt.subjects else "unknown subjects"
+    made = f"{counted(len(learnt.side), 'pose')} from {counted(len(kept), 'clip')} of {whose}"
+    print(f"{out}: {made}, {len(holds) - len(kept)} left out")
     if len(learnt.subjects) > 1:
         print("a clip of one of them starts from what is learnt without its subject")
     nameless = sum(not hold.subject for hold in kept)
     if nameless:
-        print(f"{nameless} clips name no subject: each starts from the others, whoever they are", file=sys.stderr)
+        those = counted(nameless, "clip names", "clips name")
+        print(f"{those} no subject: each starts from the others, whoever they are", file=sys.stderr)
     return 1 if failed else 0

@@ -34,6 +34,8 @@ from getagrip.io.terminal import report
 
 MOST_FRAMES = 20_000
 """Of a clip; a stable grasp of minutes."""
+INCOMPLETE = 3
+"""Exit status where the clip is made, and lacks masks or hands."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,8 @@ LATER = {
 
 
 def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
-    """Write a clip. Returns 0 when it is complete, 1 when masks or hands are yet to come, 2 when it cannot be made.
+    """Write a clip. Returns 0 when it is complete, 3 when masks or hands are yet to come, 2 when the call lacks
+    what a clip cannot be made without.
 
     Raises ``InputError`` for what is there and does not fit, ``UsageError`` where the folder exists, unless it is that
     of a clip to be overwritten.
@@ -275,7 +278,7 @@ def _images(video: Path, numbers: Int[ndarray, "T"], size: tuple[int, int]) -> I
 
 
 def _summary(clip: Clip, given: Ingredients, hands: _Hands | None, out: Path) -> int:
-    """Print what was made, what is a guess and what is missing; 1 where something is."""
+    """Print what was made, what is a guess and what is missing; 3 where something is."""
     print(f"{out}: {len(clip)} frames")
     if hands and len(hands.rows) < len(clip):
         bare = len(clip) - len(hands.rows)
@@ -290,4 +293,4 @@ def _summary(clip: Clip, given: Ingredients, hands: _Hands | None, out: Path) ->
     missing = [key for key, there in (("masks", given.masks), ("hands", given.hands)) if there is None]
     for key in missing:
         print(f"missing: {key}: {LATER[key].format(out=out, video=given.video)}", file=sys.stderr)
-    return 1 if missing else 0
+    return INCOMPLETE if missing else 0

@@ -13,6 +13,7 @@ from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh, diameter
 from getagrip.geometry.mesh_files import LARGEST, SMALLEST, SUFFIXES, checked_mesh, parse_mesh, with_area
+from getagrip.io.counts import counted
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def own_mesh(request: MeshRequest) -> OwnMesh:
     vertices, faces, provenance = _shape(request)
     kept = with_area(vertices, faces)  # generated meshes are full of slivers
     if len(kept) < len(faces):
-        provenance["mesh"] += f", {len(faces) - len(kept)} faces without area left out"
+        provenance["mesh"] += f", {counted(len(faces) - len(kept), 'face')} without area left out"
     vertices, scale = _rescaled(vertices, request)
     if scale:
         provenance["scale"] = scale

@@ -15,6 +15,7 @@ from getagrip.commands.each_clip import each_clip
 from getagrip.grasps import lists
 from getagrip.grasps.cut import Cut, as_listed
 from getagrip.grasps.lists import ListedGrasp
+from getagrip.io.counts import counted
 from getagrip.io.terminal import console, plain_table, report
 
 if TYPE_CHECKING:
@@ -115,7 +116,8 @@ def _print(found: Sequence[SegmentedClip], out: Path | None) -> None:
     grasps = [end + 1 - start for one in found for start, end in one.grasps]
     held = sum(1 for one in found if one.grasps)
     share = 100.0 * sum(grasps) / sum(one.frames for one in found)
-    print(f"{len(grasps)} stable grasps in {held} of {len(found)} clips, {share:.1f} % of their frames")
+    of = counted(len(found), "clip")
+    print(f"{counted(len(grasps), 'stable grasp')} in {held} of {of}, {share:.1f} % of their frames")
     if out is not None:
         print(out / "segments.csv")
 
@@ -127,12 +129,13 @@ def _table(found: Sequence[SegmentedClip]) -> Table:
     table.add_column("clip", overflow="fold")
     table.add_column("hand")
     table.add_column("object", overflow="fold")
-    for heading in ("start", "end", "seconds"):
+    for heading in ("first", "last", "seconds"):
         table.add_column(heading, justify="right", no_wrap=True)
     for one in found:
         name = (Text(one.clip), one.side, Text(one.object))  # no markup: names may hold brackets
-        for start, end in one.grasps:
-            table.add_row(*name, str(start), str(end), f"{(end + 1 - start) / one.fps:.2f}")
+        for grasp, (start, end) in zip(one.listed, one.grasps, strict=True):
+            names = Text(str(grasp.first)), Text(str(grasp.last))
+            table.add_row(*name, *names, f"{(end + 1 - start) / one.fps:.2f}")
         if not one.grasps:
             table.add_row(*name, "-", "-", "-")
     return table

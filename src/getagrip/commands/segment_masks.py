@@ -17,6 +17,7 @@ from getagrip.grasps.cut import as_listed
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.lists import ListedGrasp
 from getagrip.io import files
+from getagrip.io.counts import counted
 from getagrip.io.terminal import console, plain_table, report
 
 if TYPE_CHECKING:
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 SEGMENTS = "segments.json"
 COLUMNS = ("sequence", "side", "object", "state", "start", "end", "duration", "first", "last", "margin")
 """Of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames; nats."""
+LEGEND = (
+    "margin: how much worse the best division without the segment explains the masks [nats]; small ones are doubtful"
+)
 
 
 @dataclass(frozen=True)
@@ -79,11 +83,13 @@ def find_in_clips(
     )
     if found:
         console().print(_table(found))
+        print(LEGEND)
     for one in found:
         for note in one.fields["notes"]:
             report(f"{one.clip}: {note}")
     grasps = [grasp for one in found for grasp in one.grasps]
-    print(f"{len(grasps)} stable grasps in {sum(bool(one.grasps) for one in found)} of {len(found)} clips")
+    held = sum(bool(one.grasps) for one in found)
+    print(f"{counted(len(grasps), 'stable grasp')} in {held} of {counted(len(found), 'clip')}")
     if out is not None:
         _write(found, out)
     for path in filter(None, (json, out and out / lists.FILE)):
@@ -142,12 +148,13 @@ def _table(found: Sequence[SegmentedClip]) -> Table:
     table.add_column("clip", overflow="fold")
     for heading in ("state", "hand"):
         table.add_column(heading)
-    for heading in ("start", "end", "seconds", "margin"):
+    for heading in ("first", "last", "seconds", "margin"):
         table.add_column(heading, justify="right", no_wrap=True)
     for one in found:
         for row in one.rows:
-            numbers = str(row["start"]), str(row["end"]), f"{row['duration']:.2f}", f"{row['margin']:.0f}"
-            table.add_row(Text(one.clip), row["state"], row["side"], *numbers)  # no markup: names may hold brackets
+            names = (Text(row[key]) for key in ("first", "last"))  # no markup: names may hold brackets
+            numbers = f"{row['duration']:.2f}", f"{row['margin']:.0f}"
+            table.add_row(Text(one.clip), row["state"], row["side"], *names, *numbers)
     return table
 
 

@@ -17,6 +17,7 @@ from getagrip.grasps import lists
 from getagrip.grasps.cut import Cut
 from getagrip.grasps.study import MEASURES, TIMES, Spread, StudiedGrasp, mean_curves, study_grasp
 from getagrip.io import files
+from getagrip.io.counts import counted
 from getagrip.io.terminal import console, plain_table
 
 ALL = "All"
@@ -32,7 +33,7 @@ def study_clips(paths: Sequence[Path], cut: Cut, out: Path, json: Path | None, w
     done, failures = each_clip(paths, lambda _, folder: SegmentJob(folder, cut), study_one, workers, debug)
     studied = [grasp for grasps in done for grasp in grasps]
     tell_missing(cut, len(studied))
-    print(f"{len(studied)} stable grasps in {sum(map(bool, done))} of {len(done)} clips")
+    print(f"{counted(len(studied), 'stable grasp')} in {sum(map(bool, done))} of {counted(len(done), 'clip')}")
     if studied:
         _print(studied)
         _write(studied, cut, len(done), out)
@@ -90,7 +91,7 @@ def _print(studied: Sequence[StudiedGrasp]) -> None:
     for name, measure in MEASURES.items():
         table.add_row(measure.label, _cell(inside[name], name), _cell(outside[name], name), measure.unit)
     console().print(table)
-    print(f"{outside['static_rotation'].grasps} of {len(studied)} grasps have frames outside")
+    print(f"with frames outside: {outside['static_rotation'].grasps} of {counted(len(studied), 'grasp')}")
 
 
 def _cell(spread: Spread, name: str) -> str:

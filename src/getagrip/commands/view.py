@@ -10,7 +10,7 @@ from pathlib import Path
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import failure
 from getagrip.commands.evaluate import of_batch
-from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.errors import GetagripError, InputError
 from getagrip.view.live.column import Column
 from getagrip.view.live.entries import Entry, entries
 from getagrip.view.live.page import Page
@@ -23,11 +23,9 @@ RESULTS, CLIPS = ("", "*", "*/*"), ("", "*")
 def view(paths: Sequence[Path], clips: Path | None, port: int | None, host: str, debug: bool) -> int:
     """Serve the page; 1 if any of the paths could not be read, else 0.
 
-    Raises ``UsageError`` where there are none, for a port that is taken or an address that is not this machine's, and
-    ``InputError`` where nothing can be shown.
+    Raises ``UsageError`` for a port that is taken or an address that is not this machine's, and ``InputError`` where
+    nothing can be shown.
     """
-    if not paths:
-        raise UsageError("PATH: name at least one result, clip, or folder of them")
     problems: list[Exception] = []
     results, alone = found(paths, problems)
     listed = entries(results, alone, clips, problems.append)

@@ -36,6 +36,7 @@ from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
 from getagrip.io import pickles
 from getagrip.io.arguments import OptionalFolder
+from getagrip.io.counts import counted
 from getagrip.io.files import is_plain_name, shown
 
 WITHIN_10_MM = GraspOptions(contact_mm=10.0)
@@ -96,7 +97,7 @@ def _read(folder: Path, models: Path, mano: Path | None, note: Note) -> Iterator
         else:
             frames.append(frame)
     if unknown:
-        note(f"{name}: {unknown} frames without the pose of the hand or of the object: skipped")
+        note(f"{name}: {counted(unknown, 'frame')} without the pose of the hand or of the object: skipped")
     if not frames:
         return
     held = frames[0].name

@@ -21,6 +21,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.lists import BETWEEN, ListedGrasp
 from getagrip.hands.model import Side
+from getagrip.io.counts import counted
 
 if TYPE_CHECKING:
     from getagrip.geometry.render import Surface
@@ -139,7 +140,7 @@ class Track:
             angles = f"between {low:.1f} and {high:.1f} degrees"
             out["articulation"] = f"the joint is {angles}; the mesh has it at the mean, the masks as it was"
         if len(self) < len(piece.track):
-            out["dropped"] = f"{len(piece.track) - len(self)} frames in which the object is not visible"
+            out["dropped"] = f"{counted(len(piece.track) - len(self), 'frame')} in which the object is not visible"
         return out
 
 

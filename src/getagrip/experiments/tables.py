@@ -13,6 +13,7 @@ from getagrip.experiments.comparison import ERRORS, Table
 from getagrip.experiments.statistics import LEVEL, Estimate
 from getagrip.experiments.trials import Scores
 from getagrip.experiments.variants import Variant
+from getagrip.io.counts import counted
 from getagrip.io.terminal import plain_table
 
 if TYPE_CHECKING:
@@ -165,7 +166,7 @@ def _folded(title: str, lines: list[str]) -> list[str]:
 def _heading(table: Table) -> str:
     contacts = {row.variant.contact.description for row in table.rows}
     contact = f", contact: {contacts.pop()}" if len(contacts) == 1 else ""
-    return f"{table.title[:1].upper()}{table.title[1:]}: {table.clips} clip{'s' * (table.clips != 1)}{contact}"
+    return f"{table.title[:1].upper()}{table.title[1:]}: {counted(table.clips, 'clip')}{contact}"
 
 
 def _grid(rows: list[list[str]]) -> list[str]:

@@ -52,13 +52,6 @@ class Track:
     iou: Float[ndarray, "T"]
     doubted: tuple[str, ...] = ()
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What there is to say about the masks."""
-        names = ", ".join(self.doubted)
-        said = f"the masks of {len(self.doubted)} frames contradict the others and were left out: {names}"
-        return (said,) if self.doubted else ()
-
 
 def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
     """A method's solutions as they are."""

@@ -22,6 +22,7 @@ from getagrip.fitting.learn_priors import MOST_CLUSTERS, VERSION, WAYS, Hold, Le
 from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.geometry import se3
 from getagrip.io import arrays, files
+from getagrip.io.counts import counted
 
 NAMES = ("category", "side", "clips", "subjects")
 """Arrays of names in a file: of version 1 for each pose, each clip and each subject, of version 2 for each grasp."""
@@ -50,7 +51,7 @@ def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tu
         subject = subject_of(clip)
         priors = _without_own(options.priors, clip.category, clip.side, clip.name, subject)
         left_out = len(learnt.holds) - len(learnt.without(clip.name, subject).holds)
-        without = f" without {left_out} grasps of its own subject" if left_out else ""
+        without = f" without {counted(left_out, 'grasp')} of its own subject" if left_out else ""
     else:
         priors = learnt
         _refuse_own(path, priors, clip)

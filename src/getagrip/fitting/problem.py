@@ -23,6 +23,7 @@ from getagrip.fitting.observation import Observation, observe
 from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry.warp import Warp
+from getagrip.io.counts import counted
 from getagrip.result import Axis
 
 CONTACT_IF_FITTED = 4.0
@@ -142,8 +143,8 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     as_published = method_of(options.method).as_published
     masks, notes = given, []
     if clip.left_out:
-        names = ", ".join(clip.left_out)
-        notes.append(f"{len(clip.left_out)} frames without a visible object were left out of the fit: {names}")
+        one, more = "frame without a visible object was", "frames without a visible object were"
+        notes.append(f"{counted(len(clip.left_out), one, more)} left out of the fit: {', '.join(clip.left_out)}")
     correction, differing = None, float("nan")
     if options.hands == "corrected" and not as_published:
         correction, differing = correct_hand(clip, masks)

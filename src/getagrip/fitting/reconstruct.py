@@ -22,7 +22,6 @@ from getagrip.fitting.misfit import misfit
 from getagrip.fitting.options import Options
 from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem, prepare
-from getagrip.geometry.mesh import Mesh
 from getagrip.probability import Probability
 from getagrip.result import Candidates, Reconstruction
 
@@ -31,6 +30,9 @@ AMBIGUOUS = 1.05
 
 CHOICES = ("method", "inits", "init", "priors", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
+
+SHAPE_GUESSED = "the object's shape is a guess from the masks: the mesh leaves contours that no pose explains"
+"""A note where the mesh was not taken as it is given."""
 
 UNEXPLAINED = "failed: the best pose meets the masks with a mean IOU of {:.2f} only; nothing is known of the object"
 """The status of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
@@ -80,10 +82,10 @@ def reconstruct(
         footage = (clip, masks) if options.every_frame else (sampled, given.masks)
         whole = at_every_frame(*footage, problem, found, track)
         clock("every frame")
+        deformed = 0.0 if found.warp is None else found.warp.displacement(light.mesh)
         solved = Solved(
             problem.clip, problem.given_masks, track.T_hand_obj[0], scale, whole.iou,
-            doubted=len(whole.doubted) / len(whole.frames),
-            deformed=0.0 if found.warp is None else found.warp.displacement(light.mesh) / light.mesh.diameter,
+            doubted=whole.doubted, deformed=deformed / light.mesh.diameter, deformed_mm=1e3 * scale * deformed,
             candidates=Candidates(track.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
             hand_differing=problem.hand_differing,
             T_cam_hand_given=clip.hand.T_cam_hand[clip.index_of(problem.clip.frames)],
@@ -96,7 +98,7 @@ def reconstruct(
     result = _reconstruction(problem, options, found, whole, clock.seconds())
     return replace(
         result,
-        notes=(*result.notes, *_of_shape(found, light.mesh), *light.mesh.stands_for(whole_mesh, "fitted")),
+        notes=(*result.notes, *light.mesh.stands_for(whole_mesh, "fitted")),
         findings=(*findings, *more),
         checks=measured | of_result,
         signs=signs,
@@ -110,18 +112,32 @@ def probability_right(
 ) -> Probability | None:
     """How probable it is that a result with such signs is right; ``findings`` are those about its input and itself.
 
-    None where nothing is calibrated: for methods and energies other than those that were, for shorter searches, and
-    where a finding is serious: inputs that are wrong were no part of the calibration.
+    None where nothing is calibrated (``uncalibrated``).
     """
     calibration = CALIBRATIONS.get((options.method, where))
-    as_usual = options.inits >= Options.inits and all(
-        getattr(options, option.name) == option.default for option in fields(Options) if option.name not in CHOICES
-    )
-    if calibration is None or not as_usual or any(finding.serious for finding in findings):
+    if calibration is None or uncalibrated(options, findings):
         return None
     if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
         return None
     return calibration.probability(signs)
+
+
+def uncalibrated(options: Options, findings: Sequence[Finding]) -> str:
+    """Why there is no probability that a result is right, in words; empty where there is one.
+
+    There is none for methods and energies other than those that were calibrated, for shorter searches, and where a
+    finding is serious: wrong inputs were no part of the calibration.
+    """
+    if not any(method == options.method for method, _ in CALIBRATIONS):
+        return f"none is calibrated for {options.method}"
+    if options.inits < Options.inits:
+        return f"none is calibrated for fewer than {Options.inits} initial poses"
+    for option in fields(Options):
+        if option.name not in CHOICES and (value := getattr(options, option.name)) != option.default:
+            return f"none is calibrated with {option.name} {value}"
+    if any(finding.serious for finding in findings):
+        return "a finding is serious"
+    return ""
 
 
 def _fitted(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> tuple[Problem, MethodResult]:
@@ -149,7 +165,11 @@ def _reconstruction(
     scale = float(found.poses.scale[0])
     shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.doubted)
     mean_iou = float(np.nansum(track.iou)) / shown  # a doubted mask is one that is not explained
-    guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
+    guesses = []
+    if clip.scale == "free":
+        guesses.append(f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement")
+    if found.warp is not None:
+        guesses.append(SHAPE_GUESSED)
     axis = None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle)
     return Reconstruction(
         clip=clip.name,
@@ -169,19 +189,8 @@ def _reconstruction(
         seed=options.seed,
         T_cam_hand=track.T_cam_hand if problem.hand_corrected else None,
         warp=found.warp,
-        notes=(*problem.notes, *track.notes, *([guess] if clip.scale == "free" else [])),
+        notes=(*problem.notes, *guesses),
     )
-
-
-def _of_shape(found: MethodResult, mesh: Mesh) -> list[str]:
-    """What is to be said where the mesh was not taken as it is given."""
-    if found.warp is None:
-        return []
-    by = 1e3 * float(found.poses.scale[0]) * found.warp.displacement(mesh)
-    return [
-        f"the object's shape is a guess from the masks: the mesh leaves contours that no pose explains, and was "
-        f"deformed by {by:.1f} mm (--given-mesh takes it as it is)"
-    ]
 
 
 class Clock:

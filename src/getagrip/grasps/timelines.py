@@ -24,6 +24,7 @@ from getagrip.clip import Segment
 from getagrip.clip.timeline import State
 from getagrip.errors import InputError
 from getagrip.hands.model import Side
+from getagrip.io.counts import counted
 from getagrip.io.files import is_plain_name, shown
 
 STATES: dict[str, State] = {"inhand": "grasp", "scene_static": "static", "scene_dynamic": "contact"}
@@ -96,10 +97,9 @@ def report_backwards(path: Path, content: Sequence[dict[str, Any]], note: Callab
     """Say how many segments end before they start; ``content`` has been read."""
     backwards = [s["ref"] for timeline in content for s in timeline["segments"] if s["ed"] < s["st"]]
     if backwards:
-        grasps = backwards.count("inhand")
-        note(
-            f"{path.name}: {grasps} grasps and {len(backwards) - grasps} other segments end before they start: skipped"
-        )
+        grasps = counted(count := backwards.count("inhand"), "grasp")
+        others = counted(len(backwards) - count, "other segment")
+        note(f"{path.name}: {grasps} and {others} end before they start: skipped")
 
 
 def whole(path: Path, key: str, value: object) -> int:

@@ -84,7 +84,7 @@ def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> I
         "serious": any(finding.serious for finding in result.findings),
         "note": any(not finding.serious for finding in result.findings),
         "ambiguous": result.ambiguous,
-        "guess": any("guess" in str(note).lower() for note in result.notes),
+        "guess": result.warp is not None or any("guess" in str(note).lower() for note in result.notes),
     }
     values = {name: metrics.get(metric.key(CONTACT), np.nan) for name, metric in COLUMNS.items()}
     probable = {f"probability right {where}": right.value for where, right in result.probabilities.items()}

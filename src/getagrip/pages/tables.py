@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
 from getagrip.checks.of_timeline import JUMP
 from getagrip.evaluation.metric import METRICS, Metric
@@ -59,8 +61,10 @@ def _checked(checks: Mapping[str, float]) -> list[list[str]]:
     out = []
     for name, value in checks.items():
         check = CHECKS.get(name)
-        said = ["", ""] if check is None else [check.usual, check.verdict(value)]
-        out.append([name, "" if said[1] == "not applicable" else f"{value:.3g}", *said])
+        if check is None:
+            out.append([name, f"{value:.3g}", "", ""])
+        else:
+            out.append([name, "" if np.isnan(value) else check.shown(value), check.usual, check.verdict(value)])
     return out
 
 

@@ -188,7 +188,7 @@ def test_import_writes_clips_and_goes_on_where_it_stopped(root, own, tmp_path, c
     (broken / "meta.yml").write_text("a: [1")
     assert import_clips(DexYcb(root=root), out, debug=False) == 1
     printed = capsys.readouterr()
-    assert "0 clips, 1 already there, 1 sequences failed" in printed.out
+    assert "0 clips, 1 already there, 1 of 2 sequences failed" in printed.out
     assert "20200709_000000" in printed.err
     assert "Traceback" not in printed.err
     assert (out / NAME / "hand.npz").stat().st_mtime_ns == stamp

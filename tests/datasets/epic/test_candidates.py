@@ -107,7 +107,7 @@ def test_candidates_are_written_as_a_table_and_as_json(run: Run, tmp_path: Path)
     status, printed, err = run(*call, "--out", tmp_path / "c.csv")
     assert status == 1, err  # the mapping knows nothing of the other video
     assert "frame_mapping.json: P02_01" in err
-    assert "1 candidates" in printed
+    assert "1 candidate from" in printed
     with (tmp_path / "c.csv").open(newline="") as stream:
         (cells,) = csv.DictReader(stream)
     assert cells == {

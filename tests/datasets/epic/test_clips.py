@@ -32,7 +32,7 @@ def test_a_clip_without_hands_has_all_else_and_gets_them_later(run: Run, epic_fo
     assert status == 0, err
     folder = epic_folder / "out" / NAME
     assert str(folder) in out
-    assert "lack their hand.npz" in err
+    assert "lacks its hand.npz" in err
     assert "guess" in err
     with pytest.raises(InputError, match=r"hand\.npz"):
         read_clip(folder)
@@ -72,12 +72,12 @@ def test_clips_that_the_disk_has_no_room_for_are_reported_and_made_the_next_time
     with full_disk(100_000):
         status, out, err = import_epic(run, epic_folder)
     assert status == 1
-    assert "0 clips, 0 already there, 1 videos failed" in out
+    assert "0 clips, 0 already there, 1 of 1 videos failed" in out
     assert str(epic_folder / "out" / NAME / "frames" / "0000001000.jpg") in err
     assert [path.name for path in (epic_folder / "out").iterdir()] == ["ledger.sqlite"]
     status, out, _ = import_epic(run, epic_folder)
     assert status == 0
-    assert "1 clips, 0 already there" in out
+    assert "1 clip, 0 already there" in out
     assert all(cv2.imread(str(image)) is not None for image in (epic_folder / "out" / NAME / "frames").iterdir())
 
 
@@ -186,7 +186,7 @@ def test_what_is_missing_is_reported_and_the_rest_is_done(run: Run, epic_folder:
     status, _, err = import_epic(run, epic_folder)
     assert status == 1
     assert "0 of its 100 frames have a mask of 'olive oil bottle'" in err
-    assert "VISOR's files of 1 videos are not there" in err
+    assert "VISOR's files of 1 video are not there" in err
     assert "no frame_mapping.json" in err
     assert "frame_0000001004.jpg" in err
     assert not (epic_folder / "out" / NAME).exists()

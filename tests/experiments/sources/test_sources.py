@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from getagrip.batch import progress
 from getagrip.clip import write_clip
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
@@ -51,12 +52,25 @@ def test_names_are_read_one_a_line(tmp_path: Path) -> None:
             names_in(path)
 
 
-def test_only_what_is_named_is_imported(tmp_path: Path) -> None:
-    @dataclass(frozen=True)
-    class Shelves(Recorded):
-        def reader(self, root: Path) -> Library:
-            return Library(shelves=(Shelf("s1--a--can"), Shelf("s1--b--can")))
+@dataclass(frozen=True)
+class Shelves(Recorded):
+    def reader(self, root: Path) -> Library:
+        return Library(shelves=(Shelf("s1--a--can"), Shelf("s1--b--can")))
 
+
+def test_a_dataset_is_imported_first_which_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "EVERY", 0.0)
+    source = Shelves("shelves", root=tmp_path, split="all")
+    assert len(samples(source, tmp_path / "clips", 1, debug=False)[0]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("shelves: all clips are imported first")
+    assert "\n1 of 2 shelves, " in said
+    assert "\n2 of 2 shelves, " in said
+
+
+def test_only_what_is_named_is_imported(tmp_path: Path) -> None:
     source = Shelves("shelves", root=tmp_path, split="all", only=frozenset({"s1--b--can-0"}))
     for _ in range(2):
         assert [sample.name for sample in samples(source, tmp_path / "clips", None, debug=False)[0]] == ["s1--b--can-0"]

@@ -90,6 +90,7 @@ def test_a_broken_result_does_not_hide_the_others(root: Path, tmp_path: Path) ->
 
 def test_the_command_refuses_what_it_cannot_show(run: Run, tmp_path: Path) -> None:
     assert run("view")[0] == 2
-    status, _, err = run("view", tmp_path / "nowhere")
+    status, out, err = run("view", tmp_path / "nowhere")
+    assert out == f"reading {tmp_path / 'nowhere'} ...\n"
     assert status == 1
     assert "nowhere: got no such folder, expected a result, a clip" in err

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from getagrip.clip import FINGERS, FrameMasks, HandTrack, World
 from getagrip.datasets import fitted_hands, ycb
@@ -31,6 +31,7 @@ from getagrip.grasps.definition import FEWEST
 from getagrip.grasps.lists import BETWEEN
 from getagrip.grasps.options import GraspOptions
 from getagrip.io.arguments import Flag
+from getagrip.io.counts import counted
 from getagrip.metrics.contact import signed_distance
 
 if TYPE_CHECKING:
@@ -44,6 +45,8 @@ FPS = 30.0
 class DexYcb(TrackedDataset):
     """DexYCB, or a packed file of its sequences: every visible stable grasp."""
 
+    root: Annotated[Positional[Path], arg(metavar="ROOT")]
+    """The folder that holds it, as it came; or a packed file of its sequences (.npz), or a folder of such files."""
     grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
     """What counts as a stable grasp."""
 
@@ -126,7 +129,7 @@ class FittedTrack(Track):
             + ", ".join(f"{finger} {1e3 * d:.1f}" for finger, d in zip(FINGERS, pads, strict=True))
             + f" mm from the object (median over frames; negative: inside), at most {-1e3 * depth.min():.1f} mm inside",
             **({"stable_contact_area": piece.stable_area} if piece.stable_area else {}),
-            "dropped": f"{len(piece.track) - len(self)} frames in which the object is not visible",
+            "dropped": f"{counted(len(piece.track) - len(self), 'frame')} in which the object is not visible",
         }
 
     def hand_depth(self) -> Float[ndarray, "T V"]:

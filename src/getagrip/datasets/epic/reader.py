@@ -21,6 +21,7 @@ from getagrip.datasets.epic.tables import EpicGrasp, chosen_errata, read_grasps
 from getagrip.datasets.epic.timelines import EpicTimeline
 from getagrip.errors import UsageError
 from getagrip.io.arguments import Folder, OptionalFile, OptionalFolder
+from getagrip.io.counts import counted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +70,8 @@ class EpicGrasps(Dataset):
         there, mapping = visor.find(self.visor), visor.find_mapping(self.visor)
         absent = [len(spans) for video, spans in by_video.items() if video not in there]
         if absent:
-            note(f"{sum(absent)} grasps skipped: VISOR's files of {len(absent)} videos are not there")
+            of = counted(len(absent), "video")
+            note(f"{counted(sum(absent), 'grasp')} skipped: VISOR's files of {of} are not there")
         if mapping is None:
             note(visor.UNMAPPED)
         return [
@@ -115,11 +117,12 @@ class EpicGrasps(Dataset):
         guess = clips.pinhole().source
         guessed = sum(provenance["camera"] == guess for provenance in made)
         if guessed:
-            yield f"the camera of {guessed} clips is {guess}; name --cameras or --focal"
+            yield f"the camera of {counted(guessed, 'clip')} is {guess}; name --cameras or --focal"
         if handless:
+            lacking = counted(handless, "clip lacks its", "clips lack their")
             yield (
-                f"{handless} clips lack their hand.npz: docs/estimators.md explains how to make it from a clip's "
-                "frames; add it to the clip, or call this again with --hands"
+                f"{lacking} hand.npz: docs/estimators.md explains how to make it from a clip's frames; add it to the "
+                "clip, or call this again with --hands"
             )
 
 

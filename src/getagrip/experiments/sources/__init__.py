@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from glob import has_magic
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +39,8 @@ def source_of(dataset: str, **options: Any) -> ClipSource:
     Raises ``UsageError`` for an option that the source does not take, and as the source does.
     """
     kind = SOURCES.get(dataset, ClipFolder)
+    if kind is ClipFolder and not Path(dataset).exists() and not has_magic(dataset):
+        raise UsageError(f"DATASET: got {dataset}, expected {', '.join(SOURCES)}, or a folder of clips")
     taken = [field.name for field in fields(kind) if field.name != "dataset"]
     given = {name: value for name, value in options.items() if value is not None}
     for name, value in given.items():

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from getagrip.errors import UsageError
 from getagrip.experiments.sources.source import ClipSource, Sample
+from getagrip.io.terminal import report
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
@@ -41,6 +42,10 @@ class Recorded(ClipSource):
         done = clips / "imported"
         missing = self.only is None or any(not (clips / name).exists() for name in self.only)
         if not done.exists() and missing:
+            if self.only is None:
+                report(
+                    f"{self.dataset}: all clips are imported first, and kept; --only FILE imports those that it names"
+                )
             status = import_clips(self.reader(self.root), clips, debug, only=self.only)
             if status == 0 and self.only is None:
                 done.touch()  # else what failed is tried again next time

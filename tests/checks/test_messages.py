@@ -1,0 +1,39 @@
+"""What checks say: counts, and lengths and shares with their units."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS, Evidence
+from getagrip.checks.of_timeline import FLOATS, JUMP
+from helpers.clips import small_clip
+
+CHECKS = {check.name: check for check in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP, FLOATS)}
+
+
+@pytest.mark.parametrize(
+    ("check", "value", "words"),
+    [
+        ("mesh-open", 0.032, "the mesh is open, by 3.2 % of its surface (usual: at most 1 %);"),
+        ("contact-gap", 22.31, "hand and object are 22.3 mm apart in half of the frames (usual: at most 15 mm);"),
+        ("hand-side", -20.0, "the fingers bend by -20 degrees towards"),
+        ("frame-order", 3.0, "would fit the hands 3 times better (usual: at most 2.5);"),
+        ("mask-fit", 0.6, "the masks are met with a mean IOU of 0.6 (usual: at least 0.7);"),
+        (
+            "mesh-much-deformed",
+            0.08,
+            "was deformed by 7.8 mm, so its shape is a guess (usual: at most 6 % of its diameter);",
+        ),
+        ("mesh-deformed", 0.03, "was deformed by 7.8 mm, so its shape is a guess; it is not the object's own"),
+        ("jump", 0.5, "the object jumps by 50 % of its diameter more than"),
+        ("floats", 20.0, "it lies 20 mm above the support plane (usual: at most 15 mm);"),
+        ("masks-doubted", 0.25, "1 of 4 masks contradicts the others and was left out: frame 0002; --given-masks"),
+    ],
+)
+def test_values_are_said_as_people_count_them(check: str, value: float, words: str) -> None:
+    given = Evidence(*small_clip(), iou=np.array([0.9, np.nan, 0.9, 0.9]), doubted=("0002",), deformed_mm=7.8)
+    finding = CHECKS[check].finding(value, given)
+    assert finding is not None
+    assert words in finding.message
+    assert finding.value == value
