@@ -74,7 +74,7 @@ def test_an_import_has_its_parts_read_there(slurm: Path, tmp_path: Path, capsys:
     library = Library(shelves=(Shelf("torn"), Shelf("fine")))
     assert import_clips(library, tmp_path / "out", debug=False, share=Share(engine="slurm", workers=1)) == 1
     assert {path.parent.name for path in tmp_path.glob("out/*/clip.json")} == {"torn-0", "torn-3", "fine-0", "fine-3"}
-    assert capsys.readouterr().out.splitlines()[-1] == "4 clips, 0 already there, 2 shelves failed"
+    assert capsys.readouterr().out.splitlines()[-1] == "4 clips, 0 already there, 2 of 2 shelves failed"
 
 
 @needs_submitit
