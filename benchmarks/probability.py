@@ -198,19 +198,33 @@ def _diagram(upper: Axes, lower: Axes, test: Results, calibration: Calibration) 
         axes.spines[["top", "right"]].set_visible(False)
 
 
+def left_out(doubted: Results) -> str:
+    """How many results have no probability, since a finding is serious, and how many of these are right."""
+    counts = [
+        f"{len(some.rows)} of the {part} results, {some.right.sum()} of them right in the hand"
+        for part in ("training", "test")
+        for some in [doubted.only(part=part.removesuffix("ing"))]
+    ]
+    return f"A finding was serious for {', and for '.join(counts)}: these have no probability."
+
+
 def main(out: Path, root: Path, meshes: Path, workers: int) -> None:
     """Collect, fit, and put the measurements into the page."""
     report(Results(collect(out / "results.csv", cases(out / "clips", root, meshes), workers)))
 
 
 def report(rows: Results) -> None:
-    """Fit the training part, hold the test part against it, and write both down."""
+    """Fit the training part, hold the test part against it, and write both down.
+
+    Results with a serious finding have no probability, and are no part of either.
+    """
+    doubted, rows = rows.only(serious="1"), rows.only(serious="0")
     train, made = rows.only(part="train"), stamp()
     calibrations = {where: calibrated(Results(train.rows, where), made) for where in RIGHT}
     SOURCE.write_text(source([*calibrations.values()]), encoding="utf-8")
     subprocess.run(["ruff", "format", "-q", SOURCE], check=True)
     draw(rows.only(part="test"), calibrations, page.DOCS / "images" / PICTURE)
-    text = section(rows, calibrations)
+    text = f"{section(rows, calibrations)}\n\n{left_out(doubted)}"
     page.write(SECTION, text)
     print(text)
 

@@ -108,10 +108,12 @@ def _cases(clips: Path, root: Path, meshes: Path) -> Iterator[Case]:
 
 Row = dict[str, str]
 COLUMNS = (
-    "dataset", "part", "condition", "clip", "right", "right-in-camera", "off", "seconds", "made",
+    "dataset", "part", "condition", "clip", "right", "right-in-camera", "off", "serious", "seconds", "made",
     *(sign.name for sign in SIGNS),
 )  # fmt: skip
-"""Of a row; "right" and "off" (mean distance of vertices, in diameters) are in the hand."""
+"""Of a row; "right" and "off" (mean distance of vertices, in diameters) are in the hand; "serious" is whether a finding
+is.
+"""
 
 
 def run(case: Case) -> list[Row]:
@@ -134,7 +136,15 @@ def run(case: Case) -> list[Row]:
         assert given.truth is not None
         off = 1e-3 * metrics[ADD_SYM_MM.name] / (given.mesh.diameter * given.truth.scale)
         right = [f"{metrics[metric.name]:.0f}" for metric in (ADD_SYM, ADD_SYM_CAM)]
-        what = [case.dataset, case.part, condition, case.clip, *right, f"{off:.4f}"]
+        what = [
+            case.dataset,
+            case.part,
+            condition,
+            case.clip,
+            *right,
+            f"{off:.4f}",
+            f"{any(f.serious for f in result.findings):d}",
+        ]
         signs = [f"{result.signs[sign.name]:.6g}" for sign in SIGNS]
         rows.append(dict(zip(COLUMNS, [*what, f"{seconds:.2f}", stamp(), *signs], strict=True)))
     return rows

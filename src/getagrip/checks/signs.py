@@ -56,6 +56,11 @@ def contact_gap(it: Solved) -> float:
     return _logarithm(np.clip(it.region_distance, 0.0, FARTHEST).mean() / it.diameter, 3e-3)
 
 
+def depth_order(it: Solved) -> float:
+    """Share of the seen pixels of hand or object in which the other one is in front: the larger of the two."""
+    return _logarithm(np.nanmax(it.in_front), 0.01)
+
+
 def pose_spread(it: Solved) -> float:
     """How far the object could still be moved, by what masks and contact tell, in its diameters."""
     return _logarithm(it.spread, 1e-4)
@@ -101,6 +106,7 @@ SIGNS: tuple[Sign, ...] = (
     Sign("mask-misfit", mask_misfit, -1),
     Sign("mesh-deformation", mesh_deformation, -1),
     Sign("contact-gap", contact_gap, -1),
+    Sign("depth-order", depth_order, -1),
     Sign("off-axis-turn", off_axis_turn, -1),
     Sign("hand-shift", hand_shift, -1),
     Sign("hand-turn", hand_turn, -1),
