@@ -88,6 +88,16 @@ def test_a_right_result_raises_no_finding() -> None:
 
 
 @pytest.mark.slow
+def test_a_guessed_focal_length_leaves_no_probability_in_the_camera() -> None:
+    clip, masks = mug()
+    guessed = replace(clip, provenance={**clip.provenance, "camera": "a guess: the longer side of the image"})
+    known, result = reconstruct(clip, masks), reconstruct(guessed, masks)
+    assert known.probability_right_in_camera is not None
+    assert result.probability_right_in_camera is None
+    assert result.probability_right == known.probability_right
+
+
+@pytest.mark.slow
 def test_nothing_that_misses_the_masks_is_called_converged() -> None:
     result = reconstruct(*Wrong("noise masks")(*mug(), seed=0), QUICK)
     assert result.iou.mean() < 0.5

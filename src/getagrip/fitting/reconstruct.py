@@ -103,7 +103,10 @@ def reconstruct(
         checks=measured | of_result,
         signs=signs,
         probability_right=probability_right(options, signs, (*findings, *more)),
-        probability_right_in_camera=probability_right(options, signs, (*findings, *more), "camera"),
+        # No pixel tells a wrong focal length from another distance.
+        probability_right_in_camera=None
+        if "guess" in str(clip.provenance.get("camera", "")).lower()
+        else probability_right(options, signs, (*findings, *more), "camera"),
     )
 
 
