@@ -12,8 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
+from fuzz.containers import glb, glb_parts
 from getagrip.annotate import footage
 from getagrip.annotate.store import Store
 from getagrip.clip import read_clip, segments
@@ -23,6 +25,7 @@ from getagrip.datasets.epic import images
 from getagrip.errors import InputError
 from getagrip.fitting.pose_priors import read_learnt
 from getagrip.geometry import obj
+from getagrip.geometry.mesh_files import read_mesh
 from getagrip.geometry.obj import parse_obj
 from getagrip.hands import mano
 from getagrip.hands.trackers import records
@@ -154,6 +157,17 @@ def test_meshes_beyond_bounds_are_refused(
     content = ("v 0 0 0\n" * 3 + faces).encode()
     with memory(100):
         refused(lambda: parse_obj(PATH, content), "at most")
+
+
+def test_meshes_of_no_node_take_no_memory(tmp_path: Path) -> None:
+    trimesh.creation.icosphere(5, 0.1).export(tmp_path / "a.glb")
+    document, numbers = glb_parts((tmp_path / "a.glb").read_bytes())
+    tree = json.loads(document)
+    tree["meshes"] *= 300
+    (tmp_path / "b.glb").write_bytes(glb(json.dumps(tree).encode(), numbers))
+    read_mesh(tmp_path / "a.glb")  # what is loaded and compiled for it
+    with memory(50):
+        assert len(read_mesh(tmp_path / "b.glb").faces) == 20 * 4**5
 
 
 def test_plain_meshes_are_read_alike_either_way() -> None:
