@@ -116,6 +116,28 @@ def test_narrow_numbers_are_refused_by_their_size_as_floats(refused: Callable[..
         refused(lambda: arrays.floats(PATH, given, "vertices", (-1, -1, 3)), "70020000 numbers")
 
 
+def test_narrow_vertex_ids_are_refused_by_their_size_as_whole_numbers(refused: Callable[..., str]) -> None:
+    given = {"region_thumb": np.broadcast_to(np.uint8(0), (70_000_000,))}
+    with memory(200):
+        refused(lambda: arrays.indices(PATH, given, "region_thumb", 778, (-1,)), "70000000 numbers")
+
+
+def test_many_names_and_numbers_of_frames_become_no_lists(
+    tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "hand.npz"
+    monkeypatch.setattr(arrays, "MOST_NAMES", 3)
+    for frames in (np.arange(3), np.array(["a", "b", "c"])):
+        arrays.write(path, {"frames": frames})
+        assert arrays.names(arrays.read(path, lambda _: True)["frames"]) is not None
+    assert arrays.frame_numbers(path, {"frames": np.arange(3)}) == (0, 1, 2)
+    refused(lambda: arrays.frame_numbers(path, {"frames": np.arange(4)}), "frames: got int64 of shape (4,)", "1 to 3")
+    refused(lambda: arrays.frame_numbers(path, {"frames": np.zeros(2, int)}), "frames: got a frame twice")
+    assert arrays.names(np.arange(4)) is None
+    arrays.write(path, {"frames": np.array(["a"] * 4)})
+    refused(lambda: arrays.read(path, lambda _: True), "frames: got 4 texts, expected at most 3")
+
+
 def jpeg_of_two_sizes(claimed: int, real: int) -> bytes:
     """A JPEG that reads as small where the byte that fills up before a marker is taken for a marker."""
     stream = BytesIO()
