@@ -233,6 +233,40 @@ def test_wrong_values_are_explained_without_types(run: Run, args: tuple[str, ...
     assert "None" not in err
 
 
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("demo", "--out", ""), "--out: got an empty text"),
+        (("reconstruct", "a", "--out="), "--out: got an empty text"),
+        (("evaluate", "a", "--clips", ""), "--clips: got an empty text"),
+        (("evaluate", ""), "RESULT...: "),
+        (("reconstruct", "", "--out", "x"), "CLIP...: "),
+    ],
+)
+def test_empty_texts_are_no_paths(
+    run: Run, args: tuple[str, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, _, err = run(*args)
+    assert status == 2
+    assert words in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_home_is_meant_where_no_shell_says_so(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    for args in (
+        ("reconstruct", "~/a", "--out=~/b"),
+        ("evaluate", "~/a", "--clips=~/b"),
+        ("import", "tracks", "~/a", "--out=~/b"),
+    ):
+        status, _, err = run(*args)
+        assert status
+        assert f"{tmp_path}/home/a" in err
+    assert not (tmp_path / "~").exists()
+
+
 @pytest.mark.slow
 def test_a_reader_that_leaves_ends_the_command_quietly() -> None:
     command = [sys.executable, "-m", "getagrip", "init", "learn", "--help"]

@@ -24,6 +24,7 @@ from getagrip.cli.report import Report
 from getagrip.cli.results import Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct
 from getagrip.cli.view import View
 from getagrip.errors import GetagripError, UsageError, cleaned
+from getagrip.io.arguments import PATHS
 from getagrip.io.terminal import Silence
 
 DESCRIPTION = (
@@ -119,5 +120,6 @@ def _parsed(args: Sequence[str]) -> Command:
         if args and about.name == args[0]:  # its own command is enough, and several times as quick
             known, program, description, args = one, f"getagrip {args[0]}", about.description, args[1:]
             break
-    command: Command = tyro.cli(known, prog=program, description=description, args=args, config=(OmitArgPrefixes,))
+    with PATHS:
+        command: Command = tyro.cli(known, prog=program, description=description, args=args, config=(OmitArgPrefixes,))
     return command
