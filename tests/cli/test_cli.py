@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import getagrip
+from getagrip.cli import main
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.result import read_result
 from helpers.command_line import Run
@@ -211,6 +212,19 @@ def test_help_loads_nothing_heavy() -> None:
 
 def test_the_version_is_printed(run: Run) -> None:
     assert run("--version")[:2] == (0, f"getagrip {getagrip.__version__}\n")
+
+
+@pytest.mark.parametrize("closed", ["stdout", "stderr"])
+def test_closed_output_is_no_error(closed: str, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setattr(sys, closed, None)
+    for args, status in ((["--help"], 0), (["reconstrct"], 2), (["evaluate", "none"], 1)):
+        try:
+            found = main(args)
+        except SystemExit as exit_:
+            found = int(exit_.code or 0)
+        assert found == status
+    getattr(sys, closed).close()
+    assert "Traceback" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", ["clip new", "epic candidates", "init learn"])

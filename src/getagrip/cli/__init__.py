@@ -64,6 +64,7 @@ def commands(imports: Any, figures: Any) -> Any:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run a command. Returns 0 when all is done, 1 when some of it failed, 2 when the call is wrong."""
+    _open_closed_output()
     try:
         status = _run(_parsed(sys.argv[1:] if args is None else args))
         sys.stdout.flush()
@@ -71,6 +72,13 @@ def main(args: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # whoever read the output has enough of it, as with `| head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141  # as for a process that SIGPIPE ends
+
+
+def _open_closed_output() -> None:
+    """Let output that is closed (``>&-``) go nowhere; else printing fails, or a file that is opened takes its place."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
 
 
 def _run(command: Command) -> int:
