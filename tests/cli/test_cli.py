@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 import getagrip
+from getagrip import __main__
 from getagrip.cli import main
 from getagrip.clip import read_clip, read_masks, write_clip
 from getagrip.result import read_result
@@ -151,6 +153,14 @@ def test_one_broken_clip_stops_no_other(run: Run, can_and_box: Path, tmp_path: P
     assert "Traceback" in run("reconstruct", broken, "--out", tmp_path / "out", "--debug")[2]
 
 
+def test_an_archive_on_a_disk_has_an_address(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "mug.zip").write_bytes(b"PK")
+    status, _, err = run("reconstruct", tmp_path / "mug.zip", "--out", tmp_path / "out")
+    assert status == 1
+    assert "mug.zip: got an archive, expected a clip, or a folder of clips; reconstruct reads" in err
+    assert err.strip().endswith(f"local://{tmp_path}/mug.zip")
+
+
 def test_two_clips_of_one_name_are_refused(run: Run, can_and_box: Path, tmp_path: Path) -> None:
     status, _, err = run("reconstruct", can_and_box, can_and_box / "can", "--out", tmp_path / "out")
     assert status == 2
@@ -194,6 +204,24 @@ def test_an_interrupt_leaves_no_traceback(can_and_box: Path, tmp_path: Path, mon
 
 
 # Start-up.
+
+
+def test_an_interrupt_while_modules_load_leaves_no_traceback(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    class Interrupted:
+        def find_spec(self, name: str, *_: object) -> None:
+            if name == "getagrip.cli":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "getagrip.cli")
+    monkeypatch.delattr(getagrip, "cli")
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    assert __main__.main() == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_the_program_is_installed_with_it() -> None:
+    content = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert content["project"]["scripts"] == {"getagrip": "getagrip.__main__:main"}
 
 
 @pytest.mark.slow
