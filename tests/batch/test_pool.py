@@ -89,7 +89,9 @@ def test_a_killed_process_gives_its_job_to_another_one(tmp_path: Path) -> None:
     assert ended.result == ended.process
 
 
-@pytest.mark.parametrize("given", [{"seconds": 0.0}, {"seconds": float("nan")}, {"gigabytes": -1.0}])
+@pytest.mark.parametrize(
+    "given", [{"seconds": 0.0}, {"seconds": float("nan")}, {"gigabytes": -1.0}, {"gigabytes": 1e30}]
+)
 def test_limits_are_numbers_above_zero(given: dict[str, float]) -> None:
     with pytest.raises(UsageError, match="expected a number above 0"):
         Limits(**given)

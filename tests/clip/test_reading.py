@@ -99,6 +99,24 @@ def test_the_checksum_names_what_is_missing(clip_folder: Path, refused: Refused)
         refused(lambda: input_sha256(clip_folder), file, "no such file")
 
 
+def test_images_and_folders_of_them_that_lead_out_are_refused(clip_folder: Path, refused: Refused) -> None:
+    clip, beside = read_clip(clip_folder), clip_folder.parent / "private.jpg"
+    image, inner = clip_folder / "frames" / f"{clip.frames[0]}.jpg", clip_folder / "frames" / "other.jpg"
+    image.parent.mkdir()
+    for file in (beside, inner):
+        file.write_bytes(b"an image")
+    assert clip.image_file(0) is None
+    image.symlink_to(inner)
+    assert clip.image_file(0) == image
+    image.unlink()
+    image.symlink_to(beside)
+    refused(lambda: clip.image_file(0), f"frames/{image.name}: got the path", "which leads out")
+    inner.rename(inner.with_name(f"{clip.frames[1]}.jpg"))
+    image.parent.rename(clip_folder.parent / "elsewhere")
+    image.parent.symlink_to(clip_folder.parent / "elsewhere")
+    refused(lambda: clip.image_file(1), "which leads out")
+
+
 def test_hands_at_the_border_are_real(clip_folder: Path) -> None:
     """Half out of the image in every frame, and wholly out of it in some."""
     edit_npz("hand.npz", T_cam_hand=at((slice(None), 0, 3), 0.25))(clip_folder)

@@ -260,6 +260,16 @@ BROKEN: dict[str, tuple[Break, str, tuple[str, ...]]] = {
     "region empty": (edit_npz("hand.npz", region_ring=np.array([], int)), "hand.npz: region_ring", ("(0,)",)),
     "region of floats": (edit_npz("hand.npz", region_ring=np.array([1.0])), "hand.npz: region_ring", ("integers",)),
     "region flags": (edit_npz("hand.npz", region_ring=np.ones(8, bool)), "hand.npz: region_ring", ("bool",)),
+    "region without end": (
+        edit_npz("hand.npz", region_ring=np.zeros(100, np.uint8)),
+        "hand.npz: region_ring",
+        ("100 vertex ids", "at most 64 for 8 vertices"),
+    ),
+    "palms without end": (
+        edit_npz("hand.npz", **{f"region_palm_{n}": np.zeros(1, int) for n in range(100)}),
+        "hand.npz: region_palm_...",
+        ("101 regions", "at most 100"),
+    ),
     "palm beyond": (edit_npz("hand.npz", region_palm_edge=np.array([99])), "hand.npz: region_palm_edge", ("99",)),
     "bare mesh": (
         edit_npz(

@@ -12,8 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
+from fuzz.containers import glb, glb_parts
 from getagrip.annotate import footage
 from getagrip.annotate.store import Store
 from getagrip.clip import read_clip, segments
@@ -23,6 +25,7 @@ from getagrip.datasets.epic import images
 from getagrip.errors import InputError
 from getagrip.fitting.pose_priors import read_learnt
 from getagrip.geometry import obj
+from getagrip.geometry.mesh_files import read_mesh
 from getagrip.geometry.obj import parse_obj
 from getagrip.hands import mano
 from getagrip.hands.trackers import records
@@ -113,6 +116,28 @@ def test_narrow_numbers_are_refused_by_their_size_as_floats(refused: Callable[..
         refused(lambda: arrays.floats(PATH, given, "vertices", (-1, -1, 3)), "70020000 numbers")
 
 
+def test_narrow_vertex_ids_are_refused_by_their_size_as_whole_numbers(refused: Callable[..., str]) -> None:
+    given = {"region_thumb": np.broadcast_to(np.uint8(0), (70_000_000,))}
+    with memory(200):
+        refused(lambda: arrays.indices(PATH, given, "region_thumb", 778, (-1,)), "70000000 numbers")
+
+
+def test_many_names_and_numbers_of_frames_become_no_lists(
+    tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "hand.npz"
+    monkeypatch.setattr(arrays, "MOST_NAMES", 3)
+    for frames in (np.arange(3), np.array(["a", "b", "c"])):
+        arrays.write(path, {"frames": frames})
+        assert arrays.names(arrays.read(path, lambda _: True)["frames"]) is not None
+    assert arrays.frame_numbers(path, {"frames": np.arange(3)}) == (0, 1, 2)
+    refused(lambda: arrays.frame_numbers(path, {"frames": np.arange(4)}), "frames: got int64 of shape (4,)", "1 to 3")
+    refused(lambda: arrays.frame_numbers(path, {"frames": np.zeros(2, int)}), "frames: got a frame twice")
+    assert arrays.names(np.arange(4)) is None
+    arrays.write(path, {"frames": np.array(["a"] * 4)})
+    refused(lambda: arrays.read(path, lambda _: True), "frames: got 4 texts, expected at most 3")
+
+
 def jpeg_of_two_sizes(claimed: int, real: int) -> bytes:
     """A JPEG that reads as small where the byte that fills up before a marker is taken for a marker."""
     stream = BytesIO()
@@ -154,6 +179,17 @@ def test_meshes_beyond_bounds_are_refused(
     content = ("v 0 0 0\n" * 3 + faces).encode()
     with memory(100):
         refused(lambda: parse_obj(PATH, content), "at most")
+
+
+def test_meshes_of_no_node_take_no_memory(tmp_path: Path) -> None:
+    trimesh.creation.icosphere(5, 0.1).export(tmp_path / "a.glb")
+    document, numbers = glb_parts((tmp_path / "a.glb").read_bytes())
+    tree = json.loads(document)
+    tree["meshes"] *= 300
+    (tmp_path / "b.glb").write_bytes(glb(json.dumps(tree).encode(), numbers))
+    read_mesh(tmp_path / "a.glb")  # what is loaded and compiled for it
+    with memory(50):
+        assert len(read_mesh(tmp_path / "b.glb").faces) == 20 * 4**5
 
 
 def test_plain_meshes_are_read_alike_either_way() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from dataclasses import dataclass
 
 from getagrip.errors import UsageError
+
+MOST = 1e6
+"""Of seconds and of GB: the kernel and the clock count no farther than some thousand times as many."""
 
 
 @dataclass(frozen=True)
@@ -20,8 +22,8 @@ class Limits:
 
     def __post_init__(self) -> None:
         for option, value in (("--limit-seconds", self.seconds), ("--limit-gb", self.gigabytes)):
-            if value is not None and not (0.0 < value < math.inf):
-                raise UsageError(f"{option}: got {value:g}, expected a number above 0")
+            if value is not None and not (0.0 < value <= MOST):
+                raise UsageError(f"{option}: got {value:g}, expected a number above 0, and at most {MOST:g}")
         if self.gigabytes is not None and sys.platform != "linux":
             raise UsageError(f"--limit-gb: got {self.gigabytes:g}, expected none: only Linux can limit a process so")
 

@@ -123,6 +123,10 @@ def clips_in(path: Path) -> Iterator[Path]:
         folders, lack = sorted(glob.iglob(str(path), recursive=True)), "a pattern that no clip matches"
     elif path.is_dir():
         folders, lack = [str(path)], "no clip.json in it or in its folders"
+    elif path.suffix == ARCHIVE and path.is_file():
+        address = f"local://{path.absolute()}"
+        expected = f"a clip, or a folder of clips; reconstruct reads archives at addresses only, this one at {address}"
+        raise InputError(path, "", "an archive", expected)
     else:
         raise InputError(path, "", "no such folder", "a clip, or a folder of clips")
     found = False

@@ -25,6 +25,7 @@ from getagrip.cli.report import Report
 from getagrip.cli.results import Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct
 from getagrip.cli.view import View
 from getagrip.errors import GetagripError, UsageError, cleaned
+from getagrip.io.arguments import PATHS
 from getagrip.io.terminal import Silence
 
 DESCRIPTION = (
@@ -61,6 +62,7 @@ def commands(imports: Any, figures: Any) -> Any:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run a command. Returns 0 when all is done, 1 when some of it failed, 2 when the call is wrong."""
+    _open_closed_output()
     try:
         status = _run(_parsed(sys.argv[1:] if args is None else args))
         sys.stdout.flush()
@@ -68,6 +70,13 @@ def main(args: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # whoever read the output has enough of it, as with `| head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141  # as for a process that SIGPIPE ends
+
+
+def _open_closed_output() -> None:
+    """Let output that is closed (``>&-``) go nowhere; else printing fails, or a file that is opened takes its place."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
 
 
 def _run(command: Command) -> int:
@@ -111,7 +120,8 @@ def _parsed(args: Sequence[str]) -> Command:
         program, description, args = f"getagrip {name}", known.__metadata__[0].description, args[1:]
         if parts := _by_name(known.__origin__):
             args = joined(args, parts, f"{name} ")
-    command: Command = tyro.cli(known, prog=program, description=description, args=args, config=(OmitArgPrefixes,))
+    with PATHS:
+        command: Command = tyro.cli(known, prog=program, description=description, args=args, config=(OmitArgPrefixes,))
     return command
 
 

@@ -18,7 +18,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
-from getagrip.io.files import shown
+from getagrip.io.files import inside, shown
 
 
 class FrameMasks(NamedTuple):
@@ -179,11 +179,12 @@ class Clip(ArrayData):
         return len(self.frames)
 
     def image_file(self, n: int) -> Path | None:
-        """The image of a frame, where the clip's folder has one."""
+        """The image of a frame, where the clip's folder has one. Raises ``InputError`` for a link that leads out."""
         if self.folder is None:
             return None
-        files = (self.folder / "frames" / f"{self.frames[n]}{suffix}" for suffix in (".jpg", ".png"))
-        return next((file for file in files if file.is_file()), None)
+        names = (f"frames/{self.frames[n]}{suffix}" for suffix in (".jpg", ".png"))
+        there = next((name for name in names if (self.folder / name).is_file()), None)
+        return None if there is None else inside(self.folder, there, "", "an image")
 
     def index_of(self, frames: Sequence[str]) -> Int[ndarray, "n"]:
         """Where the named frames are in the clip. Raises ``InputError`` for a name that is none of its frames."""

@@ -31,6 +31,8 @@ CAMERA_KEYS = {1: CAMERA[:1], 2: CAMERA[:3], 3: CAMERA}
 HANDS = "the hands of a clip, as getagrip import hands writes them"
 OTHER_HAND = "other_hand.npz"
 """The hand of the other side, in a clip's folder."""
+MOST_PALM_REGIONS, REGIONS_PER_VERTEX = 100, 8
+"""Of a hand: areas of the palm, and how often a vertex may be in regions, mean over all."""
 LARGEST_SIDE, LARGEST_IMAGE = 16384, 40_000_000
 """Plausible side [px] and number of pixels of an image; of video, 8K has the most."""
 
@@ -262,4 +264,11 @@ def _regions(path: Path, given: dict[str, ndarray], count: int) -> dict[str, Int
         expected = f"{', '.join(missing)}: the vertex ids of each fingertip's pad"
         raise InputError(path, missing[0], f"a mesh of {count} vertices without this region", expected)
     palm = sorted(key.removeprefix("region_") for key in given if key.startswith("region_palm_"))
+    if len(palm) > MOST_PALM_REGIONS:
+        raise InputError(path, "region_palm_...", f"{len(palm)} regions of the palm", f"at most {MOST_PALM_REGIONS}")
+    sizes = {key: given[f"region_{key}"].size for key in (*FINGERS, *palm)}
+    if sum(sizes.values()) > REGIONS_PER_VERTEX * count:
+        key, size = max(sizes.items(), key=lambda item: item[1])
+        bad = f"{size} vertex ids, {sum(sizes.values())} with those of the other regions"
+        raise InputError(path, f"region_{key}", bad, f"at most {REGIONS_PER_VERTEX * count} for {count} vertices")
     return {name: arrays.indices(path, given, f"region_{name}", count, (-1,)) for name in (*FINGERS, *palm)}

@@ -193,16 +193,10 @@ class _HandFile:
     def of(path: Path) -> _HandFile:
         """Raises ``InputError``."""
         given = arrays.read(path, lambda key: key in {"frames", "K", "side"} or key.startswith("provenance_"))
-        numbers = None
-        if "frames" in given:
-            array = given["frames"]
-            if array.dtype.kind not in "iu" or array.ndim != 1 or len({*array.tolist()}) < len(array):
-                raise InputError(path, "frames", f"{array.dtype} of shape {array.shape}", "each frame's number once")
-            numbers = tuple(array.tolist())
         texts = {key: str(value) for key, value in given.items() if value.dtype.kind == "U" and value.shape == ()}
         sources = {key.removeprefix("provenance_"): text for key, text in texts.items() if key != "side"}
         K = arrays.floats(path, given, "K", (3, 3)) if "K" in given else None
-        return _HandFile(path, numbers, K, texts.get("side"), sources)
+        return _HandFile(path, arrays.frame_numbers(path, given), K, texts.get("side"), sources)
 
     def at(self, wanted: Int[ndarray, "T"], side: Side) -> _Hands:
         """The hands in those of the wanted frames that have one. Raises ``InputError``."""

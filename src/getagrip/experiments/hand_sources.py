@@ -66,9 +66,8 @@ class HandSource:
         side = about.get("side")
         if side is not None and str(side) != clip.side:
             raise InputError(path, "side", shown(side.tolist()), clip.side)
-        frames, K = clip.frames, None
-        if "frames" in about:
-            frames = _names(path, about["frames"], clip)
+        numbers, K = arrays.frame_numbers(path, about), None
+        frames = clip.frames if numbers is None else _names(numbers, clip)
         if "K" in about:
             K = np.tile(arrays.floats(path, about, "K", (3, 3)), (len(frames), 1, 1))
             check_intrinsics(path, K, clip.size)
@@ -135,9 +134,7 @@ def comparison(sources: Sequence[HandSource]) -> Ablation:
     return Ablation("Hands, on the frames that all of them have", names[0], settings)
 
 
-def _names(path: Path, numbers: ndarray, clip: Clip) -> tuple[str, ...]:
+def _names(numbers: tuple[int, ...], clip: Clip) -> tuple[str, ...]:
     """The clip's names of the numbered frames of a hand file; numbers stand for frames that it does not have."""
-    if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or len(np.unique(numbers)) < len(numbers):
-        raise InputError(path, "frames", f"{numbers.dtype} of shape {numbers.shape}", "the number of each frame, once")
     name_of = {int(name): name for name in clip.frames if name.isdecimal()}
-    return tuple(name_of.get(int(number), f"{number}") for number in numbers)
+    return tuple(name_of.get(number, f"{number}") for number in numbers)

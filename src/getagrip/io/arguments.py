@@ -5,11 +5,12 @@ A reader declares its options once, in its own dataclass. The command line takes
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import FlagCreatePairsOff, arg
-from tyro.constructors import PrimitiveConstructorSpec
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from getagrip.io.storage import Place, Remote, place
 
@@ -20,12 +21,40 @@ OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")
 Flag = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
 
 
+PATHS = ConstructorRegistry()
+"""How paths are read, of all commands."""
+
+
+@PATHS.primitive_rule
+def _path(of: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Path | None] | None:
+    """A path on a disk, or nothing, which is not offered as a word."""
+    if of.type not in (Path, Path | None):
+        return None
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="PATH",
+        instance_from_str=lambda words: Path(_meant(words[0])),
+        is_instance=lambda value: value is None or isinstance(value, Path),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+def _meant(text: str) -> str:
+    """A path as a user means it: shells expand ``~`` at the beginning of a word only, not in ``--out=~/results``.
+
+    Raises ``ValueError`` for an empty text, as of a variable that is not set: as a path it would be the current folder.
+    """
+    if not text:
+        raise ValueError("got an empty text, expected a path; . is the current folder")
+    return os.path.expanduser(text)
+
+
 def placed(metavar: str) -> PrimitiveConstructorSpec[Place]:
     """A path, or an address in an object store."""
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=metavar,
-        instance_from_str=lambda words: place(words[0]),
+        instance_from_str=lambda words: place(_meant(words[0])),
         is_instance=lambda value: isinstance(value, Path | Remote),
         str_from_instance=lambda value: [str(value)],
     )

@@ -16,11 +16,13 @@ from getagrip.errors import InputError
 from getagrip.io import archives, files
 
 LARGEST = 2**29
-"""Limit in bytes of the arrays of one file, unpacked, and of each once its numbers are floats of 8 bytes."""
+"""Limit in bytes of the arrays of one file, unpacked, and of each once its numbers have 8 bytes, as here."""
 DEEPEST = 8
 """Lists within lists of numbers."""
 LONGEST_NAME = 1000
 """Characters of a name in a list: as an array, all take as much as the longest."""
+MOST_NAMES = 2**20
+"""Texts, and numbers of frames, of an array: as Python's own, each takes many times as much."""
 
 
 def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray, "..."]]:
@@ -41,7 +43,9 @@ def read(path: Path, wanted: Callable[[str], bool]) -> dict[str, Shaped[ndarray,
                 key = member.filename[:-4]
                 if key in out:
                     raise InputError(path, key, "the array twice", "each array once")
-                out[key] = parse_npy(path, key, archives.content_of(archive, member))
+                out[key] = array = parse_npy(path, key, archives.content_of(archive, member))
+                if array.dtype.kind in "US" and array.size > MOST_NAMES:
+                    raise InputError(path, key, f"{array.size} texts", f"at most {MOST_NAMES}")
     except InputError:
         raise
     except Exception as error:  # zipfile and its decompressors raise whatever they meet
@@ -94,10 +98,13 @@ def from_lists(value: object) -> Shaped[ndarray, "..."] | None:
 
 
 def names(value: object) -> Shaped[ndarray, "n"] | None:
-    """Names or whole numbers in a list, none of them long, as an array, or in an array. None for anything else."""
+    """Names or whole numbers in a list, none of them long, as an array, or in an array. None for anything else.
+
+    None also for more than ``MOST_NAMES``.
+    """
     if isinstance(value, list):
         value = np.array(value) if all(map(_is_name, value)) else None
-    if not isinstance(value, ndarray) or value.ndim != 1 or value.dtype.kind not in "Uiu":
+    if not isinstance(value, ndarray) or value.ndim != 1 or value.dtype.kind not in "Uiu" or len(value) > MOST_NAMES:
         return None
     try:
         value.tolist()
@@ -115,8 +122,6 @@ def floats(
 ) -> Float[ndarray, "..."]:
     """A finite array of the given shape, -1 standing for any length above 0."""
     array = _shaped(path, given, key, shape, kinds, "floating-point numbers")
-    if 8 * array.size > LARGEST:
-        raise InputError(path, key, f"{array.size} numbers", f"at most {LARGEST // 8}")
     with np.errstate(over="ignore"):
         array = array.astype(float)
     finite = np.isfinite(array)
@@ -138,10 +143,24 @@ def indices(
     return array.astype(np.int64)
 
 
+def frame_numbers(path: Path, given: dict[str, ndarray]) -> tuple[int, ...] | None:
+    """The numbers of the frames that a hand file is of, each once; None where it has no ``frames``."""
+    if "frames" not in given:
+        return None
+    array = given["frames"]
+    if array.dtype.kind not in "iu" or array.ndim != 1 or not 0 < len(array) <= MOST_NAMES:
+        expected = f"the numbers of 1 to {MOST_NAMES} frames"
+        raise InputError(path, "frames", f"{files.plain(str(array.dtype))} of shape {array.shape}", expected)
+    numbers = tuple(array.tolist())
+    if len({*numbers}) < len(numbers):
+        raise InputError(path, "frames", "a frame twice", "each frame's number once")
+    return numbers
+
+
 def _shaped(
     path: Path, given: dict[str, ndarray], key: str, shape: tuple[int, ...], kinds: str, what: str
 ) -> Shaped[ndarray, "..."]:
-    """An array that is there, of the expected kind and shape."""
+    """An array that is there, of the expected kind and shape, and not too large with 8 bytes for each number."""
     if key not in given:
         raise InputError(path, key, "no such array", f"the array, of {what}")
     array = given[key]
@@ -153,6 +172,8 @@ def _shaped(
     if not fits:
         expected = tuple("any" if length == -1 else length for length in shape)
         raise InputError(path, key, f"the shape {array.shape}", f"({', '.join(map(str, expected))})")
+    if 8 * array.size > LARGEST:
+        raise InputError(path, key, f"{array.size} numbers", f"at most {LARGEST // 8}")
     return array
 
 

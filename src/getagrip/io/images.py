@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.io import files
+from getagrip.io.jpeg import open_jpeg
 from getagrip.io.png import LARGEST, read_colour_png
 
 QUALITY = 92
@@ -26,11 +27,10 @@ def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
     if path.suffix.lower() == ".png":
         return read_colour_png(path, size)
     from PIL import ImageOps
-    from PIL.JpegImagePlugin import JpegImageFile
 
     content = files.read_bytes(path, LARGEST)
     try:
-        image = JpegImageFile(io.BytesIO(content))
+        image = open_jpeg(path, "", content)
         if size not in (image.size, image.size[::-1]):  # upright images may be stored on their side, with a note
             given, expected = (f"{width} x {height}" for width, height in (image.size, size))
             raise InputError(path, "size", f"{given} pixels", f"{expected}, the clip's size")
@@ -50,11 +50,11 @@ def decoded(path: Path, key: str, content: bytes, largest: int) -> UInt8[ndarray
     ``path`` and ``key`` are named in errors. Raises ``InputError``, for too large ones before memory is taken.
     """
     from PIL import ImageOps
-    from PIL.JpegImagePlugin import JpegImageFile
     from PIL.PngImagePlugin import PngImageFile
 
     try:
-        image = (PngImageFile if content[:4] == b"\x89PNG" else JpegImageFile)(io.BytesIO(content))
+        is_png = content[:4] == b"\x89PNG"
+        image = PngImageFile(io.BytesIO(content)) if is_png else open_jpeg(path, key, content)
         if max(image.size) > largest:
             where = f"{key} size".strip()
             raise InputError(path, where, "{} x {} pixels".format(*image.size), f"at most {largest} px a side")

@@ -244,18 +244,11 @@ def _provenance(
 def hand_file(path: Path) -> HandFile:
     """A hand file: a ``hand.npz`` that may have ``frames`` (N,) and ``K`` (3, 3) as well. Raises ``InputError``."""
     given = arrays.read(path, {"frames", "K"}.__contains__)
-    frames, K = None, None
-    if "frames" in given:
-        numbers = given["frames"]
-        if numbers.dtype.kind not in "iu" or numbers.ndim != 1 or not len(numbers):
-            raise InputError(path, "frames", f"{numbers.dtype} of shape {numbers.shape}", "EPIC's frame numbers (N,)")
-        frames = tuple(int(number) for number in numbers)
-        if len({*frames}) < len(frames):
-            raise InputError(path, "frames", "a frame twice", "each frame once")
+    K = None
     if "K" in given:
         K = arrays.floats(path, given, "K", (3, 3))
         check_intrinsics(path, K[None], SIZE)
-    return HandFile(path, frames, K)
+    return HandFile(path, arrays.frame_numbers(path, given), K)
 
 
 def pinhole(focal: float | None = None) -> EpicCamera:

@@ -1,0 +1,192 @@
+"""Binary glTF (.glb): the triangles of its scene, which is all of it that is about shape.
+
+Our own, since trimesh decodes every mesh of a file, shown or not, before anything can be counted. Each array is looked
+at where it lies in the file, and copied once it is known how many are wanted in all.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.geometry.obj import MOST
+from getagrip.geometry.se3 import from_quaternion, transform
+from getagrip.io import files
+
+LARGEST_TREE = 16 * 2**20
+"""Bytes of the JSON."""
+MOST_PARTS = 2**16
+"""Nodes, and parts of meshes at them."""
+FARTHEST = 1e6
+"""Of the numbers of a node's transform."""
+NUMBERS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+"""The types of numbers by ``componentType``."""
+TRIANGLES, STRIP = 4, 5
+"""Modes of parts that have triangles."""
+
+
+def parse_glb(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
+    """Vertices and faces of the scene, its parts where its nodes put them. ``path`` is only named in errors.
+
+    Materials, normals, textures, skins and animations are passed over. Raises ``InputError``.
+    """
+    try:
+        return _scene(_opened(path, content))
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+        raise InputError(path, "mesh", f"a file that does not parse ({error})", "a whole .glb file") from error
+
+
+@dataclass(frozen=True)
+class _File:
+    """What a file says in JSON, not checked, and the bytes of its arrays."""
+
+    path: Path
+    tree: dict[str, Any]
+    data: memoryview
+
+    def item(self, key: str, n: int) -> dict[str, Any]:
+        """An item of a list."""
+        if not 0 <= n < len(self.tree[key]):
+            raise LookupError(f"no {key}[{n}]")
+        return self.tree[key][n]
+
+    def array(self, n: int, width: int) -> Shaped[ndarray, "n width"]:
+        """An array as it lies in the file. Its length is as claimed: rows may overlap."""
+        accessor = self.item("accessors", n)
+        if "bufferView" not in accessor or "sparse" in accessor or accessor.get("normalized"):
+            raise InputError(self.path, "mesh", "arrays without plain data", "a .glb exported without compression")
+        view = self.item("bufferViews", accessor["bufferView"])
+        if accessor["type"] != {1: "SCALAR", 3: "VEC3"}[width]:
+            raise ValueError(f"accessors[{n}] is not what it is used for")
+        if view["buffer"] != 0 or "uri" in self.item("buffers", 0):
+            raise InputError(self.path, "buffers", "arrays outside the file", "a .glb with all arrays in it")
+        start, dtype = view.get("byteOffset", 0), np.dtype(NUMBERS[accessor["componentType"]])
+        return np.ndarray(
+            (accessor["count"], width),
+            dtype,
+            self.data[start : start + view["byteLength"]],
+            accessor.get("byteOffset", 0),
+            (view.get("byteStride", width * dtype.itemsize), dtype.itemsize),
+        )
+
+
+class _Part(NamedTuple):
+    """A part of a mesh, as it lies in the file."""
+
+    points: Shaped[ndarray, "n 3"]
+    ids: Shaped[ndarray, "m 1"] | None
+    """Of the vertices, corner by corner; None: each is a corner, in their order."""
+    is_strip: bool
+    """Whether each corner from the third on makes a triangle with the two before."""
+
+
+def _opened(path: Path, content: bytes) -> _File:
+    """A file by its two chunks."""
+    if content[:4] != b"glTF" or content[16:20] != b"JSON":
+        raise ValueError("no glTF header")
+    end = 20 + int.from_bytes(content[12:16], "little")
+    if end - 20 > LARGEST_TREE:
+        raise InputError(path, "JSON", f"{end - 20} bytes", f"at most {LARGEST_TREE}")
+    tree = json.loads(content[20:end])
+    compressed = [name for name in tree.get("extensionsRequired", []) if "compress" in name]
+    if compressed:
+        raise InputError(path, "mesh", files.plain(str(compressed[0])), "a .glb exported without compression")
+    data = memoryview(content)[end + 8 :]
+    length = int.from_bytes(content[end : end + 4], "little")
+    if len(data) < length:
+        raise ValueError("it is cut short")
+    return _File(path, tree, data[:length])
+
+
+def _scene(file: _File) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
+    """Vertices and faces of all parts."""
+    parts, vertices, corners = [], 0, 0
+    of_mesh: dict[int, list[_Part]] = {}
+    for mesh, T_scene_node in _placed(file):
+        if mesh not in of_mesh:
+            of_mesh[mesh] = list(_parts(file, mesh))
+        for points, ids, is_strip in of_mesh[mesh]:
+            vertices, corners = vertices + len(points), corners + len(points if ids is None else ids)
+            parts.append((points, ids, is_strip, T_scene_node))
+            if len(parts) > MOST_PARTS:
+                raise InputError(file.path, "nodes", f"more than {MOST_PARTS} parts of meshes", "at most that")
+            if vertices > MOST or corners > 3 * MOST:
+                given = f"{vertices} vertices and {corners} corners of faces, or more"
+                raise InputError(file.path, "nodes", given, f"at most {MOST} and {3 * MOST}, of all nodes together")
+    if not parts:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    first, found = 0, []
+    for points, ids, is_strip, T_scene_node in parts:
+        faces = _faces(file.path, np.arange(len(points)) if ids is None else ids.ravel(), len(points), is_strip)
+        is_mirrored = np.linalg.det(T_scene_node[:3, :3]) < 0
+        found.append(
+            (transform(T_scene_node, points.astype(float)), first + (faces[:, ::-1] if is_mirrored else faces))
+        )
+        first += len(points)
+    placed, joined = zip(*found, strict=True)
+    return np.concatenate(placed), np.concatenate(joined)
+
+
+def _placed(file: _File) -> Iterator[tuple[int, Float[ndarray, "4 4"]]]:
+    """The meshes of the scene, and the pose of each in it, scale included."""
+    if not file.tree.get("scenes"):
+        return
+    scene, seen = file.item("scenes", file.tree.get("scene", 0)), set()
+    waiting = [(scene.get("nodes", []), np.eye(4))]
+    for children, T_scene_parent in waiting:
+        for n in children:
+            node = file.item("nodes", n)
+            if n in seen:
+                raise ValueError(f"nodes[{n}] is in two places")
+            seen.add(n)
+            if len(seen) > MOST_PARTS:
+                raise InputError(file.path, "nodes", f"more than {MOST_PARTS} in the scene", "at most that")
+            with np.errstate(all="ignore"):
+                T_scene_node = T_scene_parent @ _transform(node)
+            if not (np.abs(T_scene_node) <= FARTHEST).all():
+                given = "a transform with numbers that are vast or not finite"
+                raise InputError(file.path, f"nodes[{n}]", given, f"at most {FARTHEST:g}, in the scene")
+            waiting.append((node.get("children", []), T_scene_node))
+            if "mesh" in node:
+                yield node["mesh"], T_scene_node
+
+
+def _transform(node: dict[str, Any]) -> Float[ndarray, "4 4"]:
+    """The pose of a node in its parent, scale included."""
+    if "matrix" in node:
+        return np.array(node["matrix"], dtype=float).reshape(4, 4).T  # it is stored by columns
+    T = np.eye(4)
+    if "rotation" in node:
+        x, y, z, w = np.array(node["rotation"], dtype=float)
+        T[:3, :3] = from_quaternion(np.array([w, x, y, z]))
+    T[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), dtype=float)
+    T[:3, 3] = node.get("translation", (0, 0, 0))
+    return T
+
+
+def _parts(file: _File, mesh: int) -> Iterator[_Part]:
+    """The parts of a mesh that have triangles."""
+    for part in file.item("meshes", mesh)["primitives"]:
+        mode = part.get("mode", TRIANGLES)
+        if mode in (TRIANGLES, STRIP):
+            ids = file.array(part["indices"], 1) if "indices" in part else None
+            yield _Part(file.array(part["attributes"]["POSITION"], 3), ids, mode == STRIP)
+
+
+def _faces(path: Path, ids: Shaped[ndarray, "n"], vertices: int, is_strip: bool) -> Int[ndarray, "F 3"]:
+    """The triangles of a part."""
+    if ids.dtype.kind == "f" or (len(ids) and not 0 <= ids.min() <= ids.max() < vertices):
+        raise InputError(path, "faces", f"the vertex index {ids.max()}", f"0 to {vertices - 1}, counted from 0")
+    if not is_strip:
+        return ids.astype(np.int64).reshape(-1, 3)
+    faces = np.stack([ids[:-2], ids[1:-1], ids[2:]], axis=1).astype(np.int64)
+    faces[1::2] = faces[1::2, ::-1]  # every other one is wound the other way
+    return faces
