@@ -17,7 +17,6 @@ from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, IOU, SCA
 from getagrip.finding import Finding
 from getagrip.geometry import se3
-from getagrip.geometry.camera import project
 from getagrip.metrics.contact import ContactDefinition
 from getagrip.result import Reconstruction, write_result
 from getagrip.view.figures import GivenResult
@@ -27,9 +26,8 @@ from getagrip.view.figures.gallery import Gallery
 from getagrip.view.figures.hands import Hands
 from getagrip.view.figures.kind import summary
 from getagrip.view.figures.methods import Methods
-from getagrip.view.figures.rows import distinct, numbers
-from getagrip.view.looking import Eye, looking
-from getagrip.view.sheet import Sheet
+from getagrip.view.figures.rows import numbers
+from getagrip.view.looking import looking
 from getagrip.view.shown import View
 from getagrip.view.style import AXIS, FOUND, HAND_LINE
 from helpers.clips import box
@@ -289,40 +287,3 @@ def test_figures_are_written_whole_or_not_at_all(run: Run, made: Path, tmp_path:
         assert words in err
         assert err.count("\n") == 1
     assert sorted(tmp_path.iterdir()) == before
-
-
-def test_folders_are_told_apart_by_what_differs() -> None:
-    def names(*paths: str) -> list[str]:
-        return distinct([GivenResult(Path(path)) for path in paths])
-
-    assert names("/r/a/clip", "/r/b/clip") == ["a", "b"]
-    assert names("/r/a/x/clip", "/r/b/y/clip") == ["a/x", "b/y"]
-    assert names("/r/clip-1", "/r/clip-2") == ["clip-1", "clip-2"]
-    assert names("/r/clip") == ["clip"]
-
-
-@pytest.mark.parametrize(("side", "up"), [([0.0, 0.0, 1.0], [0.0, 1.0, 0.0]), ([1.0, 2.0, -3.0], [1.0, 2.0, -3.0])])
-def test_cameras_see_all_that_they_look_at(side: list[float], up: list[float]) -> None:
-    points = np.random.default_rng(0).normal(size=(50, 3)) * [0.1, 0.02, 0.05] + [1.0, 2.0, 3.0]
-    eye: Eye = looking(points, np.array(side), np.array(up), 100)
-    seen = se3.transform(eye.T_view_frame, points)
-    uv = project(eye.K, seen)
-    assert se3.is_rigid(eye.T_view_frame)
-    assert 0.0 < uv.min() < uv.max() < 100.0
-    assert np.ptp(uv, axis=0).max() > 70.0
-    towards = eye.T_view_frame[:3, :3] @ (np.array(side) / np.linalg.norm(side))
-    np.testing.assert_allclose(towards, [0.0, 0.0, -1.0], atol=1e-12)
-    if side != up:
-        assert (eye.T_view_frame[:3, :3] @ np.array(up))[1] < 0.0  # rows count downwards
-
-
-def test_long_names_keep_their_beginning_and_their_end() -> None:
-    sheet = Sheet.of(4.0, 1.0, DPI)
-    name = "20200709-subject-01--20200709_150413--025_mug-right-000012-000047"
-    sheet.text(0.1, 0.1, name, 3.0)
-    (text,) = sheet.figure.texts
-    head, tail = text.get_text().split("...")
-    assert name.startswith(head)
-    assert name.endswith(tail)
-    assert abs(len(head) - len(tail)) <= 1
-    assert 2.8 * DPI < text.get_window_extent().width <= 3.0 * DPI
