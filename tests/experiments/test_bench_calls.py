@@ -26,7 +26,7 @@ from helpers.command_line import Run
         (("--root", "x"), "--root"),
         (("--preset", "wild"), "--preset"),
         (("--ablation", "none"), "expected one of physical"),
-        (("--json", "nowhere/x.json"), "--json"),
+        (("--json", "/dev/null/x.json"), "--json"),
         (("--inits", "0"), "inits"),
         (("--with", "x=nowhere"), "--with"),
         (("--with", "static=."), "another one than those of the methods"),
