@@ -6,6 +6,7 @@ import io
 import sqlite3
 import struct
 import tempfile
+import tokenize
 import warnings
 import zipfile
 import zlib
@@ -41,7 +42,7 @@ def npy(draw: Draw, content: bytes) -> bytes:
     """An array with a few numbers changed, of another type or shape, or with a header that lies."""
     try:
         array = np.load(io.BytesIO(content), allow_pickle=False)
-    except (ValueError, OSError, EOFError, SyntaxError, TypeError) as error:
+    except (ValueError, OSError, EOFError, SyntaxError, TypeError, tokenize.TokenError) as error:
         raise UnknownError from error
     kind = draw(st.sampled_from(["some", "some", "some", "all", "scale", "type", "shape", "shape", "lie"]))
     with warnings.catch_warnings(), np.errstate(all="ignore"):
