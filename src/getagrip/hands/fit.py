@@ -38,6 +38,8 @@ JOINT_NOISE = np.array([0.003, 0.010, *[0.003] * 19])
 """Standard deviation of each joint's position [m]. Models disagree by a centimetre on the thumb's saddle joint."""
 
 STEPS = 40
+FARTHEST = 1e5
+"""Of a joint from the camera [m]; in millimetres, a hundred metres."""
 
 
 @dataclass(frozen=True)
@@ -196,6 +198,8 @@ def _checked(joints_cam: Float[ndarray, "..."], order: JointOrder) -> Float[ndar
     bad = np.flatnonzero(~np.isfinite(Y).all(axis=(1, 2)))
     if bad.size:
         raise UsageError(f"joints: got NaN or infinite numbers in {bad.size} frames (first: {bad[0]}); leave them out")
+    if np.abs(Y).max() > FARTHEST:
+        raise UsageError(f"joints: got a coordinate of {np.abs(Y).max():.4g} m, expected at most {FARTHEST:g}")
     Y = Y[:, ORDERS[order]]
     palm = np.linalg.norm(Y[:, 9] - Y[:, 0], axis=1)
     if palm.min() < 0.03 or palm.max() > 0.25:

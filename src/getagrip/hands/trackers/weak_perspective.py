@@ -49,8 +49,9 @@ class WeakPerspective(NamedTuple):
     def before(self, camera: Camera) -> Float[ndarray, "3"]:
         """The translation [m] that shows the hand's origin there, and at fx / z pixels to the metre."""
         K = camera.K
-        z = K[0, 0] / self.pixels_per_metre
-        return np.array([*(z * (self.origin - K[:2, 2]) / K[[0, 1], [0, 1]]), z])
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a hand that is too far is refused later
+            z = K[0, 0] / self.pixels_per_metre
+            return np.array([*(z * (self.origin - K[:2, 2]) / K[[0, 1], [0, 1]]), z])
 
 
 def hamer_focal(size: tuple[int, int]) -> float:
