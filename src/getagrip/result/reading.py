@@ -20,8 +20,8 @@ from getagrip.result.folder import AXIS, VERSION, WARP
 
 FARTHEST = 1e4
 """No object is farther than this from its hand, and no hand from the camera [m]."""
-SMALLEST, LARGEST = 1e-4, 1e4
-"""Scales of meshes lie between these: meshes are checked when they are read, in metres."""
+SMALLEST, LARGEST = 1e-15, 1e4
+"""Scales of meshes lie between these: meshes are checked when they are read, in metres. A free scale may end near 0."""
 MOST_WARPED = 10.0
 """Coefficients of a warp are about 1 or 0; far more would be no shape of a mesh."""
 ARRAYS = (

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import pickletools
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
 
@@ -36,10 +37,12 @@ class Objects(Protocol):
 def run(content: bytes, objects: Objects) -> object:
     """The object in a pickle. A malformed one raises whatever its instructions meet: catch ``Exception``."""
     machine = _Machine(objects)
-    for name, argument in _instructions(content):
-        if name not in _INSTRUCTIONS:
-            raise ValueError(f"the instruction {name}")
-        _INSTRUCTIONS[name](machine, argument)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of texts with escapes that Python does not know
+        for name, argument in _instructions(content):
+            if name not in _INSTRUCTIONS:
+                raise ValueError(f"the instruction {name}")
+            _INSTRUCTIONS[name](machine, argument)
     return machine.stack.pop()
 
 
