@@ -9,7 +9,7 @@ import numpy as np
 from helpers.annotation_page import Served, saved
 from helpers.browser import IN_BROWSER, expect
 from helpers.labelled_scene import circle, joints
-from helpers.labelling_page import FIRST, click, drag, draw, kept, near, on_screen, opened, shows
+from helpers.labelling_page import FIRST, click, drag, draw, draw_disc, kept, near, on_screen, opened, shows
 
 pytestmark = IN_BROWSER
 
@@ -117,3 +117,20 @@ def test_clicks_near_points_add_points(context: Any, served: Served) -> None:
     (one,) = kept(served)[FIRST].outlines.values()
     assert len(one["points"]) in (len(border), len(border) + 1)
     assert page.locator("#layer .corner.chosen").count() == 1
+
+
+def test_an_answer_that_comes_late_takes_nothing_back(context: Any, served: Served) -> None:
+    page, points, late = opened(context, served), circle(FIRST, 8), []
+    page.route("**/api/labels*", lambda route: route.continue_() if late else late.append((route, route.fetch())))
+    while not late:  # the page has asked, and waits
+        page.wait_for_timeout(50)
+    draw_disc(page, FIRST)
+    saved(page)
+    route, answer = late[0]
+    route.fulfill(response=answer)
+    page.wait_for_timeout(200)
+    half = (np.array(points[0]) + points[1]) / 2
+    click(page, half.tolist())
+    saved(page)
+    (outline,) = kept(served)[FIRST].outlines.values()
+    assert near(outline["points"], [points[0], half.tolist(), *points[1:]])

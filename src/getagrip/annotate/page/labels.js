@@ -48,7 +48,8 @@ function take(answer) {
   const labels = state.labels;
   if (!labels || answer.grasp !== labels.grasp) return;
   labels.job = answer.job;
-  if (!saving.waiting.length && !moved) { // else its answer comes after what is still on its way
+  const old = answer.newest < labels.newest; // it was asked before a change that is answered already
+  if (!old && !saving.waiting.length && !moved) { // else its answer comes after what is still on its way
     const { newest, extent, side, size, fewest, basis } = answer;
     Object.assign(labels, { newest, extent, side, size, fewest, basis });
     labels.keyframes = new Map(answer.keyframes.map((one) => [one.frame, { ...one, outlined: outlined(one) }]));

@@ -63,7 +63,7 @@ export async function refresh(always) {
   const task = state.task.key;
   try {
     const answer = await ask("/api/marks", { task, annotator: state.annotator });
-    if (task === state.task.key && (always || answer.newest !== state.newest)) take(answer);
+    if (task === state.task.key && (always || answer.newest > state.newest)) take(answer); // not what was asked before a change that is answered already
   } catch { /* the server is away: saving reports it */ }
 }
 
