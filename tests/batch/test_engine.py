@@ -7,7 +7,9 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier
 
 import pytest
 
@@ -52,6 +54,20 @@ def test_two_drivers_at_once_share_the_tasks_and_neither_repeats_nor_fails(tmp_p
     states = [dict(line.split() for line in out.splitlines()) for out, _ in said]
     assert all(len(state) == COUNT for state in states)  # both have waited for all of them
     assert sum(state == "done" for each in states for state in each.values()) == COUNT
+
+
+def test_drivers_that_begin_at_the_same_moment_wait_for_each_other(tmp_path: Path) -> None:
+    """One in thirty did not, of several that found no ledger."""
+
+    def opened(folder: Path, together: Barrier) -> None:
+        together.wait()
+        Ledger(folder).__exit__()
+
+    with ThreadPoolExecutor(4) as pool:
+        for n in range(40):
+            together = Barrier(4)
+            for future in [pool.submit(opened, tmp_path / f"{n}", together) for _ in range(4)]:
+                future.result()
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -166,7 +167,7 @@ class Ledger:
         """Make the tables, or see that they are ours."""
         with self._named():
             self._db.execute("PRAGMA trusted_schema = OFF")
-            self._db.execute("PRAGMA journal_mode = WAL")
+            self._to_wal()
             self._db.execute("PRAGMA synchronous = NORMAL")
         with self._transaction() as db:
             tables = [
@@ -183,6 +184,18 @@ class Ledger:
             if not is_ours or version != VERSION or tables != list(SCHEMA):
                 given = f"a database of another kind or version ({version})"
                 raise InputError(self.path, "", given, f"a ledger of version {VERSION}, or none: results do without")
+
+    def _to_wal(self) -> None:
+        """Have the file in WAL mode. Here SQLite does not wait for another driver that begins, as it does elsewhere."""
+        until = time.monotonic() + PATIENCE
+        while True:
+            try:
+                self._db.execute("PRAGMA journal_mode = WAL")
+                return
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or time.monotonic() > until:
+                    raise
+            time.sleep(0.01)
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
