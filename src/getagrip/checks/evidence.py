@@ -116,10 +116,7 @@ class Evidence:
     @cached_property
     def small_ignore(self) -> Bool[ndarray, "T h w"]:
         """The ignored pixels, as small."""
-        width, height = self._small
-        rows = ((np.arange(height) + 0.5) / self._zoom).astype(int)
-        columns = ((np.arange(width) + 0.5) / self._zoom).astype(int)
-        return self.masks.ignore[:, rows[:, None], columns]
+        return _shrunk(self.masks.ignore, self._zoom, self._small)
 
     @property
     def _zoom(self) -> float:
@@ -166,8 +163,8 @@ class Evidence:
         assert self.T_hand_obj is not None
         few, zoom = frame_indices(len(self.clip), FRAMES), min(1.0, LARGE / max(self.clip.size))
         size = max(1, int(self.clip.size[0] * zoom)), max(1, int(self.clip.size[1] * zoom))
-        rows, columns = (((np.arange(side) + 0.5) / zoom).astype(int) for side in size[::-1])
-        counts = np.zeros((2, 2))
+        hand_masks = np.zeros_like(self.masks.object) if self.masks.hand is None else self.masks.hand
+        counts = np.zeros((2, 2))  # of the hand's pixels, then of the object's: with the other one in front, and all
         for n in few:
             hand = self.clip.hand.T_cam_hand[n]
             surfaces = (
@@ -175,10 +172,15 @@ class Evidence:
                 (se3.transform(hand, self.clip.hand.vertices[n]), self.clip.hand.faces),
             )
             nearest = nearest_surface(surfaces, np.diag([zoom, zoom, 1.0]) @ self.clip.K[n], size)
-            seen = self.masks.object if self.masks.hand is None else self.masks.hand
-            for k, mask in enumerate((seen[n] & (self.masks.hand is not None), self.masks.object[n])):
-                shown = mask[rows[:, None], columns]
+            for k, mask in enumerate((hand_masks[n], self.masks.object[n])):
+                shown = _shrunk(mask, zoom, size)
                 counts[k] += np.count_nonzero(shown & (nearest == k)), np.count_nonzero(shown)
         with np.errstate(invalid="ignore"):
             over, under = counts[:, 0] / counts[:, 1]
         return float(over), float(under)
+
+
+def _shrunk(masks: Bool[ndarray, "*batch H W"], zoom: float, size: tuple[int, int]) -> Bool[ndarray, "*batch h w"]:
+    """Masks in images ``zoom`` times as large, of a size (width, height) [px]."""
+    columns, rows = (((np.arange(side) + 0.5) / zoom).astype(int) for side in size)
+    return masks[..., rows[:, None], columns]

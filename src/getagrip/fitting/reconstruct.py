@@ -96,6 +96,8 @@ def reconstruct(
         signs = read_signs(solved)
         clock("check of the result")
     result = _reconstruction(problem, options, found, whole, clock.seconds())
+    # No pixel tells a wrong focal length from another distance.
+    camera_guessed = "guess" in str(clip.provenance.get("camera", "")).lower()
     return replace(
         result,
         notes=(*result.notes, *light.mesh.stands_for(whole_mesh, "fitted")),
@@ -103,9 +105,8 @@ def reconstruct(
         checks=measured | of_result,
         signs=signs,
         probability_right=probability_right(options, signs, (*findings, *more)),
-        # No pixel tells a wrong focal length from another distance.
         probability_right_in_camera=None
-        if "guess" in str(clip.provenance.get("camera", "")).lower()
+        if camera_guessed
         else probability_right(options, signs, (*findings, *more), "camera"),
     )
 
