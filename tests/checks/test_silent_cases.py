@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from getagrip.checks import INPUT_CHECKS, Evidence, examine
+from getagrip.checks.evidence import Jumps
 from getagrip.checks.hand_side import bend
 from getagrip.clip import Clip, Masks, write_clip
 from getagrip.errors import GetagripError
@@ -18,6 +19,7 @@ from getagrip.fitting.methods import METHODS, Method, OnStage
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.reconstruct import reconstruct
+from getagrip.geometry import se3
 from helpers.command_line import Run
 from helpers.scenes import SMALL, scene
 
@@ -58,6 +60,7 @@ OF_RESULTS = {
     "hands 24 cm away": {"contact-gap", "mask-fit"},
     "other mesh": {"mesh-much-deformed"},
     "masks with the hand": {"object-over-hand", "mask-fit"},
+    "hand jitters": {"hand-off-pixels", "mask-fit"},
 }
 """One of these is found: a wrong hand is missed, or wins against the masks."""
 
@@ -112,8 +115,27 @@ def test_a_hand_too_large_is_found_behind_the_object() -> None:
     assert result.probability_right is None
 
 
+@pytest.mark.slow
+def test_a_hand_that_flips_is_put_right() -> None:
+    clip, masks = mug()
+    flipped, _ = Wrong("hand flips")(clip, masks, seed=5)
+    result = reconstruct(flipped, masks, QUICK)
+    assert {"hand-jumps"} <= {finding.check for finding in result.findings}
+    assert result.T_cam_hand is not None
+    middle = clip.hand.vertices.mean(axis=(0, 1))[None]
+    off = se3.transform(result.T_cam_hand, middle) - se3.transform(clip.hand.T_cam_hand, middle)
+    assert np.linalg.norm(off, axis=-1).max() < 0.02
+
+
+def test_a_hand_that_jumps_all_the_time_is_doubted() -> None:
+    given = Evidence(*mug(), jumps=Jumps(("000001", "000003", "000005"), 8))
+    findings = [finding for finding in examine(INPUT_CHECKS, given)[1] if "jumps" in finding.check]
+    assert [(finding.check, finding.serious) for finding in findings] == [("many-hand-jumps", True)]
+    assert "frames 000001, 000003, 000005" in findings[0].message
+
+
 def test_every_mistake_has_its_case() -> None:
-    assert {*OF_INPUTS, *OF_RESULTS, "hand too large"} == {*MISTAKES}
+    assert {*OF_INPUTS, *OF_RESULTS, "hand too large", "hand flips"} == {*MISTAKES}
 
 
 def test_a_mirrored_hand_bends_the_other_way() -> None:

@@ -135,3 +135,14 @@ def test_what_cannot_be_solved_is_said(tmp_path: Path) -> None:
         reconstruct(replace(only_contact, side="left" if clip.side == "right" else "right"), masks, FEW)
     folder = write_clip(only_contact, masks, tmp_path / "clip")
     assert folder.is_dir()
+
+
+@pytest.mark.slow
+def test_a_hand_that_jumps_in_a_timeline_is_put_right() -> None:
+    clip, masks = timeline()
+    T = clip.hand.T_cam_hand.copy()
+    T[11, :3, 3] += [0.0, 0.0, 0.5]
+    result = reconstruct(clip.with_hand_at(T), masks, FEW)
+    assert result.T_cam_hand is not None
+    assert np.linalg.norm((result.T_cam_hand - clip.hand.T_cam_hand)[11, :3, 3]) < 0.03
+    assert {f.check for f in result.findings if clip.frames[11] in f.message} == {"hand-jumps"}

@@ -27,6 +27,24 @@ PER_REGION = 6
 """Vertices that stand for a contact region of the hand."""
 
 
+@dataclass(frozen=True)
+class Jumps:
+    """Where the given hand jumps away and back (``fitting.hand_jumps``).
+
+    Attributes:
+        frames: names of those frames.
+        of: number of frames that were looked at.
+    """
+
+    frames: tuple[str, ...]
+    of: int
+
+    @property
+    def share(self) -> float:
+        """Share of the frames."""
+        return len(self.frames) / self.of
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """A clip with its masks; each part is computed when a check first reads it.
@@ -44,6 +62,7 @@ class Evidence:
         deformed_mm: the same in millimetres.
         hand_differing: share of the hand's seen pixels that differ from its silhouette; NaN where that is not known.
         misfit: how much farther contours are from those of the masks than the object's own mesh would leave them.
+        jumps: where the given hand jumps; None where hands are taken as they are given. ``clip`` has it put right.
     """
 
     clip: Clip
@@ -56,6 +75,12 @@ class Evidence:
     deformed_mm: float = np.nan
     hand_differing: float = np.nan
     misfit: float = np.nan
+    jumps: Jumps | None = None
+
+    @property
+    def jumps_share(self) -> float:
+        """Share of the clip's frames in which the hand jumps; NaN where none was looked for."""
+        return np.nan if self.jumps is None else self.jumps.share
 
     @property
     def doubted_share(self) -> float:

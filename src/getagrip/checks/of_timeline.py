@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.checks.evidence import Evidence
+from getagrip.checks.evidence import Evidence, Jumps
 from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Check, examine, millimetres, of_diameter
 from getagrip.clip import Clip, Masks, Segment
 from getagrip.clip.sampling import frame_indices
@@ -57,10 +57,11 @@ def examine_timeline(
     scale: float,
     iou: Float[ndarray, "T"],
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None = None,
+    jumps: Jumps | None = None,
 ) -> Examined:
     """Check a timeline and its result: the poses that were found, hands corrected, and IOU, NaN where unobserved."""
     T_hand_obj = se3.inverse(T_cam_hand) @ T_cam_obj
-    whole = Evidence(clip.with_hand_at(T_cam_hand, T_cam_other_hand), masks, T_hand_obj, scale, iou)
+    whole = Evidence(clip.with_hand_at(T_cam_hand, T_cam_other_hand), masks, T_hand_obj, scale, iou, jumps=jumps)
     of_clip = [c for c in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP) if c.name not in (*WITH_HAND, *OF_MASKS)]
     checks, findings = examine(of_clip, whole)
     of_segments, failed = [], []

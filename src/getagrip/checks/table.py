@@ -14,10 +14,13 @@ from getagrip.finding import Finding
 
 GRAVER = {
     "mesh-open": "mesh-holes",
+    "hand-jumps": "many-hand-jumps",
     "masks-doubted": "many-masks-doubted",
     "mesh-deformed": "mesh-much-deformed",
 }
 """What goes without saying where a graver check finds the same."""
+NAMED = 8
+"""So many frames a finding names; many may be in doubt."""
 LEAST_IOU = 0.5
 """A result whose mean IOU is below this explains nothing, however well the minimisation ended."""
 
@@ -90,6 +93,14 @@ def contradicting(it: Evidence) -> str:
     return f"{masks} contradict the others and were left out: frames {names}"
 
 
+def jumping(it: Evidence) -> str:
+    """In which frames the hand jumps."""
+    assert it.jumps
+    frames, where = it.jumps.frames, "frame" if len(it.jumps.frames) == 1 else "frames"
+    names, more = ", ".join(frames[:NAMED]), f" and {len(frames) - NAMED} more" if len(frames) > NAMED else ""
+    return f"the hand jumps away and back, and was put between its neighbours: {where} {names}{more}"
+
+
 def deformation(it: Evidence) -> str:
     """How far the mesh was deformed."""
     return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is a guess"
@@ -143,6 +154,14 @@ INPUT_CHECKS: tuple[Check, ...] = (
         "hand-side", lambda it: bend(it.clip), low=-5.0, shown="{:.3g} degrees".format,
         fault="the fingers bend by {value} towards the palm that such a hand would have",
         advice="it is the other hand: correct \"side\" in clip.json, or the hand was mirrored",
+    ),
+    Check(
+        "many-hand-jumps", lambda it: it.jumps_share, high=0.3, shown=percent,
+        fault=jumping, advice="is it the same hand in all frames? --given-hands believes all",
+    ),
+    Check(
+        "hand-jumps", lambda it: it.jumps_share, high=0.0, serious=False,
+        fault=jumping, advice="--given-hands believes all",
     ),
     Check(
         "frame-order", frame_order.misorder, high=2.5,

@@ -18,7 +18,7 @@ from getagrip.clip import Clip, FrameMasks, Masks
 from getagrip.datasets.synthetic.deform import drawn
 from getagrip.datasets.synthetic.noise import Noise, perturbed
 from getagrip.errors import InputError
-from getagrip.experiments.wrong_inputs import MISTAKES
+from getagrip.experiments.wrong_inputs import MISTAKES, flipped
 from getagrip.experiments.wrong_masks import FAULTS
 from getagrip.geometry import se3
 from getagrip.geometry.depth import covered
@@ -130,6 +130,16 @@ class Several(Change):
         for change in self.changes:
             clip, masks = change(clip, masks, seed)
         return clip, masks
+
+
+@dataclass(frozen=True)
+class FlippedHands(Change):
+    """Hands that are flipped in a share of the frames (``wrong_inputs.flipped``)."""
+
+    share: float
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        return flipped(clip, self.share, np.random.default_rng([seed, *clip.name.encode()])), masks
 
 
 @dataclass(frozen=True)

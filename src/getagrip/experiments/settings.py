@@ -10,6 +10,7 @@ from getagrip.datasets.synthetic.noise import NOISE, Noise
 from getagrip.experiments.changes import (
     AS_GIVEN,
     Change,
+    FlippedHands,
     Noisy,
     OtherObject,
     ScaleFree,
@@ -157,6 +158,16 @@ ABLATIONS: dict[str, Ablation] = {
             replace(noise, label=f"{noise.label}, {word}", options={"hands": hands})
             for noise in (Setting("none"), _hand_noise(10.0), _noise_level("moderate"), _noise_level("strong"))
             for hands, word in (("as-given", "as given"), ("corrected", "corrected"))
+        ),
+        ("soft-hinge",),
+    ),
+    "hand-flips": Ablation(
+        "Hands that are flipped in some frames: put right, or believed",
+        "none, as given",
+        tuple(
+            Setting(f"{label}, {word}", {"hands": hands}, change)
+            for label, change in (("none", AS_GIVEN), *((f"{100 * p:.0f} %", FlippedHands(p)) for p in (0.1, 0.2, 0.4)))
+            for hands, word in (("as-given", "as given"), ("corrected", "put right"))
         ),
         ("soft-hinge",),
     ),

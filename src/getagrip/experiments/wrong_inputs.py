@@ -14,12 +14,15 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.categories import CATEGORIES
+from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
 from getagrip.geometry.mesh import Mesh, merged
 
 Mistake = Callable[[Clip, Masks, np.random.Generator], tuple[Clip, Masks]]
 AWAY, FAR, TINY = 0.24, 10.0, 0.006
 """How much farther from the camera a hand is moved [m], how far from it one is put [m], and a tiny mesh's size [m]."""
+FLIPPED, JITTER = 0.2, 0.03
+"""Share of the frames in which a hand is flipped, and standard deviation of where one is put along each axis [m]."""
 TOO_LARGE = 1.15
 """How many times too large a hand is, and too far away: it looks as before."""
 
@@ -63,6 +66,18 @@ def too_large(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip,
     T = clip.hand.T_cam_hand.copy()
     T[:, :3, 3] *= TOO_LARGE
     return replace(clip, hand=replace(clip.hand, vertices=TOO_LARGE * clip.hand.vertices, T_cam_hand=T)), masks
+
+
+def flips(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The hand flipped in ``FLIPPED`` of the frames."""
+    return flipped(clip, FLIPPED, rng), masks
+
+
+def jitters(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The hand moved by ``JITTER``, in each frame elsewhere."""
+    T = clip.hand.T_cam_hand.copy()
+    T[:, :3, 3] += rng.normal(scale=JITTER, size=(len(T), 3))
+    return replace(clip, hand=replace(clip.hand, T_cam_hand=T)), masks
 
 
 def with_hand(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
@@ -129,6 +144,8 @@ MISTAKES: dict[str, Mistake] = {
     "hands 24 cm away": away,
     "hand at 10 m": far,
     "hand too large": too_large,
+    "hand flips": flips,
+    "hand jitters": jitters,
     "masks with the hand": with_hand,
     "masks of the background": background,
     "one-pixel masks": one_pixel,
@@ -148,3 +165,12 @@ def _hands_of(clip: Clip, index: Int[ndarray, "T"]) -> Clip:
 
 def _stretched(clip: Clip, by: Float[ndarray, "3"]) -> Clip:
     return replace(clip, mesh=Mesh(clip.mesh.vertices * by, clip.mesh.faces))
+
+
+def flipped(clip: Clip, share: float, rng: np.random.Generator) -> Clip:
+    """The hand turned by half a turn about an axis of its own in a share of the frames, as trackers flip it."""
+    frames = rng.choice(len(clip), max(1, round(share * len(clip))), replace=False)
+    T, middle = clip.hand.T_cam_hand.copy(), clip.hand.vertices.mean(axis=(0, 1))
+    R = se3.exp_so3(np.pi * np.eye(3)[rng.integers(3, size=len(frames))])
+    T[frames] = T[frames] @ se3.rigid(R, middle - R @ middle)
+    return clip.with_hand_at(T)

@@ -17,6 +17,7 @@ from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.doubted_masks import fitted_to_believed
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
+from getagrip.fitting.hand_jumps import steady_hand
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.misfit import misfit
 from getagrip.fitting.options import Options
@@ -68,11 +69,12 @@ def reconstruct(
         check_masks(clip, masks)
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress)
+        clip, jumps = steady_hand(clip, options)
         whole_mesh, light = clip.mesh, clip.light()
         problem = prepare(light, masks, options, threads)
         clock("prepare")
         sampled = light.take(light.index_of(problem.clip.frames))
-        given = Evidence(sampled, problem.given_masks)
+        given = Evidence(sampled, problem.given_masks, jumps=jumps)
         measured, findings = examine(INPUT_CHECKS, given)
         clock("check of the input")
         problem, found = _fitted(problem, clock, findings)
@@ -95,7 +97,8 @@ def reconstruct(
         of_result, more = examine(RESULT_CHECKS, solved)
         signs = read_signs(solved)
         clock("check of the result")
-    result = _reconstruction(problem, options, found, whole, clock.seconds())
+    moved = problem.hand_corrected or bool(jumps and jumps.frames)
+    result = _reconstruction(problem, options, found, whole, moved, clock.seconds())
     # No pixel tells a wrong focal length from another distance.
     camera_guessed = "guess" in str(clip.provenance.get("camera", "")).lower()
     return replace(
@@ -162,7 +165,12 @@ def _fitted(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> tu
 
 
 def _reconstruction(
-    problem: Problem, options: Options, found: MethodResult, track: Track, seconds: dict[str, float]
+    problem: Problem,
+    options: Options,
+    found: MethodResult,
+    track: Track,
+    hand_moved: bool,
+    seconds: dict[str, float],
 ) -> Reconstruction:
     """A method's solutions, with all that is known about how they were found; ``options`` are those that were given."""
     clip, energy = problem.clip, found.energy
@@ -191,7 +199,7 @@ def _reconstruction(
         seconds=seconds,
         options=asdict(options),
         seed=options.seed,
-        T_cam_hand=track.T_cam_hand if problem.hand_corrected else None,
+        T_cam_hand=track.T_cam_hand if hand_moved else None,
         warp=found.warp,
         notes=(*problem.notes, *guesses),
     )

@@ -8,7 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip.checks.evidence import Jumps
 from getagrip.clip import Clip, Masks, Segment, World
+from getagrip.fitting.hand_jumps import steady_hand
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare
 from getagrip.geometry import se3
@@ -30,13 +32,15 @@ def held(clip: Clip, masks: Masks, segment: Segment) -> tuple[Clip, Masks, Int[n
 
 @dataclass(frozen=True)
 class Footage:
-    """What a timeline is reconstructed from. The clip's scale is known; its hand is as it was given."""
+    """What a timeline is reconstructed from. The clip's scale is known; its hand is as it was given, where it does not
+    jump."""
 
     clip: Clip
     masks: Masks
     options: Options
     some: Problem
     """At a few of the frames; others are made from it."""
+    jumps: Jumps | None = None
 
     @staticmethod
     def of(clip: Clip, masks: Masks, options: Options) -> Footage:
@@ -46,7 +50,8 @@ class Footage:
         """
         if clip.world is None:
             clip = replace(clip, world=World(np.tile(np.eye(4), (len(clip), 1, 1))))
-        return Footage(clip, masks, options, prepare(clip, masks, replace(options, frames=2, hands="as-given")))
+        clip, jumps = steady_hand(clip, options)
+        return Footage(clip, masks, options, prepare(clip, masks, replace(options, frames=2, hands="as-given")), jumps)
 
     def __len__(self) -> int:
         return len(self.clip)

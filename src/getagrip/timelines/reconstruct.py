@@ -17,6 +17,7 @@ from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_ma
 from getagrip.errors import GetagripError, UsageError
 from getagrip.finding import Finding
 from getagrip.fitting import reconstruct as grasp
+from getagrip.fitting.hand_jumps import steady_hand
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.methods.all_frames import soft_hinges
 from getagrip.fitting.options import Options
@@ -81,6 +82,7 @@ def reconstruct(
 
 def scale_of(clip: Clip, masks: Masks, options: Options) -> float:
     """The object's scale: that of the longest grasp, where hand and camera tell it. Raises ``InputError``."""
+    clip, _ = steady_hand(clip, options)
     grasps = [held(clip, masks, s) for s in clip.segments if s.state == "grasp"]
     longest = max((grasp for grasp in grasps if grasp is not None), key=lambda grasp: len(grasp[2]), default=None)
     problem = prepare(*(longest[:2] if longest else (clip, masks)), options)
@@ -98,7 +100,7 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
     guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
     mean_iou = float(np.nanmean(iou))
     hands = motion.T_cam_hand, motion.T_cam_obj, scale, iou, other_hand
-    examined = examine_timeline(clip.light(), footage.masks, *hands)
+    examined = examine_timeline(clip.light(), footage.masks, *hands, footage.jumps)
     status = UNEXPLAINED.format(examined.failed) if examined.failed else CHOSEN
     if mean_iou < LEAST_IOU:
         status = grasp.UNEXPLAINED.format(mean_iou)
