@@ -62,6 +62,8 @@ class Evidence:
         deformed_mm: the same in millimetres.
         hand_differing: share of the hand's seen pixels that differ from its silhouette; NaN where that is not known.
         misfit: how much farther contours are from those of the masks than the object's own mesh would leave them.
+        other_size: how many times as large the object would rather be, where its size was said to be known, and what
+            share of the energy that saves; NaN where it was not looked at.
         jumps: where the given hand jumps; None where hands are taken as they are given. ``clip`` has it put right.
     """
 
@@ -75,6 +77,7 @@ class Evidence:
     deformed_mm: float = np.nan
     hand_differing: float = np.nan
     misfit: float = np.nan
+    other_size: tuple[float, float] = (np.nan, np.nan)
     jumps: Jumps | None = None
 
     @property

@@ -101,6 +101,12 @@ def jumping(it: Evidence) -> str:
     return f"the hand jumps away and back, and was put between its neighbours: {where} {names}{more}"
 
 
+def rather(it: Evidence) -> str:
+    """Which size would be better."""
+    factor, gain = it.other_size
+    return f"{factor:.2f} times its size would explain the masks and the hand better, by {percent(gain)} of the energy"
+
+
 def deformation(it: Evidence) -> str:
     """How far the mesh was deformed."""
     return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is a guess"
@@ -202,6 +208,10 @@ RESULT_CHECKS: tuple[Check, ...] = (
         "mesh-deformed", lambda it: it.deformed, high=0.0, serious=False,
         fault=deformation,
         advice="it is not the object's own, or all masks are off alike; --given-mesh takes it as it is",
+    ),
+    Check(
+        "other-size", lambda it: it.other_size[1], high=0.15, shown=percent, fault=rather,
+        advice="are mesh and hand as large as the real ones? For an unknown size: \"scale\": \"free\"",
     ),
     Check(
         "mask-misfit", lambda it: it.misfit, high=3.0, serious=False,

@@ -21,6 +21,7 @@ from getagrip.fitting.hand_jumps import steady_hand
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.misfit import misfit
 from getagrip.fitting.options import Options
+from getagrip.fitting.other_size import other_size
 from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem, prepare
 from getagrip.probability import Probability
@@ -92,7 +93,7 @@ def reconstruct(
             hand_differing=problem.hand_differing,
             T_cam_hand_given=clip.hand.T_cam_hand[clip.index_of(problem.clip.frames)],
             misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
-            spread=pose_spread(problem, found),
+            spread=pose_spread(problem, found), other_size=other_size(problem, found),
         )  # fmt: skip
         of_result, more = examine(RESULT_CHECKS, solved)
         signs = read_signs(solved)

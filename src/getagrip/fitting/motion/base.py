@@ -114,6 +114,10 @@ class Motion(Protocol):
         """The object rotated about its centre by R (object frame), in all frames alike."""
         ...
 
+    def with_free_scale(self) -> Self:
+        """The same motion, its scale a parameter."""
+        ...
+
     def resampled(self, old: Int[ndarray, "M"], new: Int[ndarray, "N"]) -> Self:
         """The motion at other frames (indices into a clip): per-frame parameters interpolated linearly, rotations along
         the shortest path."""

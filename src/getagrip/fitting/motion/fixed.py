@@ -30,6 +30,9 @@ class Fixed(Batch):
     def rotated(self, R: Float[ndarray, "B 3 3"]) -> Fixed:
         return replace(self, R=self.R @ R)
 
+    def with_free_scale(self) -> Fixed:
+        return replace(self, free_scale=True)
+
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
         J = np.eye(7)[:, : 6 + self.free_scale]
         B, N = len(self.R), self.frames

@@ -27,6 +27,9 @@ class Free(Batch):
     def rotated(self, R: Float[ndarray, "B 3 3"]) -> Free:
         return replace(self, R=self.R @ R[:, None])
 
+    def with_free_scale(self) -> Free:
+        return replace(self, free_scale=True)
+
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
         B, N = self.centre.shape[:2]
         eye = np.eye(7)

@@ -26,6 +26,9 @@ class Frozen(Batch, Generic[Core]):
     def rotated(self, R: Float[ndarray, "B 3 3"]) -> Frozen[Core]:
         return replace(self, core=self.core.rotated(R))
 
+    def with_free_scale(self) -> Frozen[Core]:
+        return replace(self, core=self.core.with_free_scale())
+
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
         shared, local = self.core.jacobian()
         return shared[..., :0], local

@@ -90,6 +90,9 @@ class Hinge(Batch):
     def rotated(self, R: Float[ndarray, "B 3 3"]) -> Hinge:
         return replace(self, R=self.R @ R)
 
+    def with_free_scale(self) -> Hinge:
+        return replace(self, free_scale=True)
+
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
         turn, centre = self._swung()
         B, N = self.angle.shape

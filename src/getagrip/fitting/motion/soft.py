@@ -48,6 +48,9 @@ class Soft(Batch, Generic[Core]):
     def rotated(self, R: Float[ndarray, "B 3 3"]) -> Soft[Core]:
         return replace(self, core=self.core.rotated(R))
 
+    def with_free_scale(self) -> Soft[Core]:
+        return replace(self, core=self.core.with_free_scale())
+
     def jacobian(self) -> tuple[Float[ndarray, "B N 7 S"], Float[ndarray, "B N 7 L"]]:
         shared, angles = self.core.jacobian()
         turn = se3.exp_so3(self.deviation[..., 3:])
