@@ -129,6 +129,16 @@ def tiny(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Mask
     return replace(clip, mesh=Mesh(vertices, clip.mesh.faces), scale="known"), masks
 
 
+def mesh_too_large(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The mesh a tenth larger than the object; its scale taken for known."""
+    return replace(_stretched(clip, np.full(3, 1.1)), scale="known"), masks
+
+
+def mesh_too_small(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """The mesh a tenth smaller."""
+    return replace(_stretched(clip, np.full(3, 0.9)), scale="known"), masks
+
+
 def missing_faces(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
     """The mesh without the last third of its faces."""
     vertices, faces = clip.mesh.vertices, clip.mesh.faces[: 2 * len(clip.mesh.faces) // 3]
@@ -154,6 +164,8 @@ MISTAKES: dict[str, Mistake] = {
     "needle mesh": needle,
     "flat mesh": flat,
     "6 mm mesh": tiny,
+    "mesh too large": mesh_too_large,
+    "mesh too small": mesh_too_small,
     "a third of the faces missing": missing_faces,
 }
 
