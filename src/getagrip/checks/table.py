@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from getagrip.checks import frame_order, held, mesh_form
+from getagrip.checks import frame_order, held, mesh_form, regrasp
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.hand_side import bend
 from getagrip.finding import Finding
@@ -105,6 +105,11 @@ def rather(it: Evidence) -> str:
     """Which size would be better."""
     factor, gain = it.other_size
     return f"{factor:.2f} times its size would explain the masks and the hand better, by {percent(gain)} of the energy"
+
+
+def regrasped(it: Evidence) -> str:
+    """Where the object jumps in the hand."""
+    return f"the object jumps in the hand {regrasp.between(it)}, by {of_diameter(regrasp.jump(it))} more than elsewhere"
 
 
 def deformation(it: Evidence) -> str:
@@ -212,6 +217,10 @@ RESULT_CHECKS: tuple[Check, ...] = (
     Check(
         "other-size", lambda it: it.other_size[1], high=0.15, shown=percent, fault=rather,
         advice="are mesh and hand as large as the real ones? For an unknown size: \"scale\": \"free\"",
+    ),
+    Check(
+        "regrasp", regrasp.jump, high=0.06, serious=False, shown=percent, fault=regrasped,
+        advice="is it one stable grasp? Else cut the clip there",
     ),
     Check(
         "mask-misfit", lambda it: it.misfit, high=3.0, serious=False,
