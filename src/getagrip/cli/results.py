@@ -70,7 +70,7 @@ class Reconstruct(Command):
     (hand), as the paper's Eq. 3 has it."""
     given_hands: Flag = False
     """Keep the hands where they are given. Else they are turned and moved to where their own pixels (masks/hand, else
-    masks/ignore) are, if they disagree."""
+    masks/ignore) are, if they disagree, and put between their neighbours in frames in which they jump."""
     given_masks: Flag = False
     """Believe all masks. Else soft-hinge leaves out those that contradict the masks of other frames."""
     given_mesh: Flag = False

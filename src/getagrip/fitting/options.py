@@ -89,7 +89,8 @@ class Options:
         axis: where a hinge's axis may lie: anywhere (``free``), or through the origin of the hand frame
             (``hand``).
         occlusion: leave out pixels hidden by the hand (the paper's C_o).
-        hands: correct the given hands by their own pixels (``hand_correction``), or take them as they are given.
+        hands: correct the given hands where they jump (``hand_jumps``) and by their own pixels (``hand_correction``),
+            or take them as they are given.
         masks: leave out those that contradict the others (``doubted_masks``; ``soft-hinge`` only), or believe all.
         mesh: warp it where it is not the object's own (``shape``; ``soft-hinge`` only), or take it as it is given.
         departures: what ``paper`` does our way; no other method has a choice.

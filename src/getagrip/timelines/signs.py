@@ -13,6 +13,7 @@ from getagrip.fitting.every_frame import at_sampled_frames
 from getagrip.fitting.methods.all_frames import soft_energy
 from getagrip.fitting.misfit import misfit
 from getagrip.fitting.motion import placed
+from getagrip.fitting.other_size import other_size
 from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.search import suppress_duplicates
 from getagrip.fitting.solve import in_camera
@@ -53,5 +54,6 @@ def signs_of(footage: Footage, track: HeldTrack) -> Mapping[str, float]:
             spread=pose_spread(problem, replace(found, terms=found.terms | {"mask": missed})),
             misfit=misfit(problem.observation, missed / len(problem.clip)),
             deformed=0.0,
+            other_size=other_size(problem, found),
         )
     )
