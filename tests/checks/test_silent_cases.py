@@ -61,9 +61,9 @@ OF_RESULTS = {
     "other mesh": {"mesh-much-deformed"},
     "masks with the hand": {"object-over-hand", "mask-fit"},
     "hand jitters": {"hand-off-pixels", "mask-fit"},
-    "hand too large": {"other-size"},
-    "mesh too large": {"other-size"},
-    "mesh too small": {"other-size"},
+    "hand too large": {"wrong-size"},
+    "mesh too large": {"wrong-size"},
+    "mesh too small": {"wrong-size"},
 }
 """One of these is found: a wrong hand is missed, or wins against the masks."""
 

@@ -15,6 +15,7 @@ from getagrip.finding import Finding
 GRAVER = {
     "mesh-open": "mesh-holes",
     "hand-jumps": "many-hand-jumps",
+    "other-size": "wrong-size",
     "masks-doubted": "many-masks-doubted",
     "mesh-deformed": "mesh-much-deformed",
 }
@@ -215,8 +216,12 @@ RESULT_CHECKS: tuple[Check, ...] = (
         advice="it is not the object's own, or all masks are off alike; --given-mesh takes it as it is",
     ),
     Check(
-        "other-size", lambda it: it.other_size[1], high=0.15, shown=percent, fault=rather,
+        "wrong-size", lambda it: it.other_size[1], high=0.3, shown=percent, fault=rather,
         advice="are mesh and hand as large as the real ones? For an unknown size: \"scale\": \"free\"",
+    ),
+    Check(
+        "other-size", lambda it: it.other_size[1], high=0.15, serious=False, shown=percent, fault=rather,
+        advice="are mesh and hand as large as the real ones, and the hand as far away?",
     ),
     Check(
         "regrasp", regrasp.jump, high=0.06, serious=False, shown=percent, fault=regrasped,
