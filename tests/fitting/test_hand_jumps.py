@@ -57,6 +57,14 @@ def test_a_hand_that_goes_elsewhere_and_stays_does_not_jump() -> None:
     assert without_jumps(clip)[1] == ()
 
 
+def test_a_hand_that_comes_in_fast_and_slows_down_keeps_its_frames() -> None:
+    """Steps as of a hand that reaches for an object in DexYCB [mm]."""
+    steps = [69, 115, 63, 61, 52, 52, 29, 28, 12, 12, 4, 5, 2, 5, 3, 1, 2, 2, 4, 4, 4, 4, 5, 7, 8, 16, 7, 5, 6, 7]
+    way = 1e-3 * np.cumsum([0, *steps])[:, None] * [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    for motion in (way, way[::-1]):
+        assert without_jumps(along(motion))[1] == ()
+
+
 @pytest.mark.parametrize("frames", [[7], [7, 20], [10, 11, 12], [0], [39], [3, 9, 15, 16, 22, 30, 36]])
 def test_flips_are_found_and_put_right(frames: list[int]) -> None:
     clip = smooth()

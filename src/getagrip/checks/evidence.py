@@ -23,6 +23,8 @@ SMALL = 64
 """Longer side of the images in which the hand is drawn [px]."""
 LARGE, FRAMES = 256, 8
 """Longer side of the images in which hand and object are drawn [px], and frames in which they are."""
+NAMED = 8
+"""So many frames are named in a sentence; many may be in doubt."""
 PER_REGION = 6
 """Vertices that stand for a contact region of the hand."""
 
@@ -43,6 +45,11 @@ class Jumps:
     def share(self) -> float:
         """Share of the frames."""
         return len(self.frames) / self.of
+
+    def __str__(self) -> str:
+        where, more = "frame" if len(self.frames) == 1 else "frames", len(self.frames) - NAMED
+        names = ", ".join(self.frames[:NAMED]) + (f" and {more} more" if more > 0 else "")
+        return f"the hand jumps away and back, and was put between its neighbours: {where} {names}"
 
 
 @dataclass(frozen=True, eq=False)

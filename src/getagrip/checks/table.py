@@ -20,8 +20,6 @@ GRAVER = {
     "mesh-deformed": "mesh-much-deformed",
 }
 """What goes without saying where a graver check finds the same."""
-NAMED = 8
-"""So many frames a finding names; many may be in doubt."""
 LEAST_IOU = 0.5
 """A result whose mean IOU is below this explains nothing, however well the minimisation ended."""
 
@@ -94,14 +92,6 @@ def contradicting(it: Evidence) -> str:
     return f"{masks} contradict the others and were left out: frames {names}"
 
 
-def jumping(it: Evidence) -> str:
-    """In which frames the hand jumps."""
-    assert it.jumps
-    frames, where = it.jumps.frames, "frame" if len(it.jumps.frames) == 1 else "frames"
-    names, more = ", ".join(frames[:NAMED]), f" and {len(frames) - NAMED} more" if len(frames) > NAMED else ""
-    return f"the hand jumps away and back, and was put between its neighbours: {where} {names}{more}"
-
-
 def rather(it: Evidence) -> str:
     """Which size would be better."""
     factor, gain = it.other_size
@@ -169,11 +159,11 @@ INPUT_CHECKS: tuple[Check, ...] = (
     ),
     Check(
         "many-hand-jumps", lambda it: it.jumps_share, high=0.3, shown=percent,
-        fault=jumping, advice="is it the same hand in all frames? --given-hands believes all",
+        fault=lambda it: str(it.jumps), advice="is it the same hand in all frames? --given-hands believes all",
     ),
     Check(
         "hand-jumps", lambda it: it.jumps_share, high=0.0, serious=False,
-        fault=jumping, advice="--given-hands believes all",
+        fault=lambda it: str(it.jumps), advice="--given-hands believes all",
     ),
     Check(
         "frame-order", frame_order.misorder, high=2.5,

@@ -27,6 +27,8 @@ LEAST = 0.04
 """Lowest price of a frame [m]. On DexYCB's training subjects no true hand makes a detour of half as much."""
 TIMES = 4.0
 """The price where hands are fast, in the step from frame to frame that two thirds of the steps exceed."""
+AT_ENDS, FEW = 2.0, 3
+"""The price at an end, in the steps that follow; so many of them count, and so many frames are left out at most."""
 LONGEST = 30
 """Most frames from one that is kept to the next."""
 POINTS = 16
@@ -65,17 +67,30 @@ def kept_frames(hand: HandTrack) -> Int[ndarray, "n"]:
         return np.arange(len(hand.T_cam_hand))
     price = max(LEAST, TIMES * float(np.quantile(steps[0], 1 / 3)))
     N = len(steps[0]) + 1
-    cost, before = price * np.arange(N), np.full(N, -1)  # of the best choice that ends with a frame: at first, it alone
+    # Of the best choice that ends with a frame: at first, with it alone.
+    cost, before = at_the_start(steps[0], price), np.full(N, -1)
     for n in range(1, N):
         gaps = np.arange(min(n, len(steps)))
         costs = cost[n - 1 - gaps] + price * gaps + [steps[gap][n - 1 - gap] for gap in gaps]
         best = int(np.argmin(costs))
         if costs[best] < cost[n]:
             cost[n], before[n] = costs[best], n - 1 - best
-    kept = [int(np.argmin(cost + price * np.arange(N)[::-1]))]
+    kept = [int(np.argmin(cost + at_the_start(steps[0][::-1], price)[::-1]))]
     while before[kept[-1]] >= 0:
         kept.append(int(before[kept[-1]]))
     return np.array(kept[::-1])
+
+
+def at_the_start(steps: Float[ndarray, "n"], price: float) -> Float[ndarray, "n+1"]:
+    """What it costs to leave out all frames before each one.
+
+    There is no detour at an end, and a hand that comes in fast is to keep the frames in which it does. So few can be
+    left out, and each costs at least ``AT_ENDS`` times the steps that follow.
+    """
+    cost = np.full(len(steps) + 1, np.inf)
+    for n in range(min(FEW + 1, len(steps))):
+        cost[n] = n * max(price, AT_ENDS * float(np.median(steps[n : n + FEW])))
+    return cost
 
 
 def steps_of(hand: HandTrack) -> list[Float[ndarray, "_"]]:

@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_masks
 from getagrip.clip.timeline import SIDES, Side, State
 from getagrip.errors import InputError
+from getagrip.fitting.hand_jumps import steady_hand
 from getagrip.fitting.options import Options
 from getagrip.grasps.definition import Definition
 from getagrip.hands.trackers import HELD
@@ -85,8 +86,8 @@ def find_segments(
         raise InputError(clip.origin, "frames", f"{len(clip)} frames", f"at most {MOST_FRAMES}: cut the clip")
     masks = read_masks(clip) if masks is None else masks
     check_masks(clip, masks)
-    clip = replace(clip, segments=(), truth=None)
     options = replace(options or Options(), method=METHOD)
+    clip, jumps = steady_hand(replace(clip, segments=(), truth=None), options)
     moved = _moved(clip, masks)
     with threadpool_limits(1, user_api="blas"):
         held = _fits(clip, masks, _runs(moved), options, progress)
@@ -95,6 +96,8 @@ def find_segments(
     notes = [] if clip.world is not None else ["the camera is taken to stand still: a guess"]
     if HELD in clip.provenance:
         notes.append(f"{HELD}: {clip.provenance[HELD]}: a grasp found there is one, too")
+    if jumps is not None and jumps.frames:
+        notes.append(str(jumps))
     margin = margins(cost, division)
     return FoundSegments(tuple(_segments(clip, division, margin, held, moved.jitter, definition)), tuple(notes))
 
