@@ -76,13 +76,11 @@ def mesh_deformation(it: Solved) -> float:
     return it.deformed
 
 
-def size_gain(it: Solved) -> float:
-    """Share of the energy that another size of the object would save, where its size was said to be known."""
-    return _logarithm(np.nan_to_num(it.other_size[1]), 0.01)
-
-
 def size_shift(it: Solved) -> float:
-    """How far the object would move along the ray with that size, in its diameters."""
+    """How far the object would move along the ray with the size that it would rather have, in its diameters.
+
+    Nothing where its size was free.
+    """
     T_cam_obj = it.clip.hand.T_cam_hand @ it.poses
     away = np.linalg.norm(T_cam_obj[:, :3, 3], axis=1).mean()
     return _logarithm(np.nan_to_num(abs(it.other_size[0] - 1.0)) * away / it.diameter, 0.02)
@@ -117,7 +115,6 @@ SIGNS: tuple[Sign, ...] = (
     Sign("pose-spread", pose_spread, -1),
     Sign("mask-misfit", mask_misfit, -1),
     Sign("mesh-deformation", mesh_deformation, -1),
-    Sign("size-gain", size_gain, -1),
     Sign("size-shift", size_shift, -1),
     Sign("contact-gap", contact_gap, -1),
     Sign("depth-order", depth_order, -1),
