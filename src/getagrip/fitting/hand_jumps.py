@@ -24,7 +24,7 @@ from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 
 LEAST = 0.04
-"""Lowest price of a frame [m]. On DexYCB's training subjects no true hand makes a detour of half as much."""
+"""Lowest price of a frame [m]. On DexYCB's training subjects no true hand makes a detour of more than 5 mm."""
 TIMES = 4.0
 """The price where hands are fast, in the step from frame to frame that two thirds of the steps exceed."""
 AT_ENDS, FEW = 2.0, 3
