@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.checks.solved import Solved
+from getagrip.geometry import se3
 
 ELSEWHERE = 0.03
 """A candidate that is farther apart than this is another solution [diameters]."""
@@ -81,8 +82,8 @@ def size_shift(it: Solved) -> float:
 
     Nothing where its size was free.
     """
-    T_cam_obj = it.clip.hand.T_cam_hand @ it.poses
-    away = np.linalg.norm(T_cam_obj[:, :3, 3], axis=1).mean()
+    centre = se3.transform(it.clip.hand.T_cam_hand @ it.poses, it.scale * it.clip.mesh.centre[None])
+    away = np.linalg.norm(centre, axis=-1).mean()
     return _logarithm(np.nan_to_num(abs(it.other_size[0] - 1.0)) * away / it.diameter, 0.02)
 
 
