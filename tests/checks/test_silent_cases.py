@@ -10,6 +10,7 @@ import pytest
 
 from getagrip.checks import INPUT_CHECKS, Evidence, examine
 from getagrip.checks.evidence import Jumps
+from getagrip.checks.frame_order import Lateness, lateness
 from getagrip.checks.hand_side import bend
 from getagrip.clip import Clip, Masks, write_clip
 from getagrip.errors import GetagripError
@@ -24,6 +25,7 @@ from helpers.command_line import Run
 from helpers.scenes import SMALL, scene
 
 QUICK = Options(inits=6)
+CHECKS = {check.name: check for check in INPUT_CHECKS}
 
 
 def mug(side: str = "right") -> tuple[Clip, Masks]:
@@ -137,8 +139,31 @@ def test_a_hand_that_jumps_all_the_time_is_doubted() -> None:
     assert "frames 000001, 000003, 000005" in findings[0].message
 
 
+@pytest.mark.parametrize("late", [-2, 2])
+def test_masks_a_little_late_or_early_are_noted(late: int) -> None:
+    clip, masks = scene("box", 1, replace(SMALL, frames=16))
+    n = np.arange(len(clip))
+    found = lateness(Evidence(clip, masks.take(np.clip(n - late, 0, n[-1]))))
+    assert found.frames == late
+    assert not CHECKS["frames-late"].is_usual(found.times)
+    assert f"masks seem to come 2 frames {'late' if late > 0 else 'early'}" in str(found)
+
+
+def test_lateness_is_counted_in_frames_that_were_left_out_too() -> None:
+    clip, masks = scene("box", 1, replace(SMALL, frames=16))
+    every_third = replace(clip, times=None, frames=tuple(f"{3 * n:06d}" for n in range(16)))
+    assert lateness(Evidence(every_third, masks.take(np.maximum(np.arange(16) - 1, 0)))).frames == 3
+
+
+def test_nothing_is_late_in_time_or_without_pixels_of_the_hand() -> None:
+    clip, masks = mug()
+    assert lateness(Evidence(clip, masks)) == Lateness(0, 1.0)
+    unknown = lateness(Evidence(clip, Masks(masks.object, np.zeros_like(masks.ignore))))
+    assert np.isnan(unknown.times)
+
+
 def test_every_mistake_has_its_case() -> None:
-    assert {*OF_INPUTS, *OF_RESULTS, "hand flips"} == {*MISTAKES}
+    assert {*OF_INPUTS, *OF_RESULTS, "hand flips", "masks 2 frames late"} == {*MISTAKES}
 
 
 def test_a_mirrored_hand_bends_the_other_way() -> None:

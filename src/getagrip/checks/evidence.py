@@ -153,6 +153,12 @@ class Evidence:
         """The ignored pixels, as small."""
         return _shrunk(self.masks.ignore, self._zoom, self._small)
 
+    @cached_property
+    def small_hand_pixels(self) -> Bool[ndarray, "T h w"]:
+        """The hand's own pixels, as small; the ignored ones where these are not given."""
+        hand = self.masks.hand
+        return self.small_ignore if hand is None else _shrunk(hand, self._zoom, self._small)
+
     @property
     def _zoom(self) -> float:
         return min(1.0, SMALL / max(self.clip.size))

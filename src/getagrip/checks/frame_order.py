@@ -1,5 +1,8 @@
 """Whether the masks belong to the frames of the hands: held against the same masks in reverse, and shifted.
 
+Masks that come a few frames late hardly displace their middles; but the hand's own pixels come late with them, and its
+outline shows a frame or two where it moves (``lateness``).
+
 While a grasp is stable, a point that is fixed in the hand lies near the middle of the object's mask in every frame. So
 does the drawn hand over the pixels that are ignored, where they are the hand's. Masks that fit so much better in
 another order are probably in the wrong one. Where hand and camera hardly move, all orders fit alike.
@@ -8,9 +11,10 @@ another order are probably in the wrong one. Where hand and camera hardly move, 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.checks.evidence import Evidence
@@ -23,6 +27,24 @@ FEWEST = 5
 """Fewer frames have no order."""
 LEAST_MISS, LEAST_OVERLAP = 0.05, 0.05
 """Smaller distances, in sizes of the mask, and smaller overlaps count as these."""
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """By how much the hand's pixels come late.
+
+    Attributes:
+        frames: so many frames late, counted as their names are; negative: early.
+        times: how many times better the hands overlap them then; 1: they are in time. NaN where no pixels are given.
+    """
+
+    frames: int
+    times: float
+
+    def __str__(self) -> str:
+        count = f"{abs(self.frames)} frame{'s' if abs(self.frames) > 1 else ''}"
+        when = "late" if self.frames > 0 else "early"
+        return f"masks seem to come {count} {when}: shifted back, they would meet the hands {self.times:.2f} times better"
 
 
 def following(given: Evidence) -> float:
@@ -38,7 +60,7 @@ def misorder(given: Evidence) -> float:
     and ignored pixels, where there are any.
     """
     shown = given.mask_area > 0
-    overlap = _overlap(given) if given.masks.ignore.any() else None
+    overlap = _overlap(given.drawn_hands, given.small_ignore) if given.masks.ignore.any() else None
     best = 1.0 if shown.sum() >= FEWEST else float("nan")
     for frames, others in _orders(len(shown)):
         both = shown[frames] & shown[others]
@@ -52,10 +74,28 @@ def misorder(given: Evidence) -> float:
     return best
 
 
+def lateness(given: Evidence) -> Lateness:
+    """At which shift the hands overlap their own pixels best: ``masks/hand``, else those ignored."""
+    pixels = given.small_hand_pixels
+    best = Lateness(0, 1.0 if pixels.any() and len(pixels) >= FEWEST else float("nan"))
+    overlap, when = _overlap(given.drawn_hands, pixels), given.clip.time * given.clip.fps
+    for n, m in _shifts(len(pixels)):
+        times = float(overlap[n, m].mean() / max(overlap[n, n].mean(), LEAST_OVERLAP))
+        if times > best.times:
+            best = Lateness(round(float(np.median(when[m] - when[n]))), times)
+    return best
+
+
 def _orders(count: int) -> Iterator[tuple[Int[ndarray, "n"], Int[ndarray, "n"]]]:
     """Frames, and the frames whose masks they might have: in reverse, and shifted either way."""
     every = np.arange(count)
     yield every, every[::-1]
+    yield from _shifts(count)
+
+
+def _shifts(count: int) -> Iterator[tuple[Int[ndarray, "n"], Int[ndarray, "n"]]]:
+    """Frames, and those by one or more earlier or later."""
+    every = np.arange(count)
     for shift in range(1, int((1.0 - LEAST_SHARE) * count) + 1):
         yield every[shift:], every[:-shift]
         yield every[:-shift], every[shift:]
@@ -88,9 +128,9 @@ def _expected_size(given: Evidence) -> float:
     return float(np.median(focal / given.depth)) * given.clip.mesh.diameter / 2.0
 
 
-def _overlap(given: Evidence) -> Float[ndarray, "T T"]:
-    """Overlap (IOU) of each drawn hand with the ignored pixels of each frame."""
-    hands, ignored = (x.reshape(len(x), -1).astype(np.float32) for x in (given.drawn_hands, given.small_ignore))
-    both = hands @ ignored.T
-    either = hands.sum(axis=1)[:, None] + ignored.sum(axis=1)[None] - both
+def _overlap(hands: Bool[ndarray, "T h w"], pixels: Bool[ndarray, "T h w"]) -> Float[ndarray, "T T"]:
+    """Overlap (IOU) of each drawn hand with the pixels of each frame."""
+    hands, pixels = (x.reshape(len(x), -1).astype(np.float32) for x in (hands, pixels))
+    both = hands @ pixels.T
+    either = hands.sum(axis=1)[:, None] + pixels.sum(axis=1)[None] - both
     return both / np.maximum(either, 1.0)

@@ -14,6 +14,7 @@ from getagrip.finding import Finding
 
 GRAVER = {
     "mesh-open": "mesh-holes",
+    "frames-late": "frame-order",
     "hand-jumps": "many-hand-jumps",
     "other-size": "wrong-size",
     "masks-doubted": "many-masks-doubted",
@@ -169,6 +170,11 @@ INPUT_CHECKS: tuple[Check, ...] = (
         "frame-order", frame_order.misorder, high=2.5,
         fault="in reverse, or shifted, the masks would fit the hands {value} times better",
         advice="check that hands and masks have the same frames in the same order, counted from the same number",
+    ),
+    Check(
+        "frames-late", lambda it: frame_order.lateness(it).times, high=1.08, serious=False,
+        fault=lambda it: str(frame_order.lateness(it)),
+        advice="check that hands and masks count frames from the same number",
     ),
     Check(
         "masks-follow-hand", frame_order.following, high=1.0, serious=False, shown=percent,

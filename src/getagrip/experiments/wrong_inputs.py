@@ -23,6 +23,8 @@ AWAY, FAR, TINY = 0.24, 10.0, 0.006
 """How much farther from the camera a hand is moved [m], how far from it one is put [m], and a tiny mesh's size [m]."""
 FLIPPED, JITTER = 0.2, 0.03
 """Share of the frames in which a hand is flipped, and standard deviation of where one is put along each axis [m]."""
+A_LITTLE = 2
+"""So many frames masks come late, as where one file counts from 0 or leaves frames out."""
 TOO_LARGE = 1.15
 """How many times too large a hand is, and too far away: it looks as before."""
 
@@ -40,6 +42,11 @@ def reversed_hands(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[
 def late_masks(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
     """Each mask a third of the clip too late, as where two files count frames from different numbers."""
     return clip, masks.take(np.maximum(np.arange(len(clip)) - len(clip) // 3, 0))
+
+
+def masks_a_little_late(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
+    """Each mask ``A_LITTLE`` frames too late."""
+    return clip, masks.take(np.maximum(np.arange(len(clip)) - A_LITTLE, 0))
 
 
 def other_side(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
@@ -150,6 +157,7 @@ MISTAKES: dict[str, Mistake] = {
     "other mesh": other_mesh,
     "hands reversed": reversed_hands,
     "masks late": late_masks,
+    "masks 2 frames late": masks_a_little_late,
     "side flipped": other_side,
     "hands 24 cm away": away,
     "hand at 10 m": far,
