@@ -44,7 +44,7 @@ class Lateness:
     def __str__(self) -> str:
         count = f"{abs(self.frames)} frame{'s' if abs(self.frames) > 1 else ''}"
         when = "late" if self.frames > 0 else "early"
-        return f"masks seem to come {count} {when}: shifted back, they would meet the hands {self.times:.2f} times better"
+        return f"masks seem to come {count} {when}: shifted, they would meet the hands {self.times:.2f} times better"
 
 
 def following(given: Evidence) -> float:
