@@ -10,13 +10,15 @@ import pytest
 
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.deform import misfit as unlike
-from getagrip.fitting.methods.all_frames import coarse_energy
+from getagrip.fitting.methods.all_frames import coarse_energy, misfit_of
+from getagrip.fitting.misfit import misfit
 from getagrip.fitting.motion import Fixed, PosesInHand, Soft
+from getagrip.fitting.objective import mask_of
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import CONTACT_IF_FITTED, Problem, prepare
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.fitting.shape import LEAST, MISFIT, own_shape
-from getagrip.fitting.solve import evaluate
+from getagrip.fitting.solve import evaluate, minimise
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
@@ -60,6 +62,18 @@ def test_the_objects_own_mesh_is_believed() -> None:
     clip, masks = scene("mug", 0)
     assert shape_at_truth(clip, masks) is None
     assert shape_at_truth(stretched(clip), masks, misfit=0.9 * MISFIT) is None
+
+
+def test_a_motion_that_is_not_fitted_yet_is_no_reason_to_doubt_the_mesh() -> None:
+    clip, masks = scene("mug", 0)
+    problem, frames = prepare(clip, masks, Options()), np.arange(len(clip))
+    true = at_truth(problem)
+    astray = replace(
+        true, deviation=true.deviation + np.random.default_rng(0).normal(scale=0.002, size=(1, len(clip), 6))
+    )
+    rough = minimise(astray, mask_of(problem)(64, frames), clip.hand.T_cam_hand, 0)
+    assert misfit(problem.observation, float(rough.terms["mask"][0]) / len(clip)) > 2.0 * MISFIT
+    assert misfit_of(problem, rough) < MISFIT
 
 
 def test_a_shape_that_is_nearly_the_meshs_own_is_believed_to_be(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,9 +15,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from getagrip.errors import UsageError
+from getagrip.fitting.contact import distances, solid
+from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, decimate, edge_table, merged, vertex_normals
 from getagrip.geometry.mesh_files import SUFFIXES, read_mesh, write_mesh
 from getagrip.geometry.obj import parse_obj
+from getagrip.geometry.subdivide import fine
 from helpers.clips import box
 
 triangles = st.permutations(range(6)).map(lambda order: order[:3])
@@ -144,6 +147,18 @@ def test_decimating_keeps_size_and_shape() -> None:
     assert small.diameter == pytest.approx(mesh.diameter, rel=0.05)
     assert small.volume == pytest.approx(mesh.volume, rel=0.05)
     assert decimate(small, 400 + len(small.faces)) is small
+
+
+def test_thin_parts_stay_where_they_are_when_decimated() -> None:
+    """Two sheets that cut through each other at an angle, as of an open notebook."""
+    sheet = box(0.28, 0.2, 0.004)
+    turn = se3.exp_so3(np.array([0.0, 1.2, 0.0]))
+    mesh = fine([sheet, Mesh(sheet.vertices @ turn.T, sheet.faces)], 4500)[0]
+    few = decimate(mesh, 1000)
+    assert len(few.faces) <= 1000
+    off = np.abs(distances(mesh.vertices, *solid(few, np.zeros(3)).tables))
+    assert off.mean() < 0.0001
+    assert off.max() < 0.003
 
 
 def test_a_soup_is_decimated_too() -> None:

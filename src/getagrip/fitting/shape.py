@@ -24,7 +24,7 @@ from getagrip.fitting.solve import FLOOR, in_camera, minimise, seen_from_camera
 from getagrip.geometry.warp import Warp, settled
 from getagrip.least_squares import arrow_step, damped
 
-MISFIT = 1.5
+MISFIT = 1.2
 """A mesh is doubted that leaves contours so many times as far off as the object's own would (``misfit``),"""
 GAIN = 0.85
 """and believed all the same, unless another shape has at most this share of the energy. On 31 training clips of DexYCB,

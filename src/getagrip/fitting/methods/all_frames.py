@@ -12,12 +12,12 @@ from getagrip.fitting.initial_poses import initial_poses
 from getagrip.fitting.methods import OnStage
 from getagrip.fitting.misfit import misfit, stiffened
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
-from getagrip.fitting.objective import NOTHING, consistency_of, energy_of, plus
+from getagrip.fitting.objective import NOTHING, consistency_of, energy_of, mask_of, plus
 from getagrip.fitting.problem import EnergyOf, MethodResult, Problem
 from getagrip.fitting.schedule import THOROUGH, USUAL
 from getagrip.fitting.search import Search
 from getagrip.fitting.shape import own_shape
-from getagrip.fitting.solve import Solution
+from getagrip.fitting.solve import Solution, minimise
 from getagrip.result import Axis
 
 M = TypeVar("M", bound=Motion)
@@ -28,6 +28,8 @@ SOFT_RIDGE = (1.5e6, 1e4)
 """Stiffness of a soft hinge's deviations in the fine stages, likewise; more where the mesh is not the object's."""
 STEADY = 0.5
 """Weight of the soft hinge's own term (``objective.consistency_of``), in lambda_3."""
+LEVEL, ITERATIONS = 128, 4
+"""Resolution [px] and iterations of the fit that tells how badly the mesh explains the masks."""
 ALONE = 4.0
 """Push and pull count so much more where no other term ties the object to the hand."""
 
@@ -35,21 +37,24 @@ ALONE = 4.0
 def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> MethodResult:
     """A hinge, and a small deviation from it in each frame; ``more`` terms count in all stages."""
     rough, warp = rough_fit(problem, on_stage, more), None
+    misfit, ridge = misfit_of(problem, rough), SOFT_RIDGE
     if problem.options.mesh == "fitted":
-        frames = search_of(problem, on_stage).coarse_frames
-        warp = own_shape(problem, rough.motion, frames, misfit_of(problem, rough))
+        warp = own_shape(problem, rough.motion, search_of(problem, on_stage).coarse_frames, misfit)
+    else:
+        ridge = stiffened(SOFT_RIDGE, misfit)
     if warp is not None:
         problem = problem.warped(warp)
         rough = rough_fit(problem, on_stage, more)
-    found = fine_fit(problem, rough, on_stage, more)
+    found = fine_fit(problem, rough, ridge, on_stage, more)
     # Terms of one's own are of these frames only.
     result = result_of(found, found.motion.core, soft_energy if more is NOTHING else None)
     return replace(result, warp=warp)
 
 
 def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> Solution[Soft[Hinge]]:
-    """The distinct soft hinges that the search ends with, best first."""
-    return fine_fit(problem, rough_fit(problem, on_stage, more), on_stage, more)
+    """The distinct soft hinges that the search ends with, best first; the mesh is taken as it is."""
+    rough = rough_fit(problem, on_stage, more)
+    return fine_fit(problem, rough, stiffened(SOFT_RIDGE, misfit_of(problem, rough)), on_stage, more)
 
 
 def rough_fit(problem: Problem, on_stage: OnStage, more: Energy) -> Solution[Soft[Fixed]]:
@@ -61,19 +66,22 @@ def rough_fit(problem: Problem, on_stage: OnStage, more: Energy) -> Solution[Sof
     return search.coarse(replace(relaxed, ridge=COARSE_RIDGE), energy)
 
 
-def fine_fit(problem: Problem, rough: Solution[Soft[Fixed]], on_stage: OnStage, more: Energy) -> Solution[Soft[Hinge]]:
-    """What the fine stages make of it. How well the masks are explained says how far deviations may be believed."""
+def fine_fit(
+    problem: Problem, rough: Solution[Soft[Fixed]], ridge: tuple[float, float], on_stage: OnStage, more: Energy
+) -> Solution[Soft[Hinge]]:
+    """What the fine stages make of it, with deviations as stiff as ``ridge``."""
     search, energy = search_of(problem, on_stage), plus(coarse_energy(problem), more)
     motion = search.at_all_frames(rough.motion)
-    ridge = stiffened(SOFT_RIDGE, misfit_of(problem, rough))
     soft = Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
     return search.fine(soft, steady(problem, energy))
 
 
 def misfit_of(problem: Problem, rough: Solution[Soft[Fixed]]) -> float:
-    """How badly the best of the coarse stages explains the masks."""
-    frames = rough.motion.deviation.shape[1]
-    return misfit(problem.observation, float(rough.terms["mask"][0]) / frames)
+    """How badly the mesh explains the masks at its best: not for want of a finer fit, nor for the sake of contact."""
+    frames = search_of(problem, lambda stage: None).coarse_frames
+    terms, T_cam_hand = mask_of(problem)(LEVEL, frames), problem.clip.hand.T_cam_hand[frames]
+    fitted = minimise(rough.motion, terms, T_cam_hand, ITERATIONS, threads=problem.threads)
+    return misfit(problem.observation, float(fitted.terms["mask"].min()) / len(frames))
 
 
 def soft_energy(problem: Problem) -> Energy:
