@@ -2,7 +2,8 @@
 motion.
 
 A mesh that is only of the object's kind leaves contours that no pose explains. Deviations that may follow them do: they
-bend the motion to fit a wrong shape. So they cost the more, the worse the masks are explained.
+bend the motion to fit a wrong shape. So they cost the more, the worse the masks are explained, unless the shape is
+fitted (``shape``).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from getagrip.fitting.observation import Observation
 
 PIXEL, CROP_PIXEL = 0.4, 0.15
 """Mean distance between the contour of the object's own mesh and that of a mask: pixels of the image, plus pixels of
-the crop. Right grasps of DexYCB's training subjects have about as much (docs/method.md).
+the crop. Right grasps of DexYCB's training subjects have 0.4 to 0.75 times as much (docs/method.md).
 """
 POWER = 3.0
 """Stiffness grows with this power of the misfit; 4 held measured motions too stiffly."""

@@ -25,7 +25,8 @@ M = TypeVar("M", bound=Motion)
 COARSE_RIDGE = (2e5 / 4, 1.2e3 / 4)
 """Stiffness of a soft hinge's deviations in the coarse stages, where it has no axis yet [px^2 per m^2, per rad^2]."""
 SOFT_RIDGE = (1.5e6, 1e4)
-"""Stiffness of a soft hinge's deviations in the fine stages, likewise; more where the mesh is not the object's."""
+"""Stiffness of a soft hinge's deviations in the fine stages, likewise; more where a mesh that is not the object's own
+stays as it is."""
 STEADY = 0.5
 """Weight of the soft hinge's own term (``objective.consistency_of``), in lambda_3."""
 LEVEL, ITERATIONS = 128, 4
