@@ -117,5 +117,5 @@ def test_hypotheses_that_cannot_win_go_no_further() -> None:
 def test_thin_objects_are_found_though_their_energy_falls_late() -> None:
     """Scissors: after the coarse stage the right pose had more than 3 times the least energy, and was lost."""
     clip, masks = scene("scissors", 7, replace(SMALL, frames=6))
-    found = scores(reconstruct(clip, masks, Options(inits=16)), clip, masks)
+    found = scores(reconstruct(clip, masks, Options(inits=30)), clip, masks)
     assert found["add_sym_mm"] < 5.0
