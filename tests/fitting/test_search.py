@@ -14,8 +14,8 @@ from getagrip.fitting.energy import Quadratic
 from getagrip.fitting.motion import Fixed
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
-from getagrip.fitting.schedule import FAR, NEAR, Rotations, Stage
-from getagrip.fitting.search import drawn_rotations, explored, near, suppress_duplicates
+from getagrip.fitting.schedule import FAR, NEAR, Rotations, Schedule, Stage
+from getagrip.fitting.search import Search, drawn_rotations, explored, near, suppress_duplicates
 from getagrip.fitting.solve import minimise
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry import se3
@@ -105,6 +105,34 @@ def test_rotated_hypotheses_reach_the_lower_of_two_minima() -> None:
         found = explored(first, [Upright()], T, surface, replace(stage, rounds=rounds))
         np.testing.assert_array_equal(found.energy[:2], first.energy)  # nothing is lost
         assert len(found.energy) == 2 if rounds == 0 else found.energy.min() < 0.01
+
+
+def wedge(taper: float) -> Mesh:
+    """A box of 10 x 6 x 4 cm that is narrower at +x by ``taper``: half a turn about y or z is seen, if at all."""
+    mesh = trimesh.creation.box([0.1, 0.06, 0.04]).subdivide().subdivide().subdivide()
+    vertices = np.array(mesh.vertices)
+    vertices[:, 1:] *= 1.0 - taper * (0.5 + vertices[:, :1] / 0.1)
+    return Mesh(vertices, np.array(mesh.faces))
+
+
+def test_half_turns_are_those_that_nearly_leave_the_surface_as_it_is() -> None:
+    assert len(box_surface().half_turns) == 0  # they leave it as it is
+    assert len(ObjectSurface.of(CATEGORIES["mug"].make()).half_turns) == 0  # its handle is elsewhere then
+    turns = ObjectSurface.of(wedge(0.1)).half_turns
+    assert len(turns) == 2
+    for turn in turns:
+        np.testing.assert_allclose(turn @ turn, np.eye(3), atol=1e-9)
+        assert turn[0, 0] < -0.99  # the narrow end goes to the other side
+
+
+@pytest.mark.parametrize(("taper", "finds"), [(0.0, False), (0.1, True)])
+def test_the_last_stage_finds_which_way_round_a_nearly_symmetric_object_is(taper: float, finds: bool) -> None:
+    surface = ObjectSurface.of(wedge(taper))
+    fine = tuple(Stage(name, 64, 4, iterations=5, keep=2, half_turns=name == "finest") for name in ("fine", "finest"))
+    search = Search(np.tile(np.eye(4), (4, 1, 1)), surface, Schedule(fine=fine), lambda stage: None)
+    upside_down = Fixed(se3.exp_so3(np.array([[np.pi, 0.0, 0.2]])), np.zeros((1, 3)), np.zeros(1), 4)
+    found = search.fine(upside_down, lambda level, index: [Upright()])
+    assert bool(found.energy[0] < 0.1) is finds
 
 
 def test_hypotheses_that_cannot_win_go_no_further() -> None:

@@ -44,6 +44,8 @@ class Stage:
         rounds: how often the best hypotheses of the stage are rotated and fitted again.
         parents: number of hypotheses that are rotated.
         rotations: rotations of each of them.
+        half_turns: the best hypothesis is fitted turned by half a turn too, where that nearly leaves the surface as it
+            is (``ObjectSurface.half_turns``). Coarser stages do not tell the two apart.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Stage:
     parents: int = 8
     rotations: Rotations = FAR
     within: float = np.inf
+    half_turns: bool = False
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class Schedule:
     )
     fine: tuple[Stage, ...] = (
         Stage("fine", level=128, frames=ALL, iterations=8, keep=4, within=2.5),
-        Stage("finest", level=256, frames=ALL, iterations=8, keep=4),
+        Stage("finest", level=256, frames=ALL, iterations=8, keep=4, half_turns=True),
     )
 
 
@@ -91,7 +94,7 @@ THOROUGH = Schedule(
     ),
     fine=(
         Stage("fine", level=128, frames=ALL, iterations=12, keep=6, rounds=2, parents=3),
-        Stage("finest", level=256, frames=ALL, iterations=16, keep=4),
+        Stage("finest", level=256, frames=ALL, iterations=16, keep=4, half_turns=True),
     ),
 )
 """A longer search: more hypotheses go on, and further, and are rotated once more with all frames in view."""

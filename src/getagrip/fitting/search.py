@@ -97,6 +97,8 @@ class Search:
             if k:
                 before, index = index, self.frames(stage)
                 motion = motion.resampled(before, index)
+            if stage.half_turns and len(turns := self.surface.half_turns):
+                motion = motion.concatenate(motion.take(np.zeros(len(turns), int)).rotated(turns))
             terms, T = energy(stage.level, index), self.T_cam_hand[index]
             solution = minimise(motion, terms, T, stage.iterations, threads=self.threads)
             solution = explored(solution, terms, T, self.surface, stage, self.threads)

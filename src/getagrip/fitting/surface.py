@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.fitting.contact import distances, solid
+from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.kernels.closest import FaceGrid
 
@@ -16,6 +17,8 @@ COARSE_FACES = 1000
 """Objects of more faces are decimated to so many for contact and for 64-pixel silhouettes."""
 POINTS = 48
 """Points of the surface that are compared."""
+HALF_TURNS = (0.003, 0.06)
+"""A half turn about a principal axis nearly leaves the surface as it is, where it moves it by so much [diameters]."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,7 @@ class ObjectSurface:
         solid: its surface about the centre of the mesh as it was given.
         points: (P, 3) points of the surface, about that centre.
         axes: (3, 3) principal axes of the vertices, one a row.
+        half_turns: (T, 3, 3) half turns about those axes that nearly leave the surface as it is: T from 0 to 3.
         diameter: of the mesh [m].
     """
 
@@ -34,6 +38,7 @@ class ObjectSurface:
     solid: FaceGrid
     points: Float[ndarray, "P 3"]
     axes: Float[ndarray, "3 3"]
+    half_turns: Float[ndarray, "T 3 3"]
     diameter: float
 
     @staticmethod
@@ -43,7 +48,14 @@ class ObjectSurface:
         about = mesh.vertices - mesh.centre
         _, axes = np.linalg.eigh(np.cov(about.T))
         spread = np.linspace(0, len(about) - 1, min(POINTS, len(about))).round().astype(int)
-        return ObjectSurface(coarse, solid(coarse, mesh.centre), about[spread], axes.T, mesh.diameter)
+        none = np.zeros((0, 3, 3))
+        surface = ObjectSurface(coarse, solid(coarse, mesh.centre), about[spread], axes.T, none, mesh.diameter)
+        return replace(surface, half_turns=surface._half_turns())
+
+    def _half_turns(self) -> Float[ndarray, "T 3 3"]:
+        turns, middle = se3.exp_so3(np.pi * self.axes)[:, None], np.zeros((3, 1, 3))
+        moved = self.rms_distance(np.eye(3)[None], middle[0], 1.0, turns, middle, np.ones(3))
+        return turns[(moved > HALF_TURNS[0]) & (moved < HALF_TURNS[1]), 0]
 
     def rms_distance(
         self,
