@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -37,11 +38,13 @@ def section() -> str:
                 "reconstruct": ["reconstruct", str(folder), "--out", str(result.parent)],
                 "evaluate": ["evaluate", str(result), "--clips", str(folder)],
                 "report": ["report", str(result), "--clips", str(folder)],
+                "view": ["view", str(result), "--clips", str(folder)],
             }
             for step, words in steps.items():
                 seconds, megabytes = _measured(words)
                 rows.append([f"{name}, {len(large.faces)} faces", step, f"{seconds:.0f}", f"{megabytes:.0f}"])
-            rows[-1].append(f"{(result / 'report.html').stat().st_size / 1e6:.1f}")
+                if step == "report":
+                    rows[-1].append(f"{(result / 'report.html').stat().st_size / 1e6:.1f}")
     return table(
         ["mesh", "command", "CPU s", "peak memory, MB", "page, MB"], [[*row, *[""] * (5 - len(row))] for row in rows]
     )
@@ -55,10 +58,17 @@ def soup(mesh: Mesh) -> Mesh:
 
 
 def _measured(words: list[str]) -> tuple[float, float]:
-    """Processor time [s] and most memory [MB] of a command, in a process of its own."""
-    child = subprocess.Popen([sys.executable, "-m", "getagrip", *words], stdout=subprocess.DEVNULL)
+    """Processor time [s] and most memory [MB] of a command, in a process of its own; one that serves a page is told to
+    end when it says that the page can be opened."""
+    child = subprocess.Popen([sys.executable, "-m", "getagrip", *words], stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    end = 0
+    for line in child.stdout:
+        if line.startswith("open http"):
+            child.terminate()
+            end = -signal.SIGTERM
     _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
-    if child.returncode != 0:
+    if child.returncode != end:
         raise subprocess.CalledProcessError(child.returncode, words)
     return used.ru_utime + used.ru_stime, used.ru_maxrss * 1024 / 1e6
