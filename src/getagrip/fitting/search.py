@@ -102,7 +102,8 @@ class Search:
             terms, T = energy(stage.level, index), self.T_cam_hand[index]
             solution = minimise(motion, terms, T, stage.iterations, threads=self.threads)
             solution = explored(solution, terms, T, self.surface, stage, self.threads)
-            best = suppress_duplicates(solution.motion.poses(), solution.energy, self.surface, stage.keep)
+            poses, energies = solution.motion.poses(), solution.energy
+            best = suppress_duplicates(poses, energies, self.surface, stage.keep, stage.half_turns)
             if not len(best):
                 raise GetagripError(str(Status.INVISIBLE))
             solution = solution.take(best[near(solution.energy[best], stage.within)])
@@ -147,11 +148,12 @@ def drawn_rotations(
 
 
 def suppress_duplicates(
-    poses: PosesInHand, energy: Float[ndarray, "B"], surface: ObjectSurface, keep: int
+    poses: PosesInHand, energy: Float[ndarray, "B"], surface: ObjectSurface, keep: int, half_turns: bool = False
 ) -> Int[ndarray, "n"]:
     """Indices of the ``keep`` lowest finite energies, near-copies of a better one left out.
 
-    Two hypotheses are the same if the object's surface moves by less than ``SAME`` of its diameter.
+    Two hypotheses are the same if the object's surface moves by less than ``SAME`` of its diameter; with ``half_turns``
+    not those that differ by half a turn that can be seen.
     """
     few = frame_indices(poses.R.shape[1], 3)
     R, centre, scale = poses.R[:, few], poses.centre[:, few], poses.scale
@@ -160,6 +162,9 @@ def suppress_duplicates(
         if len(chosen) == keep or not np.isfinite(energy[b]):
             break
         here, others = (R[b], centre[b], float(scale[b])), (R[chosen], centre[chosen], scale[chosen])
-        if not chosen or np.all(surface.rms_distance(*here, *others) > SAME):
+        copies = surface.rms_distance(*here, *others) <= SAME if chosen else np.zeros(0, dtype=bool)
+        if half_turns and copies.any():
+            copies &= ~surface.half_turned(R[b], R[chosen])
+        if not copies.any():
             chosen.append(int(b))
     return np.array(chosen, dtype=int)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.fitting.contact import distances, solid
@@ -19,6 +19,8 @@ POINTS = 48
 """Points of the surface that are compared."""
 HALF_TURNS = (0.003, 0.06)
 """A half turn about a principal axis nearly leaves the surface as it is, where it moves it by so much [diameters]."""
+NEARLY = np.radians(30.0)
+"""Poses that differ by half a turn, but for so much, are fits of the two."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,12 @@ class ObjectSurface:
         turns, middle = se3.exp_so3(np.pi * self.axes)[:, None], np.zeros((3, 1, 3))
         moved = self.rms_distance(np.eye(3)[None], middle[0], 1.0, turns, middle, np.ones(3))
         return turns[(moved > HALF_TURNS[0]) & (moved < HALF_TURNS[1]), 0]
+
+    def half_turned(self, R: Float[ndarray, "N 3 3"], others: Float[ndarray, "C N 3 3"]) -> Bool[ndarray, "C"]:
+        """Which of C other rotations, over N frames, differ by one of the half turns."""
+        between = np.swapaxes(R, -1, -2) @ others
+        off = [se3.angle_between(between, turn).max(axis=-1) for turn in self.half_turns]
+        return np.any(np.array(off).reshape(-1, len(others)) < NEARLY, axis=0)
 
     def rms_distance(
         self,
