@@ -49,6 +49,8 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     def fit(clip: Clip, masks: object, options: Any, progress: object, threads: int) -> Reconstruction:
         names.append(clip.name)
         assert clip.truth is None  # it is not copied
+        assert clip.folder is not None
+        assert not (clip.folder / "frames").exists()  # nor are images
         given = json.loads(to_json(asdict(options)))
         whole = replace(clip, truth=small_clip()[0].truth)
         return replace(perfect(whole), clip=clip.name, options=given, method=options.method, seed=options.seed)
@@ -67,7 +69,10 @@ def put_clips(store: str, tmp_path: Path, names: tuple[str, ...] = ("a", "b")) -
     """Put small clips into a store; the address of their folder."""
     clip, masks = small_clip()
     for name in names:
-        put(write_clip(replace(clip, name=name), masks, tmp_path / "clips" / name), Remote(f"{store}/clips/{name}"))
+        folder = write_clip(replace(clip, name=name), masks, tmp_path / "clips" / name)
+        (folder / "frames").mkdir()
+        (folder / "frames" / f"{clip.frames[0]}.jpg").write_bytes(b"an image, which nobody reads")
+        put(folder, Remote(f"{store}/clips/{name}"))
     return f"{store}/clips"
 
 

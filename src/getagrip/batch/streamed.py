@@ -22,7 +22,7 @@ from getagrip.io.storage import ARCHIVE, Place, Remote
 if TYPE_CHECKING:
     from getagrip.fitting.options import Options
 
-LEFT_OUT = ("images", "truth.npz")
+LEFT_OUT = ("frames", "truth.npz")
 """Of a clip: what no reconstruction reads (``clip.input_sha256``)."""
 RECORD, POSES = "result.json", "result.npz"
 """Of a result; the first says that it is one."""
