@@ -37,8 +37,10 @@ RIDGE = (2e5 / 16, 1.2e3 / 16)
 SAME = 0.03
 """Hypotheses whose surfaces are nearer than this, in diameters, are one."""
 UNTOLD = 1.02
-"""Energies within this factor do not tell which of two half turns is right. On 94 training clips of DexYCB and ARCTIC it
-was 1.005 where the best was wrong; where it was right, at least 1.007, mostly more than this."""
+"""Energies within this factor do not tell which of two half turns is right.
+
+On 94 training clips of DexYCB and ARCTIC it was 1.005 where the best was wrong, and from 1.007 on where it was right.
+"""
 
 
 @dataclass(frozen=True)
