@@ -24,8 +24,8 @@ FRAMES = 30
 HAND_SIDE = "hand-side"
 """Of the other hand where that holds the object; of the clip's own it is a check of the whole."""
 WITH_HAND = (
-    "mask-size", "seen-size", "frame-order", "frames-late", "masks-follow-hand", "mask-misfit", "hand-off-pixels",
-    "hand-off-ignored", "object-over-hand", "hand-over-object", "regrasp", "second-gap", "contact-gap", "penetration",
+    "mask-size", "seen-size", "frame-order", "frames-late", "masks-follow-hand", "object-over-hand",
+    "hand-over-object", "regrasp", "second-gap", "contact-gap", "penetration",
 )  # fmt: skip
 """Checks that suppose a grasp, by the hand that holds the object."""
 OF_MASKS = ("mask-fit", "worst-frame")
