@@ -48,7 +48,8 @@ def main(clip_folder: str, result_folder: str) -> None:
             cv2.drawContours(ground, contours, -1, tuple(200.0 * c for c in colour), 3, cv2.LINE_AA)
         both = render_rgb([(hand, clip.hand.faces, HAND), (plate, clip.mesh.faces, PLATE)], K[k], size)
         column = cv2.resize(np.vstack([ground, both]), (SIDE, 2 * SIDE), interpolation=cv2.INTER_AREA)
-        words = f"frame {int(clip.frames[k])}, IOU {result.iou[k]:.2f}"
+        iou = "mask in doubt" if np.isnan(result.iou[k]) else f"IOU {result.iou[k]:.2f}"
+        words = f"frame {int(clip.frames[k])}, {iou}"
         cv2.putText(column, words, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (70, 70, 70), 1, cv2.LINE_AA)
         columns.append(column)
     cv2.imwrite(str(OUT), np.hstack(columns)[..., ::-1])
