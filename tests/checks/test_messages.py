@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS, Evidence
+from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS, Evidence, examine
 from getagrip.checks.of_timeline import FLOATS, JUMP
+from getagrip.finding import read_findings
+from getagrip.io.files import to_json
 from helpers.clips import small_clip
 
 CHECKS = {check.name: check for check in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP, FLOATS)}
@@ -37,3 +43,11 @@ def test_values_are_said_as_people_count_them(check: str, value: float, words: s
     assert finding is not None
     assert words in finding.message
     assert finding.value == value
+
+
+def test_what_is_found_reads_back_whatever_was_measured(tmp_path: Path) -> None:
+    endless = replace(CHECKS["contact-gap"], measure=lambda given: np.inf)
+    measured, findings = examine([endless], Evidence(*small_clip()))
+    (written,) = json.loads(to_json([finding.fields() for finding in findings]))
+    assert read_findings(tmp_path, [written]) == findings
+    assert np.isfinite(measured["contact-gap"])

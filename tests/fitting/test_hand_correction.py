@@ -110,6 +110,14 @@ def test_without_pixels_the_prior_decides(made: tuple[Clip, Masks]) -> None:
     assert correct_hand(clip, Masks(made[1].object, np.zeros_like(made[1].ignore)))[0] is None
 
 
+def test_of_a_hand_that_goes_behind_the_camera_all_pixels_differ(made: tuple[Clip, Masks]) -> None:
+    clip, masks = made
+    behind = clip.hand.T_cam_hand.copy()
+    behind[0, 2, 3] = -0.1
+    through = replace(clip, hand=replace(clip.hand, T_cam_hand=behind))
+    assert correct_hand(through, Masks(masks.object, masks.ignore, masks.ignore)) == (None, 1.0)
+
+
 @pytest.mark.slow
 def test_pixels_that_are_not_the_hand_move_nothing(made: tuple[Clip, Masks]) -> None:
     clip, masks = made

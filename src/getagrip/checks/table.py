@@ -271,9 +271,13 @@ RESULT_CHECKS: tuple[Check, ...] = (
 )  # fmt: skip
 
 
+MOST = 1e9
+"""JSON has no infinity."""
+
+
 def examine(checks: Iterable[Check], given: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
-    """What each check measures, and what is found."""
-    measured = {check.name: float(check.measure(given)) for check in checks}
+    """What each check measures, at most ``MOST`` either way, and what is found."""
+    measured = {check.name: float(np.clip(check.measure(given), -MOST, MOST)) for check in checks}
     findings = [check.finding(measured[check.name], given) for check in checks]
     found = [finding for finding in findings if finding is not None]
     names = {finding.check for finding in found}

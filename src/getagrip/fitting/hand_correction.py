@@ -78,7 +78,9 @@ def correct_hand(clip: Clip, masks: Masks) -> tuple[HandCorrection | None, float
         return None, float("nan")
     given = np.zeros((len(clip), RIGID))
     before = seen.differing(given) / seen.mask.pixels
-    if not np.isfinite(before) or before < WORTH:
+    if not np.isfinite(before):  # it goes behind the camera, and has no silhouette
+        return None, 1.0
+    if before < WORTH:
         return None, before
     found = _fitted(seen.with_field, given)
     after = found.pixels / seen.mask.pixels
