@@ -45,7 +45,8 @@ class Stage:
         parents: number of hypotheses that are rotated.
         rotations: rotations of each of them.
         half_turns: the best hypothesis is fitted turned by half a turn too, where that nearly leaves the surface as it
-            is (``ObjectSurface.half_turns``), and both are kept. Coarser stages do not tell the two apart.
+            is (``ObjectSurface.half_turns``); both are kept where their energies are alike. Coarser stages do not tell
+            the two apart.
     """
 
     name: str

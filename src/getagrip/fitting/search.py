@@ -3,7 +3,8 @@
 By the energy of a static fit the right hypothesis is often lost: the first are dropped after a relaxed fit, most after
 the motion model has been fitted.
 Then the best are rotated and fitted again, a few rounds of it: local minima lie side by side, and in pairs; once more
-by less in the middle, for a mug whose handle is in the hand has minima all around it. The axis of a hinge comes from
+by less in the middle, for a mug whose handle is in the hand has minima all around it. At the end the best is compared
+with the other way round, where half a turn nearly leaves the surface as it is. The axis of a hinge comes from
 the data: after a static fit, a relaxed fit with a small deviation per frame, whose rotation vectors' principal
 direction is the axis. (Angle zero about any axis is a dead start: the energy does not depend on the axis there.)
 

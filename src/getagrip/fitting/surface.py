@@ -18,7 +18,8 @@ COARSE_FACES = 1000
 POINTS = 48
 """Points of the surface that are compared."""
 HALF_TURNS = (0.003, 0.06)
-"""A half turn about a principal axis nearly leaves the surface as it is, where it moves it by so much [diameters]."""
+"""A half turn about a principal axis nearly leaves the surface as it is, where it moves it by so much [diameters]: less
+is not seen, and after more another fit is not taken for a copy (``search.SAME``)."""
 NEARLY = np.radians(30.0)
 """Poses that differ by half a turn, but for so much, are fits of the two."""
 
