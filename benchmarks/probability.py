@@ -127,7 +127,7 @@ def section(rows: Results, calibrations: Mapping[Where, Calibration]) -> str:
     train, test = rows.only(part="train"), rows.only(part="test")
     minutes = sum(float(row["seconds"]) for row in rows.rows) / 60.0
     about = (
-        f"*Made {stamp()}; results of {' and '.join(of(rows, 'made'))}. "
+        f"*Made {calibrations['hand'].made}; results of {' and '.join(of(rows, 'made'))}. "
         f"{len(train.rows)} training and {len(test.rows)} test results; reconstructing them took {minutes:.0f} minutes "
         "of one core.*"
     )

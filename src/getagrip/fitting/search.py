@@ -37,10 +37,11 @@ RIDGE = (2e5 / 16, 1.2e3 / 16)
 """Stiffness of the deviations in the relaxed fit [px^2 per m^2, px^2 per rad^2]."""
 SAME = 0.03
 """Hypotheses whose surfaces are nearer than this, in diameters, are one."""
-UNTOLD = 1.02
-"""Energies within this factor do not tell which of two half turns is right.
+ALIKE = 1.02
+"""Energies within this factor do not decide which way round an object is.
 
-On 94 training clips of DexYCB and ARCTIC it was 1.005 where the best was wrong, and from 1.007 on where it was right.
+In a trial on 94 training clips of DexYCB and ARCTIC it was 1.005 where the best was wrong, and 1.007 or more where it
+was right.
 """
 
 
@@ -169,7 +170,7 @@ def suppress_duplicates(
             break
         here, others = (R[b], centre[b], float(scale[b])), (R[chosen], centre[chosen], scale[chosen])
         copies = surface.rms_distance(*here, *others) <= SAME if chosen else np.zeros(0, dtype=bool)
-        if half_turns and copies.any() and near(energy[[chosen[0], b]], UNTOLD)[1]:
+        if half_turns and copies.any() and near(energy[[chosen[0], b]], ALIKE)[1]:
             copies &= ~surface.half_turned(R[b], R[chosen])
         if not copies.any():
             chosen.append(int(b))

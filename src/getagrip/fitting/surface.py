@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,8 +21,8 @@ POINTS = 48
 HALF_TURNS = (0.003, 0.06)
 """A half turn about a principal axis nearly leaves the surface as it is, where it moves it by so much [diameters]: less
 is not seen, and after more another fit is not taken for a copy (``search.SAME``)."""
-NEARLY = np.radians(30.0)
-"""Poses that differ by half a turn, but for so much, are fits of the two."""
+OFF_HALF_TURN = np.radians(30.0)
+"""Fits of an object both ways round differ by half a turn, but for so much."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,6 @@ class ObjectSurface:
         solid: its surface about the centre of the mesh as it was given.
         points: (P, 3) points of the surface, about that centre.
         axes: (3, 3) principal axes of the vertices, one a row.
-        half_turns: (T, 3, 3) half turns about those axes that nearly leave the surface as it is: T from 0 to 3.
         diameter: of the mesh [m].
     """
 
@@ -41,7 +41,6 @@ class ObjectSurface:
     solid: FaceGrid
     points: Float[ndarray, "P 3"]
     axes: Float[ndarray, "3 3"]
-    half_turns: Float[ndarray, "T 3 3"]
     diameter: float
 
     @staticmethod
@@ -51,11 +50,11 @@ class ObjectSurface:
         about = mesh.vertices - mesh.centre
         _, axes = np.linalg.eigh(np.cov(about.T))
         spread = np.linspace(0, len(about) - 1, min(POINTS, len(about))).round().astype(int)
-        none = np.zeros((0, 3, 3))
-        surface = ObjectSurface(coarse, solid(coarse, mesh.centre), about[spread], axes.T, none, mesh.diameter)
-        return replace(surface, half_turns=surface._half_turns())
+        return ObjectSurface(coarse, solid(coarse, mesh.centre), about[spread], axes.T, mesh.diameter)
 
-    def _half_turns(self) -> Float[ndarray, "T 3 3"]:
+    @cached_property
+    def half_turns(self) -> Float[ndarray, "T 3 3"]:
+        """Half turns about the principal axes that nearly leave the surface as it is: T from 0 to 3."""
         turns, middle = se3.exp_so3(np.pi * self.axes)[:, None], np.zeros((3, 1, 3))
         moved = self.rms_distance(np.eye(3)[None], middle[0], 1.0, turns, middle, np.ones(3))
         return turns[(moved > HALF_TURNS[0]) & (moved < HALF_TURNS[1]), 0]
@@ -64,7 +63,7 @@ class ObjectSurface:
         """Which of C other rotations, over N frames, differ by one of the half turns."""
         between = np.swapaxes(R, -1, -2) @ others
         off = [se3.angle_between(between, turn).max(axis=-1) for turn in self.half_turns]
-        return np.any(np.array(off).reshape(-1, len(others)) < NEARLY, axis=0)
+        return np.any(np.array(off).reshape(-1, len(others)) < OFF_HALF_TURN, axis=0)
 
     def rms_distance(
         self,
