@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks import page
 from getagrip.experiments.reliability import auroc, calibration_error, least_error
+from getagrip.experiments.stamp import stamp
 
 RIGHT = (
     ("in the hand", "add_sym_success", "probability_right"),
@@ -40,7 +41,7 @@ def main(folder: Path) -> None:
         errors = (f"{error:.3f}" for error in (calibration_error(probability, right), least_error(probability)))
         count, area = str(len(of_method)), f"{auroc(probability, right):.2f}"
         rows.append((f"{method}, {where}", count, *shares, area, *errors))
-    page.write(f"{folder.name}-probability", page.table(HEADS, rows))
+    page.write(f"{folder.name}-probability", f"*Made {stamp()}.*\n\n{page.table(HEADS, rows)}")
 
 
 if __name__ == "__main__":
