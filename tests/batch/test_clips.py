@@ -1,6 +1,18 @@
-"""The summary of a batch."""
+"""The summary of a batch, and what it prints of names."""
+
+import json
+from pathlib import Path
+
+import pytest
 
 from getagrip.batch.clips import expected
+from getagrip.clip import input_sha256, write_clip
+from getagrip.result import write_result
+from helpers.command_line import Run
+from helpers.egg_and_mug import egg_and_mug, perfect
+
+RED = "bad\x1b[31mRED\x07"
+"""The name of a folder that colours what follows, and rings."""
 
 
 def test_a_batch_is_summed_up_by_its_probabilities() -> None:
@@ -9,3 +21,34 @@ def test_a_batch_is_summed_up_by_its_probabilities() -> None:
     text = expected({"a": 0.9, "b": 0.4, "c": 0.1, "d": 0.6})
     assert text.startswith("about 2 of 4 are right")
     assert text.endswith("the worst first: c, b")
+
+
+def test_names_of_folders_move_no_cursor(clip_folder: Path, tmp_path: Path, run: Run) -> None:
+    """Nor do traces, which keep their lines."""
+    (tmp_path / "clips" / RED).mkdir(parents=True)
+    (tmp_path / "clips" / RED / "clip.json").write_text("{")
+    for command in (("reconstruct", "--out", tmp_path / "out"), ("segment",)):
+        status, out, err = run(*command, tmp_path / "clips", "--debug")
+        assert status == 1
+        assert "\x1b" not in out + err
+        assert "\x07" not in out + err
+        assert err.startswith(r"failed: bad\x1b[31mRED\x07: ")
+        assert "\nTraceback (most recent call last):\n" in err
+
+
+@pytest.mark.slow
+def test_what_results_say_moves_no_cursor(tmp_path: Path, run: Run) -> None:
+    clip, masks = egg_and_mug()
+    written = write_clip(clip, masks, tmp_path / "clips" / clip.name)
+    made_from = input_sha256(written)
+    folders = [write_result(perfect(clip), tmp_path / name / RED, made_from, clip_folder=written) for name in "ab"]
+    for folder, method in zip(folders, (RED, "static"), strict=True):
+        fields = json.loads((folder / "result.json").read_text())
+        (folder / "result.json").write_text(json.dumps(fields | {"method": method}))
+    status, out, err = run("evaluate", *folders)
+    assert (status, err) == (0, "")
+    assert "\x1b" not in out
+    assert r"\x1b[31mRED" in out
+    status, out, err = run("export", folders[0].parent, "--to", "glb")
+    assert (status, err) == (0, "")
+    assert r"bad\x1b[31mRED" in out

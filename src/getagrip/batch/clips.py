@@ -21,7 +21,7 @@ from getagrip.batch.progress import Pace
 from getagrip.batch.share import ALONE, Share
 from getagrip.batch.streamed import StreamedJob, reconstruct_streamed
 from getagrip.batch.summary import entry_of, write_summary
-from getagrip.errors import UsageError
+from getagrip.errors import UsageError, cleaned
 from getagrip.io import leftovers
 from getagrip.io.storage import Place, Remote
 from getagrip.io.terminal import progress_bar, report, show_stage
@@ -171,8 +171,8 @@ def print_outcome(outcome: Outcome, debug: bool) -> None:
     """One line about a clip, and one for each finding: failures on stderr, the rest on stdout."""
     failed = outcome.state == "failed"
     parts = ["failed"] * failed + [outcome.name] * bool(outcome.name) + [outcome.message]
-    print(": ".join(parts), file=sys.stderr if failed else sys.stdout)
+    print(cleaned(": ".join(parts)), file=sys.stderr if failed else sys.stdout)
     for finding in outcome.findings:
         print(f"  {finding}")
     if failed and debug:
-        print(outcome.trace, file=sys.stderr)
+        print(cleaned(outcome.trace, "\n"), file=sys.stderr)

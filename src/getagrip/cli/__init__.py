@@ -91,7 +91,7 @@ def _run(command: Command) -> int:
         return 130
     except (GetagripError, OSError) as error:
         if command.debug:
-            traceback.print_exc()
+            print(cleaned(traceback.format_exc(), "\n"), file=sys.stderr)
         print(f"getagrip: {cleaned(str(error))}", file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
 

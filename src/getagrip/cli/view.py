@@ -10,6 +10,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.cli.command import ClipsFolder, Command
 from getagrip.errors import UsageError
+from getagrip.io.terminal import say
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +34,7 @@ class View(Command):
             raise UsageError("PATH: name at least one result, clip, or folder of them")
 
     def run(self) -> int:
-        print(f"reading {', '.join(map(str, self.paths))} ...", flush=True)  # to load what draws takes seconds, too
+        say(f"reading {', '.join(map(str, self.paths))} ...")  # to load what draws takes seconds, too
         from getagrip.commands.view import view
 
         return view(self.paths, self.clips, self.port, self.host, self.debug)

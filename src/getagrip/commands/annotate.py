@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,7 +24,7 @@ from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.io import files
 from getagrip.io.counts import counted
-from getagrip.io.terminal import progress_bar
+from getagrip.io.terminal import progress_bar, report
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -62,7 +61,7 @@ def annotate(
     absent = [task for task in tasks if task.path is None]
     if absent:
         missing = f"no footage of {len(absent)} of them, as {files.plain(absent[0].video)}"
-        print(f"{len(tasks)} candidates, {missing}", file=sys.stderr)
+        report(f"{len(tasks)} candidates, {missing}")
     if request.export and request.labels is None and request.segments is None and not (out / DATABASE).is_file():
         raise UsageError(f"--export: nothing has been marked in {out}")
     given = None if request.labels is None else read_labels(request.labels, tasks)
@@ -131,7 +130,7 @@ def write_labels(project: Project) -> int:
     written: set[str] = set()
     for grasp in project.labelled():
         if grasp.name in written:
-            print(f"{grasp.name}: left out: another grasp of the same frames and hand is written", file=sys.stderr)
+            report(f"{grasp.name}: left out: another grasp of the same frames and hand is written")
             status = 1
             continue
         written.add(grasp.name)
@@ -142,7 +141,7 @@ def write_labels(project: Project) -> int:
             with progress_bar(counted=True) as bar:
                 command = project.labelling.write(grasp, given, JobOnBar(bar, grasp.name))
         except GetagripError as error:
-            print(f"{grasp.name}: labels only: {error}", file=sys.stderr)
+            report(f"{grasp.name}: labels only: {error}")
             status = 1
             continue
         made = project.labelling.out / grasp.name
@@ -169,7 +168,7 @@ def write_files(project: Project, out: Path) -> int:
     known, status = project.known(), 0
     others = len(project.store.marks.standing()) - len(known)
     if others:
-        print(f"{others} marks belong to other footage: left out", file=sys.stderr)
+        report(f"{others} marks belong to other footage: left out")
     for name in sorted({mark.annotator for mark in known}):
         own = [mark for mark in known if mark.annotator == name]
         rows = export.intervals(own, project.tasks)
@@ -180,7 +179,7 @@ def write_files(project: Project, out: Path) -> int:
         listed = export.grasps(own)
         marked = [mark for mark in own if mark.start is not None and mark.state == GRASP]
         if unfinished := [mark for mark in marked if mark not in listed]:
-            print(f"{name}: {not_listed(unfinished)}", file=sys.stderr)
+            report(f"{name}: {not_listed(unfinished)}")
         status = max(status, write_segments(project, out, name))
     with (out / "discards.csv").open("w", encoding="utf-8", newline="") as stream:
         lines = csv.DictWriter(stream, ("task", "clip", "annotator", "reason"))
@@ -212,10 +211,10 @@ def write_segments(project: Project, out: Path, annotator: str) -> int:
         try:
             listed[one.task.key] = one.listed().fields
         except RefusedError as error:
-            print(f"{annotator}: segments of {one.task.key} left out: {error}", file=sys.stderr)
+            report(f"{annotator}: segments of {one.task.key} left out: {error}")
             status = 1
         for hint in one.hints():
-            print(f"{annotator}: {one.task.key}: {hint}", file=sys.stderr)
+            report(f"{annotator}: {one.task.key}: {hint}")
     if listed:
         files.write_json(out / f"segments-{annotator}.json", listed)
         print(f"{annotator}: segments of {counted(len(listed), 'clip')}, {out / f'segments-{annotator}.json'}")

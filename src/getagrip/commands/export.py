@@ -11,6 +11,7 @@ from getagrip.commands.evaluate import results_in
 from getagrip.errors import InputError
 from getagrip.evaluation.results import clip_of
 from getagrip.export import Scene, export
+from getagrip.io.terminal import say
 from getagrip.result import read_result
 
 
@@ -25,7 +26,7 @@ def export_results(
                 result, record = read_result(folder)
                 scene = Scene.of(result, clip_of(folder, result, record, clips))
                 target = folder / f"export-{to}" if out is None else out / folder.resolve().name
-                print(export(scene, target, to, overwrite))
+                say(str(export(scene, target, to, overwrite)))
         except Exception as error:  # one result's trouble must not end the others
             failed = True
             print_outcome(failure("" if isinstance(error, InputError) else str(path), error), debug)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from getagrip.datasets.dataset import Note, Part
 from getagrip.datasets.epic.reader import EpicGrasps
 from getagrip.fitting import pose_priors
 from getagrip.io.arguments import OptionalFolder
+from getagrip.io.terminal import report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +33,6 @@ class ImportEpic(EpicGrasps):
         without = [f"{category} in a {side} hand" for category, side in kinds if not len(learnt.of(category, side))]
         print(f"to start from the poses of {folder}: getagrip reconstruct ... --init priors --priors {folder}")
         if without:
-            print(f"{folder} has no poses of {', '.join(without)}", file=sys.stderr)
+            report(f"{folder} has no poses of {', '.join(without)}")
         if self.cad is None:
-            print("poses belong to the meshes they were made with: bring these with --cad", file=sys.stderr)
+            report("poses belong to the meshes they were made with: bring these with --cad")

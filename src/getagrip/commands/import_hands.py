@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
 from getagrip.hands.trackers import HELD, Hands, Request, Tracker, read
 from getagrip.io import files
-from getagrip.io.terminal import report
+from getagrip.io.terminal import report, say
 
 PREFIX = "other_"
 """Of what a clip's provenance says of the other hand."""
@@ -96,7 +95,7 @@ def into_clip(
         write_hand_at(hands.track, header.frames, hands.found, hand)
         files.write_json(fields, _fields(header, hands))
     _report(hands, header.frames)
-    print(target)
+    say(str(target))
     return 0
 
 
@@ -122,11 +121,11 @@ def other_into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, 
         files.write_json(fields, header.fields | {"provenance": known | provenance})
     for key, text in provenance.items():
         report(f"{'warning: ' if 'guess' in text else ''}{key}: {text}")
-    print(f"{target}: the {side} hand in {len(hands.found)} of {len(header.frames)} frames")
+    say(f"{target}: the {side} hand in {len(hands.found)} of {len(header.frames)} frames")
     if alone:
         some = _some(header.frames[row] for row in alone)
         left_out = f"{len(alone)} frames have the {side} hand only and are left out, as all without the clip's own"
-        print(f"warning: {left_out}: {some}", file=sys.stderr)
+        report(f"warning: {left_out}: {some}")
     return 0
 
 
@@ -184,7 +183,7 @@ def _report(hands: Hands, frames: Sequence[str]) -> None:
         report(f"{mark}{key}: {text}")
     missing = [name for n, name in enumerate(frames) if n not in hands.found]
     if missing:
-        print(f"warning: no hand in {len(missing)} of {len(frames)} frames, skipped: {_some(missing)}", file=sys.stderr)
+        report(f"warning: no hand in {len(missing)} of {len(frames)} frames, skipped: {_some(missing)}")
 
 
 def _some(names: Iterable[str]) -> str:

@@ -10,6 +10,7 @@ from getagrip.clip.reading import read_header
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.images import write_mask
+from getagrip.io.terminal import say
 
 
 def into_clip(
@@ -43,7 +44,7 @@ def into_clip(
         visible = write_masks(reader, header.frames, new)
         with files.new_file(header.folder / "clip.json") as part:
             files.write_json(part, header.fields | {"provenance": whence})
-    print(f"{target}: the object is visible in {visible} of {len(names)} frames")
+    say(f"{target}: the object is visible in {visible} of {len(names)} frames")
     return 0
 
 

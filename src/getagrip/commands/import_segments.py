@@ -10,6 +10,7 @@ from getagrip.clip.reading import read_header
 from getagrip.clip.segment_files import STATED, SegmentList
 from getagrip.errors import UsageError
 from getagrip.io.counts import counted
+from getagrip.io.terminal import say
 
 
 def into_clip(source: Path, folder: Path, still_camera: bool, overwrite: bool) -> int:
@@ -23,7 +24,7 @@ def into_clip(source: Path, folder: Path, still_camera: bool, overwrite: bool) -
     if still_camera and "T_world_cam" in header.fields["camera"]:
         raise UsageError(f"--still-camera: got it, expected none: {header.folder} has camera.T_world_cam")
     segments = segment_files.into_clip(header, given)
-    print(f"{header.folder / 'clip.json'}: {in_words(segments)}")
+    say(f"{header.folder / 'clip.json'}: {in_words(segments)}")
     return 0
 
 

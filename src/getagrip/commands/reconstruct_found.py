@@ -13,6 +13,7 @@ from getagrip.clip import read_clip, read_masks
 from getagrip.commands.each_clip import each_clip
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
+from getagrip.io.terminal import say
 from getagrip.timelines.reconstruct import METHOD
 
 CLIPS = "clips"
@@ -64,7 +65,7 @@ def reconstruct_found(
     made: list[Path] = []
     for one in found:
         made += one.folders
-        print(one)
+        say(str(one))
     if not made:
         return 1 if failures else 0
     found_here = replace(batch, share=replace(batch.share, shard=ALL))  # their clips are this shard's

@@ -15,7 +15,7 @@ from getagrip.batch.share import FEW
 from getagrip.commands.evaluate import no_result, of_batch
 from getagrip.errors import InputError
 from getagrip.evaluation import evaluate, read_evaluated
-from getagrip.io.terminal import progress_bar
+from getagrip.io.terminal import progress_bar, say
 from getagrip.pages import IndexRow, row, row_without_clip, write_index, write_page
 from getagrip.result import read_record, read_result
 from getagrip.view.film import write_film
@@ -70,7 +70,7 @@ def report(paths: Sequence[Path], request: ReportRequest, workers: int | None, d
         except (InputError, OSError) as error:
             problems, written = [failure("", error)], []
         for name in written:
-            print(path / name)
+            say(str(path / name))
         for problem in problems:
             print_outcome(problem, debug)
         failed |= bool(problems)

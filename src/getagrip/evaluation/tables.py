@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from getagrip.errors import cleaned
 from getagrip.evaluation.metric import METRICS, SCA, TRUE_SCA, mean_of
 from getagrip.io.terminal import plain_table
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
@@ -70,12 +71,12 @@ def results_table(evaluations: Sequence[dict[str, Any]]) -> Table:
     results.caption_justify = "left"
     for e in evaluations:
         name = f"{e['clip']}\n{e['method']}" if len(groups) > 1 else e["clip"]
-        results.add_row(Text(name), *cells(e["metrics"]))
+        results.add_row(Text(cleaned(name, "\n")), *cells(e["metrics"]))
     if len(evaluations) > len(groups):
         results.add_section()
         for method, group in groups.items():
             of = f" ({method})" if len(groups) > 1 else ""
-            results.add_row(Text(f"mean of {len(group)}{of}"), *cells(means[method]))
+            results.add_row(Text(cleaned(f"mean of {len(group)}{of}")), *cells(means[method]))
     return results
 
 
@@ -105,7 +106,7 @@ def _table(first: str, headings: list[str]) -> Table:
     from rich.text import Text
 
     table = plain_table()
-    table.add_column(Text(first), overflow="fold", vertical="bottom")
+    table.add_column(Text(cleaned(first, "\n")), overflow="fold", vertical="bottom")
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     return table

@@ -34,6 +34,11 @@ def report(words: str) -> None:
     print(cleaned(words), file=sys.stderr)
 
 
+def say(words: str) -> None:
+    """Print a result at once; names in it move no cursor, and lines stay lines."""
+    print(cleaned(words, "\n"), flush=True)
+
+
 def console() -> Console:
     """Where tables are printed."""
     from rich.console import Console
@@ -80,4 +85,4 @@ def progress_bar(counted: bool = False) -> Iterator[Progress]:
 
 def show_stage(bar: Progress, task: TaskID, name: str, stage: str, part: float) -> None:
     """Show how far the clip at work is: its stage in words, and how much of that is done, 0 to 1."""
-    bar.update(task, description=f"{name}: {stage}", completed=part)
+    bar.update(task, description=cleaned(f"{name}: {stage}"), completed=part)
