@@ -129,3 +129,11 @@ def test_what_has_failed_is_tried_again_by_the_next_driver_but_not_by_one_that_r
         entry = later.claim("a", "options", "code")
         assert entry is not None
         assert entry.state == "open"
+
+
+def test_a_failure_of_any_length_fits_into_the_ledger(tmp_path: Path) -> None:
+    with Ledger(tmp_path) as ledger:
+        assert ledger.claim("a", "", "") is not None
+        ledger.end(Entry("a", "failed", "ß" * 2**21))
+        (entry,) = ledger.entries()
+    assert (entry.state, {*entry.why}) == ("failed", {"ß"})

@@ -197,7 +197,7 @@ def test_a_folder_that_may_not_be_written_is_named(clips: Path, run: Run, fitted
         assert fitted == []
 
 
-@pytest.mark.parametrize("how", ["foreign", "text", "endless", "row"])
+@pytest.mark.parametrize("how", ["foreign", "text", "endless", "row", "long"])
 @pytest.mark.slow
 def test_a_ledger_that_is_none_is_refused_in_one_line(
     clips: Path, tmp_path: Path, run: Run, fitted: list[str], how: str
@@ -216,6 +216,7 @@ def test_a_ledger_that_is_none_is_refused_in_one_line(
                 "foreign": "CREATE TABLE letters (text)",
                 "endless": f"CREATE VIEW tasks_of AS {endless}",
                 "row": "UPDATE tasks SET about = '['",
+                "long": f"UPDATE tasks SET about = '{{\"a\": \"{'a' * 2**20}\"}}'",
             }
             db.execute(change[how])
     status, _, err = run("reconstruct", clips, "--out", out)

@@ -29,6 +29,8 @@ TASKS = """CREATE TABLE tasks (
     claimed_by TEXT NOT NULL, ended_by TEXT NOT NULL
 ) WITHOUT ROWID"""
 SCHEMA = (TASKS, drivers.SCHEMA)
+LONGEST = 2**20
+"""Bytes of a text in the file, and of a row."""
 PATIENCE = 60.0
 """Seconds to wait for another driver's transaction."""
 State = Literal["open", "done", "failed", "kept"]
@@ -71,6 +73,7 @@ class Ledger:
         self.path = folder / FILE
         with self._named():
             self._db = sqlite3.connect(self.path, timeout=PATIENCE, isolation_level=None)
+        self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
         try:
             self._prepare()
             self._drivers = Drivers(self._db, self.path)
@@ -125,7 +128,7 @@ class Ledger:
         Of one whose result was ``kept``, what is known of its making stays.
         """
         me = {"claimed_by": "", "ended_by": self._drivers.id}
-        values = vars(entry) | {"about": json.dumps(entry.about)} | me
+        values = vars(entry) | {"why": entry.why[: LONGEST // 8], "about": json.dumps(entry.about)} | me
         ours = "name = :name AND claimed_by = :me"
         with self._transaction() as db:
             if entry.state == "kept":
