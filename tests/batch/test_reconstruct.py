@@ -216,7 +216,7 @@ def test_a_ledger_that_is_none_is_refused_in_one_line(
                 "foreign": "CREATE TABLE letters (text)",
                 "endless": f"CREATE VIEW tasks_of AS {endless}",
                 "row": "UPDATE tasks SET about = '['",
-                "long": f"UPDATE tasks SET about = '{{\"a\": \"{'a' * 2**20}\"}}'",
+                "long": "UPDATE tasks SET about = json_object('a', hex(zeroblob(524288)))",
             }
             db.execute(change[how])
     status, _, err = run("reconstruct", clips, "--out", out)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -226,14 +225,49 @@ def test_results_of_other_options_are_made_again(can_and_box: Path, tmp_path: Pa
     call = ("bench", can_and_box, "--out", tmp_path, "--workers", "1", "--methods", "static", "--clips", "1")
     assert "1 done" in run(*call, "--inits", "4")[1]
     assert "1 done" in run(*call, "--inits", "5")[1]
-    monkeypatch.setattr(trials, "_code_changed", lambda: 1.0)
-    _, out, err = run(*call, "--inits", "5")
-    assert "0 done, 1 already" in out
-    assert err == ""
-    record = next(tmp_path.glob("results/static/*/result.json"))
-    os.utime(record, (0.0, 0.0))
-    assert "1 result is older" in run(*call, "--inits", "5")[2]
+    assert "0 done, 1 already done\n" in run(*call, "--inits", "5")[1]
     assert "1 done" in run(*call, "--inits", "5", "--overwrite")[1]
+
+
+@pytest.mark.slow
+def test_what_is_done_again_is_said(can_and_box: Path, tmp_path: Path, run: Run, monkeypatch) -> None:
+    """Results of other code and damaged ones; those that other code has measured are only measured again."""
+    from getagrip.fitting import reconstruct as module
+
+    exact, made = module.reconstruct, list[str]()
+
+    def counted(clip: Any, masks: Any, options: Options) -> Any:
+        made.append(options.method)
+        return exact(clip, masks, options)
+
+    monkeypatch.setattr(module, "reconstruct", counted)
+    call = ("bench", can_and_box, "--out", tmp_path, "--workers", "1", "--methods", "static", "--clips", "1")
+    call += ("--inits", "4")
+    said = run(*call)[1]
+    assert "1 done, 0 already done\n" in said
+    (folder,) = tmp_path.glob("results/static/*")
+
+    def edited(**software: str) -> None:
+        record = json.loads((folder / "result.json").read_text())
+        record["software"] |= software
+        (folder / "result.json").write_text(json.dumps(record))
+
+    for damage in ("result.npz", "result.json"):
+        content = (folder / damage).read_bytes()
+        (folder / damage).write_bytes(content[: len(content) // 2])
+        status, said, err = run(*call)
+        assert (status, err) == (0, "")
+        assert "1 done, 0 already done; 1 done again, since what was there is damaged (" in said
+        assert read_result(folder)[1]["metrics"]
+    edited(code="0123456789abcdef")
+    assert "1 done again, since what was there is of other code\n" in run(*call)[1]
+    edited(getagrip="0.0.1")
+    assert "1 done again, since what was there is of version '0.0.1'\n" in run(*call)[1]
+    assert len(made) == 5
+    edited(evaluation="0123456789abcdef")
+    assert "1 done, 0 already done\n" in run(*call)[1]
+    assert "0 done, 1 already done\n" in run(*call)[1]
+    assert len(made) == 5
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 
+from getagrip.experiments import trials
 from getagrip.io import code
 from helpers.paths import ROOT
 
@@ -24,3 +25,11 @@ def test_parts_that_are_left_out_are_those_above_the_fit() -> None:
     assert "fitting" in used
     assert not used & {*code.ABOVE}
     assert re.fullmatch("[0-9a-f]{16}", code.fingerprint())
+
+
+def test_what_is_made_otherwise_has_a_fingerprint_of_more_files() -> None:
+    """Of changed clips and other systems: of files that are there, and each of them counts."""
+    parts = (*trials.CHANGES, *trials.SYSTEMS)
+    assert all((code.PACKAGE / part).exists() for part in parts)
+    assert len({code.fingerprint(), *map(code.fingerprint, parts)}) == len({*parts}) + 1
+    assert code.fingerprint("evaluation", "segmentation") == code.fingerprint("segmentation", "evaluation")

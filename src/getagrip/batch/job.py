@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import traceback
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
+from getagrip.batch.kept import good_result
 from getagrip.clip import input_sha256, read_clip
-from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.errors import GetagripError, InputError
 from getagrip.finding import Finding
-from getagrip.io import files
 from getagrip.probability import Probability, of_grasps
-from getagrip.result import Reconstruction, is_result, read_result, software, write_result
+from getagrip.result import Reconstruction, software, write_result
 
 if TYPE_CHECKING:
     from getagrip.fitting.options import Options
@@ -131,20 +130,11 @@ def standing(job: Job, checksum: str) -> tuple[Outcome | None, str]:
 
     ``checksum`` is that of the clip. Raises ``UsageError`` where something else is in the result's place.
     """
-    if not job.out.exists():
-        return None, ""
-    if not is_result(job.out):
-        raise UsageError(f"{job.out}: exists and is no result; it is not overwritten")
-    if job.overwrite:
-        return None, ""
-    try:
-        result, record = read_result(job.out)
-    except InputError as error:
-        return None, f"what was there is damaged ({error})"
-    other = _difference(job, record, checksum)
-    if other:
-        return None, f"what was there is of {other}"
-    return _outcome(job, "kept", f"already done in {job.out}", result, checksum), ""
+    options = asdict(job.options)
+    there, why = good_result(job.out, checksum, job.options.method, options, software(), job.overwrite)
+    if there is None:
+        return None, why
+    return _outcome(job, "kept", f"already done in {job.out}", there[0], checksum), ""
 
 
 def _outcome(job: Job, state: Literal["done", "kept"], message: str, result: Reconstruction, checksum: str) -> Outcome:
@@ -154,18 +144,3 @@ def _outcome(job: Job, state: Literal["done", "kept"], message: str, result: Rec
         probability_right_in_camera=result.probability_right_in_camera,
         inputs=checksum, status=result.status, iou=result.mean_iou, seconds=float(result.seconds.get("total", 0.0)),
     )  # fmt: skip
-
-
-def _difference(job: Job, record: dict[str, Any], checksum: str) -> str:
-    """In what the result that is there differs from the one that the job would make; empty for nothing."""
-    options = json.loads(files.to_json(asdict(job.options)))
-    now, then = software(), record["software"]
-    same = {
-        "another clip": record["input_sha256"] == checksum,
-        "another method": record["method"] == job.options.method,
-        "another seed": record["seed"] == job.options.seed,
-        "other options": record["options"] == options,
-        f"version {files.shown(then.get('getagrip'))}": then.get("getagrip") == now["getagrip"],
-        "other code": then.get("code") == now["code"],
-    }
-    return next((what for what, holds in same.items() if not holds), "")

@@ -95,7 +95,7 @@ class Bench(Command):
     json: OptionalFile = None
     """Write every number here, unrounded."""
     overwrite: Flag = False
-    """Recompute results that exist already."""
+    """Recompute good results, too. Those of other inputs, options or code, and damaged ones, are in any case."""
 
     def run(self) -> int:
         from getagrip.commands.bench import Plan, bench

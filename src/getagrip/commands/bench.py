@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -156,14 +156,16 @@ def _report(clip: Scores, variants: Sequence[Variant], debug: bool) -> int:
     for score in failed:
         print_outcome(Outcome(f"{clip.clip}: {label[score.variant]}", "failed", score.status), debug)
     done = f"{clip.made - len(failed)} done, {len(clip.scores) - clip.made} already done"
-    print(f"{clip.clip}: {done}{f', {len(failed)} failed' if failed else ''}")
+    again = Counter(score.again for score in clip.scores if score.again)
+    why = "".join(f"; {count} done again, since {reason}" for reason, count in again.items())
+    print(f"{clip.clip}: {done}{f', {len(failed)} failed' if failed else ''}{why}")
     return len(failed)
 
 
 def _write(plan: Plan, tables: Sequence[Table], scores: Sequence[Scores], variants: Sequence[Variant]) -> None:
     """Tables, every clip's numbers and the plot, into the output folder."""
     name = plan.name
-    about, settings = _about(plan, scores) + _outdated(scores), _settings(plan, scores)
+    about, settings = _about(plan, scores), _settings(plan, scores)
     written = [plan.out / f"{name}{end}" for end in ("-clips.csv", ".csv", ".md", ".tex")]
     write_clips_csv(scores, variants, written[0])
     write_csv(tables, written[1])
@@ -222,14 +224,3 @@ def _initial_poses(plan: Plan) -> str:
     but = f", but for {' and '.join(dict.fromkeys(published))}" if published else ""
     free = f"{WITH_FREE_SCALE * options.inits} where the scale is free{but}"
     return f"{options.inits} initial poses ({kind}{thorough}; {free})"
-
-
-def _outdated(scores: Sequence[Scores]) -> list[str]:
-    """A warning, also on stderr, where results may not be those of the present code."""
-    count = sum(score.outdated for clip in scores for score in clip.scores)
-    if not count:
-        return []
-    results = counted(count, "result is", "results are")
-    warning = f"{results} older than the package's files; --overwrite recomputes them"
-    print(f"warning: {warning}", file=sys.stderr)
-    return [warning]

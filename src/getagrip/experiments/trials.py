@@ -6,30 +6,34 @@ A result is kept as a result folder, its metrics in ``result.json``, so that the
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import getagrip
 from getagrip.batch.job import failure
+from getagrip.batch.kept import good_result
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import InputError
 from getagrip.evaluation.metric import SCA
 from getagrip.experiments.changes import AS_GIVEN
 from getagrip.experiments.other_systems import options_of, result_of
 from getagrip.experiments.sources import Sample
 from getagrip.experiments.variants import Variant
 from getagrip.finding import read_findings
-from getagrip.io import files
+from getagrip.io import code, files
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 from getagrip.probability import read_probability
-from getagrip.result import is_result, read_record, read_result, software, write_result
+from getagrip.result import Reconstruction, read_record, software, write_result
+
+EVALUATION = "evaluation"
+CHANGES = tuple(f"experiments/{name}.py" for name in ("changes", "hand_sources", "wrong_inputs", "wrong_masks"))
+SYSTEMS = (EVALUATION, "experiments/other_systems.py")
+"""Code that results depend on, besides that of a reconstruction: the metrics in them; those of changed clips; those of
+other systems."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +67,8 @@ class Score:
     ambiguous: bool
     status: str
     failed: bool = False
-    outdated: bool = False
-    """Whether its result existed already and is older than the package's files."""
+    again: str = ""
+    """Why it was made again, where a result was there that is no longer good."""
     serious: tuple[str, ...] = ()
     """Names of the checks that found something serious."""
     noted: tuple[str, ...] = ()
@@ -103,12 +107,11 @@ def run(trial: Trial) -> Scores:
         scores, missing = dict[str, Score](), list[Variant]()
         for variant in trial.variants:
             place = _place(trial, variant)
-            identity = _checksum(checksum, variant, clip.name)
-            record = None if trial.overwrite else _kept(place, identity, options_of(variant, clip.name))
-            if record is None or not _measured(record, trial.contacts):
+            there, _ = _good(trial, variant, clip.name, _checksum(checksum, variant, clip.name))
+            if there is None or not _measured(there[1], trial.contacts):
                 missing.append(variant)
             else:
-                scores[variant.folder] = replace(_score(variant, place, record), outdated=_outdated(place))
+                scores[variant.folder] = _score(variant, place, there[1])
         if missing:
             scores |= _made(trial, clip, missing, checksum)
     except Exception as error:  # one clip's trouble must not end the others
@@ -146,25 +149,26 @@ def _try(trial: Trial, variant: Variant, changed: tuple[Clip, Masks], masks: Mas
 
     clip, place = changed[0], _place(trial, variant)
     try:
-        kept = None if trial.overwrite else _kept(place, checksum, options_of(variant, clip.name))
-        if kept is not None:
-            result = read_result(place)[0]
+        there, why = _good(trial, variant, clip.name, checksum)
+        if there is not None:
+            result = there[0]
         elif variant.system is not None:
             result = replace(result_of(variant, *changed), options=options_of(variant, clip.name))
         else:
             result = reconstruct(*changed, variant.options)
         metrics = evaluate(result, clip, masks, trial.contacts)["metrics"]
-        write_result(result, place, checksum, metrics, clip_folder=clip.folder, overwrite=True)
+        write_result(result, place, checksum, metrics, clip.folder, overwrite=True, made_by=_made_by(variant))
     except Exception as error:
         if isinstance(error, InputError) and variant.system is None:
             raise
         return Score(variant.folder, {}, np.nan, np.nan, False, failure(clip.name, error).message, failed=True)
-    return _score(variant, place, read_record(place))
+    return replace(_score(variant, place, read_record(place)), again=why)
 
 
 def _measured(record: Mapping[str, Any], contacts: Sequence[ContactDefinition]) -> bool:
-    """Whether a result was evaluated by all these definitions of contact; else only that is done again."""
-    return all(SCA.key(contact) in record["metrics"] for contact in contacts)
+    """Whether a result was evaluated by this code, by all these definitions; else only that is done again."""
+    by_this = record["software"].get("evaluation") == code.fingerprint(EVALUATION)
+    return by_this and all(SCA.key(contact) in record["metrics"] for contact in contacts)
 
 
 def _score(variant: Variant, place: Path, record: dict[str, Any]) -> Score:
@@ -198,31 +202,17 @@ def _checksum(checksum: str, variant: Variant, clip: str) -> str:
     return hashlib.sha256(changed.encode()).hexdigest()
 
 
-def _outdated(folder: Path) -> bool:
-    """Whether a result is older than the code, which a developer may have changed within a version."""
-    return (folder / "result.json").stat().st_mtime < _code_changed()
+def _good(
+    trial: Trial, variant: Variant, clip: str, checksum: str
+) -> tuple[tuple[Reconstruction, dict[str, Any]] | None, str]:
+    """A variant's result that is there, as ``good_result``; ``checksum`` is that of the clip as the variant has it."""
+    options, place = options_of(variant, clip), _place(trial, variant)
+    return good_result(place, checksum, variant.method, options, _made_by(variant), trial.overwrite)
 
 
-@lru_cache
-def _code_changed() -> float:
-    """When the package's files were last changed."""
-    return max(file.stat().st_mtime for file in Path(getagrip.__file__).parent.rglob("*.py"))
-
-
-def _kept(folder: Path, checksum: str, options: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The record of the result that is there, if it is one of this clip, these options and this version.
-
-    Raises ``UsageError`` where something else is in its place.
-    """
-    if not folder.exists():
-        return None
-    if not is_result(folder):
-        raise UsageError(f"{folder}: exists and is no result; it is not overwritten")
-    record = read_record(folder)
-    same = (
-        record["input_sha256"] == checksum
-        and record["options"] == json.loads(files.to_json(options))
-        and record["software"].get("getagrip") == software()["getagrip"]
-        and record["metrics"]
-    )
-    return record if same else None
+def _made_by(variant: Variant) -> dict[str, str]:
+    """The software that makes a variant's result, and the code of ``evaluation`` that measures it."""
+    also = () if variant.change == AS_GIVEN else CHANGES
+    if variant.system is not None:
+        also += SYSTEMS
+    return software(*also) | {"evaluation": code.fingerprint(EVALUATION)}

@@ -1,4 +1,4 @@
-"""Which code made a result: a fingerprint of the package's files, since they change within a version."""
+"""Which code made something: a fingerprint of the package's files, since they change within a version."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ where ``reconstruct`` is; and ``evaluation``."""
 
 
 @cache
-def fingerprint() -> str:
+def fingerprint(*also: str) -> str:
     """Checksum of all files of the package that a reconstruction may depend on, 16 hexadecimal digits.
 
-    It changes with a comment, too: that a change does not matter cannot be seen from outside.
+    What is made otherwise depends on more: ``also`` are the folders and files ``ABOVE`` that it depends on, relative to
+    the package. It changes with a comment, too: that a change does not matter cannot be seen from outside.
     """
     total = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
         name = path.relative_to(PACKAGE).as_posix()
-        if name.split("/")[0] not in ABOVE:
+        if name.split("/")[0] not in ABOVE or f"{name}/".startswith(tuple(f"{part}/" for part in also)):
             content = path.read_bytes()
             total.update(f"{name}\0{len(content)}\0".encode())
             total.update(content)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -29,17 +30,19 @@ def write_result(
     metrics: dict[str, Any] | None = None,
     clip_folder: str | Path | None = None,
     overwrite: bool = False,
+    made_by: Mapping[str, str] | None = None,
 ) -> Path:
     """Write a result folder, complete or not at all, and return it.
 
     ``input_sha256`` is the checksum of the clip's files (``clip.input_sha256``), if it has any: ``getagrip evaluate``
     takes no other clip for it. ``clip_folder`` is where that command looks for the clip. With ``overwrite`` an older
-    result in ``folder`` is replaced. Raises ``UsageError`` where the folder exists otherwise.
+    result in ``folder`` is replaced. ``made_by`` is the software, by default ``software()``.
+    Raises ``UsageError`` where the folder exists otherwise.
     """
-    folder = Path(folder)
+    folder, made_by = Path(folder), made_by or software()
     with files.new_folder(folder, FILES if overwrite else ()) as new:
         arrays.write(new / "result.npz", _arrays(result))
-        files.write_json(new / "result.json", _fields(result, input_sha256, metrics, clip_folder))
+        files.write_json(new / "result.json", _fields(result, input_sha256, metrics, clip_folder, made_by))
     return folder
 
 
@@ -74,7 +77,11 @@ def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
 
 
 def _fields(
-    result: Reconstruction, input_sha256: str, metrics: dict[str, Any] | None, clip_folder: str | Path | None
+    result: Reconstruction,
+    input_sha256: str,
+    metrics: dict[str, Any] | None,
+    clip_folder: str | Path | None,
+    made_by: Mapping[str, str],
 ) -> dict[str, Any]:
     """What ``result.json`` says."""
     return {
@@ -97,7 +104,7 @@ def _fields(
         "metrics": metrics or {},
         "seconds": result.seconds,
         **({"segments": result.segments} if result.segments else {}),
-        "software": software(),
+        "software": made_by,
         "input_sha256": input_sha256,
     }
 
@@ -107,8 +114,11 @@ def _resolved(folder: str) -> str:
     return folder if "://" in folder else str(Path(folder).resolve())
 
 
-def software() -> dict[str, str]:
-    """Versions of the package, of Python, and of the libraries that the numbers depend on; and which code it is."""
+def software(*also: str) -> dict[str, str]:
+    """Versions of the package, of Python, and of the libraries that the numbers depend on; and which code it is.
+
+    ``also`` are parts of the package that a reconstruction does not depend on, but what is made does.
+    """
     packages = ("getagrip", "numpy", "scipy", "numba", "trimesh", "opencv-python-headless")
     versions = {package: metadata.version(package) for package in packages}
-    return {"python": platform.python_version(), **versions, "code": code.fingerprint()}
+    return {"python": platform.python_version(), **versions, "code": code.fingerprint(*also)}
