@@ -20,6 +20,7 @@ from getagrip.experiments.segment_trials import (
 )
 from getagrip.experiments.sources import Sample
 from getagrip.fitting.options import Options
+from getagrip.io import code
 from helpers.command_line import Run
 from helpers.table_scene import from_table
 
@@ -60,8 +61,29 @@ def test_what_the_same_code_has_found_is_kept(trial: SequenceTrial) -> None:
     record = json.loads(path.read_text())
     record["forwards"]["fits"] = [[4, 9]]
     path.write_text(json.dumps(record))
-    assert run_sequence(trial).by["forwards", "fits"].matches[0].tiou == 1.0
+    kept = run_sequence(trial)
+    assert (kept.by["forwards", "fits"].matches[0].tiou, kept.again) == (1.0, "")
     assert run_sequence(replace(trial, overwrite=True)).by["forwards", "fits"].found == 0
+
+
+@pytest.mark.slow
+def test_what_other_code_has_found_or_is_damaged_is_found_again_and_why_is_said(
+    trial: SequenceTrial, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_sequence(trial)
+    path = trial.results / "still.json"
+    path.write_bytes(path.read_bytes()[:100])
+    again = run_sequence(trial)
+    assert (again.failure, again.by["forwards", "fits"].found) == ("", 0)
+    assert again.again.startswith("what was there is damaged (")
+    assert run_sequence(trial).again == ""
+    same = code.fingerprint()
+
+    def of_other_segmentation(*also: str) -> str:
+        return "0123456789abcdef" if "segmentation" in also else same
+
+    monkeypatch.setattr(code, "fingerprint", of_other_segmentation)
+    assert run_sequence(trial).again == "what was there is of other code or other libraries"
 
 
 def test_a_sequence_that_cannot_be_read_is_a_failure(trial: SequenceTrial) -> None:

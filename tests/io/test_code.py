@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 
-from getagrip.experiments import trials
+from getagrip.experiments import segment_trials, timeline_trials, trials
 from getagrip.io import code
 from helpers.paths import ROOT
 
@@ -28,8 +28,8 @@ def test_parts_that_are_left_out_are_those_above_the_fit() -> None:
 
 
 def test_what_is_made_otherwise_has_a_fingerprint_of_more_files() -> None:
-    """Of changed clips and other systems: of files that are there, and each of them counts."""
-    parts = (*trials.CHANGES, *trials.SYSTEMS)
+    """Of changed clips, other systems, segments and timelines: of files that are there, and each of them counts."""
+    parts = (*trials.CHANGES, *trials.SYSTEMS, *segment_trials.CODE, *timeline_trials.CODE)
     assert all((code.PACKAGE / part).exists() for part in parts)
     assert len({code.fingerprint(), *map(code.fingerprint, parts)}) == len({*parts}) + 1
     assert code.fingerprint("evaluation", "segmentation") == code.fingerprint("segmentation", "evaluation")

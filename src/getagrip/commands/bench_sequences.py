@@ -19,7 +19,7 @@ from getagrip.io.terminal import report
 
 
 class Scores(Protocol):
-    """Of a sequence; ``failure`` says why there are none."""
+    """Of a sequence; ``failure`` says why there are none, ``again`` why older ones are no longer good."""
 
     def __init__(self, name: str, *, failure: str) -> None: ...
     @property
@@ -28,6 +28,8 @@ class Scores(Protocol):
     def failure(self) -> str: ...
     @property
     def trace(self) -> str: ...
+    @property
+    def again(self) -> str: ...
 
 
 T = TypeVar("T", bound=Named)
@@ -58,6 +60,8 @@ def scored(run: Callable[[T], S], kind: type[S], trials: Sequence[T], plan: Plan
         for one in ended:
             if not one.failure:
                 scores.append(one)
+                if one.again:
+                    report(f"{one.name}: done again, since {one.again}")
                 continue
             print_outcome(Outcome(one.name, "failed", one.failure, one.trace), debug)
             if plan.share.fail_fast:

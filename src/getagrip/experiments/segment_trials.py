@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from getagrip.batch.job import failure
-from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
+from getagrip.clip import Clip, Masks, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, perturbed
+from getagrip.experiments.records import kept_or_made, made_of
 from getagrip.experiments.segment_scores import Matched, Span, matched
 from getagrip.experiments.sources import Sample
 from getagrip.fitting.options import Options
 from getagrip.grasps.definition import Definition
-from getagrip.io import files
-from getagrip.result import software
 
 DIRECTIONS = ("forwards", "in reverse")
 DEFINITION = Definition(contact=0.010)
 """Of a stable grasp, as that of the truth (``datasets.dexycb.reader``)."""
 WAYS = {"fits": "fits and Eq. 2", "motion": "first to last motion"}
 """How grasps are found: ours; and what the image motion alone says, with no fit."""
+CODE = ("segmentation", "experiments/segment_trials.py")
+"""Code that what is found depends on, besides that of a reconstruction."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,8 @@ class SequenceScores:
     """Of the process, for one direction; the mean of both."""
     failure: str = ""
     trace: str = ""
+    again: str = ""
+    """Why it was made again, where what was there is no longer good."""
 
 
 def reversed_in_time(clip: Clip, masks: Masks) -> tuple[Clip, Masks]:
@@ -84,23 +87,14 @@ def _run(trial: SequenceTrial) -> SequenceScores:
     if not sample.folder.exists() and sample.make is not None:
         sample.make(sample.folder)
     path = trial.results / f"{sample.name}.json"
-    of = {
-        "inputs": input_sha256(sample.folder),
-        "software": software(),
-        "options": json.loads(files.to_json(asdict(trial.options))),
-    }
-    record = files.read_json(path) if path.exists() and not trial.overwrite else None
-    if not isinstance(record, dict) or {key: record.get(key) for key in of} != of:
-        record = {**of, **_found(trial)}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with files.new_file(path) as new:
-            files.write_json(new, record)
+    of = made_of(sample.folder, trial.options, *CODE)
+    record, again = kept_or_made(path, of, trial.overwrite, partial(_found, trial))
     for direction in DIRECTIONS:
         here = record[direction]
         seconds.append(float(here["seconds"]))
         for way in WAYS:
             by[direction, way] = matched(_spans(here["true"]), _spans(here[way]))
-    return SequenceScores(sample.name, by, float(np.mean(seconds)))
+    return SequenceScores(sample.name, by, float(np.mean(seconds)), again=again)
 
 
 def _found(trial: SequenceTrial) -> dict[str, Any]:

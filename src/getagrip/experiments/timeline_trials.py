@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from getagrip.batch.job import failure
-from getagrip.clip import input_sha256, read_clip, read_masks
+from getagrip.clip import read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
 from getagrip.errors import GetagripError
+from getagrip.experiments.records import kept_or_made, made_of
 from getagrip.experiments.sources import Sample
 from getagrip.experiments.timeline_scores import jumps, segment_scores
 from getagrip.fitting.options import Options
-from getagrip.io import files
 from getagrip.metrics.symmetry import find_symmetries
-from getagrip.result import software
 
 LEVELS: dict[str, Noise] = {
     "exact": Noise(),
@@ -27,6 +26,8 @@ LEVELS: dict[str, Noise] = {
     "ragged": NOISE["strong"],
 }
 """Noise of hands; ``ragged`` is strong noise, and that of masks, too: 1 px."""
+CODE = ("experiments/timeline_scores.py", "experiments/timeline_trials.py")
+"""Code that scores depend on, besides that of a reconstruction."""
 ALL = "all"
 """All levels, one after the other."""
 
@@ -59,6 +60,8 @@ class TimelineScores:
     """By level and way: ``segments``, ``jumps`` [m] and ``seconds`` of CPU, or ``failure``."""
     failure: str = ""
     trace: str = ""
+    again: str = ""
+    """Why it was made again, where what was there is no longer good."""
 
 
 def run_timeline(trial: TimelineTrial) -> TimelineScores:
@@ -72,23 +75,15 @@ def run_timeline(trial: TimelineTrial) -> TimelineScores:
 
 def _run(trial: TimelineTrial) -> TimelineScores:
     sample, by, category = trial.sample, dict[str, Any](), ""
-    of = {
-        "inputs": input_sha256(sample.folder),
-        "software": software(),
-        "options": json.loads(files.to_json(asdict(trial.options))),
-    }
+    of, again = made_of(sample.folder, trial.options, *CODE), dict[str, None]()
     for level in trial.levels:
         path = trial.results / level / f"{sample.name}.json"
-        record = files.read_json(path) if path.exists() and not trial.overwrite else None
-        if not isinstance(record, dict) or {key: record.get(key) for key in of} != of:
-            record = {**of, **_found(trial, level)}
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with files.new_file(path) as new:
-                files.write_json(new, record)
+        record, why = kept_or_made(path, of, trial.overwrite, partial(_found, trial, level))
+        again |= {why: None} if why else {}
         category = record["category"]
         if record["by"]:
             by[level] = record["by"]
-    return TimelineScores(sample.name, category, by)
+    return TimelineScores(sample.name, category, by, again="; ".join(again))
 
 
 def _found(trial: TimelineTrial, level: str) -> dict[str, Any]:

@@ -1,0 +1,48 @@
+"""Records of benchmarks of whole sequences: files of JSON that are kept where they would be made of the same."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from getagrip.clip import input_sha256
+from getagrip.errors import InputError
+from getagrip.fitting.options import Options
+from getagrip.io import files
+from getagrip.result import software
+
+KEYS = {"inputs": "another clip", "options": "other options", "software": "other code or other libraries"}
+"""What a record says that it was made of, and how it is called where that differs."""
+
+
+def made_of(clip: Path, options: Options, *code: str) -> dict[str, Any]:
+    """What a record is made of; ``code`` are parts of the package that a reconstruction does not depend on."""
+    given = json.loads(files.to_json(asdict(options)))
+    return {"inputs": input_sha256(clip), "options": given, "software": software(*code)}
+
+
+def kept_or_made(
+    path: Path, of: Mapping[str, Any], overwrite: bool, make: Callable[[], dict[str, Any]]
+) -> tuple[dict[str, Any], str]:
+    """The record in a file, if it is good, else one that is made and written; and why one that was there was not good.
+
+    The reason is empty where there was none, and with ``overwrite``.
+    """
+    why = ""
+    if path.exists() and not overwrite:
+        try:
+            record = files.read_json(path)
+            other = next((what for key, what in KEYS.items() if record.get(key) != of[key]), "")
+            if not other:
+                return record, ""
+            why = f"what was there is of {other}"
+        except InputError as error:
+            why = f"what was there is damaged ({error})"
+    record = {**of, **make()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with files.new_file(path) as new:
+        files.write_json(new, record)
+    return record, why
