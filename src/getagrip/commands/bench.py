@@ -103,7 +103,7 @@ def bench(plan: Plan, debug: bool) -> int:
     or there are no clips, ``GetagripError`` where the ledger cannot be written.
     """
     variants = plan.variants()
-    clips, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
+    clips, bad = samples(plan.source, plan.out / "clips", plan.count, debug, plan.share)
     for outcome in bad:
         print_outcome(outcome, debug)
     if not clips:

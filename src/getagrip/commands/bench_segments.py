@@ -36,7 +36,7 @@ def bench_segments(plan: Plan, debug: bool) -> int:
 
     Raises ``UsageError`` where the call is wrong or there are no sequences.
     """
-    found, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
+    found, bad = samples(plan.source, plan.out / "clips", plan.count, debug, plan.share)
     for outcome in bad:
         print_outcome(outcome, debug)
     if not found:

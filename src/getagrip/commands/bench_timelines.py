@@ -26,7 +26,7 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
 
     Raises ``UsageError`` where the call is wrong or no timeline has both a static segment and a stable grasp.
     """
-    found, bad = samples(plan.source, plan.out / "clips", plan.count, debug)
+    found, bad = samples(plan.source, plan.out / "clips", plan.count, debug, plan.share)
     for outcome in bad:
         print_outcome(outcome, debug)
     if not found:

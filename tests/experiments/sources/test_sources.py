@@ -9,10 +9,13 @@ from pathlib import Path
 import pytest
 
 from getagrip.batch import progress
+from getagrip.batch.limits import Limits
+from getagrip.batch.plan import Shard
+from getagrip.batch.share import Share
 from getagrip.clip import write_clip
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.experiments.sources import names_in, samples, source_of
 from getagrip.experiments.sources.recorded import Recorded
 from getagrip.experiments.sources.source import Split
@@ -68,6 +71,21 @@ def test_a_dataset_is_imported_first_which_is_said(
     assert said.startswith("shelves: all clips are imported first")
     assert "\n1 of 2 shelves, " in said
     assert "\n2 of 2 shelves, " in said
+
+
+def test_an_import_is_shared_as_the_call_is_but_for_its_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shares = list[Share]()
+
+    def imported(*given: object) -> int:
+        shares.extend(one for one in given if isinstance(one, Share))
+        return 1
+
+    monkeypatch.setattr("getagrip.batch.imports.import_clips", imported)
+    source = Shelves("shelves", root=tmp_path, split="all")
+    of_call = Share(workers=2, engine="ray", limits=Limits(60.0), shard=Shard(2, 2), ledger=tmp_path, fail_fast=True)
+    with pytest.raises(GetagripError, match="shelves: not all could be imported, and --fail-fast ends the call"):
+        samples(source, tmp_path / "clips", None, False, of_call)
+    assert shares == [Share(workers=2, engine="ray", limits=Limits(60.0), fail_fast=True)]
 
 
 def test_only_what_is_named_is_imported(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from getagrip.io import files
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
+    from getagrip.batch.share import Share
 
 SOURCES: dict[str, type[ClipSource]] = {
     "synthetic": Synthetic,
@@ -65,10 +66,13 @@ def names_in(path: Path) -> frozenset[str]:
     return names
 
 
-def samples(source: ClipSource, clips: Path, count: int | None, debug: bool) -> tuple[list[Sample], list[Outcome]]:
+def samples(
+    source: ClipSource, clips: Path, count: int | None, debug: bool, share: Share | None = None
+) -> tuple[list[Sample], list[Outcome]]:
     """The clips of a source, ``count`` of them evenly sampled, and what became of those that are none.
 
-    ``clips`` is where a source may make them. Raises ``UsageError`` for a count below 1, and as the source does.
+    ``clips`` is where a source may make them, shared out as ``share`` says.
+    Raises ``UsageError`` for a count below 1, and as the source does.
     """
     import numpy as np
 
@@ -76,7 +80,7 @@ def samples(source: ClipSource, clips: Path, count: int | None, debug: bool) -> 
 
     if count is not None and count < 1:
         raise UsageError(f"--clips: got {count}, expected 1 or more")
-    found, failed = source.samples(clips, debug)
+    found, failed = source.samples(clips, debug, share)
     if source.only is not None:
         missing = sorted(source.only - {sample.name for sample in found})
         failed += [Outcome(name, "failed", f"no such clip of {source.title}") for name in missing]

@@ -11,6 +11,7 @@ from getagrip.experiments.sources.source import ClipSource, Sample, Split
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
+    from getagrip.batch.share import Share
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class ClipFolder(ClipSource):
         contact = cut.get("contact") if isinstance(cut, dict) else None
         return super().contact_mm if contact is None else 1e3 * lists.metres(path, "cut.contact", contact)
 
-    def samples(self, clips: Path, debug: bool) -> tuple[list[Sample], list[Outcome]]:
+    def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.batch.plan import by_name
 
         found, failed = by_name([Path(self.dataset)])

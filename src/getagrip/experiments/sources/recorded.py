@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from getagrip.errors import UsageError
+from getagrip.errors import GetagripError, UsageError
 from getagrip.experiments.sources.source import ClipSource, Sample
 from getagrip.io.terminal import report
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
+    from getagrip.batch.share import Share
     from getagrip.datasets.dataset import Dataset
 
 
@@ -31,9 +32,10 @@ class Recorded(ClipSource):
         """Those of the subjects that are for training: unless a dataset says otherwise, of every three the first."""
         return sorted(subjects)[::3]
 
-    def samples(self, clips: Path, debug: bool) -> tuple[list[Sample], list[Outcome]]:
+    def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.batch.imports import import_clips
-        from getagrip.batch.plan import by_name
+        from getagrip.batch.plan import ALL, by_name
+        from getagrip.batch.share import ALONE
         from getagrip.datasets.tracks import subject_of
 
         if self.root is None:
@@ -46,7 +48,11 @@ class Recorded(ClipSource):
                 report(
                     f"{self.dataset}: all clips are imported first, and kept; --only FILE imports those that it names"
                 )
-            status = import_clips(self.reader(self.root), clips, debug, only=self.only)
+            share = share or ALONE
+            whole = replace(share, shard=ALL, ledger=None)  # every call needs all clips; their ledger is beside them
+            status = import_clips(self.reader(self.root), clips, debug, whole, self.only)
+            if status and share.fail_fast:
+                raise GetagripError(f"{self.dataset}: not all could be imported, and --fail-fast ends the call")
             if status == 0 and self.only is None:
                 done.touch()  # else what failed is tried again next time
         found, failed = by_name([clips])

@@ -11,6 +11,7 @@ from getagrip.errors import UsageError
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
+    from getagrip.batch.share import Share
 
 Split = Literal["train", "test", "all"]
 
@@ -51,8 +52,10 @@ class ClipSource:
         """Within how much of the hand's surface points of the object are in contact, unless the user says [mm]."""
         return 10.0
 
-    def samples(self, clips: Path, debug: bool) -> tuple[list[Sample], list[Outcome]]:
-        """The clips, and what became of folders that are none. Clips that must be made go to the folder ``clips``.
+    def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
+        """The clips, and what became of folders that are none. Clips that must be made go to the folder ``clips``,
+        all of them, whatever the shard of ``share``, which says who makes those of recordings; by
+        default as that of a call without options.
 
         Raises ``UsageError`` where an option is wrong or missing, or where ``clips`` holds those of another source;
         ``InputError`` where there are no clips.

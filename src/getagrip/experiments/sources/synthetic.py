@@ -11,6 +11,7 @@ from getagrip.experiments.sources.source import ClipSource, Sample
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
+    from getagrip.batch.share import Share
     from getagrip.datasets.synthetic.scene_options import SceneOptions
 
 
@@ -25,7 +26,7 @@ class Synthetic(ClipSource):
     def description(self) -> str:
         return f"{self.dataset}, {self.preset}"
 
-    def samples(self, clips: Path, debug: bool) -> tuple[list[Sample], list[Outcome]]:
+    def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.datasets.synthetic.scene import clip_name
         from getagrip.datasets.synthetic.splits import SEEDS, split
 
