@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import av
 import cv2
@@ -13,8 +13,11 @@ from numpy import ndarray
 
 from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labelled import make
+from getagrip.annotate.labelling import Grasp
 from getagrip.annotate.labels import FRONT, OBJECT, FrameLabels, Labels
+from getagrip.annotate.marks import Mark
 from getagrip.annotate.steadied_hands import steadied
+from getagrip.annotate.tasks import Task
 from getagrip.clip import read_clip, read_masks
 from getagrip.clip.intrinsics import Lens
 from getagrip.errors import UsageError
@@ -24,6 +27,7 @@ from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.hands import generic
+from getagrip.io.files import is_plain_name
 from helpers.clips import box
 from helpers.command_line import Run
 from helpers.folders import contents
@@ -171,3 +175,22 @@ def test_too_little_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
         with pytest.raises(UsageError, match=words):
             make(Labels("a.mp4", SIZE, "right", 25.0, 0, 1, frames), image, Lens(), tmp_path / "made")
     assert not list(tmp_path.iterdir())
+
+
+def test_grasps_of_long_names_that_are_alike_have_files_of_their_own() -> None:
+    """What tells them apart stands behind where a name is cut; or is no letter that a file may have."""
+    footage: Any = None
+    videos = ("v" * 150, "v" * 150 + "w", "a b", "a/b")
+    ends = (70, 80)
+    grasps = [
+        Grasp(
+            Task("key", video, None),
+            footage,
+            Mark("m", "key", "ann", 10, end, "right", start_number=10, end_number=end),
+        )
+        for video in videos
+        for end in ends
+    ]
+    names = {grasp.name for grasp in grasps}
+    assert len(names) == len(videos) * len(ends)
+    assert all(is_plain_name(name) and len(name) < 120 for name in names)

@@ -1,15 +1,17 @@
 """The summary of a batch, and what it prints of names."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from getagrip.batch.clips import expected
 from getagrip.clip import input_sha256, write_clip
-from getagrip.result import write_result
+from getagrip.result import read_result, write_result
 from helpers.command_line import Run
 from helpers.egg_and_mug import egg_and_mug, perfect
+from helpers.folders import results_in
 
 RED = "bad\x1b[31mRED\x07"
 """The name of a folder that colours what follows, and rings."""
@@ -52,3 +54,16 @@ def test_what_results_say_moves_no_cursor(tmp_path: Path, run: Run) -> None:
     status, out, err = run("export", folders[0].parent, "--to", "glb")
     assert (status, err) == (0, "")
     assert r"bad\x1b[31mRED" in out
+
+
+@pytest.mark.slow
+def test_two_workers_have_the_same_bits_as_one(can_and_box: Path, tmp_path: Path, run: Run) -> None:
+    call = ("reconstruct", can_and_box, "--method", "static", "--inits", "4")
+    found = []
+    for workers in ("1", "2"):
+        out = tmp_path / workers
+        assert run(*call, "--out", out, "--workers", workers)[0] == 0
+        read = [read_result(folder) for folder in results_in(out)]
+        found.append([(replace(result, seconds={}), record | {"seconds": {}}) for result, record in read])
+    assert len(found[0]) == 2
+    assert found[0] == found[1]

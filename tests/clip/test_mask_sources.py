@@ -121,6 +121,12 @@ def test_missing_frames_are_named(tmp_path: Path, refused: Callable[..., str]) -
     refused(lambda: open_masks(folder, MaskRequest(FRAMES, SIZE)), "second mask")
 
 
+@pytest.mark.parametrize("key", ["object", "labels"])
+def test_an_array_of_one_number_is_refused(tmp_path: Path, refused: Callable[..., str], key: str) -> None:
+    arrays.write(tmp_path / "m.npz", {key: np.array(1)})
+    refused(lambda: open_masks(tmp_path / "m.npz", MaskRequest(FRAMES, SIZE)), key, "of shape ()", "(n, H, W)")
+
+
 @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 @pytest.mark.slow

@@ -11,9 +11,12 @@ import pytest
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError, UsageError
+from getagrip.geometry import mesh as meshes
+from getagrip.geometry.mesh import Mesh
 from getagrip.probability import Probability
 from getagrip.result import Axis
 from getagrip.view.report import TILES, report_figure, write_report
+from getagrip.view.shown import View
 from getagrip.view.style import AXIS, FOUND, TRUE
 from helpers.pictures import panel, pixels, pixels_of, read_picture, texts
 from helpers.scenes import scene_with_axis
@@ -68,6 +71,22 @@ def test_results_without_axis_truth_masks_or_many_frames(with_masks: bool) -> No
     tile = panel(pixels(figure), figure.axes[0])
     assert pixels_of(tile, FOUND) > 0
     assert (pixels_of(tile, "#7e9eb8") > 0) == with_masks  # the observed mask
+
+
+@pytest.mark.slow
+def test_triangles_that_share_no_corners_are_drawn_by_a_mesh_of_fewer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They have three corners each, so that even 100 000 of them are too many."""
+    clip, masks, axis = given()
+    whole = clip.mesh
+    soup = Mesh(whole.vertices[whole.faces].reshape(-1, 3), np.arange(whole.faces.size).reshape(-1, 3))
+    monkeypatch.setattr(meshes, "MOST_FACES", len(soup.faces))
+    clip = replace(clip, mesh=soup)
+    result = true_result(clip, axis)
+    drawn = View.of(result, clip, masks).clip.mesh
+    assert len(drawn.vertices) <= len(soup.faces) < len(soup.vertices)
+    assert write_report(result, clip, masks, tmp_path / "report.png").stat().st_size > 10_000
 
 
 def test_an_unknown_method_is_refused(tmp_path: Path) -> None:

@@ -45,6 +45,23 @@ def test_a_folder_of_synthetic_clips_belongs_to_one_preset(tmp_path: Path) -> No
         samples(source_of("synthetic", preset="wild"), clips, None, debug=False)
 
 
+def test_a_folder_that_could_not_be_claimed_is_nobodys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An empty note would be a damaged file to every later call."""
+
+    def torn(path: Path, _: object) -> None:
+        path.write_text('{"dataset"')
+        raise OSError("no space left")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("getagrip.io.files.write_json", torn)
+        with pytest.raises(OSError, match="no space left"):
+            source_of("synthetic", preset="wild").claim(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    source_of("synthetic").claim(tmp_path)
+    with pytest.raises(UsageError, match="holds clips of another dataset"):
+        source_of("synthetic", preset="wild").claim(tmp_path)
+
+
 def test_names_are_read_one_a_line(tmp_path: Path) -> None:
     path = tmp_path / "names.txt"
     path.write_text("b--1\r\n\n a \n")
