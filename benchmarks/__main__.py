@@ -8,6 +8,7 @@ from benchmarks import (
     against_deodr,
     beside_commit,
     busy_neighbour,
+    cpus,
     large_meshes,
     page,
     reconstruct_speed,
@@ -25,6 +26,7 @@ SECTIONS = {
     "against-deodr": against_deodr.section,
     "scaling": scaling.section,
     "segment-speed": segment_speed.section,
+    "cpus": cpus.section,
 }
 
 
