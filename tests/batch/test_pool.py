@@ -17,7 +17,7 @@ from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.pool import in_processes, shared_out
 from getagrip.batch.processes import Processes
 from getagrip.errors import UsageError
-from helpers.jobs import dies_once, greedy, patient, work
+from helpers.jobs import dies_once, greedy, patient, slow_start, work
 from helpers.paths import import_path
 
 
@@ -73,6 +73,15 @@ def test_a_job_that_takes_too_long_is_ended_and_the_others_go_on() -> None:
     assert {job: ended.result for job, ended in ends.items()} == {"a": "a", "b": "b", "c": "c", "slow": None}
     assert ends["slow"].why == "it took longer than 0.5 s (--limit-seconds)"
     assert ends["slow"].attempts == 1
+
+
+@pytest.mark.slow
+def test_what_a_process_does_before_its_first_job_counts_for_no_limit() -> None:
+    limits = Limits(seconds=0.5)
+    ends = shared_out(Processes(2, patient, limits, slow_start), ["a", "b", "c"], limits)
+    assert sorted((ended.job, ended.result, ended.seconds < 0.5) for ended in ends) == [
+        ("a", "a", True), ("b", "b", True), ("c", "c", True),
+    ]  # fmt: skip
 
 
 @pytest.mark.slow

@@ -36,6 +36,11 @@ def patient(job: str) -> str:
     return job
 
 
+def slow_start() -> None:
+    """Runs in another process before its first job: takes longer than the limit of a job is."""
+    time.sleep(1.0)
+
+
 def greedy(gigabytes: float) -> str:
     """Runs in another process: takes so much memory, and says whether it got it."""
     try:

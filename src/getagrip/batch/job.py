@@ -74,8 +74,11 @@ def failure(name: str, error: Exception) -> Outcome:
 
 
 def load() -> None:
-    """Load what every reconstruction needs, before its time counts."""
-    import getagrip.fitting.reconstruct  # noqa: F401
+    """Load what every reconstruction needs, and have it compiled, before its time counts."""
+    from getagrip.batch.compiled import compile_once
+
+    compile_once()
+    import getagrip.timelines.reconstruct  # noqa: F401
 
 
 def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:

@@ -1,0 +1,50 @@
+"""Locks on files and folders. The kernel drops a lock with the process that holds it, however that ends."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # no POSIX: nothing is locked
+    fcntl = None  # type: ignore[assignment]
+
+KNOWN = fcntl is not None
+"""Whether there are locks here."""
+
+
+@contextmanager
+def held(path: Path) -> Iterator[None]:
+    """Within it this process has the lock of a file or folder, for which it waits; or none, where it cannot be had."""
+    lock = locked(path, wait=True)
+    try:
+        yield
+    finally:
+        release(lock)
+
+
+def locked(path: Path, wait: bool) -> int | None:
+    """A descriptor that locks a file or folder until it is closed; None where it cannot be locked.
+
+    Raises ``OSError`` where it is not there, and where it is locked already and we do not ``wait``.
+    """
+    if fcntl is None:
+        return None
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+    except OSError:
+        os.close(descriptor)
+        if wait:  # a file system without locks
+            return None
+        raise
+    return descriptor
+
+
+def release(lock: int | None) -> None:
+    """Give back what ``locked`` has returned."""
+    if lock is not None:
+        os.close(lock)
