@@ -10,9 +10,9 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from getagrip.batch.engine import Engine
+from getagrip.batch.engine import Engine, Named
 from getagrip.batch.job import Job, Outcome, load, reconstruct_one
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.ledger_place import ledger_folder
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from getagrip.fitting.options import Options
+
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
             crew=batch.share.crew(len(plan)),
             limits=batch.share.limits,
             prepare=load,
-            in_this=partial(_shown, bar, work),
+            in_this=partial(shown, bar, work),
         )
         outcomes = engine.run(jobs, ledger)
         with closing(outcomes):
@@ -151,8 +153,8 @@ def _lost(job: Job | StreamedJob, why: str) -> Outcome:
     return Outcome(job.name, "failed", why)
 
 
-def _shown(bar: Progress, work: Callable[..., Outcome], job: Job | StreamedJob) -> Outcome:
-    """Reconstruct a clip in this process, with a bar for it."""
+def shown(bar: Progress, work: Callable[..., R], job: Named) -> R:
+    """Do the work on a clip in this process, with a bar for it."""
     stage = bar.add_task("", total=1.0)
     try:
         return work(job, partial(show_stage, bar, stage, job.name))

@@ -1,4 +1,4 @@
-"""Work on each of some clips, on several cores, while a bar shows it: of segment, study and --find-grasps."""
+"""Work on each of some clips, on several cores, while a bar shows it: of segment and study."""
 
 from __future__ import annotations
 

@@ -3,47 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
-from getagrip.batch.clips import Batch, reconstruct_clips
-from getagrip.batch.job import Outcome, Progress, failure
-from getagrip.batch.plan import ALL
-from getagrip.clip import read_clip, read_masks
-from getagrip.commands.each_clip import each_clip
+from getagrip.batch.clips import Batch, print_outcome, reconstruct_clips, shown
+from getagrip.batch.engine import Engine
+from getagrip.batch.found import FindJob, FoundClip, entry_of, find_one, lost
+from getagrip.batch.job import load
+from getagrip.batch.ledger import Ledger
+from getagrip.batch.plan import ALL, by_name
+from getagrip.batch.progress import Pace
+from getagrip.batch.share import Share
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
-from getagrip.io.terminal import say
+from getagrip.io import leftovers
+from getagrip.io.terminal import progress_bar, report
 from getagrip.timelines.reconstruct import METHOD
 
 CLIPS = "clips"
 """Where the clips with their segments, or the grasps' own clips, go, in the folder of the results."""
-
-
-@dataclass(frozen=True)
-class FindJob:
-    """A clip to find segments in."""
-
-    clip: Path
-    to: Path
-    options: Options
-    alone: bool
-    """Whether each grasp becomes a clip of its own, or the whole a timeline."""
-
-
-@dataclass(frozen=True)
-class FoundClip:
-    """What was found in a clip, as clips."""
-
-    clip: str
-    folders: tuple[Path, ...]
-    spans: tuple[str, ...]
-    """First and last frame of each, in words."""
-    notes: tuple[str, ...]
-
-    def __str__(self) -> str:
-        found = f"stable grasps in {', '.join(self.spans)}" if self.spans else "no stable grasp"
-        return f"{self.clip}: {'; '.join([found, *self.notes])}"
 
 
 def reconstruct_found(
@@ -52,37 +32,50 @@ def reconstruct_found(
     """Find the segments of clips in their masks and reconstruct each clip as a timeline into ``out/<clip>/``.
 
     With ``alone`` its stable grasps instead, each by itself, into ``out/<clip>--<n>/``; a clip without a grasp is no
-    failure then. The clips that are reconstructed are written to ``out/clips``. Returns 1 if any failed. Raises
-    ``UsageError`` as ``reconstruct_clips`` does, and for another method than timelines have.
+    failure then. The clips that are reconstructed are written to ``out/clips``, which has a ledger of its own, and kept
+    there also where results are made again. Returns 1 if any failed. Raises as ``reconstruct_clips`` does, and
+    ``UsageError`` for another method than timelines have.
     """
     if not alone and options.method != METHOD:
         raise UsageError(f"--method: got {options.method}, expected {METHOD}, or any with --cut-grasps")
-
-    def job(name: str, folder: Path) -> FindJob | None:
-        return FindJob(folder, out / CLIPS, options, alone) if name in batch.share.shard else None
-
-    found, failures = each_clip(paths, job, find_one, batch.share.workers, debug)
-    made: list[Path] = []
-    for one in found:
-        made += one.folders
-        say(str(one))
-    if not made:
+    if not paths:
+        raise UsageError("CLIP: name at least one clip")
+    share = batch.share
+    clips, failed = by_name(paths)
+    for outcome in failed:
+        print_outcome(outcome, debug)
+    named = [(name, folder) for name, folder in clips.items() if name in share.shard]
+    jobs = [FindJob(name, folder, out / CLIPS, options, alone) for name, folder in named]
+    found = [] if share.fail_fast and failed else _find(jobs, out, share, debug)
+    failures = len(failed) + len(jobs) - len(found)
+    made = [folder for one in found for folder in one.folders]
+    if not made or (share.fail_fast and failures):
         return 1 if failures else 0
-    found_here = replace(batch, share=replace(batch.share, shard=ALL))  # their clips are this shard's
+    found_here = replace(batch, share=replace(share, shard=ALL))  # their clips are this shard's
     return max(int(failures > 0), reconstruct_clips(made, out, options, found_here, debug))
 
 
-def find_one(job: FindJob, progress: Progress = lambda *_: None) -> FoundClip | Outcome:
-    """Find the segments of one clip and write them; or how it failed. Raises nothing."""
-    from getagrip.segmentation.cut import write_grasps, write_timeline
-    from getagrip.segmentation.found import find_segments
-
-    try:
-        clip = read_clip(job.clip)
-        masks = read_masks(clip)
-        found = find_segments(clip, masks, options=job.options, progress=lambda part: progress("grasps", part))
-        spans = tuple(f"frames {clip.frames[first]} to {clip.frames[last]}" for first, last in found.grasps)
-        write = write_grasps if job.alone else write_timeline
-        return FoundClip(clip.name, tuple(write(clip, masks, found, job.to)), spans, found.notes)
-    except Exception as error:  # one clip's trouble must not end the others
-        return failure(job.clip.name, error)
+def _find(jobs: Sequence[FindJob], out: Path, share: Share, debug: bool) -> list[FoundClip]:
+    """What is found in each clip, in their order, without those that fail; all of it is printed."""
+    if not jobs:
+        return []
+    found: dict[str, FoundClip] = {}
+    with Ledger((share.ledger or out) / CLIPS) as ledger, progress_bar() as bar:
+        leftovers.sweep(out / CLIPS)
+        pace = Pace(bar, "clips", len(jobs))
+        engine = Engine(
+            work=find_one, lost=lost, entry=entry_of, options=[asdict(jobs[0].options), jobs[0].alone],
+            crew=share.crew(len(jobs)), limits=share.limits, prepare=load, in_this=partial(shown, bar, find_one),
+        )  # fmt: skip
+        with closing(engine.run(jobs, ledger)) as ends:
+            for one in ends:
+                pace.count(entry_of(one).state)
+                if isinstance(one, FoundClip):
+                    print(one)
+                    found[one.clip] = one
+                    continue
+                print_outcome(one, debug)
+                if share.fail_fast:
+                    report("--fail-fast: no other clip is begun")
+                    break
+    return [found[job.name] for job in jobs if job.name in found]

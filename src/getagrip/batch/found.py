@@ -1,0 +1,132 @@
+"""The segments of one uncut clip, found and written as clips, unless what is there is good.
+
+Beside the clips stands a record of what they were made from, written last: what is done is seen from it and from them.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from getagrip.batch.job import Outcome, Progress, failure
+from getagrip.batch.ledger import Entry
+from getagrip.clip import input_sha256, read_clip, read_masks
+from getagrip.errors import InputError
+from getagrip.fitting.options import Options
+from getagrip.io import code, files
+
+OTHER = {"input_sha256": "another clip", "options": "other options", "code": "other code"}
+"""In what an earlier record may differ, by its key."""
+
+
+@dataclass(frozen=True)
+class FindJob:
+    """A clip to find segments in."""
+
+    name: str
+    clip: Path
+    to: Path
+    """The folder that gets the clips."""
+    options: Options
+    alone: bool
+    """Whether each grasp becomes a clip of its own, or the whole a timeline."""
+
+    @property
+    def record(self) -> Path:
+        """What says from what the clips were made, and which they are."""
+        return self.to / f"{self.name}.{'grasps' if self.alone else 'timeline'}.json"
+
+    def made_from(self, checksum: str) -> dict[str, Any]:
+        """All that decides what is found, as JSON values; ``checksum`` is that of the clip."""
+        from getagrip.segmentation.held import METHOD
+
+        options = asdict(replace(self.options, method=METHOD, every_frame=True))  # of both, the user's does not matter
+        made_from = {"input_sha256": checksum, "options": options, "code": code.fingerprint("segmentation")}
+        return dict(json.loads(files.to_json(made_from)))
+
+
+@dataclass(frozen=True)
+class FoundClip:
+    """What was found in a clip, as clips."""
+
+    clip: str
+    state: Literal["done", "kept"]
+    folders: tuple[Path, ...]
+    spans: tuple[str, ...]
+    """First and last frame of each stable grasp, in words."""
+    notes: tuple[str, ...]
+    inputs: str
+    """Checksum of the clip."""
+    why: str = ""
+    """Why it was found again."""
+
+    def __str__(self) -> str:
+        found = f"stable grasps in {', '.join(self.spans)}" if self.spans else "no stable grasp"
+        how = ["found before"] * (self.state == "kept") + [f"found again, since {self.why}"] * bool(self.why)
+        return f"{self.clip}: {'; '.join([found, *self.notes, *how])}"
+
+
+def find_one(job: FindJob, progress: Progress = lambda *_: None) -> FoundClip | Outcome:
+    """Find the segments of one clip and write them; or how it failed. Raises nothing."""
+    try:
+        checksum = input_sha256(job.clip)
+        there, why = _standing(job, checksum)
+        return _found(job, checksum, why, progress) if there is None else there
+    except Exception as error:  # one clip's trouble must not end the others
+        return failure(job.name, error)
+
+
+def lost(job: FindJob, why: str) -> FoundClip | Outcome:
+    """What becomes of a clip that no process could do."""
+    return Outcome(job.name, "failed", why)
+
+
+def entry_of(found: FoundClip | Outcome) -> Entry:
+    """What the ledger is to say of a clip."""
+    if isinstance(found, Outcome):
+        return Entry(found.name, "failed", found.message)
+    about = {"clips": [folder.name for folder in found.folders]}
+    return Entry(found.clip, found.state, "; ".join(found.notes), inputs=found.inputs, about=about)
+
+
+def _found(job: FindJob, checksum: str, why: str, progress: Progress) -> FoundClip:
+    """Find and write. Raises ``InputError`` where the clip is bad, or changes meanwhile."""
+    from getagrip.segmentation.cut import write_grasps, write_timeline
+    from getagrip.segmentation.found import find_segments
+
+    clip = read_clip(job.clip)
+    masks = read_masks(clip)
+    found = find_segments(clip, masks, options=job.options, progress=lambda part: progress("grasps", part))
+    if input_sha256(job.clip) != checksum:
+        raise InputError(job.clip, "", "files that changed while they were read", "a clip that stays as it is")
+    folders = tuple((write_grasps if job.alone else write_timeline)(clip, masks, found, job.to))
+    spans = tuple(f"frames {clip.frames[first]} to {clip.frames[last]}" for first, last in found.grasps)
+    clips = {folder.name: input_sha256(folder) for folder in folders}
+    with files.new_file(job.record) as part:
+        files.write_json(part, {**job.made_from(checksum), "clips": clips, "spans": spans, "notes": found.notes})
+    return FoundClip(job.name, "done", folders, spans, found.notes, checksum, why)
+
+
+def _standing(job: FindJob, checksum: str) -> tuple[FoundClip | None, str]:
+    """What was found before, if it is there and good, else None and why it is not.
+
+    Good is what was made from the same clip, with the same options, by the same code, and has not changed since.
+    """
+    if not job.record.exists():
+        return None, ""
+    try:
+        there = files.read_json(job.record)
+        now = job.made_from(checksum)
+        if other := [what for key, what in OTHER.items() if there.get(key) != now[key]]:
+            return None, f"what was there is of {other[0]}"
+        clips, spans, notes = (there.get(key) for key in ("clips", "spans", "notes"))
+        if not (isinstance(clips, dict) and isinstance(spans, list) and isinstance(notes, list)):
+            return None, f"what was there is damaged ({job.record})"
+        folders = tuple(job.to / name for name in clips if files.is_plain_name(name))
+        if {folder.name: input_sha256(folder) for folder in folders} != clips:
+            return None, "what was there has been changed"
+    except InputError as error:
+        return None, f"what was there is damaged ({error})"
+    return FoundClip(job.name, "kept", folders, tuple(map(str, spans)), tuple(map(str, notes)), checksum), ""
