@@ -19,7 +19,7 @@ from getagrip.batch.share import Share
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
 from getagrip.io import leftovers
-from getagrip.io.terminal import progress_bar, report
+from getagrip.io.terminal import progress_bar, report, say
 from getagrip.timelines.reconstruct import METHOD
 
 CLIPS = "clips"
@@ -71,7 +71,7 @@ def _find(jobs: Sequence[FindJob], out: Path, share: Share, debug: bool) -> list
             for one in ends:
                 pace.count(entry_of(one).state)
                 if isinstance(one, FoundClip):
-                    print(one)
+                    say(str(one))
                     found[one.clip] = one
                     continue
                 print_outcome(one, debug)
