@@ -17,6 +17,7 @@ from getagrip.datasets.dataset import Note
 from getagrip.datasets.tracks import Source, Track
 from getagrip.errors import InputError, UsageError
 from getagrip.experiments.durations import durations, of_list
+from getagrip.experiments.sources import source_of
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps import lists
@@ -163,6 +164,11 @@ def test_every_command_takes_the_same_list(tmp_path: Path, run: Run) -> None:
         lists_made.append(out / "grasps.json")
     grasps = [lists.read(path).grasps for path in (*lists_made, tmp_path / "segment" / "segments.csv")]
     assert {(one.sequence, one.first, one.last) for found in grasps for one in found} == {(NAME, "00047", "00067")}
+    # The contact is that of whoever read the list: an importer's (here ARCTIC's), or the command's options.
+    assert lists.read_cut(lists_made[0]) == {
+        "list": "marked.json", "sha256": lists.read(marked).sha256, "contact": 0.0, "points": "vertices",
+    }  # fmt: skip
+    assert source_of(str(tmp_path / "clips")).contact_mm == 0.0
     # What one of them wrote, the others read.
     again = OneTrack(grasps=GraspOptions(listed=tmp_path / "segment" / "segments.csv"))
     assert import_clips(again, tmp_path / "again", debug=False) == 0

@@ -35,10 +35,11 @@ class Cut:
         return self.definition.description if self.listed is None else f"the grasps of {self.listed.file}"
 
     def record(self) -> dict[str, Any]:
-        """What identifies it, as JSON values."""
+        """What identifies it, as JSON values; of a list also what counts as contact in the grasps."""
         if self.listed is None:
             return asdict(self.definition)
-        return {"list": self.listed.file, "sha256": self.listed.sha256}
+        contact = {"contact": self.definition.contact, "points": self.definition.points}
+        return {"list": self.listed.file, "sha256": self.listed.sha256} | contact
 
     def of(
         self, clip: Clip, progress: Callable[[float], None] = lambda _: None
