@@ -40,6 +40,31 @@ def test_learning_from_folders(folder: Path, tmp_path: Path, capsys: pytest.Capt
     assert len(poses_for(clip, Options(init="clusters", priors=priors.given(out, "clusters")))[0]) == 2
 
 
+def test_poses_as_a_folder_are_those_of_all_grasps(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call = ["init", "learn", *map(str, (folder / "a", folder / "b", "--out", tmp_path / "poses.npz"))]
+    assert main([*call, "--as-folder", str(tmp_path / "poses")]) == 0
+    assert "does not say what they were learnt from" in capsys.readouterr().out
+    options = Options(init="priors", priors=priors.given(tmp_path / "poses", "priors"))
+    assert len(poses_for(read_clip(folder / "a"), options)[0]) == 2
+    assert main([*call, "--as-folder", str(tmp_path / "poses")]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_clip_without_poses_fails_where_they_stand_alone(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["init", "learn", str(folder / "a"), "--out", str(tmp_path / "poses.npz")]) == 0
+    args = ["--out", tmp_path / "out", "--init", "clusters", "--priors", tmp_path / "poses.npz", "--priors-only"]
+    assert main(["reconstruct", *map(str, (folder / "a", *args))]) == 1
+    printed = capsys.readouterr().err
+    assert "no poses of box in a right hand without 1 grasp of its own subject" in printed
+    assert main(["reconstruct", str(folder / "a"), "--out", str(tmp_path / "out"), "--priors-only"]) == 2
+    assert "--priors-only" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("args", "status", "word"),
     [

@@ -14,10 +14,13 @@ from getagrip.clip import Clip
 from getagrip.errors import InputError, UsageError
 from getagrip.fitting import pose_priors as priors
 from getagrip.fitting.initial_poses import initial_poses
-from getagrip.fitting.learn_priors import LearntGrasps, hold
+from getagrip.fitting.learn_priors import LearntGrasps, Priors, hold
+from getagrip.fitting.methods.all_frames import initial_of
+from getagrip.fitting.methods.homan import object_tracks
 from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.fitting.pose_priors import poses_for, read_folder, read_learnt
 from getagrip.fitting.problem import prepare
+from getagrip.fitting.reconstruct import uncalibrated
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io.counts import counted
@@ -94,6 +97,25 @@ def test_given_poses_come_first_then_even_rotations() -> None:
     assert np.array_equal(starts.R[3:], even.R)
     assert np.array_equal(starts.centre[3:], even.centre)
     assert np.array_equal(initial_poses(clip, masks, 2, 5, poses).R, poses[:2, :3, :3])
+
+
+@pytest.mark.slow
+def test_given_poses_may_stand_alone(tmp_path: Path, refused: Callable[..., str]) -> None:
+    """At most as many as ``inits``, and no uniform ones; an object without any is an error, not a uniform search."""
+    filled = poses_file(tmp_path / "poses.npz", held("a", "Ann"), held("b", "Bob", 1))
+    assert filled.priors is not None
+    alone = replace(filled, priors=replace(filled.priors, alone=True), method="static")
+    problem = prepare(held("c"), small_clip()[1], alone)
+    assert "started from 2 poses of poses.npz, and no others" in problem.notes
+    assert problem.inits == 2
+    for start in (initial_of(problem), object_tracks(problem)[0]):
+        assert start.log_scale.shape == (2,)
+    assert np.array_equal(initial_of(problem).R, poses_for(held("c"), filled)[0][:, :3, :3])
+    assert prepare(held("c"), small_clip()[1], replace(alone, inits=1)).inits == 1
+    refused(lambda: poses_for(replace(held("c"), side="left"), alone), "no poses of box in a left hand", "some")
+    apart = replace(filled, priors=replace(poses_file(tmp_path / "own.npz", held("a", "Ann")).priors, alone=True))
+    refused(lambda: poses_for(held("d", "Ann"), apart), "own.npz", "without 1 grasp of its own subject")
+    assert "without uniform rotations" in uncalibrated(replace(alone, method="soft-hinge", inits=50), ())
 
 
 def test_a_file_that_has_changed_since_it_was_named_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
@@ -175,6 +197,22 @@ def test_a_folder_of_poses_by_category_and_side_is_read(tmp_path: Path, refused:
     ):
         np.save(tmp_path / "mug" / "left_a.npy", bad)
         refused(lambda: read_folder(tmp_path), "left_a.npy", *words)
+
+
+def test_poses_learnt_are_written_as_a_folder(tmp_path: Path) -> None:
+    clips = [held(name, "Ann", n, "mug" if n % 2 else "box") for n, name in enumerate("abcdef")]
+    learnt = LearntGrasps(tuple(hold(clip) for clip in clips)).poses()
+    learnt.write(tmp_path / "poses")
+    assert sorted(path.name for path in (tmp_path / "poses" / "mug").iterdir()) == [
+        "right_000.npy", "right_001.npy", "right_002.npy",
+    ]  # fmt: skip
+    again = read_folder(tmp_path / "poses")
+    for category in ("box", "mug"):
+        np.testing.assert_allclose(again.of(category, "right"), learnt.of(category, "right"), atol=1e-12)
+    for category, folder in (("box", "poses"), ("../mug", "other")):
+        with pytest.raises(UsageError, match=folder):
+            Priors((category,), ("left",), learnt.T_hand_obj[:1]).write(tmp_path / folder)
+    assert not (tmp_path / "other").exists()
 
 
 @needs(REAL)

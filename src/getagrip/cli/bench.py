@@ -77,6 +77,8 @@ class Bench(Command):
     """Initial poses, as for reconstruct."""
     priors: OptionalFile = None
     """For clusters and priors: the file or folder, as for reconstruct."""
+    priors_only: Flag = False
+    """Start from these poses alone, as for reconstruct."""
     inits: Inits = 50
     """Number of initial poses, twice as many where the scale is free; more is slower and safer."""
     every_frame: Flag = False
@@ -108,7 +110,7 @@ class Bench(Command):
         )  # fmt: skip
         options = Options(
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
-            priors=priors_of(self.priors, self.init), hands=hands_of(self.given_hands),
+            priors=priors_of(self.priors, self.init, self.priors_only), hands=hands_of(self.given_hands),
             masks=masks_of(self.given_masks), mesh=mesh_of(self.given_mesh), every_frame=self.every_frame,
         )  # fmt: skip
         if isinstance(source, Timelines):

@@ -77,8 +77,10 @@ def mesh_of(given: bool) -> GivenMesh:
     return "as-given" if given else "fitted"
 
 
-def priors_of(path: Path | None, init: Init) -> PriorsFile | None:
+def priors_of(path: Path | None, init: Init, alone: bool) -> PriorsFile | None:
     """The starting poses that the user names, identified."""
+    if init == "uniform" and alone:
+        raise UsageError("--priors-only: got it with uniform rotations only, expected --init clusters or priors")
     if init == "uniform" and path is not None:
         raise UsageError(f"--priors: got {path}, expected none without --init clusters or priors")
     if path is None:
@@ -87,4 +89,4 @@ def priors_of(path: Path | None, init: Init) -> PriorsFile | None:
         return None
     from getagrip.fitting import pose_priors as priors
 
-    return priors.given(path, init)
+    return priors.given(path, init, alone)

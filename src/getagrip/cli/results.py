@@ -63,6 +63,9 @@ class Reconstruct(Command):
     category and side, as the authors of the paper keep theirs (priors), and even ones for the rest."""
     priors: OptionalFile = None
     """For clusters, the file that init learn has written; for priors, the folder."""
+    priors_only: Flag = False
+    """Start from these poses alone, at most --inits, with no even rotations for the rest, as the paper does. A clip of
+    an object that has none fails."""
     thorough: Flag = False
     """Search two to three times as long, for the methods that fit all frames at once."""
     axis: Literal["free", "hand"] = "free"
@@ -102,9 +105,9 @@ class Reconstruct(Command):
 
         options = Options(
             method=self.method, inits=self.inits, seed=self.seed, frames=self.frames, thorough=self.thorough,
-            init=self.init, priors=priors_of(self.priors, self.init), hands=hands_of(self.given_hands),
-            masks=masks_of(self.given_masks), mesh=mesh_of(self.given_mesh), axis=self.axis,
-            every_frame=not self.sampled_only,
+            init=self.init, priors=priors_of(self.priors, self.init, self.priors_only),
+            hands=hands_of(self.given_hands), masks=masks_of(self.given_masks), mesh=mesh_of(self.given_mesh),
+            axis=self.axis, every_frame=not self.sampled_only,
         )  # fmt: skip
         batch = Batch(self.sharing.share(), self.threads, self.overwrite, self.strict)
         if self.find_grasps or self.cut_grasps:
@@ -171,6 +174,9 @@ class InitCommand(Command):
     """Rotations of each kind of object in each hand."""
     leave_out: Annotated[tuple[str, ...], arg(metavar="SUBJECT...", help_behavior_hint="")] = ()
     """Whose hands not to learn from: those on whose clips the poses will be tried."""
+    as_folder: OptionalFolder = None
+    """Write the poses learnt from all of the grasps into this folder, too, as --init priors reads them: a clip starts
+    from those of its own subject as well, as in the paper."""
     way: Annotated[Literal["geodesic", "axis-angle"], arg(name="clusters")] = "geodesic"
     """k-means by the angles between rotations; or, as in the paper, of rotation vectors."""
     seed: Seed = 0
@@ -180,11 +186,15 @@ class InitCommand(Command):
         from getagrip.io import files
 
         files.check_file("--out", self.out)
+        if self.as_folder is not None:
+            files.check_folder("--as-folder", self.as_folder)
 
     def run(self) -> int:
         from getagrip.commands.learn_poses import learn
+        from getagrip.fitting.learn_priors import LearntGrasps
 
-        return learn(self.clips, self.out, self.k, self.way, self.leave_out, self.seed, self.debug)
+        how = LearntGrasps((), self.k, self.way, self.seed)
+        return learn(self.clips, self.out, self.as_folder, how, self.leave_out, self.debug)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,9 +17,9 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import Clip
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
-from getagrip.io import arrays
+from getagrip.io import arrays, files
 
 Way = Literal["geodesic", "axis-angle"]
 """How rotations are clustered."""
@@ -55,6 +55,19 @@ class Priors:
         """The poses of a category in a hand, those of most grasps first."""
         here = [n for n, key in enumerate(zip(self.category, self.side, strict=True)) if key == (category, side)]
         return self.T_hand_obj[here]
+
+    def write(self, folder: Path) -> None:
+        """Write them as ``<category>/<side>_<number>.npy``, as ``pose_priors.read_folder`` reads them.
+
+        Raises ``UsageError`` for a folder that exists, and for a category that no folder can be named by.
+        """
+        with files.new_folder(folder) as work:
+            for category, side in sorted({*zip(self.category, self.side, strict=True)}):
+                if not files.is_plain_name(category):
+                    raise UsageError(f"{folder}: got poses of {files.shown(category)}, which cannot name a folder")
+                (work / category).mkdir(exist_ok=True)
+                for n, T in enumerate(self.of(category, side)):
+                    np.save(work / category / f"{side}_{n:03d}.npy", T)
 
 
 def subject_of(clip: Clip) -> str:

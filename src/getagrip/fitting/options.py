@@ -24,6 +24,8 @@ class PriorsFile:
     path: Path
     sha256: str
     """What it held when it was named: results say which initial poses they had."""
+    alone: bool = False
+    """Whether a search starts from its poses only, with no uniform rotations after them, as the paper's does."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class Options:
         init: where initial poses come from: uniform rotations only (``uniform``); before them, those that
             ``init learn`` has learnt (``clusters``), or a folder of poses by category and side, as the authors have
             theirs (``priors``).
-        priors: the file or folder of the poses of ``init``; None for ``uniform``.
+        priors: the file or folder of the poses of ``init``, and whether they stand alone; None for ``uniform``.
         thorough: search two to three times as long, for the methods that fit all frames at once; no other changes.
         seed: rotates the set of initial rotations; the same seed gives the same result.
         frames: number of frames that are fitted together, sampled evenly from the clip.

@@ -32,16 +32,17 @@ FARTHEST = 2.0
 """Largest plausible distance of an object's origin from that of the hand frame [m]."""
 
 
-def given(path: Path, init: Init) -> PriorsFile:
+def given(path: Path, init: Init, alone: bool = False) -> PriorsFile:
     """The file or folder that a user names for a way of starting, and its checksum. Raises ``InputError``."""
-    return PriorsFile(path, files.sha256(_parts(path, init)))
+    return PriorsFile(path, files.sha256(_parts(path, init)), alone)
 
 
 def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tuple[str, ...]]:
-    """The poses that the search may start from before uniform rotations, and what to say about them.
+    """The poses that the search may start from before uniform rotations, or alone, and what to say about them.
 
-    Raises ``InputError`` for files that are missing, malformed or not what they were when the options were made, and
-    for poses of version 1 learnt from this clip or from other grasps of the same subject.
+    Raises ``InputError`` for files that are missing, malformed or not what they were when the options were made, for
+    poses of version 1 learnt from this clip or from other grasps of the same subject, and where poses are to stand
+    alone and there are none.
     """
     if options.priors is None:
         return np.zeros((0, 4, 4)), ()
@@ -56,12 +57,14 @@ def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tu
         priors = learnt
         _refuse_own(path, priors, clip)
     poses = priors.of(clip.category, clip.side)[: options.inits]
-    uniform = f"{options.inits - len(poses)} uniform rotations"
+    more = "no others" if options.priors.alone else f"{options.inits - len(poses)} uniform rotations"
     if not len(poses):
-        none = f"{path.name}{without} has no poses of {files.plain(clip.category)} in a {clip.side} hand"
-        return poses, (f"{none}: {uniform}",)
+        none = f"no poses of {files.plain(clip.category)} in a {clip.side} hand"
+        if options.priors.alone:
+            raise InputError(path, "", f"{none}{without}", "some, or uniform rotations as well (no --priors-only)")
+        return poses, (f"{path.name}{without} has {none}: {more}",)
     whence = "" if priors.clips else ", which does not say what they were learnt from"
-    return poses, (f"started from {len(poses)} poses of {path.name}{without}{whence}, and {uniform}",)
+    return poses, (f"started from {len(poses)} poses of {path.name}{without}{whence}, and {more}",)
 
 
 @lru_cache(maxsize=256)

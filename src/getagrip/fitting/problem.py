@@ -44,9 +44,9 @@ class Problem:
         given_masks: the same as they were given; ``masks`` may ignore what the drawn hand covers besides.
         observation: its masks as crops, with contours.
         surface: surface of the object.
-        options: options of the reconstruction, with as many initial poses as there are.
+        options: options of the reconstruction, with as many initial poses as there may be.
         hand_drawn: whether pixels that the drawn hand covers are ignored, for want of ignore masks.
-        prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations.
+        prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations, or alone.
         hand_corrected: whether the clip's hand is no longer as it was given.
         hand_differing: share of the hand's seen pixels that differ from its silhouette; NaN where that is not known.
         notes: dropped frames, guesses, initial poses, what stands in for missing masks.
@@ -74,6 +74,12 @@ class Problem:
     contact: float = 1.0
     reach: float = REACH
     hand_differing: float = np.nan
+
+    @property
+    def inits(self) -> int:
+        """How many initial poses the object in the hand has: those given, if they stand alone."""
+        priors = self.options.priors
+        return self.options.inits if priors is None or not priors.alone else len(self.prior_poses)
 
     def at(self, clip: Clip, masks: Masks) -> Problem:
         """The same problem in other frames of its clip, with the masks that are given for them."""

@@ -140,6 +140,8 @@ def uncalibrated(options: Options, findings: Sequence[Finding]) -> str:
         return f"none is calibrated for {options.method}"
     if options.inits < Options.inits:
         return f"none is calibrated for fewer than {Options.inits} initial poses"
+    if options.priors is not None and options.priors.alone:
+        return "none is calibrated without uniform rotations among the initial poses"
     for option in fields(Options):
         if option.name not in CHOICES and (value := getattr(options, option.name)) != option.default:
             return f"none is calibrated with {option.name} {value}"

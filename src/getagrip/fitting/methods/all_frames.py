@@ -149,8 +149,7 @@ def search_of(problem: Problem, on_stage: OnStage) -> Search:
 
 def initial_of(problem: Problem) -> Fixed:
     """The initial poses, at all frames."""
-    options = problem.options
-    return initial_poses(problem.clip, problem.masks, options.inits, options.seed, problem.prior_poses)
+    return initial_poses(problem.clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses)
 
 
 def hinge_of(problem: Problem, relaxed: Soft[Fixed]) -> Hinge:

@@ -59,7 +59,7 @@ def object_tracks(problem: Problem) -> tuple[Free, Float[ndarray, "B"]]:
     """The object in the camera frame from each starting rotation, by E_mask alone, and the mean of E_mask / area."""
     clip, area = problem.clip, problem.observation.area
     mask_only = mask_of(problem)
-    initial = initial_poses(clip, problem.masks, problem.options.inits, problem.options.seed, problem.prior_poses)
+    initial = initial_poses(clip, problem.masks, problem.inits, problem.options.seed, problem.prior_poses)
     vertices = clip.mesh.vertices - clip.mesh.centre
     points = np.exp(initial.log_scale[0]) * vertices[spread_points(vertices, BOX_POINTS)]
     boxes = camera.bounding_boxes(problem.masks.object).astype(float)

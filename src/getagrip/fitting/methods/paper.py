@@ -12,7 +12,7 @@ The paper leaves these open:
   about as many as the authors' meshes have;
 - where the axis lies: it has a location (``Options.axis``), as in the authors' code;
 - which pair E_pull means: that of least distance (``PaperPullTerm``), as the paper says and the authors' code has it;
-- initial poses: those of all our methods (``initial_poses``), or the paper's, from files.
+- initial poses: those of all our methods (``initial_poses``), or the paper's alone, from files.
 """
 
 from __future__ import annotations

@@ -63,13 +63,13 @@ def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
 
 def _best_of_frame(problem: Problem, n: int, energy: Energy) -> Solution[Fixed]:
     """The best pose of one frame."""
-    clip, options, here = problem.clip, problem.options, np.array([n])
+    clip, here = problem.clip, np.array([n])
 
     def of_frame(level: int, _: Int[ndarray, "1"]) -> Sequence[Term]:
         return energy(level, here)
 
     masks = Masks(problem.masks.object[here], problem.masks.ignore[here])
-    initial = initial_poses(clip.take(here), masks, options.inits, options.seed, problem.prior_poses)
+    initial = initial_poses(clip.take(here), masks, problem.inits, problem.options.seed, problem.prior_poses)
     search = Search(clip.hand.T_cam_hand[here], problem.surface, SCHEDULE, lambda _: None, problem.threads)
     try:
         motion = search.relax(initial, of_frame).core
