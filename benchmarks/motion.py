@@ -1,7 +1,8 @@
 """Measure how objects move in the hand in stable grasps, for the synthetic clips of the preset ``measured``.
 
     getagrip import dexycb DEXYCB --meshes YCB --whole --out whole-dexycb
-    getagrip import artigrasp STUDY --whole --out whole-arctic
+    python -m benchmarks.arctic_folders ARTIGRASP folders
+    getagrip import artigrasp folders/study --whole --out whole-arctic
     python -m benchmarks.motion measure dexycb=whole-dexycb arctic=whole-arctic
     python -m benchmarks.motion table
 
