@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 
@@ -13,9 +14,13 @@ from getagrip.datasets import cutting
 from getagrip.datasets.taco import Taco
 from getagrip.datasets.tracks import Track
 from getagrip.errors import InputError
+from getagrip.hands import generic
+from getagrip.hands.model import PALM_REGIONS
 from helpers.held_ball import TAKEN, Hostile, motion, synthetic_mano
-from helpers.paths import folder_of
+from helpers.paths import DATA, folder_of, needs
 from helpers.taco_files import write_taco
+
+PUBLISHED = DATA / "mano" / "contact_regions.json"
 
 
 @pytest.fixture
@@ -31,10 +36,11 @@ def read(root: Path) -> Track:
 
 def test_the_true_surface_in_the_hand_frame(root: Path) -> None:
     track = read(root)
-    np.testing.assert_allclose(track.hand.T_cam_hand, motion()[0], atol=1e-9)
-    np.testing.assert_allclose(track.hand.vertices[7], synthetic_mano("right")["v_template"], atol=1e-9)
-    np.testing.assert_array_equal(track.T_cam_obj, motion()[1])
-    assert set(track.hand.regions) == set(FINGERS)
+    np.testing.assert_allclose(track.hand.T_cam_hand, motion("left")[0], atol=1e-9)
+    np.testing.assert_allclose(track.hand.vertices[7], synthetic_mano("left")["v_template"], atol=1e-9)
+    np.testing.assert_array_equal(track.T_cam_obj, motion("left")[1])
+    assert track.side == "left"
+    assert set(track.hand.regions) == set(FINGERS)  # its fingers do not move
     assert "guess" in track.provenance["camera"]
     assert "guess" in track.provenance["fps"]
 
@@ -68,3 +74,20 @@ def test_real_sequences(folder: Path) -> None:
         (track,) = source.read(print)
         wrist = track.hand.vertices[:, 38]  # on MANO's rim at the wrist, which moves with the hand frame
         assert np.linalg.norm(wrist - wrist.mean(axis=0), axis=-1).max() < 2e-3
+        assert tuple(track.hand.regions) == (*FINGERS, *PALM_REGIONS)
+        flat = generic.load("left").template  # thumb, fingers and palm lie as a left hand's do
+        assert np.linalg.norm(track.hand.vertices.mean(axis=(0, 1)) - flat.mean(axis=0)) < 0.04
+
+
+@needs(PUBLISHED)
+@folder_of("GETAGRIP_TACO")
+def test_real_regions_are_about_those_that_the_authors_published(folder: Path) -> None:
+    """Vertex ids of MANO's surface, which both hands share; by intersection over union."""
+    published = [set(ids) for ids in json.loads(PUBLISHED.read_text())["verts"]]
+    for source in Taco(root=folder).sources():
+        (track,) = source.read(print)
+        ours = [set(ids.tolist()) for ids in track.hand.regions.values()]
+        iou = np.array([[len(a & b) / len(a | b) for b in published] for a in ours])
+        assert np.array_equal(iou.argmax(axis=1), np.arange(8))
+        assert iou.diagonal()[:5].min() > 0.6
+        assert iou.diagonal()[5:].min() > 0.25
