@@ -133,6 +133,25 @@ def test_aligned_frames_have_axis_angles_and_colours(made: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_clip_is_drawn_by_its_ground_truth(made: Path, tmp_path: Path, run: Run) -> None:
+    """The true axis of an exact hinge is that of the result that has it, and the figures are its own."""
+    clip, result = next((made / "clips").glob("mug*")), next((made / "true").glob("mug*"))
+    true, found = GivenResult(clip).read(), GivenResult(result).read()
+    assert true.of_truth
+    assert true.result.axis is not None
+    assert found.result.axis is not None
+    assert abs(true.result.axis.direction @ found.result.axis.direction) > 0.999
+    np.testing.assert_allclose(true.result.T_hand_obj, found.result.T_hand_obj, atol=1e-9)
+    for kind in (Contact(dpi=DPI, frames=2), Aligned(dpi=DPI, frames=2)):
+        assert any("ground truth" in text for text in texts(kind.draw([GivenResult(clip)], pytest.fail)))
+    for kind_name, status in (("contact", 0), ("gallery", 1)):
+        assert run("figure", kind_name, clip, "--out", tmp_path / "x.png", "--dpi", DPI)[0] == status
+    without = next((made / "clips").glob("can*"))
+    with pytest.raises(InputError, match=r"truth\.npz"):
+        GivenResult(without).read()
+
+
+@pytest.mark.slow
 def test_results_without_axis_are_aligned_too(made: Path) -> None:
     figure = Aligned(dpi=DPI, frames=2).draw(given(made, "moved"), never)
     assert sum(pixels_of(tile, AXIS) for tile in drawn(figure)) == 0

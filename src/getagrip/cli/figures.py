@@ -25,7 +25,7 @@ class DrawFigure(Command, Generic[K]):
     """Draw a figure of results."""
 
     results: Results = ()
-    """Result folders, or folders of results."""
+    """Result folders, or folders of results; contact and aligned also draw the ground truth of a clip's folder."""
     kind: Annotated[K, arg(name="")]
     out: File
     """The figure: .png or .pdf."""

@@ -11,6 +11,7 @@ from getagrip.commands.evaluate import results_in
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.view.figures import GivenResult, Kind
+from getagrip.view.figures.kind import is_clip
 from getagrip.view.style import letters
 
 SUFFIXES = (".png", ".pdf")
@@ -24,7 +25,8 @@ def check_out(out: Path) -> None:
 
 
 def write_figure(kind: Kind, paths: Sequence[Path], clips: Path | None, out: Path, debug: bool) -> int:
-    """Draw results into a file; 1 if any could not be read, else 0. A path is a result, or a folder of results.
+    """Draw results into a file; 1 if any could not be read, else 0. A path is a result, or a folder of results; or a
+    clip, where the kind draws the ground truth.
 
     Raises ``UsageError`` where there are none or too many for this kind, ``InputError`` where none can be shown.
     """
@@ -34,7 +36,8 @@ def write_figure(kind: Kind, paths: Sequence[Path], clips: Path | None, out: Pat
     problems: list[Exception] = []
     for path in paths:
         try:
-            given += [GivenResult(folder, clips) for folder in results_in(path)]
+            folders = [path] if kind.draws_truth and is_clip(path) else results_in(path)
+            given += [GivenResult(folder, clips) for folder in folders]
         except (InputError, OSError) as error:
             if len(paths) == 1:
                 raise

@@ -29,6 +29,8 @@ class View:
     result: Reconstruction
     given_mesh: Mesh | None = None
     """The mesh as it was given, which the ground truth poses; None where it is the clip's."""
+    of_truth: bool = False
+    """Whether the result is the clip's ground truth, given its form (``true_motion``)."""
 
     @property
     def frames_in_words(self) -> str:

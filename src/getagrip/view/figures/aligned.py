@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -47,9 +47,11 @@ WITHOUT_AXIS = (
 class Aligned(Kind):
     """Frames of one result aligned in the hand frame, where the object turns about the axis, and in the object's frame.
 
-    Frames are spread evenly over the angle about the axis; without an axis, over time.
+    Frames are spread evenly over the angle about the axis; without an axis, over time. Of a clip the ground truth is
+    drawn, with the axis nearest to its motion.
     """
 
+    draws_truth: ClassVar[bool] = True
     frames: Count = 5
     """Frames to draw."""
 
@@ -70,7 +72,8 @@ class Aligned(Kind):
             words = "the method has no latent axis  ·  contours: the frames above, in the colours of their borders"
             sheet.text(0.25, sheet.height - 0.31, words)
         else:
-            sheet.legend(0.25, sheet.height - 0.36, [(AXIS, "latent axis, pale where hidden")])
+            which = "nearest" if view.of_truth else "latent"
+            sheet.legend(0.25, sheet.height - 0.36, [(AXIS, f"{which} axis, pale where hidden")])
             sheet.text(2.9, sheet.height - 0.31, "contours: the frames above, in the colours of their borders")
         return sheet.figure
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 SMALL, LARGE, MATRIX, GAP, LEFT = 1.32, 1.66, 3.0, 0.06, 0.55
 """Sides of the tiles of frames, of the tiles of all frames and of the matrix; the gap between them; the margin [in]."""
-ROWS = ("result", "on the object", "on the hand")
+ROWS = ("on the object", "on the hand")
 ALL = ("object, where most contact is", "object, the other side", "hand, from one side", "hand, from the other")
 
 
@@ -39,9 +39,11 @@ ALL = ("object, where most contact is", "object, the other side", "hand, from on
 class Contact(Kind):
     """Contact areas of one result on the object and on the hand, frame by frame and as the share of all frames.
 
-    Beside them is the contact IOU of every pair of frames, whose mean is the stable contact area.
+    Beside them is the contact IOU of every pair of frames, whose mean is the stable contact area. Of a clip they are
+    those of the ground truth.
     """
 
+    draws_truth: ClassVar[bool] = True
     frames: Count = 5
     """Frames to draw; shares and IOU are of all."""
     contact: Millimetres = 10.0
@@ -73,7 +75,7 @@ def _frames(sheet: Sheet, top: float, view: View, chosen: Sequence[int], surface
         rendered(sheet.tile(x, top, SMALL), view, n, crops, k, from_side=False)
         for r, surface in enumerate(surfaces):
             show(sheet.tile(x, top + (r + 1) * (SMALL + GAP), SMALL), surface.at_frame(n, 0, sheet.pixels(SMALL)))
-    for r, words in enumerate(ROWS):
+    for r, words in enumerate(("truth" if view.of_truth else "result", *ROWS)):
         y = top + r * (SMALL + GAP) + SMALL / 2
         sheet.text(LEFT - 0.17, y, words, rotation=90, ha="center", va="center", color=TRUE)
 
@@ -115,7 +117,7 @@ def _matrix(sheet: Sheet, x: float, top: float, view: View, definition: ContactD
     axes = sheet.axes(x, top, MATRIX, MATRIX)
     colours = LinearSegmentedColormap.from_list("contact", IOU_RAMP)
     drawn = axes.imshow(iou, extent=(0, T, T, 0), vmin=0.0, vmax=1.0, cmap=colours, interpolation="nearest")
-    axes.set_xlabel("frame of the result, counted from 0")
+    axes.set_xlabel(f"frame of the {'clip' if view.of_truth else 'result'}, counted from 0")
     axes.tick_params(length=2)
     frame(axes)
     sheet.text(x, top - 0.19, "contact IOU of every pair of frames", color=TRUE)

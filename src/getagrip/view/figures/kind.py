@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 from tyro.conf import arg
@@ -13,6 +13,7 @@ from tyro.conf import arg
 from getagrip.errors import GetagripError, UsageError
 from getagrip.evaluation import read_evaluated
 from getagrip.fitting.methods import method_of
+from getagrip.view.figures.true_motion import true_view
 from getagrip.view.shown import View
 
 if TYPE_CHECKING:
@@ -26,15 +27,22 @@ MOST_FRAMES = 12
 DPI = 40, 600
 
 
+def is_clip(folder: Path) -> bool:
+    """Whether a folder is a clip's."""
+    return (folder / "clip.json").exists()
+
+
 @dataclass(frozen=True)
 class GivenResult:
-    """A result's folder, and where to look for its clip (None: where the result says)."""
+    """A result's folder, and where to look for its clip (None: where the result says); or a clip's."""
 
     folder: Path
     clips: Path | None = None
 
     def read(self) -> View:
-        """The result with its clip and masks. Raises ``InputError``."""
+        """The result with its clip and masks, or the ground truth of a clip. Raises ``InputError``."""
+        if is_clip(self.folder):
+            return true_view(self.folder)
         result, clip, masks = read_evaluated(self.folder, self.clips)
         return View.of(result, clip, masks)
 
@@ -43,6 +51,8 @@ class GivenResult:
 class Kind:
     """A kind of figure; its fields are the options, its docstring is the help."""
 
+    draws_truth: ClassVar[bool] = False
+    """Whether it takes a clip as well, and then draws the ground truth."""
     dpi: Annotated[int, arg(metavar="N")] = 130
     """Pixels an inch."""
 
@@ -87,7 +97,8 @@ def evenly(count: int, total: int) -> list[int]:
 
 def summary(view: View) -> str:
     """Method, object and hand, number of frames, and what is a guess, in a line."""
-    return "  ·  ".join([method_of(view.result.method).label, *about(view)])
+    label = "ground truth" if view.of_truth else method_of(view.result.method).label
+    return "  ·  ".join([label, *about(view)])
 
 
 def about(view: View) -> list[str]:
