@@ -30,6 +30,8 @@ from getagrip.result import read_result
 
 OF_HANDS = ("hand-noise", "hand-correction", "estimated-hands", "true-hands")
 """The ablations in which hands are off."""
+SEEN = 0.05
+"""Smaller errors are zero in the tables [deg, mm]."""
 HEADER = (
     "", "right in the hand, %", "right in the camera, %", "hand, constant, °", "mm", "hand, changing, °", "mm",
 )  # fmt: skip
@@ -92,7 +94,7 @@ def tables(folder: Path) -> Iterator[str]:
             continue
         shared = sorted(set.intersection(*({p.name for p in place.iterdir()} for place in there.values())))
         found = {v: {n: case(place / n, clips[n], v) for n in shared} for v, place in there.items()}
-        off = {v.method for v, cases in found.items() if any(any(each.hand) for each in cases.values())}
+        off = {v.method for v, cases in found.items() if any(max(each.hand) > SEEN for each in cases.values())}
         found = {v: cases for v, cases in found.items() if v.method in off}
         codes = sorted({case.code for cases in found.values() for case in cases.values()})
         about = (
