@@ -177,7 +177,7 @@ def spectrum(x: Float[ndarray, "N k"]) -> Float[ndarray, "M"]:
 
 QUANTILES = (10, 25, 50, 75, 90)
 """Per cent."""
-JOINT = ("duration", "turn", "rotation", "place", "pivot")
+JOINT = ("duration", "turn", "rotation", "place", "drift", "pivot", "slip")
 """Measures whose logarithms are taken to be jointly normal."""
 
 
@@ -188,8 +188,8 @@ class MotionStatistics:
     Attributes:
         grasps: number of grasps.
         quantiles: of each measure, in SI units, at ``QUANTILES``; of the grasps that have a value.
-        log_mean: (5,) mean of the logarithms of ``JOINT``, in SI units.
-        log_covariance: (5, 5) their covariance.
+        log_mean: (J,) mean of the logarithms of ``JOINT``, in SI units, of the grasps that have a value.
+        log_covariance: (J, J) their covariance, of each two in the grasps that have both.
         angle: (M,) ``spectrum`` of the angle about the hinge, mean over grasps.
         rotation: (M,) spectrum of the residual's rotation.
         place: (M,) spectrum of its translation.
@@ -211,14 +211,13 @@ class MotionStatistics:
     def of(measured: Sequence[tuple[dict[str, float], Residual]]) -> MotionStatistics:
         """Of several grasps, as ``measure`` gives them."""
         values = {name: np.array([one[name] for one, _ in measured]) for name in MOTION_MEASURES}
-        logs = np.log([values[name] for name in JOINT])
-        logs = logs[:, np.isfinite(logs).all(axis=0)]
+        logs = np.ma.masked_invalid(np.log([values[name] for name in JOINT]))
         residuals = [residual for _, residual in measured]
         return MotionStatistics(
             grasps=len(measured),
             quantiles={name: _rounded(np.percentile(x[np.isfinite(x)], QUANTILES)) for name, x in values.items()},
-            log_mean=_rounded(logs.mean(axis=1)),
-            log_covariance=tuple(_rounded(row) for row in np.cov(logs)),
+            log_mean=_rounded(logs.mean(axis=1).data),
+            log_covariance=tuple(_rounded(row) for row in np.ma.cov(logs).data),
             angle=_rounded(np.mean([spectrum(r.angle[:, None]) for r in residuals], axis=0)),
             rotation=_rounded(np.mean([spectrum(r.rotation) for r in residuals], axis=0)),
             place=_rounded(np.mean([spectrum(r.place) for r in residuals], axis=0)),

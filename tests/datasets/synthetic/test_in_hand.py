@@ -21,14 +21,22 @@ from getagrip.grasps.motion import JOINT, QUANTILES, measure, spectrum
 
 SMALL = replace(PRESETS["measured"], frames=12, size=(160, 120), focal=150.0)
 SIZE = 0.04
+TOUCHED = np.array([0.0, 0.05, 0.0]) + 0.02 * np.concatenate([np.eye(3), -np.eye(3)])
+"""Points in contact, from the object's centre."""
 
 
 def moved(name: str, rng: np.random.Generator) -> tuple[dict[str, float], np.ndarray, np.ndarray]:
-    """What was drawn, and the motion of an object held 5 cm from its axis."""
+    """What was drawn, and the motion of an object whose centre is 5 cm from the middle of the contact."""
     wanted = draw(MEASURED[name], rng)
-    sizes = np.array([wanted[key] for key in ("turn", "rotation", "place")])
-    centre, axis = np.array([0.0, 0.05, 0.0]), np.array([1.0, 0.0, 0.0])
-    R, c, _ = motion(AxisRotation(np.eye(3), axis, np.zeros(3), centre, SIZE), sizes, MEASURED[name], 30, rng)
+    around = rng.normal(size=(6, 2, 3))
+    directions = around[:, 0] / np.linalg.norm(around[:, 0], axis=1, keepdims=True)
+    off = np.cross(directions, around[:, 1])
+    points = wanted["pivot"] * off / np.linalg.norm(off, axis=1, keepdims=True)
+    pairs = zip(directions, points, strict=True)
+    starts = [
+        AxisRotation(np.eye(3), direction, point, -TOUCHED.mean(axis=0) - point, SIZE) for direction, point in pairs
+    ]
+    R, c, _ = motion(starts, wanted, TOUCHED, MEASURED[name], 30, rng)
     return wanted, R, c
 
 
@@ -57,19 +65,22 @@ def _correlation(covariance: tuple[tuple[float, ...], ...]) -> np.ndarray:
 @pytest.mark.parametrize("name", MEASURED)
 def test_drawn_motions_are_measured_as_they_were_drawn(name: str) -> None:
     statistics, rng = MEASURED[name], np.random.default_rng(1)
-    spectra, memory, bends = [], [], []
+    spectra, memory, bends, chosen = [], [], [], []
     for _ in range(4):
         wanted, R, c = moved(name, rng)
-        values, residual = measure(se3.rigid(R, c), np.zeros(3), SIZE, np.zeros((0, 3)), 30.0 / wanted["duration"])
+        values, residual = measure(se3.rigid(R, c), np.zeros(3), SIZE, TOUCHED, 30.0 / wanted["duration"])
         for key in ("duration", "turn", "rotation", "place"):
             assert values[key] == pytest.approx(wanted[key], rel=0.2), key
         spectra.append([spectrum(residual.angle[:, None]), spectrum(residual.rotation), spectrum(residual.place)])
         memory.append(values["rotation_memory"])
         bends.append(values["bend"])
+        chosen.append(np.log([values[key] / wanted[key] for key in ("drift", "pivot", "slip")]))
     stored = [statistics.angle, statistics.rotation, statistics.place]
     np.testing.assert_allclose(np.cumsum(np.mean(spectra, axis=0), axis=1), np.cumsum(stored, axis=1), atol=0.15)
     for key, found in (("rotation_memory", memory), ("bend", bends)):  # few are drawn: where most measured ones lie
-        assert statistics.quantiles[key][1] < np.median(found) < statistics.quantiles[key][-1], key
+        assert statistics.quantiles[key][0] < np.median(found) < statistics.quantiles[key][-1], key
+    spread = np.sqrt(np.diag(statistics.log_covariance))[[JOINT.index(key) for key in ("drift", "pivot", "slip")]]
+    assert (np.nanmedian(np.abs(chosen), axis=0) < 0.5 * spread).all()  # each is nearer than chance would have it
 
 
 @pytest.mark.parametrize("share", [0.01, 0.05])

@@ -2,13 +2,15 @@
 
 ``hinge``: about one axis near the contacts (Eq. 3 of the paper), with a small smooth residual: almost what is fitted.
 
-``measured``: as objects moved in the hands of real people. How far it turns, how far it is off its best hinge, how long
-that takes and how far the axis is from the contacts are drawn from ``measured.MEASURED``; so are the shares of slow and
-of fast motion. What is drawn is scaled until ``grasps.motion`` measures the drawn numbers.
+``measured``: as objects moved in the hands of real people. Drawn from ``measured.MEASURED`` are how far the object turns,
+how far it is off its best hinge, how long that takes, how far the axis drifts and is from the contacts, and how far the
+contacts slip; so are the shares of slow and of fast motion. Of many random motions, each scaled to the drawn sizes, the
+one is taken of which ``grasps.motion`` measures the drawn numbers.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +25,7 @@ from getagrip.datasets.synthetic.signed_distance import LeastDistance
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.approximation import AxisRotation, nearby_hinge
-from getagrip.grasps.motion import JOINT, QUANTILES, MotionStatistics, Residual, bend, hinge_axes, spectrum
+from getagrip.grasps.motion import JOINT, QUANTILES, MotionStatistics, Residual, bend, hinge_axes, measure, spectrum
 from getagrip.hands.model import PosedHand
 from getagrip.result import Axis
 
@@ -37,8 +39,14 @@ UNUSUAL = 2.0
 """No drawn number is further from the mean than this, in standard deviations."""
 ROUNDS, SCALED = 6, 2
 """Of correcting a drawn motion, and how many of them, the last, correct its sizes only."""
-TRIES, CLOSE = 4, 0.1
-"""Motions that are drawn until the sizes of one are as close as this to those asked for, as logarithms."""
+SHALLOW = 6
+"""So many of the axes are tried: those about which the object turns the least deep into the open hand."""
+TRIES, CLOSE = 40, 0.1
+"""Motions that are drawn until what is measured of one is as close as this to what is asked for, as logarithms."""
+CHOSEN = ("turn", "rotation", "place", "drift", "pivot", "slip")
+"""By these measures; the first three are scaled to what is asked for, the others only chosen by."""
+UNDEFINED = 1.0
+"""What has no measure, since it hardly turns, is so far off."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +92,13 @@ def measured(
     around = rng.normal(size=(AXES, 2, 3))
     directions = around[:, 0] / np.linalg.norm(around[:, 0], axis=1, keepdims=True)
     off = np.cross(directions, around[:, 1])
-    points = _contact(grasper, T_base) + drawn["pivot"] * off / np.linalg.norm(off, axis=1, keepdims=True)
-    best = np.argmin(_depth(grasper, T_base, points, directions, drawn["turn"]))
-    sizes = np.array([drawn[name] for name in ("turn", "rotation", "place")])
-    arm = se3.transform(T_base, centre[None])[0] - points[best]
-    start = AxisRotation(T_base[:3, :3], directions[best], points[best], arm, size)
-    R, c, residual = motion(start, sizes, statistics, frames, rng)
+    touching = _touching(grasper, T_base)
+    points = touching.mean(axis=0) + drawn["pivot"] * off / np.linalg.norm(off, axis=1, keepdims=True)
+    shallow = np.argsort(_depth(grasper, T_base, points, directions, drawn["turn"]))[:SHALLOW]
+    at = se3.transform(T_base, centre[None])[0]
+    starts = [AxisRotation(T_base[:3, :3], directions[k], points[k], at - points[k], size) for k in shallow]
+    touched = se3.transform(se3.inverse(T_base), touching) - centre
+    R, c, residual = motion(starts, drawn, touched, statistics, frames, rng)
     T = se3.rigid(R, c - R @ centre)
     keys = np.linspace(0.0, frames - 1.0, min(KEYS, frames)).round()
     posed = _held(grasper, T[keys.astype(int)], keys, np.arange(float(frames)))
@@ -106,23 +115,33 @@ def draw(statistics: MotionStatistics, rng: np.random.Generator) -> dict[str, fl
 
 
 def motion(
-    start: AxisRotation,
-    sizes: Float[ndarray, "3"],
+    starts: Sequence[AxisRotation],
+    drawn: dict[str, float],
+    touched: Float[ndarray, "P 3"],
     statistics: MotionStatistics,
     frames: int,
     rng: np.random.Generator,
 ) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"], Residual]:
-    """Rotations and positions of the centre [m] about a hinge, with the spectra of some statistics; and their residual.
+    """Rotations and positions of the centre [m] about nearly a hinge, with some spectra; and their residual.
 
-    ``sizes`` are what ``Residual.sizes`` is to find. It may find another hinge, and others: the best of a few motions.
+    Args:
+        starts: hinges to begin with; ``grasps.motion`` may find others in what is made of them.
+        drawn: what it is to measure, as ``draw`` gives it: of some random motions, the nearest to that in ``CHOSEN``.
+        touched: points of the object that are in contact, from its centre [m].
+        statistics: the spectra.
+        frames: length.
+        rng: what chance decides.
     """
     best, least = None, np.inf
-    for _ in range(TRIES):
+    sizes = np.array([drawn[name] for name in CHOSEN[:3]])
+    for k in range(TRIES):
+        start = starts[k % len(starts)]
         R, c = _motion(start, sizes, statistics, frames, rng)
-        residual = Residual.of(R, c, start.size)
-        off = np.abs(np.log(residual.sizes / sizes)).max()
-        if best is None or off < least:
-            best, least = (R, c, residual), off
+        values, residual = measure(se3.rigid(R, c), np.zeros(3), start.size, touched, frames / drawn["duration"])
+        off = np.log([values[name] / drawn[name] for name in CHOSEN])
+        far = float(np.sqrt(np.mean(np.where(np.isnan(off), UNDEFINED, off) ** 2)))
+        if best is None or far < least:
+            best, least = (R, c, residual), far
         if least < CLOSE:
             break
     assert best is not None
@@ -206,11 +225,11 @@ def _held(
     return grasper.posed(bent.reshape(-1, 5, 3))
 
 
-def _contact(grasper: Grasper, T_base: Float[ndarray, "4 4"]) -> Float[ndarray, "3"]:
-    """The middle of what touches the object in its base pose [m]."""
+def _touching(grasper: Grasper, T_base: Float[ndarray, "4 4"]) -> Float[ndarray, "P 3"]:
+    """The vertices of the hand that touch the object in its base pose [m]."""
     closed = grasper.posed(grasper.close(T_base[None]))
     gap = grasper.distance(se3.transform(se3.inverse(T_base), closed.vertices[0]))
-    return np.asarray(closed.vertices[0][gap < 0.003].mean(axis=0))
+    return np.asarray(closed.vertices[0][gap < 0.003])
 
 
 def _depth(
@@ -235,7 +254,7 @@ def _turning_axis(
     """A line near the contacts about which the object can turn with the least way into the open hand."""
     directions = rng.normal(size=(AXES, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    points = _contact(grasper, T_base) + rng.normal(0.0, 0.008, (AXES, 3))
+    points = _touching(grasper, T_base).mean(axis=0) + rng.normal(0.0, 0.008, (AXES, 3))
     curve = smooth(rng, options.frames, 1)[:, 0]
     curve = (curve - curve.min()) / np.ptp(curve) - 0.5
     least, most = np.radians(options.turn_deg)
