@@ -220,7 +220,7 @@ LENGTHS = {[int(n) for n in np.percentile(lengths, np.arange(5, 100, 10))]}
 """Frames of these grasps: 5, 15, ..., 95 % are shorter."""
 '''
     SOURCE.write_text(text, encoding="utf-8")
-    subprocess.run(["ruff", "format", "-q", SOURCE], check=True)
+    subprocess.run([sys.executable, "-m", "ruff", "format", "-q", SOURCE], check=True)
 
 
 def table() -> None:

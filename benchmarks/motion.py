@@ -95,7 +95,7 @@ MEASURED = {{
 """By dataset; SI units."""
 '''
     SOURCE.write_text(text, encoding="utf-8")
-    subprocess.run(["ruff", "format", "-q", SOURCE], check=True)
+    subprocess.run([sys.executable, "-m", "ruff", "format", "-q", SOURCE], check=True)
 
 
 def synthetic(preset: str) -> MotionStatistics:

@@ -222,7 +222,7 @@ def report(rows: Results) -> None:
     train, made = rows.only(part="train"), stamp()
     calibrations = {where: calibrated(Results(train.rows, where), made) for where in RIGHT}
     SOURCE.write_text(source([*calibrations.values()]), encoding="utf-8")
-    subprocess.run(["ruff", "format", "-q", SOURCE], check=True)
+    subprocess.run([sys.executable, "-m", "ruff", "format", "-q", SOURCE], check=True)
     draw(rows.only(part="test"), calibrations, page.DOCS / "images" / PICTURE)
     text = f"{section(rows, calibrations)}\n\n{left_out(doubted)}"
     page.write(SECTION, text)

@@ -2,10 +2,10 @@
 
 ``hinge``: about one axis near the contacts (Eq. 3 of the paper), with a small smooth residual: almost what is fitted.
 
-``measured``: as objects moved in the hands of real people. Drawn from ``measured.MEASURED`` are how far the object turns,
-how far it is off its best hinge, how long that takes, how far the axis drifts and is from the contacts, and how far the
-contacts slip; so are the shares of slow and of fast motion. Of many random motions, each scaled to the drawn sizes, the
-one is taken of which ``grasps.motion`` measures the drawn numbers.
+``measured``: as objects moved in the hands of real people. Drawn from ``measured.MEASURED`` are how far the object
+turns, how far it is off its best hinge, how long that takes, how far the axis drifts and is from the contacts, and how
+far the contacts slip; so are the shares of slow and of fast motion. Of many random motions, each scaled to the drawn
+sizes, the one is taken of which ``grasps.motion`` measures the drawn numbers.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """How objects move in the hand in stable grasps; written by ``python -m benchmarks.motion measure``.
 
-Measured 2026-11-24, commit 285f0c4 with uncommitted changes, contact within 10 mm, of the subjects
+Measured 2026-11-24, commit 73561a4, contact within 10 mm, of the subjects
 
 - dexycb: 20200709-subject-01, 20200903-subject-04, 20200928-subject-07, 20201022-subject-10
 - arctic: s1, s4, s7
