@@ -20,6 +20,7 @@ from helpers.folders import results_in
 from helpers.paths import import_path
 from helpers.ray_cluster import RayCluster, ray_cluster
 from helpers.scenes import SHORT, scene
+from helpers.table_scene import from_table
 
 COUNT = 18
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray: pip install 'getagrip[ray]'")
@@ -80,9 +81,11 @@ def _a_node_and_then_the_driver_are_killed(cluster: RayCluster, tmp_path: Path) 
 def _results_are_the_same(cluster: RayCluster, tmp_path: Path, run: Run) -> None:
     for n, category in enumerate(("can", "mug")):
         write_clip(*scene(category, n, SHORT), tmp_path / "clips" / category)
+    write_clip(*from_table(), tmp_path / "whole")
     calls = [
         ["reconstruct", "clips", "--inits", "6", "--out", "{}"],
         ["bench", "clips", "--inits", "2", "--clips", "1", "--methods", "static", "--out", "{}/bench"],
+        ["reconstruct", "whole", "--cut-grasps", "--inits", "2", "--out", "{}/found"],
     ]
     on_ray = ["--engine", "ray", "--address", cluster.address]
     for words in calls:
@@ -90,17 +93,19 @@ def _results_are_the_same(cluster: RayCluster, tmp_path: Path, run: Run) -> None
     code = f"from getagrip.cli import main\nfor words in {calls}:\n"
     code += f"    assert main([word.format('there') for word in words] + {on_ray}) == 0"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, env=import_path(), capture_output=True)
-    kinds = "", "bench/results/static"
+    kinds = "", "bench/results/static", "found"
     folders = [[folder for kind in kinds for folder in results_in(tmp_path / of / kind)] for of in ("here", "there")]
     pairs = list(zip(*folders, strict=True))
-    assert len(pairs) == 3
+    assert len(pairs) == 4
     for here, there in pairs:
         assert here.name == there.name
         assert (here / "result.npz").read_bytes() == (there / "result.npz").read_bytes()
         records = [json.loads((folder / "result.json").read_text()) for folder in (here, there)]
         for record in records:
-            del record["seconds"]  # what they took
+            del record["seconds"], record["clip_folder"]  # what they took, and of what was found, where its clip lies
         assert records[0] == records[1]
+    found = [tmp_path / of / "found" / "clips" / "from-table.grasps.json" for of in ("here", "there")]
+    assert found[0].read_bytes() == found[1].read_bytes()
 
 
 def test_without_ray_the_call_says_how_to_get_it(

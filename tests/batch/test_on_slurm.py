@@ -18,6 +18,7 @@ from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.on_slurm import SlurmCrew
 from getagrip.batch.pool import shared_out
 from getagrip.batch.share import Share
+from getagrip.clip import write_clip
 from getagrip.errors import GetagripError
 from getagrip.io import code
 from helpers.command_line import Run
@@ -25,6 +26,7 @@ from helpers.jobs import dies_once, drive, loses_its_task, patient
 from helpers.library import Library, Shelf
 from helpers.paths import import_path
 from helpers.slurm import write_slurm
+from helpers.table_scene import from_table
 
 needs_submitit = pytest.mark.skipif(
     find_spec("submitit") is None, reason="needs submitit: pip install 'getagrip[slurm]'"
@@ -75,6 +77,21 @@ def test_an_import_has_its_parts_read_there(slurm: Path, tmp_path: Path, capsys:
     assert import_clips(library, tmp_path / "out", debug=False, share=Share(engine="slurm", workers=1)) == 1
     assert {path.parent.name for path in tmp_path.glob("out/*/clip.json")} == {"torn-0", "torn-3", "fine-0", "fine-3"}
     assert capsys.readouterr().out.splitlines()[-1] == "4 clips, 0 already there, 2 of 2 shelves failed"
+
+
+@needs_submitit
+@pytest.mark.slow
+def test_grasps_are_found_there(slurm: Path, tmp_path: Path, run: Run) -> None:
+    write_clip(*from_table(), tmp_path / "whole")
+    call = ("reconstruct", "--cut-grasps", tmp_path / "whole", "--inits", 2, "--workers", 1)
+    here, there = (
+        run(*call, "--out", tmp_path / of, "--engine", engine) for of, engine in (("here", "local"), ("there", "slurm"))
+    )
+    assert (here[0], there[0]) == (0, 0)
+    found = [tmp_path / of / "clips" / "from-table.grasps.json" for of in ("here", "there")]
+    assert found[0].read_bytes() == found[1].read_bytes()
+    poses = [tmp_path / of / "from-table--1" / "result.npz" for of in ("here", "there")]
+    assert poses[0].read_bytes() == poses[1].read_bytes()
 
 
 @needs_submitit
