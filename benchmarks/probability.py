@@ -27,8 +27,9 @@ from benchmarks.signed_results import Row, cases, collect
 from getagrip.batch.pool import cores
 from getagrip.checks.calibration import Calibration, Where
 from getagrip.checks.signs import SIGNS
-from getagrip.experiments.reliability import auroc, bins, calibration_error, fit_weights, least_error
+from getagrip.experiments.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
 from getagrip.experiments.stamp import stamp
+from getagrip.experiments.statistics import resamples
 from getagrip.fitting.options import Options
 
 if TYPE_CHECKING:
@@ -145,8 +146,18 @@ def table(test: Results, train: Results, calibration: Calibration) -> str:
         for dataset in of(test, "dataset")
         for condition in of(test.only(dataset=dataset), "condition")
     ]
-    rows += [line(f"**{name}**", test.only(dataset=name), calibration) for name in of(test, "dataset")]
-    return page.table(HEADER, [*rows, line("**all**", test, calibration), line("in training, all", train, calibration)])
+    rows += [total(f"**{name}**", test.only(dataset=name), calibration) for name in of(test, "dataset")]
+    rows += [total("**all**", test, calibration), total("in training, all", train, calibration)]
+    return page.table(HEADER, rows)
+
+
+def total(label: str, results: Results, calibration: Calibration) -> list[str]:
+    """A line of the table that sums up others, with the interval of the AUROC; results of a clip are drawn together."""
+    weights = resamples([f"{row['dataset']}, {row['clip']}" for row in results.rows])
+    low, high = auroc_interval(results.probability(calibration), results.right, weights)
+    cells = line(label, results, calibration)
+    cells[HEADER.index("AUROC")] += f" <sub>[{low:.2f}, {high:.2f}]</sub>"
+    return cells
 
 
 def line(label: str, results: Results, calibration: Calibration) -> list[str]:

@@ -33,6 +33,7 @@ from getagrip.finding import Finding
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import probability_right, uncalibrated
 from getagrip.geometry import se3
+from getagrip.metrics.symmetry import find_symmetries
 from getagrip.probability import Probability, percent
 from getagrip.result import Axis, Candidates
 
@@ -91,12 +92,25 @@ def test_more_energy_elsewhere_is_a_larger_gap() -> None:
 
 def test_a_probable_solution_elsewhere_spreads_them() -> None:
     it = mug()
-    energies = [100.0, 110.0, 150.0, 1e6]
+    energies = [100.0, 101.0, 105.0, 1e6]
     spreads = [
         solution_spread(replace(it, candidates=replace(it.candidates, energy=np.array([100.0, e])))) for e in energies
     ]
     assert spreads == sorted(spreads, reverse=True)
-    assert np.exp(spreads[0]) == pytest.approx(0.5 * min(it.apart[1], 0.5) + 3e-3)
+    assert np.exp(spreads[0]) == pytest.approx(0.5 * min(it.vertices_apart(1), 0.5) + 3e-3)
+    assert np.exp(spreads[-1]) == pytest.approx(3e-3)
+
+
+def test_solutions_are_apart_vertex_by_vertex_up_to_symmetries() -> None:
+    it = mug()
+    can, _ = synthesise("can", 0, SceneOptions(frames=4, size=(160, 120), focal=150.0))
+    symmetries = find_symmetries(can.mesh)
+    shifted = se3.rigid(None, 0.1 * can.mesh.diameter * symmetries.axes[0])
+    moves = (symmetries.about(np.array([1.0])), 0.0), (symmetries.elements[-1], 0.0), (shifted, 0.1)
+    for moved, far in moves:
+        candidates = Candidates(np.stack([it.poses, it.poses @ moved]), np.ones(2), np.array([100.0, 101.0]))
+        of_can = replace(it, clip=replace(it.clip, mesh=can.mesh), candidates=candidates)
+        assert of_can.vertices_apart(1) == pytest.approx(far, abs=0.01)
 
 
 def test_the_same_solution_twice_is_no_other_one() -> None:

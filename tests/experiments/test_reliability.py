@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from getagrip.checks.calibration import sigmoid
-from getagrip.experiments.reliability import auroc, bins, calibration_error, fit_weights, least_error
+from getagrip.experiments.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
+from getagrip.experiments.statistics import resamples
 
 
 def test_the_fit_finds_what_drew_the_labels() -> None:
@@ -32,6 +33,15 @@ def test_a_constant_sign_counts_nothing() -> None:
     weights, bias = fit_weights(np.ones((200, 1)), rng.random(200) < 0.7, (1,))
     assert weights[0].weight == 0.0
     assert sigmoid(np.array(bias)) == pytest.approx(0.7, abs=0.1)
+
+
+def test_the_interval_of_auroc_is_that_of_its_resamples() -> None:
+    rng = np.random.default_rng(4)
+    p, right = rng.integers(0, 9, 80) / 9.0, rng.random(80) < 0.6
+    weights = resamples([str(n // 2) for n in range(80)])
+    repeated = [np.repeat(np.arange(80), w.astype(int)) for w in weights[:200]]
+    drawn = [auroc(p[index], right[index]) for index in repeated]
+    assert auroc_interval(p, right, weights[:200]) == pytest.approx(tuple(np.quantile(drawn, [0.025, 0.975])))
 
 
 def test_auroc_is_the_share_of_pairs_in_order() -> None:

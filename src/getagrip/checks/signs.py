@@ -22,6 +22,8 @@ LARGEST_GAP = 0.7
 """Where there is no other solution, and at most: logarithm of the factor between two energies."""
 FARTHEST_SOLUTION = 0.5
 """A solution counts as at most so far [diameters]."""
+LEAST_PROBABLE = 1e-2
+"""Solutions less probable than this do not count, each by the most probable one."""
 FARTHEST = 0.03
 """A region that does not touch counts as at most so far [m]."""
 
@@ -46,10 +48,12 @@ def energy_gap(it: Solved) -> float:
 def solution_spread(it: Solved) -> float:
     """How far the other solutions are, in diameters, each as probable as its energy says: mean over all solutions.
 
-    Energies that differ by that of one frame count as a factor of e.
+    Energies that differ by that of one frame count as a factor of e; solutions that are hardly probable do not count.
     """
     probable = np.exp(-(it.energy_times - 1.0) * len(it.clip))
-    return _logarithm(probable @ np.minimum(it.apart, FARTHEST_SOLUTION) / probable.sum(), 3e-3)
+    counts = np.flatnonzero(probable >= LEAST_PROBABLE)
+    off = np.array([min(it.vertices_apart(int(k)), FARTHEST_SOLUTION) for k in counts])
+    return _logarithm(probable[counts] @ off / probable[counts].sum(), 3e-3)
 
 
 def contact_gap(it: Solved) -> float:

@@ -12,7 +12,8 @@ from numpy import ndarray
 from getagrip.checks.evidence import Evidence
 from getagrip.clip.sampling import frame_indices
 from getagrip.geometry import se3
-from getagrip.metrics.symmetry import surface_points
+from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
+from getagrip.metrics.symmetry import Symmetries, find_symmetries, surface_points
 from getagrip.result import Axis, Candidates
 
 FRAMES, POINTS = 5, 200
@@ -70,6 +71,21 @@ class Solved(Evidence):
         off = [[tree.query(x)[0].mean() for tree, x in zip(trees, surface, strict=True)] for surface in surfaces]
         nearest = [tree.query(x, k=2)[0][:, 1].mean() for tree, x in zip(trees, surfaces[0], strict=True)]
         return np.maximum(np.mean(off, axis=1) - 0.5 * np.mean(nearest), 0.0) / self.diameter
+
+    def vertices_apart(self, k: int) -> float:
+        """How far the vertices of a candidate are from those of the first, in diameters: ADD, up to symmetries."""
+        if k == 0:
+            return 0.0
+        few, mesh = frame_indices(len(self.clip), FRAMES), self.clip.mesh
+        first, other = (
+            ObjectTrack(self.candidates.T_hand_obj[n, few], float(self.candidates.scale[n])) for n in (0, k)
+        )
+        symmetry = best_symmetry(mesh, other, first, self._symmetries)
+        return float(pose_errors(mesh, other, first, symmetry).add.mean()) / self.diameter
+
+    @cached_property
+    def _symmetries(self) -> Symmetries:
+        return find_symmetries(self.clip.mesh)
 
     @cached_property
     def off_axis(self) -> float:

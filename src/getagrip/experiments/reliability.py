@@ -75,6 +75,18 @@ def auroc(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"]) -> float:
     return float(np.mean(below) / len(wrongs))
 
 
+def auroc_interval(
+    probability: Float[ndarray, "n"], right: Bool[ndarray, "n"], weights: Float[ndarray, "B n"]
+) -> tuple[float, float]:
+    """The 95 % interval of ``auroc`` over bootstrap resamples (``statistics.resamples``)."""
+    ahead = probability[right, None] - probability[~right]
+    won = weights[:, right] @ np.heaviside(ahead, 0.5)
+    pairs = weights[:, right].sum(axis=1) * weights[:, ~right].sum(axis=1)
+    drawn = np.sum(won * weights[:, ~right], axis=1)[pairs > 0] / pairs[pairs > 0]
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return float(low), float(high)
+
+
 def bins(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"]) -> list[Bin]:
     """The results by their probability, bins without any left out."""
     number = np.minimum((probability * BINS).astype(int), BINS - 1)

@@ -211,13 +211,16 @@ class MotionStatistics:
     def of(measured: Sequence[tuple[dict[str, float], Residual]]) -> MotionStatistics:
         """Of several grasps, as ``measure`` gives them."""
         values = {name: np.array([one[name] for one, _ in measured]) for name in MOTION_MEASURES}
-        logs = np.ma.masked_invalid(np.log([values[name] for name in JOINT]))
+        logs = np.log([values[name] for name in JOINT])
+        known, mean = np.isfinite(logs), np.nanmean(logs, axis=1)
+        off = np.where(known, logs - mean[:, None], 0.0)
+        pairs = known.astype(float) @ known.T
         residuals = [residual for _, residual in measured]
         return MotionStatistics(
             grasps=len(measured),
             quantiles={name: _rounded(np.percentile(x[np.isfinite(x)], QUANTILES)) for name, x in values.items()},
-            log_mean=_rounded(logs.mean(axis=1).data),
-            log_covariance=tuple(_rounded(row) for row in np.ma.cov(logs).data),
+            log_mean=_rounded(mean),
+            log_covariance=tuple(_rounded(row) for row in off @ off.T / (pairs - 1.0)),
             angle=_rounded(np.mean([spectrum(r.angle[:, None]) for r in residuals], axis=0)),
             rotation=_rounded(np.mean([spectrum(r.rotation) for r in residuals], axis=0)),
             place=_rounded(np.mean([spectrum(r.place) for r in residuals], axis=0)),
