@@ -5,19 +5,19 @@ Beside the clips stands a record of what they were made from, written last: what
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from getagrip.batch.job import Outcome, Progress, failure
+from getagrip.batch.kept import OTHER, damaged, difference
 from getagrip.batch.ledger import Entry
 from getagrip.clip import input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
 from getagrip.io import code, files
 
-OTHER = {"input_sha256": "another clip", "options": "other options", "code": "other code"}
+MADE_FROM = {key: OTHER[key] for key in ("input_sha256", "options", "code")}
 """In what an earlier record may differ, by its key."""
 
 
@@ -39,12 +39,11 @@ class FindJob:
         return self.to / f"{self.name}.{'grasps' if self.alone else 'timeline'}.json"
 
     def made_from(self, checksum: str) -> dict[str, Any]:
-        """All that decides what is found, as JSON values; ``checksum`` is that of the clip."""
+        """All that decides what is found; ``checksum`` is that of the clip."""
         from getagrip.segmentation.held import METHOD
 
         options = asdict(replace(self.options, method=METHOD, every_frame=True))  # of both, the user's does not matter
-        made_from = {"input_sha256": checksum, "options": options, "code": code.fingerprint("segmentation")}
-        return dict(json.loads(files.to_json(made_from)))
+        return {"input_sha256": checksum, "options": options, "code": code.fingerprint("segmentation")}
 
 
 @dataclass(frozen=True)
@@ -118,15 +117,14 @@ def _standing(job: FindJob, checksum: str) -> tuple[FoundClip | None, str]:
         return None, ""
     try:
         there = files.read_json(job.record)
-        now = job.made_from(checksum)
-        if other := [what for key, what in OTHER.items() if there.get(key) != now[key]]:
-            return None, f"what was there is of {other[0]}"
+        if why := difference(there, job.made_from(checksum), MADE_FROM):
+            return None, why
         clips, spans, notes = (there.get(key) for key in ("clips", "spans", "notes"))
         if not (isinstance(clips, dict) and isinstance(spans, list) and isinstance(notes, list)):
-            return None, f"what was there is damaged ({job.record})"
+            return None, damaged(job.record)
         folders = tuple(job.to / name for name in clips if files.is_plain_name(name))
         if {folder.name: input_sha256(folder) for folder in folders} != clips:
             return None, "what was there has been changed"
     except InputError as error:
-        return None, f"what was there is damaged ({error})"
+        return None, damaged(error)
     return FoundClip(job.name, "kept", folders, tuple(map(str, spans)), tuple(map(str, notes)), checksum), ""

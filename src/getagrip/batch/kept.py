@@ -11,6 +11,16 @@ from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.result import Reconstruction, is_result, read_result
 
+OTHER = {
+    "input_sha256": "another clip",
+    "method": "another method",
+    "seed": "another seed",
+    "options": "other options",
+    "getagrip": "another version",
+    "code": "other code",
+}
+"""In what a record may differ, by its key."""
+
 
 def good_result(
     folder: Path, checksum: str, method: str, options: Mapping[str, Any], made_by: Mapping[str, str], overwrite: bool
@@ -29,15 +39,23 @@ def good_result(
     try:
         result, record = read_result(folder)
     except InputError as error:
-        return None, f"what was there is damaged ({error})"
-    then = record["software"]
-    same = {
-        "another clip": record["input_sha256"] == checksum,
-        "another method": record["method"] == method,
-        "another seed": record["seed"] == options["seed"],
-        "other options": record["options"] == json.loads(files.to_json(options)),
-        f"version {files.shown(then.get('getagrip'))}": then.get("getagrip") == made_by["getagrip"],
-        "other code": then.get("code") == made_by["code"],
-    }
-    other = next((what for what, holds in same.items() if not holds), "")
-    return (None, f"what was there is of {other}") if other else ((result, record), "")
+        return None, damaged(error)
+    there = record | record["software"]
+    now = {"input_sha256": checksum, "method": method, "seed": options["seed"], "options": options, **made_by}
+    why = difference(there, now, OTHER | {"getagrip": f"version {files.shown(there.get('getagrip'))}"})
+    return (None, why) if why else ((result, record), "")
+
+
+def difference(there: Mapping[str, Any], now: Mapping[str, Any], called: Mapping[str, str]) -> str:
+    """In what a record differs from that of what would be made now, as a reason; empty where it does not.
+
+    ``called`` are the entries that count, and how each is called.
+    """
+    of_now = json.loads(files.to_json({key: now[key] for key in called}))
+    other = next((what for key, what in called.items() if there.get(key) != of_now[key]), "")
+    return f"what was there is of {other}" if other else ""
+
+
+def damaged(error: object) -> str:
+    """The reason where a record, or what belongs to it, cannot be read."""
+    return f"what was there is damaged ({error})"

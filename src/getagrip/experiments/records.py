@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from getagrip.batch.kept import damaged, difference
 from getagrip.clip import input_sha256
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
@@ -20,8 +20,7 @@ KEYS = {"inputs": "another clip", "options": "other options", "software": "other
 
 def made_of(clip: Path, options: Options, *code: str) -> dict[str, Any]:
     """What a record is made of; ``code`` are parts of the package that a reconstruction does not depend on."""
-    given = json.loads(files.to_json(asdict(options)))
-    return {"inputs": input_sha256(clip), "options": given, "software": software(*code)}
+    return {"inputs": input_sha256(clip), "options": asdict(options), "software": software(*code)}
 
 
 def kept_or_made(
@@ -35,12 +34,11 @@ def kept_or_made(
     if path.exists() and not overwrite:
         try:
             record = files.read_json(path)
-            other = next((what for key, what in KEYS.items() if record.get(key) != of[key]), "")
-            if not other:
+            why = difference(record, of, KEYS)
+            if not why:
                 return record, ""
-            why = f"what was there is of {other}"
         except InputError as error:
-            why = f"what was there is damaged ({error})"
+            why = damaged(error)
     record = {**of, **make()}
     path.parent.mkdir(parents=True, exist_ok=True)
     with files.new_file(path) as new:
