@@ -148,9 +148,10 @@ def read_folder(folder: Path) -> Priors:
     category, side, poses = list[str](), list[str](), list[ndarray]()
     for name, path in _parts(folder, "priors").items():
         T = arrays.floats(path, {"": arrays.parse_npy(path, "", files.read_bytes(path))}, "", (4, 4))
-        factor = np.cbrt(np.linalg.det(T[:3, :3]))
-        if factor > 0:
-            T[:3, :3] /= factor
+        with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is no rotation then
+            factor = np.cbrt(np.linalg.det(T[:3, :3]))
+            if factor > 0:
+                T[:3, :3] /= factor
         _check_poses(path, "T_hand_obj", T[None])
         poses.append(T)
         category.append(name.split("/")[0])

@@ -38,6 +38,8 @@ MOST_FRAMES = 20_000
 """Of a recording: five times as many as the longest has."""
 LARGEST_IMAGE = 8192
 """Longest side of an image [px]."""
+LARGEST_NUMBER = 1e9
+"""Of a pose, an angle or a calibration; far above all that is meant."""
 SIDES: dict[str, Side] = {"0": "left", "1": "right"}
 ARIA_CAMERAS = {"camera-rgb": (1408, 1408), "camera-slam-left": (640, 480)}
 """Cameras in the order of preference and the sizes of their images [px], which the calibration does not give."""
@@ -251,8 +253,8 @@ def _whole(value: Any, largest: int = 2**53) -> int:
 
 def _numbers(values: Sequence[float], count: int) -> Float[ndarray, "count"]:
     array = np.asarray(values, dtype=float)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        raise ValueError(f"not {count} finite numbers")
+    if array.shape != (count,) or not (np.abs(array) < LARGEST_NUMBER).all():
+        raise ValueError(f"not {count} numbers below {LARGEST_NUMBER:g}")
     return array
 
 
