@@ -44,7 +44,7 @@ MAPPING = "frame_mapping.json"
 UNMAPPED = f"no {MAPPING} beside VISOR's files: its frame numbers are taken for EPIC's, a few frames off"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # two things may be annotated alike, and arrays have no one answer to ==
 class Annotation:
     """One thing in an image."""
 
