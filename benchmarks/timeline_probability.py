@@ -71,12 +71,15 @@ def run(case: Case) -> list[Row]:
             what = [case.dataset, case.part, condition, case.clip, *right]
             signs = [f"{record['signs'][sign.name]:.6g}" for sign in SIGNS]
             off = f"{errors['hand'].add.mean() / errors['hand'].diameter:.4f}"
-            rows.append(dict(zip(COLUMNS, [*what, off, f"{seconds:.2f}", stamp(), *signs], strict=True)))
+            serious = f"{record['probability_right'] is None:d}"  # then it has none
+            rows.append(dict(zip(COLUMNS, [*what, off, serious, f"{seconds:.2f}", stamp(), *signs], strict=True)))
     return rows
 
 
 def section(results: Results) -> str:
-    """The table for the page."""
+    """The table for the page; grasps with a serious finding have no probability, and are left out."""
+    left, results = len(results.rows), results.only(serious="0")
+    left -= len(results.rows)
     calibration = CALIBRATIONS[METHOD, "hand"]
     rows = [line(name, results.only(condition=name), calibration) for name in of(results, "condition")]
     subjects = {subject_of(row["clip"]) for row in results.rows}
@@ -86,7 +89,8 @@ def section(results: Results) -> str:
         f"*Made {stamp()}; results of {' and '.join(days)}. {len(of(results, 'clip'))} timelines with a grasp, of "
         f"{len(subjects)} training subjects, by true segments.*"
     )
-    return f"{about}\n\n{page.table(header, [*rows, line('**all**', results, calibration)])}"
+    without = f"{left} more grasps have no probability, since a finding was serious."
+    return f"{about}\n\n{page.table(header, [*rows, line('**all**', results, calibration)])}\n\n{without}"
 
 
 if __name__ == "__main__":
