@@ -89,8 +89,8 @@ def section(results: Results) -> str:
         f"*Made {stamp()}; results of {' and '.join(days)}. {len(of(results, 'clip'))} timelines with a grasp, of "
         f"{len(subjects)} training subjects, by true segments.*"
     )
-    without = f"{left} more grasps have no probability, since a finding was serious."
-    return f"{about}\n\n{page.table(header, [*rows, line('**all**', results, calibration)])}\n\n{without}"
+    without = f"\n\n{left} more grasps have no probability, since a finding was serious." if left else ""
+    return f"{about}\n\n{page.table(header, [*rows, line('**all**', results, calibration)])}{without}"
 
 
 if __name__ == "__main__":
