@@ -43,8 +43,10 @@ SHALLOW = 6
 """So many of the axes are tried: those about which the object turns the least deep into the open hand."""
 TRIES, CLOSE = 40, 0.1
 """Motions that are drawn until what is measured of one is as close as this to what is asked for, as logarithms."""
-CHOSEN = ("turn", "rotation", "place", "drift", "pivot", "slip")
-"""By these measures; the first three are scaled to what is asked for, the others only chosen by."""
+SIZES = ("turn", "rotation", "place")
+"""Measures that motions are scaled to, as ``Residual.sizes``."""
+CHOSEN = (*SIZES, "drift", "pivot", "slip")
+"""Measures by which one of the motions is chosen."""
 UNDEFINED = 1.0
 """What has no measure, since it hardly turns, is so far off."""
 
@@ -133,7 +135,7 @@ def motion(
         rng: what chance decides.
     """
     best, least = None, np.inf
-    sizes = np.array([drawn[name] for name in CHOSEN[:3]])
+    sizes = np.array([drawn[name] for name in SIZES])
     for k in range(TRIES):
         start = starts[k % len(starts)]
         R, c = _motion(start, sizes, statistics, frames, rng)
