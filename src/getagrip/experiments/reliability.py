@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.checks.calibration import Weight, sigmoid
+from getagrip.experiments.statistics import LEVEL
 
 BINS = 10
 """Of the same width."""
@@ -78,12 +79,12 @@ def auroc(probability: Float[ndarray, "n"], right: Bool[ndarray, "n"]) -> float:
 def auroc_interval(
     probability: Float[ndarray, "n"], right: Bool[ndarray, "n"], weights: Float[ndarray, "B n"]
 ) -> tuple[float, float]:
-    """The 95 % interval of ``auroc`` over bootstrap resamples (``statistics.resamples``)."""
+    """The interval of ``auroc`` over bootstrap resamples (``statistics.resamples``), of the level ``LEVEL``."""
     ahead = probability[right, None] - probability[~right]
     won = weights[:, right] @ np.heaviside(ahead, 0.5)
     pairs = weights[:, right].sum(axis=1) * weights[:, ~right].sum(axis=1)
     drawn = np.sum(won * weights[:, ~right], axis=1)[pairs > 0] / pairs[pairs > 0]
-    low, high = np.quantile(drawn, [0.025, 0.975])
+    low, high = np.quantile(drawn, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
     return float(low), float(high)
 
 
