@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
+import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, FrameMasks, Masks
@@ -75,6 +76,20 @@ class ScaleFree(Change):
     def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
         factor = float(np.exp(np.random.default_rng([seed, *clip.name.encode()]).uniform(-1.0, 1.0) * np.log(1.25)))
         return replace(_resized(clip, 1.0 / factor), scale="free"), masks
+
+
+@dataclass(frozen=True)
+class Gapped(Change):
+    """Gaps between the object's masks and those of what hides it, which are smaller all round."""
+
+    px: float
+    """Width of the gaps [px of the image]."""
+
+    def __call__(self, clip: Clip, masks: Masks, seed: int) -> tuple[Clip, Masks]:
+        def shrunk(each: Bool[ndarray, "N H W"]) -> Bool[ndarray, "N H W"]:
+            return np.stack([cv2.distanceTransform(m.view(np.uint8), cv2.DIST_L2, 5) > self.px for m in each])
+
+        return clip, Masks(masks.object, shrunk(masks.ignore), None if masks.hand is None else shrunk(masks.hand))
 
 
 @dataclass(frozen=True)

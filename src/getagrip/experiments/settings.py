@@ -11,6 +11,7 @@ from getagrip.experiments.changes import (
     AS_GIVEN,
     Change,
     FlippedHands,
+    Gapped,
     Noisy,
     OtherObject,
     ScaleFree,
@@ -185,6 +186,11 @@ ABLATIONS: dict[str, Ablation] = {
         "Noise of the masks: distance of their contours from the true ones, root mean square",
         "none",
         (Setting("none"), *(_mask_noise(px) for px in (0.5, 1.0, 2.0, 4.0))),
+    ),
+    "mask-gaps": Ablation(
+        "Gaps between the masks of the object and of what hides it",
+        "none",
+        (Setting("none"), *(Setting(f"{px} px", change=Gapped(px)) for px in (1, 2, 3, 5))),
     ),
     "wrong-masks": Ablation(
         "Masks that are wrong in some frames: left out, or believed",

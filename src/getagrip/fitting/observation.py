@@ -11,6 +11,7 @@ from numba import njit
 from numpy import ndarray
 
 from getagrip.clip import Masks
+from getagrip.fitting.mask_gaps import in_gaps
 from getagrip.geometry.camera import Crops, crops_around
 from getagrip.kernels.silhouette import OPTIONS, pack
 
@@ -39,6 +40,7 @@ class Observation:
         targets: (N, 28, 5) points on the visible contour: position, outward normal, and the length of contour each
             stands for [px].
         area: (N,) pixels of the object's mask in the crop.
+        has_gaps: whether the masks leave gaps between the object and what hides it, whose pixels do not count.
     """
 
     crops: Crops
@@ -48,6 +50,7 @@ class Observation:
     field: Float32[ndarray, "N 128 128"]
     targets: Float[ndarray, "N 28 5"]
     area: Float[ndarray, "N"]
+    has_gaps: bool = False
 
     def take(self, index: Int[ndarray, "n"]) -> Observation:
         """The observation at some of its frames."""
@@ -59,6 +62,7 @@ class Observation:
             field=self.field[index],
             targets=self.targets[index],
             area=self.area[index],
+            has_gaps=self.has_gaps,
         )
 
 
@@ -70,6 +74,9 @@ def observe(masks: Masks, K: Float[ndarray, "T 3 3"], use_ignore: bool = True) -
     crops = _dithered(crops_around(masks.object, size=CROP))
     levels = {level: _sampled(masks, replace(crops, size=level), use_ignore) for level in {*LEVELS, FIELD}}
     Kc, observed = crops.intrinsics(K), levels[CROP][0]
+    gaps = in_gaps(observed, ~levels[CROP][1])
+    if has_gaps := bool(gaps.any()):
+        levels = {level: (s, s | (c & ~_coarser(gaps, level))) for level, (s, c) in levels.items()}
     field = np.empty((len(observed), FIELD, FIELD), np.float32)
     targets = np.empty((len(observed), TARGETS, 5))
     for n, (s, c) in enumerate(zip(*levels[FIELD], strict=True)):
@@ -83,6 +90,7 @@ def observe(masks: Masks, K: Float[ndarray, "T 3 3"], use_ignore: bool = True) -
         field=field,
         targets=targets,
         area=observed.sum(axis=(1, 2)).astype(float),
+        has_gaps=has_gaps,
     )
 
 
@@ -104,6 +112,14 @@ def _sampled(masks: Masks, crops: Crops, use_ignore: bool) -> tuple[Bool[ndarray
     observed = crops.resample(masks.object, outside=False)
     valid = crops.resample(~masks.ignore if use_ignore else np.ones_like(masks.object), outside=False)
     return observed, valid | observed
+
+
+def _coarser(pixels: Bool[ndarray, "N s s"], size: int) -> Bool[ndarray, "N n n"]:
+    """Pixels of a coarser level that any of the given ones is in."""
+    while pixels.shape[1] > size:
+        pixels = pixels[:, ::2] | pixels[:, 1::2]
+        pixels = pixels[:, :, ::2] | pixels[:, :, 1::2]
+    return pixels
 
 
 def signed_distance(observed: Bool[ndarray, "s s"], valid: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:

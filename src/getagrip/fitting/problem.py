@@ -165,6 +165,8 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     notes += of_poses
     notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
     observation = observe(masks, clip.K, options.occlusion)
+    if observation.has_gaps:
+        notes.append("masks leave gaps between the object and what hides it: what lies in them does not count")
     corrected = correction is not None
     return Problem(
         clip,

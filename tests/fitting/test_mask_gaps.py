@@ -1,0 +1,98 @@
+"""Laws of gaps between the masks: which pixels are in one, and what they no longer say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks
+from getagrip.experiments.changes import Gapped
+from getagrip.fitting import mask_gaps
+from getagrip.fitting.energy import PosesInCamera
+from getagrip.fitting.mask_gaps import WIDEST, in_gaps
+from getagrip.fitting.objective import mask_of
+from getagrip.fitting.observation import CROP, LEVELS, observe
+from getagrip.fitting.options import Options
+from getagrip.fitting.problem import prepare
+from getagrip.geometry import se3
+from getagrip.kernels.silhouette import unpack
+from helpers.scenes import SHORT, scene
+
+
+def strips(gap: int, size: int = 96, top: int = 20, bottom: int = 70) -> tuple[ndarray, ndarray]:
+    """An object left of a gap and what hides it right of it; (N = 1, size, size) each."""
+    observed, hidden = np.zeros((2, 1, size, size), bool)
+    observed[0, top:bottom, 20:40] = True
+    hidden[0, top:bottom, 40 + gap : 80] = True
+    return observed, hidden
+
+
+@pytest.mark.parametrize("gap", [1, 2, 5, WIDEST])
+def test_a_gap_is_what_lies_between(gap: int) -> None:
+    observed, hidden = strips(gap)
+    found = in_gaps(observed, hidden)
+    expected = np.zeros_like(found)
+    expected[0, 20:70, 40 : 40 + gap] = True
+    np.testing.assert_array_equal(found & expected, expected)
+    beyond = np.argwhere(found & ~expected)  # rounded corners at the ends
+    assert len(beyond) <= gap * gap
+    for turned in (lambda m: m[:, ::-1], lambda m: m[:, :, ::-1], lambda m: np.swapaxes(m, 1, 2)):
+        np.testing.assert_array_equal(
+            in_gaps(*(np.ascontiguousarray(turned(m)) for m in (observed, hidden))), turned(found)
+        )
+    np.testing.assert_array_equal(in_gaps(hidden, observed), found)
+
+
+def test_what_is_wider_or_touches_is_no_gap() -> None:
+    assert not in_gaps(*strips(0)).any()
+    assert not in_gaps(*strips(WIDEST + 1)).any()
+    observed, hidden = strips(3)
+    assert not in_gaps(observed, np.zeros_like(hidden)).any()
+    assert not in_gaps(np.zeros_like(observed), hidden).any()
+
+
+def test_exact_masks_have_corners_and_no_gaps() -> None:
+    """Where an outline goes behind the hand at right angles, nothing lies across; where it is acute, little does."""
+    observed, hidden = np.zeros((2, 1, 96, 96), bool)
+    i, j = np.indices((96, 96))
+    hidden[0] = i >= 60
+    for slope in (0.0, 0.5, 2.0):
+        observed[0] = (i < 60) & (i > 10) & (j > 30 + slope * (60 - i) * 0.5) & (j < 80)
+        assert not in_gaps(observed, hidden).any()
+
+
+def test_pixels_in_gaps_do_not_count_at_any_level() -> None:
+    clip, masks = scene("can", 0, SHORT)
+    exact, gapped = (observe(m, clip.K) for m in (masks, Gapped(2.0)(clip, masks, 0)[1]))
+    assert (exact.has_gaps, gapped.has_gaps) == (False, True)
+    assert gapped.take(np.array([0])).has_gaps
+    for level in LEVELS:
+        np.testing.assert_array_equal(gapped.observed[level], exact.observed[level])
+        seen, valid = (unpack(bits[level], level) for bits in (gapped.observed, gapped.valid))
+        assert (valid | ~seen).all()
+
+
+@pytest.mark.slow
+def test_gaps_speak_against_the_truth_unless_they_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    clip, masks = scene("can", 0, SHORT)
+    gapped = Gapped(2.0)(clip, masks, 0)[1]
+    exact, found = energy_at_truth(clip, masks), energy_at_truth(clip, gapped)
+    assert [any("gaps" in note for note in prepare(clip, m, Options()).notes) for m in (masks, gapped)] == [False, True]
+    monkeypatch.setattr(mask_gaps, "SHARE", 1.0)
+    believed = energy_at_truth(clip, gapped)
+    assert believed > 3.0 * exact
+    assert found - exact < 0.4 * (believed - exact)
+
+
+def energy_at_truth(clip: Clip, masks: Masks) -> float:
+    """E_mask at the true poses, all frames together."""
+    problem = prepare(clip, masks, replace(Options(), hands="as-given"))
+    assert problem.clip.truth is not None
+    T = problem.clip.truth.T_cam_obj
+    centre = se3.transform(T, np.tile(clip.mesh.centre, (len(T), 1, 1)))[:, 0]
+    poses = PosesInCamera(T[None, :, :3, :3], centre[None], np.ones(1))
+    (term,) = mask_of(problem)(CROP, np.arange(len(T)))
+    return float(term(poses, np.full(1, np.inf)).value.sum())
