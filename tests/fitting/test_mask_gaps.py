@@ -81,6 +81,7 @@ def test_gaps_speak_against_the_truth_unless_they_are_found(monkeypatch: pytest.
     gapped = Gapped(2.0)(clip, masks, 0)[1]
     exact, found = energy_at_truth(clip, masks), energy_at_truth(clip, gapped)
     assert [any("gaps" in note for note in prepare(clip, m, Options()).notes) for m in (masks, gapped)] == [False, True]
+    assert not prepare(clip, gapped, Options(method="paper")).observation.has_gaps
     monkeypatch.setattr(mask_gaps, "SHARE", 1.0)
     believed = energy_at_truth(clip, gapped)
     assert believed > 3.0 * exact

@@ -66,15 +66,16 @@ class Observation:
         )
 
 
-def observe(masks: Masks, K: Float[ndarray, "T 3 3"], use_ignore: bool = True) -> Observation:
+def observe(masks: Masks, K: Float[ndarray, "T 3 3"], use_ignore: bool = True, find_gaps: bool = True) -> Observation:
     """Crop the masks of a clip and prepare them for fitting. Every object mask must have a pixel.
 
-    ``use_ignore=False`` counts hidden pixels as background (the paper's ablation of C_o).
+    ``use_ignore=False`` counts hidden pixels as background (the paper's ablation of C_o), ``find_gaps=False`` those in
+    gaps between the masks (``mask_gaps``).
     """
     crops = _dithered(crops_around(masks.object, size=CROP))
     levels = {level: _sampled(masks, replace(crops, size=level), use_ignore) for level in {*LEVELS, FIELD}}
     Kc, observed = crops.intrinsics(K), levels[CROP][0]
-    gaps = in_gaps(observed, ~levels[CROP][1])
+    gaps = in_gaps(observed, ~levels[CROP][1]) if find_gaps else np.zeros_like(observed)
     if has_gaps := bool(gaps.any()):
         levels = {level: (s, s | (c & ~_coarser(gaps, level))) for level, (s, c) in levels.items()}
     field = np.empty((len(observed), FIELD, FIELD), np.float32)

@@ -33,7 +33,8 @@ class Departures:
     """What ``paper`` does our way; nothing, and it is the paper's method to the letter.
 
     With all of them it is ``one-dof`` with hands as given; but where the scale is free ``one-dof`` has twice as many
-    initial poses. Raises ``UsageError`` for a search without its optimiser.
+    initial poses, and gaps between the masks (``mask_gaps``) count as background here. Raises ``UsageError`` for a
+    search without its optimiser.
 
     Attributes:
         scale: push is a mean over vertices, as pull is over fingers, and both weigh by the area of the masks

@@ -84,7 +84,7 @@ class Problem:
     def at(self, clip: Clip, masks: Masks) -> Problem:
         """The same problem in other frames of its clip, with the masks that are given for them."""
         shown = occluded_by_hand(clip, masks) if self.hand_drawn and not masks.ignore.any() else masks
-        observation = observe(shown, clip.K, self.options.occlusion)
+        observation = _observed(clip, shown, self.options)
         return replace(self, clip=clip, masks=shown, given_masks=masks, observation=observation)
 
     def warped(self, warp: Warp | None) -> Problem:
@@ -164,7 +164,7 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     poses, of_poses = pose_priors.poses_for(clip, options)
     notes += of_poses
     notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
-    observation = observe(masks, clip.K, options.occlusion)
+    observation = _observed(clip, masks, options)
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and what hides it: what lies in them does not count")
     corrected = correction is not None
@@ -182,6 +182,11 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
         threads,
         hand_differing=differing,
     )
+
+
+def _observed(clip: Clip, masks: Masks, options: Options) -> Observation:
+    """What the masks say; the paper's method counts gaps between them as background."""
+    return observe(masks, clip.K, options.occlusion, find_gaps=not method_of(options.method).as_published)
 
 
 def _sampled(clip: Clip, masks: Masks | None, frames: int) -> tuple[Clip, Masks]:
