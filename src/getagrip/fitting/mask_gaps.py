@@ -33,8 +33,8 @@ _OFFSETS = np.stack([_X, _Y], axis=1)[_NEAREST_FIRST][1:]
 def in_gaps(observed: Bool[ndarray, "N s s"], hidden: Bool[ndarray, "N s s"]) -> Bool[ndarray, "N s s"]:
     """Which pixels of a clip's crops are in gaps between the object's masks and what hides it.
 
-    The nearest pixels of both are on opposite sides of these, and at most so far apart. There are none where the masks
-    mostly touch.
+    The nearest pixels of both are on opposite sides of these, and a gap is at most ``WIDEST`` pixels wide. There are
+    none where the masks mostly touch (``SHARE``).
     """
     found, touching = np.empty_like(observed), 0
     around = np.ones((2 * WIDEST + 1, 2 * WIDEST + 1), np.uint8)
@@ -60,7 +60,7 @@ def _keep_gaps(observed, hidden, offsets, found):
             for k in range(len(offsets)):
                 x, y = offsets[k]
                 distance = np.sqrt(x * x + y * y)
-                # The other one is not nearer than this, if it is yet to be found.
+                # One that is yet to be found is no nearer than this: then the gap is too wide.
                 if distance + (max(to_object, to_hidden) or distance) > WIDEST + 1.0:
                     break
                 if not (0 <= i + y < size and 0 <= j + x < size):

@@ -50,7 +50,7 @@ class Observation:
     field: Float32[ndarray, "N 128 128"]
     targets: Float[ndarray, "N 28 5"]
     area: Float[ndarray, "N"]
-    has_gaps: bool = False
+    has_gaps: bool
 
     def take(self, index: Int[ndarray, "n"]) -> Observation:
         """The observation at some of its frames."""
