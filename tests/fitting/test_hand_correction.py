@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from numpy import ndarray
@@ -13,7 +14,7 @@ from getagrip.datasets.synthetic.noise import Noise, noisy_hand
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.hand_correction import correct_hand
-from getagrip.fitting.hand_errors import HandErrors
+from getagrip.fitting.hand_errors import RIGID, HandErrors
 from getagrip.fitting.hand_silhouette import SIZE, HandMask, HandSilhouette
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
@@ -68,7 +69,7 @@ def test_at_the_truth_hardly_a_pixel_differs(
     made: tuple[Clip, Masks],
 ) -> None:
     clip, masks = made
-    seen = HandSilhouette.of(clip, masks).with_field.with_bends
+    seen = HandSilhouette.of(clip, masks).with_masks_grown(np.zeros((len(clip), RIGID))).with_bends
     value, g, H = seen(np.zeros((len(clip), seen.errors.size)))
     assert value.sum() < 0.03 * seen.mask.pixels  # resampled pixels, no more
     assert g.shape == (6, 22)
@@ -95,6 +96,47 @@ def test_a_constant_error_is_found(made: tuple[Clip, Masks]) -> None:
     assert after[0] < 0.5 * before[0]
     assert after[1] < 0.3 * before[1]
     assert f"{100 * found.before:.0f} %" in str(found)
+
+
+def smaller(masks: Masks, by: int) -> Masks:
+    """Masks of the hand that keep away from everything by some pixels."""
+    assert masks.hand is not None
+    kernel = np.ones((2 * by + 1, 2 * by + 1), np.uint8)
+    hand = np.stack([cv2.erode(m.view(np.uint8), kernel, borderValue=0) for m in masks.hand]).view(bool)
+    return Masks(masks.object, hand, hand)
+
+
+@pytest.mark.parametrize("by", [2, 3])
+@pytest.mark.slow
+def test_masks_that_are_too_small_all_round_do_not_turn_the_hand(made: tuple[Clip, Masks], by: int) -> None:
+    clip, masks = made
+    found = correct_hand(clip, smaller(masks, by))[0]
+    turned, moved = (0.0, 0.0) if found is None else apart(clip, found.T_cam_hand)
+    assert turned < 1.0
+    assert moved < 1.0
+
+
+@pytest.mark.slow
+def test_nor_do_they_hide_its_error(made: tuple[Clip, Masks]) -> None:
+    clip = off(made[0], CONSTANT)
+    found = correct_hand(clip, smaller(made[1], 3))[0]
+    assert found is not None
+    assert f"grown by {found.grown:.1f} px" in str(found)
+    assert apart(clip, found.T_cam_hand)[1] < 0.4 * apart(clip, clip.hand.T_cam_hand)[1]
+
+
+def test_grown_masks_are_as_large_as_the_silhouettes_and_no_smaller_than_given(made: tuple[Clip, Masks]) -> None:
+    clip, masks = made
+    true = HandMask.of(clip, masks)
+    small = HandMask.of(clip, smaller(masks, 3))
+    seen = unpack(true.observed, SIZE) & unpack(small.valid, SIZE)
+    grown = small.grown_to(true.observed)
+    assert small.pixels < 0.75 * seen.sum()
+    assert grown.pixels == pytest.approx(seen.sum(), rel=0.05)
+    assert not (unpack(small.observed, SIZE) & ~unpack(grown.observed, SIZE)).any()
+    assert not (unpack(grown.observed, SIZE) & ~unpack(small.valid, SIZE)).any()
+    np.testing.assert_array_equal(true.grown_to(small.observed).observed, true.observed)
+    np.testing.assert_array_equal(small.grown_to(np.full_like(small.observed, 2**64 - 1)).observed, small.observed)
 
 
 def test_without_joints_the_hand_is_corrected_as_a_rigid_one(made: tuple[Clip, Masks]) -> None:
@@ -170,8 +212,9 @@ def test_frames_in_which_nobody_labelled_the_hand_say_nothing(made: tuple[Clip, 
     assert masks.hand is not None
     hand = masks.hand.copy()
     hand[[1, 3]] = False
-    seen = HandSilhouette.of(clip, Masks(masks.object, masks.ignore, hand)).with_field.with_bends
-    everywhere = HandSilhouette.of(off(clip, CONSTANT), Masks(masks.object, masks.ignore, hand)).with_field.with_bends
+    given, at = Masks(masks.object, masks.ignore, hand), np.zeros((len(clip), RIGID))
+    seen = HandSilhouette.of(clip, given).with_masks_grown(at).with_bends
+    everywhere = HandSilhouette.of(off(clip, CONSTANT), given).with_masks_grown(at).with_bends
     x = np.zeros((len(clip), seen.errors.size))
     for values in (*seen(x), *everywhere(x)):
         assert not values[[1, 3]].any()

@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
 from getagrip.experiments.changes import Gapped
-from getagrip.fitting import mask_gaps
+from getagrip.fitting import problem
 from getagrip.fitting.energy import PosesInCamera
 from getagrip.fitting.mask_gaps import WIDEST, in_gaps
 from getagrip.fitting.objective import mask_of
@@ -75,6 +75,15 @@ def test_pixels_in_gaps_do_not_count_at_any_level() -> None:
         assert (valid | ~seen).all()
 
 
+def test_other_frames_of_a_clip_have_gaps_where_the_fitted_ones_have() -> None:
+    clip, masks = scene("can", 0, SHORT)
+    gapped = Gapped(2.0)(clip, masks, 0)[1]
+    for fitted, others in ((masks, gapped), (gapped, masks)):
+        first = prepare(clip, fitted, Options())
+        assert first.at(clip, others).observation.has_gaps == first.observation.has_gaps
+    np.testing.assert_array_equal(first.at(clip, gapped).observation.valid[CROP], first.observation.valid[CROP])
+
+
 @pytest.mark.slow
 def test_gaps_speak_against_the_truth_unless_they_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     clip, masks = scene("can", 0, SHORT)
@@ -82,7 +91,7 @@ def test_gaps_speak_against_the_truth_unless_they_are_found(monkeypatch: pytest.
     exact, found = energy_at_truth(clip, masks), energy_at_truth(clip, gapped)
     assert [any("gaps" in note for note in prepare(clip, m, Options()).notes) for m in (masks, gapped)] == [False, True]
     assert not prepare(clip, gapped, Options(method="paper")).observation.has_gaps
-    monkeypatch.setattr(mask_gaps, "SHARE", 1.0)
+    monkeypatch.setattr(problem, "GAP_SHARE", 1.0)
     believed = energy_at_truth(clip, gapped)
     assert believed > 3.0 * exact
     assert found - exact < 0.4 * (believed - exact)
@@ -90,10 +99,10 @@ def test_gaps_speak_against_the_truth_unless_they_are_found(monkeypatch: pytest.
 
 def energy_at_truth(clip: Clip, masks: Masks) -> float:
     """E_mask at the true poses, all frames together."""
-    problem = prepare(clip, masks, replace(Options(), hands="as-given"))
-    assert problem.clip.truth is not None
-    T = problem.clip.truth.T_cam_obj
+    prepared = prepare(clip, masks, replace(Options(), hands="as-given"))
+    assert prepared.clip.truth is not None
+    T = prepared.clip.truth.T_cam_obj
     centre = se3.transform(T, np.tile(clip.mesh.centre, (len(T), 1, 1)))[:, 0]
     poses = PosesInCamera(T[None, :, :3, :3], centre[None], np.ones(1))
-    (term,) = mask_of(problem)(CROP, np.arange(len(T)))
+    (term,) = mask_of(prepared)(CROP, np.arange(len(T)))
     return float(term(poses, np.full(1, np.inf)).value.sum())

@@ -50,6 +50,7 @@ class HandCorrection:
         turned: mean angle to the given poses [rad].
         moved: mean distance of the hand's middle from where it was given [m].
         before, after: share of the hand's seen pixels that differed from its silhouette, and that still do.
+        grown: by how much its masks were grown before, since they are too small all round [px of a crop of 128].
     """
 
     T_cam_hand: Float[ndarray, "N 4 4"]
@@ -57,12 +58,14 @@ class HandCorrection:
     moved: float
     before: float
     after: float
+    grown: float
 
     def __str__(self) -> str:
+        grown = f" (grown by {self.grown:.1f} px: its masks are too small all round)" if self.grown else ""
         return (
-            f"the hand was corrected by its own pixels: turned by {np.degrees(self.turned):.1f} degrees and moved by "
-            f"{1e3 * self.moved:.1f} mm on average; {100 * self.before:.0f} % of its pixels differed, "
-            f"{100 * self.after:.0f} % still do"
+            f"the hand was corrected by its own pixels{grown}: "
+            f"turned by {np.degrees(self.turned):.1f} degrees and moved by {1e3 * self.moved:.1f} mm on average; "
+            f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
         )
 
 
@@ -80,16 +83,19 @@ def correct_hand(clip: Clip, masks: Masks) -> tuple[HandCorrection | None, float
     before = seen.differing(given) / seen.mask.pixels
     if not np.isfinite(before):  # it goes behind the camera, and has no silhouette
         return None, 1.0
+    if before >= WORTH:
+        seen = seen.with_masks_grown(given)
+        before = seen.differing(given) / seen.mask.pixels
     if before < WORTH:
         return None, before
-    found = _fitted(seen.with_field, given)
+    found = _fitted(seen, given)
     after = found.pixels / seen.mask.pixels
     if after > AGREE or before - after < WORTH:
         return None, before
     T, T_given, middle = found.T_cam_hand, clip.hand.T_cam_hand, seen.errors.middle[None]
     turned = se3.angle_between(T[:, :3, :3], T_given[:, :3, :3])
     moved = np.linalg.norm(se3.transform(T, middle) - se3.transform(T_given, middle), axis=-1)
-    return HandCorrection(T, float(turned.mean()), float(moved.mean()), before, after), after
+    return HandCorrection(T, float(turned.mean()), float(moved.mean()), before, after, seen.mask.grown), after
 
 
 def _fitted(seen: HandSilhouette, given: Float[ndarray, "N P"]) -> _Fit:

@@ -29,6 +29,8 @@ STEP = 4.0
 DELTA = 1.0
 """Distances below this count as this in the curvature [px]."""
 MOST_POINTS = 200
+GROWTH = 0.7, 4.0
+"""Masks are grown if they are too small all round by more than the first [px], and by no more than the second."""
 REACH = 16
 """Ignored pixels farther than this from the given hand may be anything else [px]: a quarter of a hand."""
 WRIST, MIDDLE = 0, 9
@@ -45,13 +47,15 @@ class HandMask:
         valid: (N, n, words) pixels that are known to be the hand's or not: not those of the object, which may hide the
             hand, not other ignored pixels, and not those beyond its wrist, where an arm is. None in frames of which no
             pixel is known to be the hand's: nobody may have labelled it.
-        field: (N, n, n) signed distance to the visible contour [px]; no pixels where it is not known (``with_field``).
+        field: (N, n, n) signed distance to the visible contour [px]; no pixels where it is not known (``grown_to``).
+        grown: by how much the given masks were grown all round [px].
     """
 
     K: Float[ndarray, "N 4"]
     observed: UInt64[ndarray, "N _ _"]
     valid: UInt64[ndarray, "N _ _"]
     field: Float32[ndarray, "N _ _"]
+    grown: float = 0.0
 
     @staticmethod
     def of(clip: Clip, masks: Masks) -> HandMask:
@@ -73,15 +77,25 @@ class HandMask:
         hand &= valid
         return HandMask(fxfycxcy, pack(hand), pack(valid), _no_field(len(K)))
 
-    @property
-    def with_field(self) -> HandMask:
-        """The same with the field."""
-        frames = zip(unpack(self.observed, SIZE), unpack(self.valid, SIZE), strict=True)
-        return replace(self, field=np.stack([signed_distance(hand, valid) for hand, valid in frames]))
+    def grown_to(self, silhouettes: UInt64[ndarray, "N _ _"]) -> HandMask:
+        """The same with a field, grown by one distance in all frames until it is as large as these silhouettes.
+
+        Masks that keep away from the object often keep away from everything else, too. A hand that shall meet such a
+        mask turns, for its size is known. Masks too small by less than the first of ``GROWTH`` stay as they are, and
+        larger ones, which hands elsewhere have as well.
+        """
+        valid, masks = unpack(self.valid, SIZE), unpack(self.observed, SIZE)
+        field = np.stack([signed_distance(hand, seen) for hand, seen in zip(masks, valid, strict=True)])
+        least, most = GROWTH
+        distances, area = field[valid], int(np.count_nonzero(unpack(silhouettes, SIZE) & valid))
+        if not np.count_nonzero(distances < least) < area < len(distances):
+            return replace(self, field=field)
+        grown = min(np.partition(distances, area)[area], np.float32(most))
+        return replace(self, observed=pack((field < grown) & valid), field=field - grown, grown=float(grown))
 
     def take(self, index: Int[ndarray, "n"]) -> HandMask:
         """The masks of some of the frames."""
-        return HandMask(self.K[index], self.observed[index], self.valid[index], self.field[index])
+        return HandMask(self.K[index], self.observed[index], self.valid[index], self.field[index], self.grown)
 
     @cached_property
     def pixels(self) -> int:
@@ -99,13 +113,14 @@ class HandSilhouette:
 
     @staticmethod
     def of(clip: Clip, masks: Masks) -> HandSilhouette:
-        """Of a clip and its masks, without the masks' field and without bends."""
+        """Of a clip and its masks as given, without their field and without bends."""
         return HandSilhouette(HandErrors.of(clip.hand), HandMask.of(clip, masks), _edges(clip.hand))
 
-    @property
-    def with_field(self) -> HandSilhouette:
-        """The same with the masks' field, which the derivatives need."""
-        return replace(self, mask=self.mask.with_field)
+    def with_masks_grown(self, x: Float[ndarray, "N P"]) -> HandSilhouette:
+        """The same with the masks' field, which the derivatives need, and masks as large as the silhouettes there."""
+        in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
+        silhouettes = _contours(in_camera, self.errors.given, self.edges, self.mask, 0)[3]
+        return replace(self, mask=self.mask.grown_to(silhouettes))
 
     @property
     def with_bends(self) -> HandSilhouette:

@@ -20,7 +20,7 @@ WIDEST = 12
 """Widest gap [px of the crop]."""
 ACROSS = np.cos(np.radians(120.0))
 """A gap's pixel has the object on one side and what hides it on the other; by the cosine of the angle between them."""
-SHARE = 0.4
+GAP_SHARE = 0.4
 """Masks have gaps where these are so large a share of the border. Exact masks have pixels between the two, too, in the
 corners where the object's outline goes behind the hand: less, in nine clips of ten. (Medians over DexYCB's training
 subjects: exact 0.23, gaps of 1 px 0.66, of 2 px 0.95; contours off by 1, 2 and 4 px 0.37, 0.57 and 0.65.)"""
@@ -30,12 +30,16 @@ _OFFSETS = np.stack([_X, _Y], axis=1)[_NEAREST_FIRST][1:]
 """Steps (x, y) to other pixels, nearest first."""
 
 
-def in_gaps(observed: Bool[ndarray, "N s s"], hidden: Bool[ndarray, "N s s"]) -> Bool[ndarray, "N s s"]:
+def in_gaps(
+    observed: Bool[ndarray, "N s s"], hidden: Bool[ndarray, "N s s"], share: float = GAP_SHARE
+) -> Bool[ndarray, "N s s"]:
     """Which pixels of a clip's crops are in gaps between the object's masks and what hides it.
 
     The nearest pixels of both are on opposite sides of these, and a gap is at most ``WIDEST`` pixels wide. There are
-    none where the masks mostly touch (``SHARE``).
+    none unless gaps are more than ``share`` of the border of both: no masks have any by 1, all that keep apart by 0.
     """
+    if share >= 1.0:
+        return np.zeros_like(observed)
     found, touching = np.empty_like(observed), 0
     around = np.ones((2 * WIDEST + 1, 2 * WIDEST + 1), np.uint8)
     for n, (s, h) in enumerate(zip(observed, hidden, strict=True)):
@@ -44,7 +48,7 @@ def in_gaps(observed: Bool[ndarray, "N s s"], hidden: Bool[ndarray, "N s s"]) ->
         _keep_gaps(s, h, _OFFSETS, found[n])
         touching += int(np.count_nonzero(cv2.dilate(h.view(np.uint8), around[:3, :3]).view(bool) & s))
     area = int(np.count_nonzero(found))
-    return found if area > SHARE * (area + touching) else np.zeros_like(found)
+    return found if area > share * (area + touching) else np.zeros_like(found)
 
 
 @njit(**OPTIONS)

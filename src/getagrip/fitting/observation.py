@@ -11,7 +11,7 @@ from numba import njit
 from numpy import ndarray
 
 from getagrip.clip import Masks
-from getagrip.fitting.mask_gaps import in_gaps
+from getagrip.fitting.mask_gaps import GAP_SHARE, in_gaps
 from getagrip.geometry.camera import Crops, crops_around
 from getagrip.kernels.silhouette import OPTIONS, pack
 
@@ -66,16 +66,18 @@ class Observation:
         )
 
 
-def observe(masks: Masks, K: Float[ndarray, "T 3 3"], use_ignore: bool = True, find_gaps: bool = True) -> Observation:
+def observe(
+    masks: Masks, K: Float[ndarray, "T 3 3"], use_ignore: bool = True, gap_share: float = GAP_SHARE
+) -> Observation:
     """Crop the masks of a clip and prepare them for fitting. Every object mask must have a pixel.
 
-    ``use_ignore=False`` counts hidden pixels as background (the paper's ablation of C_o), ``find_gaps=False`` those in
-    gaps between the masks (``mask_gaps``).
+    ``use_ignore=False`` counts hidden pixels as background (the paper's ablation of C_o). Those in gaps between
+    the masks do not count either, where these are more than ``gap_share`` of the masks' border (``mask_gaps.in_gaps``).
     """
     crops = _dithered(crops_around(masks.object, size=CROP))
     levels = {level: _sampled(masks, replace(crops, size=level), use_ignore) for level in {*LEVELS, FIELD}}
     Kc, observed = crops.intrinsics(K), levels[CROP][0]
-    gaps = in_gaps(observed, ~levels[CROP][1]) if find_gaps else np.zeros_like(observed)
+    gaps = in_gaps(observed, ~levels[CROP][1], gap_share)
     if has_gaps := bool(gaps.any()):
         levels = {level: (s, s | (c & ~_coarser(gaps, level))) for level, (s, c) in levels.items()}
     field = np.empty((len(observed), FIELD, FIELD), np.float32)

@@ -17,6 +17,7 @@ from getagrip.fitting import pose_priors
 from getagrip.fitting.contact import MARGIN
 from getagrip.fitting.energy import Energy
 from getagrip.fitting.hand_correction import correct_hand
+from getagrip.fitting.mask_gaps import GAP_SHARE
 from getagrip.fitting.methods import method_of
 from getagrip.fitting.motion import Motion, PosesInHand
 from getagrip.fitting.observation import Observation, observe
@@ -82,9 +83,13 @@ class Problem:
         return self.options.inits if priors is None or not priors.alone else len(self.prior_poses)
 
     def at(self, clip: Clip, masks: Masks) -> Problem:
-        """The same problem in other frames of its clip, with the masks that are given for them."""
+        """The same problem in other frames of its clip, with the masks that are given for them.
+
+        Whether the masks leave gaps stays as it was found.
+        """
         shown = occluded_by_hand(clip, masks) if self.hand_drawn and not masks.ignore.any() else masks
-        observation = _observed(clip, shown, self.options)
+        gap_share = 0.0 if self.observation.has_gaps else 1.0
+        observation = observe(shown, clip.K, self.options.occlusion, gap_share)
         return replace(self, clip=clip, masks=shown, given_masks=masks, observation=observation)
 
     def warped(self, warp: Warp | None) -> Problem:
@@ -164,7 +169,8 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     poses, of_poses = pose_priors.poses_for(clip, options)
     notes += of_poses
     notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
-    observation = _observed(clip, masks, options)
+    # For the paper's method gaps between the masks are background.
+    observation = observe(masks, clip.K, options.occlusion, 1.0 if as_published else GAP_SHARE)
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and what hides it: what lies in them does not count")
     corrected = correction is not None
@@ -182,11 +188,6 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
         threads,
         hand_differing=differing,
     )
-
-
-def _observed(clip: Clip, masks: Masks, options: Options) -> Observation:
-    """What the masks say; the paper's method counts gaps between them as background."""
-    return observe(masks, clip.K, options.occlusion, find_gaps=not method_of(options.method).as_published)
 
 
 def _sampled(clip: Clip, masks: Masks | None, frames: int) -> tuple[Clip, Masks]:
