@@ -14,7 +14,7 @@ from getagrip.datasets.synthetic.noise import Noise, noisy_hand
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.fitting.hand_correction import correct_hand
-from getagrip.fitting.hand_errors import RIGID, HandErrors
+from getagrip.fitting.hand_errors import HandErrors
 from getagrip.fitting.hand_silhouette import SIZE, HandMask, HandSilhouette
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
@@ -69,7 +69,7 @@ def test_at_the_truth_hardly_a_pixel_differs(
     made: tuple[Clip, Masks],
 ) -> None:
     clip, masks = made
-    seen = HandSilhouette.of(clip, masks).with_masks_grown(np.zeros((len(clip), RIGID))).with_bends
+    seen = HandSilhouette.of(clip, masks).with_field.with_bends
     value, g, H = seen(np.zeros((len(clip), seen.errors.size)))
     assert value.sum() < 0.03 * seen.mask.pixels  # resampled pixels, no more
     assert g.shape == (6, 22)
@@ -110,7 +110,7 @@ def smaller(masks: Masks, by: int) -> Masks:
 @pytest.mark.slow
 def test_masks_that_are_too_small_all_round_do_not_turn_the_hand(made: tuple[Clip, Masks], by: int) -> None:
     clip, masks = made
-    found = correct_hand(clip, smaller(masks, by))[0]
+    found = correct_hand(clip, smaller(masks, by), have_gaps=True)[0]
     turned, moved = (0.0, 0.0) if found is None else apart(clip, found.T_cam_hand)
     assert turned < 1.0
     assert moved < 1.0
@@ -119,7 +119,7 @@ def test_masks_that_are_too_small_all_round_do_not_turn_the_hand(made: tuple[Cli
 @pytest.mark.slow
 def test_nor_do_they_hide_its_error(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
-    found = correct_hand(clip, smaller(made[1], 3))[0]
+    found = correct_hand(clip, smaller(made[1], 3), have_gaps=True)[0]
     assert found is not None
     assert f"grown by {found.grown:.1f} px" in str(found)
     assert apart(clip, found.T_cam_hand)[1] < 0.4 * apart(clip, clip.hand.T_cam_hand)[1]
@@ -212,9 +212,8 @@ def test_frames_in_which_nobody_labelled_the_hand_say_nothing(made: tuple[Clip, 
     assert masks.hand is not None
     hand = masks.hand.copy()
     hand[[1, 3]] = False
-    given, at = Masks(masks.object, masks.ignore, hand), np.zeros((len(clip), RIGID))
-    seen = HandSilhouette.of(clip, given).with_masks_grown(at).with_bends
-    everywhere = HandSilhouette.of(off(clip, CONSTANT), given).with_masks_grown(at).with_bends
+    seen = HandSilhouette.of(clip, Masks(masks.object, masks.ignore, hand)).with_field.with_bends
+    everywhere = HandSilhouette.of(off(clip, CONSTANT), Masks(masks.object, masks.ignore, hand)).with_field.with_bends
     x = np.zeros((len(clip), seen.errors.size))
     for values in (*seen(x), *everywhere(x)):
         assert not values[[1, 3]].any()

@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
 from getagrip.experiments.changes import Gapped
-from getagrip.fitting import problem
+from getagrip.fitting import hand_silhouette, problem
 from getagrip.fitting.energy import PosesInCamera
 from getagrip.fitting.mask_gaps import WIDEST, in_gaps
 from getagrip.fitting.objective import mask_of
@@ -39,9 +39,9 @@ def test_a_gap_is_what_lies_between(gap: int) -> None:
     np.testing.assert_array_equal(found & expected, expected)
     beyond = np.argwhere(found & ~expected)  # rounded corners at the ends
     assert len(beyond) <= gap * gap
-    for turned in (lambda m: m[:, ::-1], lambda m: m[:, :, ::-1], lambda m: np.swapaxes(m, 1, 2)):
+    for changed in (lambda m: m[:, ::-1], lambda m: m[:, :, ::-1], lambda m: np.swapaxes(m, 1, 2)):
         np.testing.assert_array_equal(
-            in_gaps(*(np.ascontiguousarray(turned(m)) for m in (observed, hidden))), turned(found)
+            in_gaps(*(np.ascontiguousarray(changed(m)) for m in (observed, hidden))), changed(found)
         )
     np.testing.assert_array_equal(in_gaps(hidden, observed), found)
 
@@ -82,6 +82,25 @@ def test_other_frames_of_a_clip_have_gaps_where_the_fitted_ones_have() -> None:
         first = prepare(clip, fitted, Options())
         assert first.at(clip, others).observation.has_gaps == first.observation.has_gaps
     np.testing.assert_array_equal(first.at(clip, gapped).observation.valid[CROP], first.observation.valid[CROP])
+
+
+@pytest.mark.slow
+def test_exact_hands_stay_where_their_masks_are_too_small_all_round(monkeypatch: pytest.MonkeyPatch) -> None:
+    clip, masks = scene("can", 0, SHORT)
+    gapped = Gapped(3.0)(clip, masks, 0)[1]
+    grown = turned(prepare(clip, gapped, Options()).clip)
+    monkeypatch.setattr(hand_silhouette, "GROWTH", (np.inf, 0.0))
+    as_given = turned(prepare(clip, gapped, Options()).clip)
+    assert grown < 1.0
+    assert grown < 0.3 * as_given
+
+
+def turned(clip: Clip) -> float:
+    """By how much the hand was turned [degrees], mean over frames."""
+    assert clip.truth is not None
+    return float(
+        np.degrees(se3.angle_between(clip.hand.T_cam_hand[:, :3, :3], clip.truth.T_cam_hand[:, :3, :3])).mean()
+    )
 
 
 @pytest.mark.slow

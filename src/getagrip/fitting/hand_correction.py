@@ -69,12 +69,13 @@ class HandCorrection:
         )
 
 
-def correct_hand(clip: Clip, masks: Masks) -> tuple[HandCorrection | None, float]:
+def correct_hand(clip: Clip, masks: Masks, have_gaps: bool = False) -> tuple[HandCorrection | None, float]:
     """The correction of a clip's hand, and the share of its seen pixels that differ from its silhouette then.
 
     There is no correction where its pixels are not known (the share is NaN) or ask for none, and where it cannot be
     made to agree with them: then they are not this hand's, or it is too far off. Pixels of the hand are those of
-    ``masks.hand``, else the ignored ones near the given hand.
+    ``masks.hand``, else the ignored ones near the given hand. Where masks leave gaps (``mask_gaps``) the hand's may be
+    too small all round, and are grown first.
     """
     seen = HandSilhouette.of(clip, masks)
     if seen.mask.pixels == 0:
@@ -83,12 +84,12 @@ def correct_hand(clip: Clip, masks: Masks) -> tuple[HandCorrection | None, float
     before = seen.differing(given) / seen.mask.pixels
     if not np.isfinite(before):  # it goes behind the camera, and has no silhouette
         return None, 1.0
-    if before >= WORTH:
+    if have_gaps:
         seen = seen.with_masks_grown(given)
         before = seen.differing(given) / seen.mask.pixels
     if before < WORTH:
         return None, before
-    found = _fitted(seen, given)
+    found = _fitted(seen.with_field, given)
     after = found.pixels / seen.mask.pixels
     if after > AGREE or before - after < WORTH:
         return None, before

@@ -47,7 +47,7 @@ class HandMask:
         valid: (N, n, words) pixels that are known to be the hand's or not: not those of the object, which may hide the
             hand, not other ignored pixels, and not those beyond its wrist, where an arm is. None in frames of which no
             pixel is known to be the hand's: nobody may have labelled it.
-        field: (N, n, n) signed distance to the visible contour [px]; no pixels where it is not known (``grown_to``).
+        field: (N, n, n) signed distance to the visible contour [px]; no pixels where it is not known (``with_field``).
         grown: by how much the given masks were grown all round [px].
     """
 
@@ -77,21 +77,26 @@ class HandMask:
         hand &= valid
         return HandMask(fxfycxcy, pack(hand), pack(valid), _no_field(len(K)))
 
+    @property
+    def with_field(self) -> HandMask:
+        """The same with the field."""
+        frames = zip(unpack(self.observed, SIZE), unpack(self.valid, SIZE), strict=True)
+        return replace(self, field=np.stack([signed_distance(hand, valid) for hand, valid in frames]))
+
     def grown_to(self, silhouettes: UInt64[ndarray, "N _ _"]) -> HandMask:
-        """The same with a field, grown by one distance in all frames until it is as large as these silhouettes.
+        """The same, grown by one distance in all frames until it is as large as these silhouettes.
 
         Masks that keep away from the object often keep away from everything else, too. A hand that shall meet such a
         mask turns, for its size is known. Masks too small by less than the first of ``GROWTH`` stay as they are, and
         larger ones, which hands elsewhere have as well.
         """
-        valid, masks = unpack(self.valid, SIZE), unpack(self.observed, SIZE)
-        field = np.stack([signed_distance(hand, seen) for hand, seen in zip(masks, valid, strict=True)])
+        valid, field = unpack(self.valid, SIZE), self.with_field.field
         least, most = GROWTH
         distances, area = field[valid], int(np.count_nonzero(unpack(silhouettes, SIZE) & valid))
         if not np.count_nonzero(distances < least) < area < len(distances):
-            return replace(self, field=field)
-        grown = min(np.partition(distances, area)[area], np.float32(most))
-        return replace(self, observed=pack((field < grown) & valid), field=field - grown, grown=float(grown))
+            return self
+        grown = min(float(np.partition(distances, area)[area]), most)
+        return replace(self, observed=pack((field < grown) & valid), grown=grown)
 
     def take(self, index: Int[ndarray, "n"]) -> HandMask:
         """The masks of some of the frames."""
@@ -116,8 +121,13 @@ class HandSilhouette:
         """Of a clip and its masks as given, without their field and without bends."""
         return HandSilhouette(HandErrors.of(clip.hand), HandMask.of(clip, masks), _edges(clip.hand))
 
+    @property
+    def with_field(self) -> HandSilhouette:
+        """The same with the masks' field, which the derivatives need."""
+        return replace(self, mask=self.mask.with_field)
+
     def with_masks_grown(self, x: Float[ndarray, "N P"]) -> HandSilhouette:
-        """The same with the masks' field, which the derivatives need, and masks as large as the silhouettes there."""
+        """The same with masks as large as the silhouettes there, if they are much too small."""
         in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
         silhouettes = _contours(in_camera, self.errors.given, self.edges, self.mask, 0)[3]
         return replace(self, mask=self.mask.grown_to(silhouettes))

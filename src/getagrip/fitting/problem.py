@@ -156,21 +156,23 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     if clip.left_out:
         one, more = "frame without a visible object was", "frames without a visible object were"
         notes.append(f"{counted(len(clip.left_out), one, more)} left out of the fit: {', '.join(clip.left_out)}")
+    # For the paper's method gaps between the masks are background.
+    gap_share = 1.0 if as_published else GAP_SHARE
+    observation = observe(masks, clip.K, options.occlusion, gap_share)
     correction, differing = None, float("nan")
     if options.hands == "corrected" and not as_published:
-        correction, differing = correct_hand(clip, masks)
+        correction, differing = correct_hand(clip, masks, observation.has_gaps)
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
     hand_drawn = options.occlusion and not masks.ignore.any()
     if hand_drawn:
         masks = occluded_by_hand(clip, masks)
+        observation = observe(masks, clip.K, options.occlusion, gap_share)
         notes.append("no ignore masks: what the drawn hand covers outside the object's mask counts as hidden")
     poses, of_poses = pose_priors.poses_for(clip, options)
     notes += of_poses
     notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
-    # For the paper's method gaps between the masks are background.
-    observation = observe(masks, clip.K, options.occlusion, 1.0 if as_published else GAP_SHARE)
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and what hides it: what lies in them does not count")
     corrected = correction is not None
