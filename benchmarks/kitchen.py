@@ -101,11 +101,10 @@ def lenses(video: Path, out: Path) -> str:
             diameter = result.scale * read_clip(clip).warped(result.warp).mesh.diameter
             energy = result.candidates.energy
             second = f"+{100 * (energy[1] / energy[0] - 1):.1f} %" if len(energy) > 1 else "none"
-            probability = result.probability_right
             rows.append([
                 f"{lens}, `{method}`", f"{np.nanmean(result.iou):.2f}", f"{result.energy['total']:.0f}",
                 f"{diameter:.3f} m", "yes" if result.warp else "no", second,
-                str(probability) if probability else "",
+                str(result.probability_right or ""),
             ])  # fmt: skip
     columns = [
         "IOU",

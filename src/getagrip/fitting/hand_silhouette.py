@@ -87,8 +87,8 @@ class HandMask:
         """The same, grown by one distance in all frames until it is as large as these silhouettes.
 
         Masks that keep away from the object often keep away from everything else, too. A hand that shall meet such a
-        mask turns, for its size is known. Masks too small by less than the first of ``GROWTH`` stay as they are, and
-        larger ones, which hands elsewhere have as well.
+        mask turns, for its size is known. Masks that are too small by less than the first of ``GROWTH`` stay as they
+        are. So do masks that are too large: the hand may be elsewhere.
         """
         valid, field = unpack(self.valid, SIZE), self.with_field.field
         least, most = GROWTH
