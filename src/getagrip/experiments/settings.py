@@ -143,6 +143,12 @@ ABLATIONS: dict[str, Ablation] = {
             *map(_noise_level, ("moderate", "strong", "estimated")),
         ),
     ),
+    "final": Ablation(
+        "Hands that are exact, off by 10 mm and 8°, or at the levels `strong` and `estimated`",
+        None,
+        (Setting("exact"), _hand_noise(10.0), *map(_noise_level, ("strong", "estimated"))),
+        (REFERENCE, "soft-hinge", "contact-consistency"),
+    ),
     "estimated-hands": Ablation(
         "Hands that are off as estimates from images are: as given, or corrected by their own pixels",
         "none",
