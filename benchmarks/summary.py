@@ -1,4 +1,4 @@
-"""How often the pose is right, in two tables of the README and two of docs/results.md: ``python -m benchmarks.summary``.
+"""How often the pose is right, in tables of README and docs/results.md: ``python -m benchmarks.summary``.
 
 It reads the tables that ``benchmarks.results`` has put into the pages.
 """
