@@ -55,7 +55,7 @@ def write_summary(ledger: Ledger, out: Place, nameless: Iterable[Outcome]) -> li
 
 def _write_here(ledger: Ledger, results: Place, out: Path, nameless: Iterable[Outcome]) -> list[Path]:
     """Write them into a folder on this machine."""
-    with files.new_file(out / TABLE) as part, part.open("w", encoding="utf-8", newline="") as file:
+    with files.new_text(out / TABLE) as file:
         table = csv.writer(file)
         table.writerow(HEAD)
         for entry in _entries(ledger, results):

@@ -169,8 +169,8 @@ def _write(plan: Plan, tables: Sequence[Table], scores: Sequence[Scores], varian
     written = [plan.out / f"{name}{end}" for end in ("-clips.csv", ".csv", ".md", ".tex")]
     write_clips_csv(scores, variants, written[0])
     write_csv(tables, written[1])
-    written[2].write_text(markdown(tables, plan.title, about, settings), "utf-8")
-    written[3].write_text(latex(tables, plan.title, about + settings), "utf-8")
+    files.write_text(written[2], markdown(tables, plan.title, about, settings))
+    files.write_text(written[3], latex(tables, plan.title, about + settings))
     if plan.settings is not None and tables:
         from getagrip.experiments.plots import plot
 

@@ -60,8 +60,8 @@ def _write(plan: Plan, scores: Sequence[SequenceScores]) -> None:
     print(text, end="")
     name = plan.source.preset
     written = [plan.out / f"{name}.md", plan.out / f"{name}-sequences.csv"]
-    written[0].write_text(text, "utf-8")
-    with written[1].open("w", encoding="utf-8", newline="") as stream:
+    files.write_text(written[0], text)
+    with files.new_text(written[1]) as stream:
         table = csv.writer(stream)
         table.writerow(("sequence", "direction", "way", "true", "found", "tiou", "start", "end"))
         for one in scores:

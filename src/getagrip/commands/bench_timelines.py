@@ -48,7 +48,7 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
         text = _markdown(plan, whole, len(scores))
         print(text, end="")
         written = [plan.out / f"{preset}.md"]
-        written[0].write_text(text, "utf-8")
+        files.write_text(written[0], text)
         if plan.json is not None:
             files.write_json(plan.json, {one.name: one.by for one in whole})
             written.append(plan.json)

@@ -64,7 +64,7 @@ def find_candidates(
 def _write_table(path: Path, found: Sequence[candidates.Candidate]) -> None:
     """Write candidates as a table with ``COLUMNS``, as EPIC-Grasps has them: -1 for more than one contact."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", encoding="utf-8", newline="") as stream:
+    with files.new_text(path) as stream:
         table = csv.writer(stream)
         table.writerow(COLUMNS)
         for one in found:

@@ -58,8 +58,7 @@ def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> in
         masks = reader(n)
         for kind, mask in masks._asdict().items():
             if mask is not None:
-                (folder / kind).mkdir(parents=True, exist_ok=True)
-                write_mask(folder / kind / f"{name}.png", mask)
+                write_mask(files.folder_inside(folder, kind) / f"{name}.png", mask)
         visible += int(masks.object.any())
     if not visible:
         there = f"; there are {', '.join(sorted(reader.others))}" if reader.others else ""

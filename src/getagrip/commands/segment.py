@@ -15,6 +15,7 @@ from getagrip.commands.each_clip import each_clip
 from getagrip.grasps import lists
 from getagrip.grasps.cut import Cut, as_listed
 from getagrip.grasps.lists import ListedGrasp
+from getagrip.io import files
 from getagrip.io.counts import counted
 from getagrip.io.terminal import console, plain_table, report
 
@@ -143,7 +144,7 @@ def _table(found: Sequence[SegmentedClip]) -> Table:
 
 def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write the grasps as a table with ``COLUMNS``."""
-    with path.open("w", encoding="utf-8", newline="") as stream:
+    with files.new_text(path) as stream:
         table = csv.writer(stream)
         table.writerow(COLUMNS)
         table.writerows(row.values() for row in rows)

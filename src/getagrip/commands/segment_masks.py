@@ -161,7 +161,7 @@ def _table(found: Sequence[SegmentedClip]) -> Table:
 def _write(found: Sequence[SegmentedClip], out: Path) -> None:
     """All segments, into the folder."""
     out.mkdir(parents=True, exist_ok=True)
-    with (out / "segments.csv").open("w", encoding="utf-8", newline="") as stream:
+    with files.new_text(out / "segments.csv") as stream:
         table = csv.writer(stream)
         table.writerow(COLUMNS)
         table.writerows(row.values() for one in found for row in one.rows)

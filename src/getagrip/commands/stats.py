@@ -91,10 +91,10 @@ def _write(rows: Sequence[CategoryDurations], counted: Counts, out: Path) -> Non
     out.mkdir(parents=True, exist_ok=True)
     figures = {name: "-" if number is None else f"{number}" for name, number in asdict(counted).items()}
     pages = [_grid(HEADINGS, [_cells(row) for row in rows]), _grid(list(figures), [list(figures.values())])]
-    (out / "stats.md").write_text("\n".join(pages), "utf-8")
-    with (out / "counts.csv").open("w", encoding="utf-8", newline="") as stream:
+    files.write_text(out / "stats.md", "\n".join(pages))
+    with files.new_text(out / "counts.csv") as stream:
         csv.writer(stream).writerows([asdict(counted), asdict(counted).values()])
-    with (out / "stats.csv").open("w", encoding="utf-8", newline="") as stream:
+    with files.new_text(out / "stats.csv") as stream:
         writer = csv.writer(stream)
         writer.writerow(asdict(rows[0]) if rows else ())
         writer.writerows(asdict(row).values() for row in rows)

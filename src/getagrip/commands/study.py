@@ -158,7 +158,7 @@ def _content(studied: Sequence[StudiedGrasp], cut: Cut) -> dict[str, Any]:
 
 def _write_csv(path: Path, rows: Iterable[dict[str, Any]]) -> None:
     lines = list(rows)
-    with path.open("w", encoding="utf-8", newline="") as stream:
+    with files.new_text(path) as stream:
         table = csv.DictWriter(stream, lines[0])
         table.writeheader()
         table.writerows(lines)

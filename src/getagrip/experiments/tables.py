@@ -13,6 +13,7 @@ from getagrip.experiments.comparison import ERRORS, Table
 from getagrip.experiments.statistics import LEVEL, Estimate
 from getagrip.experiments.trials import Scores
 from getagrip.experiments.variants import Variant
+from getagrip.io import files
 from getagrip.io.counts import counted
 from getagrip.io.terminal import plain_table
 
@@ -198,7 +199,7 @@ def latex(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
 
 def write_csv(tables: Sequence[Table], path: Path) -> None:
     """One line for each table, row and column, unrounded, shares from 0 to 1."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with files.new_text(path) as file:
         writer = csv.writer(file)
         numbers = ("mean", "low", "high", "clips")
         writer.writerow(
@@ -225,7 +226,7 @@ def write_clips_csv(scores: Sequence[Scores], variants: Sequence[Variant], path:
     """One line for each clip and variant: what it is, how it went, and every metric, unrounded."""
     of = {variant.folder: variant for variant in variants}
     keys = list(dict.fromkeys(key for clip in scores for score in clip.scores for key in score.metrics))
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with files.new_text(path) as file:
         writer = csv.writer(file)
         about = (
             "clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "probability_right",
