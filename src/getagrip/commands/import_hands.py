@@ -7,7 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
 
+from getagrip.clip.camera_of_image import doubt
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.clip.plausible import check_in_view
 from getagrip.clip.reading import OTHER_HAND, ClipHeader, frames_with_hand, read_header
@@ -22,6 +25,8 @@ PREFIX = "other_"
 """Of what a clip's provenance says of the other hand."""
 MOST_FRAMES = 20_000
 """Of a hand file."""
+DOUBTED = 3
+"""Exit status where the hands are written, and the camera seems to be of other images."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +101,7 @@ def into_clip(
         files.write_json(fields, _fields(header, hands))
     _report(hands, header.frames)
     say(str(target))
-    return 0
+    return _status(header.K, header.size)
 
 
 def other_into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder: Path, overwrite: bool) -> int:
@@ -126,7 +131,7 @@ def other_into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, 
         some = _some(header.frames[row] for row in alone)
         left_out = f"{len(alone)} frames have the {side} hand only and are left out, as all without the clip's own"
         report(f"warning: {left_out}: {some}")
-    return 0
+    return _status(header.K, header.size)
 
 
 def into_file(
@@ -167,7 +172,7 @@ def into_file(
         write_hand(hands.track, part, extra)
     _report(replace(hands, provenance=provenance), names)
     print(out)
-    return 0
+    return _status(many, new.size)
 
 
 def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
@@ -184,6 +189,14 @@ def _report(hands: Hands, frames: Sequence[str]) -> None:
     missing = [name for n, name in enumerate(frames) if n not in hands.found]
     if missing:
         report(f"warning: no hand in {len(missing)} of {len(frames)} frames, skipped: {_some(missing)}")
+
+
+def _status(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> int:
+    """0, or ``DOUBTED`` with a warning where the camera, before which the hands are, seems to be of other images."""
+    doubted = doubt(K, size)
+    if doubted:
+        report(f"warning: camera: {doubted}")
+    return DOUBTED if doubted else 0
 
 
 def _some(names: Iterable[str]) -> str:

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from getagrip.clip import Clip, HandTrack, read_clip, read_observed
+from getagrip.clip.camera_of_image import doubt
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.clip.mask_request import MaskReader, MaskRequest
 from getagrip.clip.mask_sources import open_masks
@@ -35,7 +36,7 @@ from getagrip.io.terminal import report
 MOST_FRAMES = 20_000
 """Of a clip; a stable grasp of minutes."""
 INCOMPLETE = 3
-"""Exit status where the clip is made, and lacks masks or hands."""
+"""Exit status where the clip is made, and lacks masks or hands, or its camera seems to be of other images."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +85,8 @@ LATER = {
 
 
 def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
-    """Write a clip. Returns 0 when it is complete, 3 when masks or hands are yet to come, 2 when the call lacks
-    what a clip cannot be made without.
+    """Write a clip. Returns 0 when it is complete, 3 when masks or hands are yet to come or its camera is in doubt,
+    2 when the call lacks what a clip cannot be made without.
 
     Raises ``InputError`` for what is there and does not fit, ``UsageError`` where the folder exists, unless it is that
     of a clip to be overwritten.
@@ -284,7 +285,9 @@ def _summary(clip: Clip, given: Ingredients, hands: _Hands | None, out: Path) ->
     for key, text in clip.provenance.items():
         if "guess" in text:
             report(f"warning: {key}: {text}")
+    if doubted := doubt(clip.K, clip.size):
+        report(f"warning: camera: {doubted}")
     missing = [key for key, there in (("masks", given.masks), ("hands", given.hands)) if there is None]
     for key in missing:
         print(f"missing: {key}: {LATER[key].format(out=out, video=given.video)}", file=sys.stderr)
-    return INCOMPLETE if missing else 0
+    return INCOMPLETE if missing or doubted else 0
