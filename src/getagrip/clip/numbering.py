@@ -25,8 +25,8 @@ def renumbered(frames: Sequence[str], first: int, option: str) -> tuple[str, ...
 def counted_elsewhere(frames: Sequence[str], names: Iterable[str]) -> bool:
     """Whether files seem to be counted from another start than frames.
 
-    That is where they have a number 0 and frames have not, and where only some of their numbers are frames', and no
-    more numbers than frames begin and end earlier than these, or begin and end later.
+    That is where they have a number 0 and frames have not, and where only some of their numbers are frames': where
+    about as many numbers as frames, from half of these to all, begin and end earlier, or begin and end later.
     """
     of_frames, given = _numbers(frames, number_of), _numbers(names, number_in)
     if len(of_frames) < len(frames) or not given:
@@ -34,8 +34,8 @@ def counted_elsewhere(frames: Sequence[str], names: Iterable[str]) -> bool:
     earlier = min(given) < min(of_frames) and max(given) < max(of_frames)
     later = min(given) > min(of_frames) and max(given) > max(of_frames)
     from_zero = 0 in given and 0 not in of_frames
-    shifted = (earlier or later) and bool(given & of_frames) and len(given) <= len(of_frames)
-    return from_zero or shifted
+    about_as_many = len(of_frames) <= 2 * len(given) <= 2 * len(of_frames)
+    return from_zero or ((earlier or later) and bool(given & of_frames) and about_as_many)
 
 
 def check_numbers(frames: Sequence[str], names: Iterable[str], source: object, what: str, option: str) -> None:
