@@ -277,9 +277,7 @@ def test_a_camera_of_other_images_is_said_when_the_clip_is_made(made: Path, caps
     assert "it fits images of 96 x 72" in printed
 
 
-def test_hands_counted_from_another_start_are_asked_for(
-    made: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_hands_counted_from_another_start_are_asked_for(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of six hands the first is of frame 3, and is called 2."""
     hands = arrays.read(made / "six.npz", lambda _: True)
     arrays.write(made / "early.npz", hands | {"frames": np.arange(2, 8)})
