@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks, write_clip
+from getagrip.commands.evaluate_poses import OtherPoses, pose_jobs
+from getagrip.errors import UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.other_poses import poses_of
 from getagrip.export import bop
@@ -188,3 +190,23 @@ def _checksum(folder: Path) -> str:
     from getagrip.clip import input_sha256
 
     return input_sha256(folder)
+
+
+def test_poses_that_are_counted_from_another_start_are_asked_for(tmp_path: Path, moved: Any) -> None:
+    clip, masks, result = moved
+    T, first = clip.hand.T_cam_hand @ result.T_hand_obj, int(clip.frames[0]) - 1
+    path = tmp_path / "earlier.npz"
+    arrays.write(path, {"T_cam_obj": T, "frames": np.arange(first, first + len(T))})
+    with pytest.raises(UsageError, match="--first: got nothing"):
+        poses_of(path, "theirs", clip, masks)
+    found = poses_of(path, "theirs", clip, masks, first)
+    np.testing.assert_allclose(found.T_hand_obj, result.T_hand_obj, atol=1e-7)
+
+
+def test_files_of_single_frames_are_of_the_one_result(tmp_path: Path, moved: Any) -> None:
+    clip, _, _ = moved
+    for name in clip.frames:
+        np.savetxt(tmp_path / f"{name}.txt", np.eye(4))
+    (job,) = pose_jobs(OtherPoses(tmp_path, tmp_path / "clips"), {"mug": clip.frames})
+    assert (job.folder, job.clip) == (tmp_path, tmp_path / "clips" / "mug")
+    assert len(pose_jobs(OtherPoses(tmp_path, tmp_path / "clips"), {})) == len(clip)

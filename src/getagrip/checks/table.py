@@ -10,6 +10,7 @@ import numpy as np
 from getagrip.checks import frame_order, held, mesh_form, regrasp
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.hand_side import bend
+from getagrip.clip import camera_of_image
 from getagrip.finding import Finding
 
 GRAVER = {
@@ -19,6 +20,8 @@ GRAVER = {
     "other-size": "wrong-size",
     "masks-doubted": "many-masks-doubted",
     "mesh-deformed": "mesh-much-deformed",
+    "pixel-stretch": "principal-point",
+    "field-of-view": "principal-point",
 }
 """What goes without saying where a graver check finds the same."""
 LEAST_IOU = 0.5
@@ -109,6 +112,13 @@ def deformation(it: Evidence) -> str:
     return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is a guess"
 
 
+def other_images(it: Evidence) -> str:
+    """Of which images the camera seems to be."""
+    return camera_of_image.doubt(it.clip.K, it.clip.size)
+
+
+CAMERA_ADVICE = "give the camera of these images: K is scaled and cropped as they are"
+
 INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "mesh-holes", lambda it: mesh_form.hole_share(it.clip.mesh), high=0.15, shown=percent,
@@ -147,6 +157,19 @@ INPUT_CHECKS: tuple[Check, ...] = (
         "mask-at-edges", held.edge_share, high=0.7, shown=percent,
         fault="the masks cover {value} of the image's edge",
         advice="are these masks of the background, or of the whole image? Check their label",
+    ),
+    Check(
+        "principal-point", lambda it: camera_of_image.off_middle(it.clip.K, it.clip.size),
+        high=camera_of_image.OFF_MIDDLE, shown=percent, fault=other_images, advice=CAMERA_ADVICE,
+    ),
+    Check(
+        "pixel-stretch", lambda it: camera_of_image.stretch(it.clip.K), high=camera_of_image.STRETCH,
+        fault=other_images, advice=CAMERA_ADVICE,
+    ),
+    Check(
+        "field-of-view", lambda it: camera_of_image.field_of_view(it.clip.K, it.clip.size),
+        low=camera_of_image.NARROW, high=camera_of_image.WIDE, shown="{:.3g} degrees".format,
+        fault=other_images, advice=CAMERA_ADVICE,
     ),
     Check(
         "focal-jumps", held.focal_jump, high=1.1,
