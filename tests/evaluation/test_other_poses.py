@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from getagrip.commands.evaluate_poses import OtherPoses, pose_jobs
 from getagrip.errors import UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.other_poses import poses_of
+from getagrip.evaluation.pose_files import read_pose_file
 from getagrip.export import bop
 from getagrip.export.scene import Scene
 from getagrip.geometry import se3
@@ -26,6 +28,7 @@ from helpers.command_line import Run
 from helpers.true_result import true_result
 
 Refused = Callable[..., str]
+BOP_HEAD = "scene_id,im_id,obj_id,score,R,t\n"
 
 
 @pytest.fixture(scope="module")
@@ -141,10 +144,23 @@ def test_what_is_wrong_is_named(tmp_path: Path, moved: Any, refused: Refused) ->
             "a second obj_id",
         ),
         "h.xml": ("", "the suffix"),
+        "i.csv": (BOP_HEAD + "1,10,1,1\r,1 0 0,0 0 500\n", "line 2: got 4 cells"),
+        "j.csv": (BOP_HEAD + f"1,10,1,1,{'1 ' * 100_000},0 0 500,-1\n", "no CSV"),
+        "k.csv": (BOP_HEAD + '1,10,1,1,"1 0 0,0 0 500,-1\n', "no CSV"),
+        "l.csv": (BOP_HEAD + "1,10,1,1\n", "4 cells"),
     }
     for name, (text, words) in texts.items():
-        (tmp_path / name).write_text(text)
+        (tmp_path / name).write_text(text, newline="")
         refused(lambda name=name: poses_of(tmp_path / name, "theirs", clip, masks), str(tmp_path / name), words)
+
+
+def test_a_text_of_numbers_is_read_in_bounded_memory(tmp_path: Path, refused: Refused) -> None:
+    path = tmp_path / "ones.txt"
+    path.write_bytes(b"1 " * (16 * 2**16 + 1))
+    tracemalloc.start()
+    refused(lambda: read_pose_file(path), str(path), "16 for each frame")
+    assert tracemalloc.get_traced_memory()[1] < 12 * path.stat().st_size
+    tracemalloc.stop()
 
 
 def test_the_best_score_of_an_image_counts(tmp_path: Path, moved: Any) -> None:

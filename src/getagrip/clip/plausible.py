@@ -19,6 +19,8 @@ from getagrip.io.files import shown
 
 NEAREST, FARTHEST = 0.05, 20.0
 """Plausible distances from the camera [m]."""
+SLOWEST, FASTEST = 0.001, 100_000.0
+"""Plausible frames per second."""
 LONGEST = 86_400.0
 """Time that a clip can take [s]."""
 ROOM = 1000.0
@@ -39,6 +41,10 @@ def check_clip(clip: Clip) -> None:
     for key, array in arrays:
         if not np.isfinite(array).all():
             raise InputError(path, key, "NaN or infinite numbers", "finite numbers")
+    if not SLOWEST <= clip.fps <= FASTEST:
+        raise InputError(path, "fps", f"{clip.fps:g}", f"frames per second, {SLOWEST:g} to {FASTEST:g}")
+    if clip.times is not None:
+        check_times(path, clip.times, clip.frames)
     check_intrinsics(path, clip.K, clip.size)
     if clip.world is not None:
         check_camera_poses(path, clip.world.T_world_cam, clip.frames)
@@ -94,11 +100,16 @@ def check_intrinsics(path: Path, K: Float[ndarray, "T 3 3"], size: tuple[int, in
 
 def check_times(path: Path, times: Float[ndarray, "T"], frames: Sequence[str]) -> None:
     """Raise ``InputError`` for times [s] that do not rise, or that take longer than a clip can."""
-    rises = np.diff(times) > 0.0
+    steps = np.diff(times)
+    rises = steps > 0.0
     if not rises.all():
         n = int(np.argmin(rises)) + 1
         bad = f"{times[n]:.10g} s in frame {shown(frames[n])}, after {times[n - 1]:.10g} s"
         raise InputError(path, "times", bad, "numbers that rise from frame to frame")
+    if len(steps) and steps.min() < 0.99 / FASTEST:
+        n = int(np.argmin(steps)) + 1
+        bad = f"frame {shown(frames[n])} {steps[n - 1]:.4g} s after the one before"
+        raise InputError(path, "times", bad, f"at least {1.0 / FASTEST:g} s; are these seconds?")
     if not times[-1] - times[0] <= LONGEST:
         bad = f"{times[-1] - times[0]:.4g} s from the first frame to the last"
         raise InputError(path, "times", bad, f"at most {LONGEST:g} s; are these nanoseconds?")

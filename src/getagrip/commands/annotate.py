@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -27,6 +26,7 @@ from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.io import files
 from getagrip.io.counts import counted
+from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import progress_bar, report
 
 if TYPE_CHECKING:
@@ -186,9 +186,8 @@ def write_files(project: Project, out: Path) -> int:
             report(f"{name}: {not_listed(unfinished)}")
         status = max(status, write_segments(project, out, name))
     with files.new_text(out / "discards.csv") as stream:
-        lines = csv.DictWriter(stream, ("task", "clip", "annotator", "reason"))
-        lines.writeheader()
-        lines.writerows(export.discards(known, project.tasks))
+        discards = (row.values() for row in export.discards(known, project.tasks))
+        CsvTable(stream).write_rows([("task", "clip", "annotator", "reason"), *discards])
     found = agreements(known)
     files.write_json(out / "agreement.json", [asdict(one) for one in found])
     for one in found:

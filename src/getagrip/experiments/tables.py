@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from getagrip.experiments.trials import Scores
 from getagrip.experiments.variants import Variant
 from getagrip.io import files
 from getagrip.io.counts import counted
+from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import plain_table
 
 if TYPE_CHECKING:
@@ -200,9 +200,9 @@ def latex(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
 def write_csv(tables: Sequence[Table], path: Path) -> None:
     """One line for each table, row and column, unrounded, shares from 0 to 1."""
     with files.new_text(path) as file:
-        writer = csv.writer(file)
+        lines = CsvTable(file)
         numbers = ("mean", "low", "high", "clips")
-        writer.writerow(
+        lines.write_row(
             ["table", "row", "column", *numbers, "rank", "against", *(f"difference_{key}" for key in numbers)]
         )
         for table in tables:
@@ -210,12 +210,12 @@ def write_csv(tables: Sequence[Table], path: Path) -> None:
                 for row, rank in zip(table.rows, table.ranks(column), strict=True):
                     value, difference = row.values[column.label], row.differences.get(column.label)
                     compared = ["", *[""] * 4] if difference is None else [row.variant.against, *_numbers(difference)]
-                    writer.writerow(
+                    lines.write_row(
                         [table.title, row.variant.label, column.label, *_numbers(value), rank or "", *compared]
                     )
             for row in table.rows:
                 for label, median in (*row.medians.items(), ("seconds", row.seconds)):
-                    writer.writerow([table.title, row.variant.label, f"{label} (median)", median, *[""] * 9])
+                    lines.write_row([table.title, row.variant.label, f"{label} (median)", median, *[""] * 9])
 
 
 def _numbers(estimate: Estimate) -> list[float | int]:
@@ -227,15 +227,15 @@ def write_clips_csv(scores: Sequence[Scores], variants: Sequence[Variant], path:
     of = {variant.folder: variant for variant in variants}
     keys = list(dict.fromkeys(key for clip in scores for score in clip.scores for key in score.metrics))
     with files.new_text(path) as file:
-        writer = csv.writer(file)
+        lines = CsvTable(file)
         about = (
             "clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "probability_right",
             "probability_right_in_camera", "findings", "status",
         )  # fmt: skip
-        writer.writerow([*about, *keys])
+        lines.write_row([*about, *keys])
         for clip in scores:
             if clip.failure:
-                writer.writerow([clip.clip, *[""] * (len(about) - 2), f"failed: {clip.failure}", *[""] * len(keys)])
+                lines.write_row([clip.clip, *[""] * (len(about) - 2), f"failed: {clip.failure}", *[""] * len(keys)])
             for score in clip.scores:
                 variant = of[score.variant]
                 status = f"failed: {score.status}" if score.failed else score.status
@@ -244,7 +244,7 @@ def write_clips_csv(scores: Sequence[Scores], variants: Sequence[Variant], path:
                 how = [score.seconds, score.energy, score.ambiguous, *probable, found, status]
                 metrics = [score.metrics.get(key, "") for key in keys]
                 what = [clip.clip, clip.category, clip.subject, variant.method, variant.step]
-                writer.writerow([*what, *how, *metrics])
+                lines.write_row([*what, *how, *metrics])
 
 
 def terminal(table: Table) -> RichTable:

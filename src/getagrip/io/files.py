@@ -23,6 +23,7 @@ from typing import Any, TextIO
 
 from getagrip.errors import InputError, UsageError
 from getagrip.io import leftovers
+from getagrip.io.csv_tables import cell_text
 
 LARGEST_JSON = 64 * 2**20
 LARGEST_FILE = 2**30
@@ -130,7 +131,7 @@ def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tup
         for cells in filter(None, lines):
             if len(cells) != len(heads):
                 raise InputError(path, f"line {lines.line_num}", f"{len(cells)} cells", f"{len(heads)}, as in line 1")
-            rows.append((f"line {lines.line_num}, ", dict(zip(heads, cells, strict=True))))
+            rows.append((f"line {lines.line_num}, ", dict(zip(heads, map(cell_text, cells), strict=True))))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "", f"text that is no CSV ({error})", what) from error
     return heads, rows
