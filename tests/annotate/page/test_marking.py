@@ -251,9 +251,9 @@ def test_playback_shows_frames_in_order_and_stops_at_the_end(context: Any, serve
         .observe(document.getElementById("frame"), {childList: true, characterData: true, subtree: true}); }"""
     )
     page.keyboard.press(" ")
-    expect(page.locator("#frame")).to_have_text(str(FRAMES), timeout=20_000)
+    expect(page.locator("#frame")).to_have_text(str(FRAMES))
     shows(page, FRAMES)
-    seen = page.evaluate("seen")
+    seen = page.evaluate("seen")  # as many as the machine keeps up with
     assert seen == sorted(seen)
-    assert len(seen) > 3
+    assert seen[-1] == FRAMES
     expect(page.locator("#play")).to_contain_text("Play")
