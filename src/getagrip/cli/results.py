@@ -97,7 +97,11 @@ class Reconstruct(Command):
     overwrite: Flag = False
     """Make results again that are there already, of the same clip, options and code."""
     strict: Flag = False
-    """Exit with 1 also where a check finds something serious: the result is probably worthless."""
+    """Exit with 1 also where a check finds something serious (the result is probably worthless), or a result is less
+    probable than --min-probability."""
+    min_probability: Annotated[float, arg(metavar="P")] = 0.5
+    """With --strict, the least probability that poses are right in the hand, 0 to 1. Results without a probability
+    pass, if no finding is serious."""
     sharing: Annotated[Sharing, arg(name="")] = field(default_factory=Sharing)
 
     def run(self) -> int:
@@ -109,7 +113,7 @@ class Reconstruct(Command):
             hands=hands_of(self.given_hands), masks=masks_of(self.given_masks), mesh=mesh_of(self.given_mesh),
             axis=self.axis, every_frame=not self.sampled_only,
         )  # fmt: skip
-        batch = Batch(self.sharing.share(), self.threads, self.overwrite, self.strict)
+        batch = Batch(self.sharing.share(), self.threads, self.overwrite, self.strict, self.min_probability)
         if self.find_grasps or self.cut_grasps:
             from getagrip.commands.reconstruct_found import reconstruct_found
 

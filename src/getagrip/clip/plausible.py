@@ -25,6 +25,8 @@ LONGEST = 86_400.0
 """Time that a clip can take [s]."""
 ROOM = 1000.0
 """How far a camera may be from where it was in the first frame [m]."""
+FROM_WORLD = 1e5
+"""How far a camera may be from the world's origin [m]: beyond, single precision does not hold a centimetre."""
 OFF_ORIGIN = 0.25
 """Largest distance of a hand's middle from the origin of the hand frame, which lies in the hand [m]."""
 
@@ -116,13 +118,19 @@ def check_times(path: Path, times: Float[ndarray, "T"], frames: Sequence[str]) -
 
 
 def check_camera_poses(path: Path, T_world_cam: Float[ndarray, "T 4 4"], frames: Sequence[str]) -> None:
-    """Raise ``InputError`` for motions that are not rigid, or that take the camera too far."""
+    """Raise ``InputError`` for motions that are not rigid, or that are too far from the origin or the first place."""
     with np.errstate(over="ignore", invalid="ignore"):
         rigid = se3.is_rigid(T_world_cam)
         apart = np.linalg.norm(T_world_cam[:, :3, 3] - T_world_cam[0, :3, 3], axis=1)
     if not rigid.all():
         bad = f"a matrix that is no rigid motion in frame {shown(frames[int(np.argmin(rigid))])}"
         raise InputError(path, "camera.T_world_cam", bad, "rotations and translations [m], the last row 0 0 0 1")
+    far = np.abs(T_world_cam[:, :3, 3]).max(axis=1)
+    if not far.max() <= FROM_WORLD:
+        n = int(np.argmax(far))
+        given = f"a camera {far[n]:.4g} m from the world's origin in frame {shown(frames[n])}"
+        expected = f"at most {FROM_WORLD:g} m; subtract its first place from all, in metres"
+        raise InputError(path, "camera.T_world_cam", given, expected)
     if not apart.max() <= ROOM:
         n = int(np.argmax(apart))
         given = f"a camera {apart[n]:.4g} m from its first place in frame {shown(frames[n])}"

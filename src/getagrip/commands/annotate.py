@@ -167,7 +167,8 @@ class JobOnBar(BackgroundJob):
 def write_files(project: Project, out: Path) -> int:
     """Write ``grasps-<annotator>.csv`` and ``.json`` for each person, ``discards.csv`` and ``agreement.json``.
 
-    Of whole interactions also ``segments-<annotator>.json``. Returns 1 where segments overlap, else 0.
+    Of whole interactions also ``segments-<annotator>.json``. Returns 1 where segments overlap or a finished grasp is of
+    neither hand, else 0.
     """
     known, status = project.known(), 0
     others = len(project.store.marks.standing()) - len(known)
@@ -184,6 +185,7 @@ def write_files(project: Project, out: Path) -> int:
         marked = [mark for mark in own if mark.start is not None and mark.state == GRASP]
         if unfinished := [mark for mark in marked if mark not in listed]:
             report(f"{name}: {not_listed(unfinished)}")
+            status = max(status, int(any(mark.interval and not mark.side for mark in unfinished)))
         status = max(status, write_segments(project, out, name))
     with files.new_text(out / "discards.csv") as stream:
         discards = (row.values() for row in export.discards(known, project.tasks))
