@@ -41,6 +41,8 @@ class ClipCommand(Command):
     """As for import masks, which can add them later."""
     mask_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: START)")] = None
     """The number of the mask of frame START."""
+    mask_images: str = ""
+    """Which images of the masks are meant where there are several of a frame: a folder, or a pattern of names."""
     object: Labels = ()
     """Of the masks: the object's labels."""
     ignore: Labels = ()
@@ -75,8 +77,9 @@ class ClipCommand(Command):
         given = Ingredients(
             video=self.video, interval=self.interval, side=self.side, category=self.category,
             mesh=None if self.mesh is None else MeshRequest(self.mesh, *sizes), masks=self.masks,
-            mask_of_first=self.mask_first, object=self.object, ignore=self.ignore, hand=self.hand,
-            hands=self.hands, lens=Lens(self.K, self.focal, self.guess_focal), segments=self.segments,
+            mask_of_first=self.mask_first, mask_images=self.mask_images,
+            object=self.object, ignore=self.ignore, hand=self.hand, hands=self.hands,
+            lens=Lens(self.K, self.focal, self.guess_focal), segments=self.segments,
             still_camera=self.still_camera, fps=self.fps, hand_of_first=self.hand_first,
         )  # fmt: skip
         return new_clip(given, self.out, self.overwrite)
