@@ -139,4 +139,4 @@ def test_other_files_are_no_databases_of_marks(tmp_path: Path, refused: Callable
     path.unlink()
     with sqlite3.connect(path) as other:
         other.execute("CREATE TABLE versions (a)")
-    refused(lambda: Store(path), "another kind")
+    refused(lambda: Store(path), "another program")

@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from getagrip.batch.kept import good_result
+from getagrip.batch.kept import good_result, made_by
 from getagrip.clip import input_sha256, read_clip
 from getagrip.errors import GetagripError, InputError
 from getagrip.finding import Finding
 from getagrip.probability import Probability, of_grasps
-from getagrip.result import Reconstruction, software, write_result
+from getagrip.result import Reconstruction, write_result
 
 if TYPE_CHECKING:
     from getagrip.fitting.options import Options
@@ -97,7 +97,7 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         if meanwhile is not None and not job.overwrite:
             return meanwhile
         metrics = {"iou_full": result.mean_iou}
-        write_result(result, job.out, checksum, metrics, clip_folder=job.origin or job.clip, overwrite=True)
+        write_result(result, job.out, checksum, metrics, job.origin or job.clip, True, made_by(job.options.method))
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.name, error)
     from getagrip.fitting.reconstruct import uncalibrated
@@ -133,8 +133,8 @@ def standing(job: Job, checksum: str) -> tuple[Outcome | None, str]:
 
     ``checksum`` is that of the clip. Raises ``UsageError`` where something else is in the result's place.
     """
-    options = asdict(job.options)
-    there, why = good_result(job.out, checksum, job.options.method, options, software(), job.overwrite)
+    options, method = asdict(job.options), job.options.method
+    there, why = good_result(job.out, checksum, method, options, made_by(method), job.overwrite)
     if there is None:
         return None, why
     return _outcome(job, "kept", f"already done in {job.out}", there[0], checksum), ""

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from getagrip.errors import InputError, UsageError
-from getagrip.io import files
-from getagrip.result import Reconstruction, is_result, read_result
+from getagrip.fitting.methods import METHODS
+from getagrip.io import code, files
+from getagrip.result import Reconstruction, is_result, read_result, software
 
 OTHER = {
     "input_sha256": "another clip",
@@ -20,6 +21,17 @@ OTHER = {
     "code": "other code",
 }
 """In what a record may differ, by its key."""
+
+NOWHERE = "in no file"
+"""Where the code of a method may stand that was typed: it may have changed, so its results are not kept."""
+
+
+def made_by(method: str, *also: str) -> dict[str, str]:
+    """The software that would make a method's result now (``result.software``), its own files among the code."""
+    made = software(*also)
+    if method in METHODS and (own := code.outside(METHODS[method].fit)) != "":
+        made["code"] += f" and {own or NOWHERE}"
+    return made
 
 
 def good_result(
@@ -40,6 +52,8 @@ def good_result(
         result, record = read_result(folder)
     except InputError as error:
         return None, damaged(error)
+    if made_by["code"].endswith(NOWHERE):
+        return None, "the method's code is in no file, so that it may have changed"
     there = record | record["software"]
     now = {"input_sha256": checksum, "method": method, "seed": options["seed"], "options": options, **made_by}
     why = difference(there, now, OTHER | {"getagrip": f"version {files.shown(there.get('getagrip'))}"})
