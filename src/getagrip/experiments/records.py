@@ -39,7 +39,5 @@ def kept_or_made(
         except InputError as error:
             why = damaged(error)
     record = {**of, **make()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with files.new_file(path) as new:
-        files.write_json(new, record)
+    files.write_json(path, record)
     return record, why
