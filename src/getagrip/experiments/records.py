@@ -7,7 +7,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from getagrip.batch.kept import damaged, difference, made_by
+from getagrip.batch.kept import damaged, difference, without_source
+from getagrip.batch.made_by import KEY, UNKNOWN, made_by
 from getagrip.clip import input_sha256
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
@@ -34,6 +35,8 @@ def kept_or_made(
         try:
             record = files.read_json(path)
             why = difference(record, of, KEYS)
+            if of["software"].get(KEY) == UNKNOWN:
+                why = without_source(of["options"]["method"])
             if not why:
                 return record, ""
         except InputError as error:
