@@ -122,7 +122,7 @@ def with_area(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> In
     with np.errstate(invalid="ignore", over="ignore"):
         a, b, c = np.moveaxis(vertices[faces], 1, 0)
         doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        return faces[doubled > 1e-11 * np.ptp(vertices, axis=0).max(initial=0.0) ** 2]
+        return faces[doubled > 1e-11 * np.ptp(vertices[faces.ravel()], axis=0).max(initial=0.0) ** 2]
 
 
 def check_size(path: Path, key: str, extent: float, what: str) -> None:
