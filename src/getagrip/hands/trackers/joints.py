@@ -14,6 +14,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.hands.fit import ORDERS, JointOrder
 from getagrip.hands.trackers import records
 from getagrip.hands.trackers.estimates import Estimate, Estimates, Request
+from getagrip.hands.trackers.joint_checks import check_before_camera, check_order
 from getagrip.hands.trackers.records import numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
 from getagrip.io import files
@@ -38,7 +39,10 @@ class Joints(Tracker):
             raise UsageError("--order: got nothing, expected openpose or ho3d: the order of the joints is in no file")
         path = only_file(paths, "joints")
         record = records.read(path)
-        joints = numbers(path, record, "joints", (-1, 21, 3))[:, ORDERS[self.order]]
+        points = numbers(path, record, "joints", (-1, 21, 3))
+        check_before_camera(path, points)
+        check_order(path, points, self.order, request.side)
+        joints = points[:, ORDERS[self.order]]
         frames = frames_of_rows(path, record, len(joints), request)
         found = [
             Estimate(path, frame, DEPTH, None, hand)
