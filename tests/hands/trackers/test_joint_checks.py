@@ -13,7 +13,8 @@ from getagrip.hands.fit import ORDERS
 from getagrip.hands.trackers import records
 from getagrip.hands.trackers.joint_checks import check_before_camera, check_order
 
-JOINTS = np.tile(generic.load("right").with_shape().joints.reshape(1, 21, 3), (3, 1, 1)) + [0.0, 0.0, 0.6]
+HAND = generic.load("right").with_shape().with_pose(np.zeros(45))
+JOINTS = np.tile(np.reshape(HAND.joints, (1, 21, 3)) + np.array([0.0, 0.0, 0.6]), (3, 1, 1))
 
 
 def test_the_order_that_fits_is_named() -> None:
