@@ -104,7 +104,7 @@ def synthetic(preset: str) -> MotionStatistics:
     from getagrip.datasets.synthetic.splits import split
 
     found = []
-    for category, seed, options in split("test", preset)[::EVERY]:
+    for category, seed, options in split("validation", preset)[::EVERY]:
         clip = make_scene(category, seed, replace(options, size=(64, 48), focal=60.0)).clip
         found.append(motion(clip, contact_sets(clip, DEFINITION.contact)))
     return MotionStatistics.of(found)

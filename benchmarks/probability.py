@@ -125,7 +125,7 @@ def entry(calibration: Calibration) -> str:
 
 def section(rows: Results, calibrations: Mapping[Where, Calibration]) -> str:
     """The tables for the page."""
-    train, test = rows.only(part="train"), rows.only(part="test")
+    train, test = rows.only(part="train"), rows.only(part="validation")
     minutes = sum(float(row["seconds"]) for row in rows.rows) / 60.0
     about = (
         f"*Made {calibrations['hand'].made}; results of {' and '.join(of(rows, 'made'))}. "
@@ -213,7 +213,7 @@ def left_out(doubted: Results) -> str:
     """How many results have no probability, since a finding is serious, and how many of these are right."""
     counts = [
         f"{len(some.rows)} of the {part} results, {some.right.sum()} of them right in the hand"
-        for part in ("training", "test")
+        for part in ("training", "validation")
         for some in [doubted.only(part=part.removesuffix("ing"))]
     ]
     return f"A finding was serious for {', and for '.join(counts)}: these have no probability."
@@ -234,7 +234,7 @@ def report(rows: Results) -> None:
     calibrations = {where: calibrated(Results(train.rows, where), made) for where in RIGHT}
     SOURCE.write_text(source([*calibrations.values()]), encoding="utf-8")
     subprocess.run([sys.executable, "-m", "ruff", "format", "-q", SOURCE], check=True)
-    draw(rows.only(part="test"), calibrations, page.DOCS / "images" / PICTURE)
+    draw(rows.only(part="validation"), calibrations, page.DOCS / "images" / PICTURE)
     text = f"{section(rows, calibrations)}\n\n{left_out(doubted)}"
     page.write(SECTION, text)
     print(text)

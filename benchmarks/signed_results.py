@@ -28,7 +28,7 @@ from getagrip.experiments.stamp import stamp
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
 
-EVERY: dict[Split, tuple[int, int]] = {"train": (1, 3), "test": (2, 5)}
+EVERY: dict[Split, tuple[int, int]] = {"train": (1, 3), "validation": (2, 5)}
 """Of DexYCB's clips, and of the synthetic ones of each preset, every so many are used."""
 PRESETS = ("clean", "moderate", "strong", "estimated", "wild", "measured")
 Change = Callable[[Clip, Masks, int], tuple[Clip, Masks]]

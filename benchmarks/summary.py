@@ -1,4 +1,4 @@
-"""How often the pose is right, in a table of the README and two of docs/results.md: ``python -m benchmarks.summary``.
+"""How often the pose is right, in tables of README and docs/results.md: ``python -m benchmarks.summary``.
 
 It reads the tables that ``benchmarks.results`` has put into the pages.
 """
@@ -13,23 +13,24 @@ import numpy as np
 from benchmarks import page
 
 COLUMN, IN_CAMERA = "ADD sym.", "right in the camera, %"
-METHODS = {"soft-hinge": "default", "one-dof": "`one-dof`, after the paper"}
+ONE_DOF = "`one-dof`, same filters"
+VALIDATION = {"soft-hinge": "default", "one-dof": ONE_DOF, "paper": "`paper`"}
+"""The methods of the table of ``INPUTS``."""
+TEST = {"soft-hinge": "default", "one-dof": ONE_DOF, "contact-consistency": "`contact-consistency`"}
+"""The methods of the table of the test objects."""
 INPUTS = {
-    "as they are": ("dexycb-hand-noise", "none"),
-    "hands off by 10 mm and 8°": ("dexycb-hand-noise", "10 mm, 8°"),
-    "hands off by more, also in depth and fingers (`strong`, assumed)": ("dexycb-hand-noise", "strong"),
-    "hands off as an estimator's were in images of ARCTIC (`estimated`)": ("dexycb-hand-noise", "estimated"),
-    "masks off by 2 px": ("dexycb-mask-noise", "2 px"),
-    "masks off by 4 px": ("dexycb-mask-noise", "4 px"),
-    "masks of something else in one frame of five": ("dexycb-wrong-masks", "another object in 20 %, checked"),
-    "the object's size unknown": ("dexycb-scale", "free"),
-    "a mesh that is only of the object's kind": ("dexycb-other-mesh", "of its kind, fitted"),
-    "the same, size unknown, hands off (`moderate`, assumed)": (
-        "dexycb-other-mesh",
-        "of its kind, size unknown, hands moderate, fitted",
-    ),
+    "exact": "as they are",
+    "10 mm, 8°": "hands off by 10 mm and 8°",
+    "strong": "hands off by more, also in depth and fingers (`strong`, assumed)",
+    "estimated": "hands off as an estimator's were in images of ARCTIC (`estimated`)",
+    "masks off by 2 px": "masks off by 2 px",
+    "masks off by 4 px": "masks off by 4 px",
+    "another object in 20 %": "masks of something else in one frame of five",
+    "size unknown": "the object's size unknown",
+    "of its kind": "a mesh that is only of the object's kind",
+    "of its kind, size unknown, hands moderate": "the same, size unknown, hands off (`moderate`, assumed)",
 }
-"""What is measured, and the section and the setting that it is from."""
+"""Settings of the ablations ``inputs`` and ``final``, in words."""
 CLIPS = {
     "DexYCB": "dexycb-methods",
     "ARCTIC": "arctic-methods",
@@ -48,25 +49,24 @@ Numbers = dict[str, dict[str, tuple[float, ...]]]
 
 def main() -> None:
     """Update the pages."""
-    inputs = inputs_table()
-    for name, text in {"summary": inputs, "summary-inputs": inputs, "summary-methods": methods_table()}.items():
+    test, validation = inputs_table("dexycb-other-final", TEST), inputs_table("dexycb-inputs", VALIDATION)
+    tables = {"summary-test": test, "summary": validation, "summary-inputs": validation}
+    for name, text in {**tables, "summary-methods": methods_table()}.items():
         page.write(name, text)
         print(text, end="\n\n")
 
 
-def inputs_table() -> str:
-    """Two methods, in the hand and in the camera, with a row for each kind of input."""
-    sections = dict.fromkeys(section for section, _ in INPUTS.values())
-    in_hand, in_camera = numbers(sections, COLUMN), numbers(sections, IN_CAMERA)
+def inputs_table(section: str, methods: dict[str, str]) -> str:
+    """Methods, in the hand and in the camera, with a row for each kind of input."""
+    found = [page.numbers(section, [column]) for column in (COLUMN, IN_CAMERA)]
+    count = COUNT.findall(page.section(section))[0]
     rows = [
-        [
-            label,
-            *(shown(found[section], f"{method}, {setting}") for found in (in_hand, in_camera) for method in METHODS),
-        ]
-        for label, (section, setting) in INPUTS.items()
+        [label, count, *(shown(numbers, f"{method}, {setting}") for numbers in found for method in methods)]
+        for setting, label in INPUTS.items()
+        if any(row.endswith(f", {setting}") for row in found[0])
     ]
-    header = ["input", *METHODS.values(), "default, in the camera", "`one-dof`, in the camera"]
-    return f"{page.table(header, rows)}\n\n{measured(sections)}"
+    header = ["input", "clips", *methods.values(), *(f"{name}, in the camera" for name in methods.values())]
+    return f"{page.table(header, rows)}\n\n{measured([section])}"
 
 
 def shown(found: dict[str, tuple[float, ...]], row: str) -> str:

@@ -139,3 +139,21 @@ def test_impossible_states_are_refused(project: Project) -> None:
     for sets in ({"state": "held", "start": 3}, {"camera": "moving"}, {"camera": "still", "start": 3}):
         with pytest.raises(RefusedError):
             mark(project, sets)
+
+
+def test_no_hand_is_guessed(project: Project) -> None:
+    """A push by a hand that nobody has stated can be marked, but neither written nor labelled."""
+    mark(project, {"start": 3, "end": 9, "state": "contact"})
+    (whole,) = project.interactions("ann")
+    assert whole.side is None
+    assert any("Which hand" in hint for hint in whole.hints())
+    with pytest.raises(RefusedError, match="which hand touches the object"):
+        whole.listed()
+    for grasp in project._grasps(whole.task, "ann").values():
+        with pytest.raises(RefusedError, match="which hand"):
+            _ = grasp.side
+
+
+def test_a_stable_grasp_is_not_finished_without_a_hand(project: Project) -> None:
+    with pytest.raises(RefusedError, match="which hand"):
+        mark(project, {"start": 3, "end": 9, "state": "grasp"})

@@ -94,7 +94,7 @@ def test_undo_goes_back_through_every_state(
 def test_a_tab_undoes_its_own_changes_only(project: Project) -> None:
     mine, theirs = new(), new()
     project.change(change(mine, {"start": 1}, tab="tab-one-"))
-    project.change(change(theirs, {"start": 2}, tab="tab-two-"))
+    project.change(change(theirs, {"start": 2, "side": "left"}, tab="tab-two-"))
     project.undo(undo(tab="tab-one-"))
     assert [mark.mark for mark in project.store.marks.standing()] == [theirs]
     project.change(change(theirs, {"end": 9}, tab="tab-one-"))
@@ -107,8 +107,8 @@ def test_a_tab_undoes_its_own_changes_only(project: Project) -> None:
     "sets",
     [
         {}, {"start": 70}, {"start": -1}, {"start": "1"}, {"start": True}, {"start": 10**30}, {"end": 5},
-        {"start": 9, "end": 8}, {"reason": "bored"}, {"start": 1, "reason": REASONS[0]}, {"side": "both"},
-        {"start": 1, "category": ""},
+        {"start": 9, "end": 8}, {"start": 1, "end": 5}, {"reason": "bored"}, {"start": 1, "reason": REASONS[0]},
+        {"side": "both"}, {"start": 1, "category": ""},
         {"start": 1, "category": "a\nb"}, {"start": 1, "colour": "red"}, {"side": "left"},
     ],
 )  # fmt: skip
@@ -139,4 +139,4 @@ def test_other_files_are_no_databases_of_marks(tmp_path: Path, refused: Callable
     path.unlink()
     with sqlite3.connect(path) as other:
         other.execute("CREATE TABLE versions (a)")
-    refused(lambda: Store(path), "another kind")
+    refused(lambda: Store(path), "another program")

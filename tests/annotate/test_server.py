@@ -90,6 +90,20 @@ def test_the_token_stays_over_restarts_and_is_its_owners(tmp_path: Path) -> None
     assert kept_token(tmp_path / "token") != token
 
 
+def test_a_token_is_neither_short_nor_read_through_a_link(tmp_path: Path) -> None:
+    for content in ("a", "secret-of-the-users-own-that-is-long"):
+        other, token = tmp_path / "other", tmp_path / "token"
+        other.write_text(content)
+        other.chmod(0o600)
+        token.unlink(missing_ok=True)
+        token.symlink_to(other)
+        assert len(kept_token(token)) >= 20
+        assert not token.is_symlink()
+        assert other.read_text() == content
+        token.write_text("a")
+        assert len(kept_token(token)) >= 20
+
+
 def test_another_port_is_taken_where_the_usual_one_is_not_free(project: Project, monkeypatch: Any) -> None:
     with Server(project, 0) as busy:
         monkeypatch.setattr("getagrip.annotate.server.PORT", busy.server_port)

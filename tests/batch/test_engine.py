@@ -131,6 +131,15 @@ def test_what_has_failed_is_tried_again_by_the_next_driver_but_not_by_one_that_r
         assert entry.state == "open"
 
 
+def test_killed_drivers_leave_no_rows(tmp_path: Path) -> None:
+    with Ledger(tmp_path) as ledger:
+        for n in range(5):
+            row = (f"gone{n}", ledger._drivers._machine, 2**22 + n, "1")
+            ledger._db.execute("INSERT INTO drivers VALUES (?, ?, ?, ?, 7)", row)
+    with Ledger(tmp_path) as ledger:
+        assert ledger._db.execute("SELECT id FROM drivers").fetchall() == [(ledger._drivers.id,)]
+
+
 def test_a_failure_of_any_length_fits_into_the_ledger(tmp_path: Path) -> None:
     with Ledger(tmp_path) as ledger:
         assert ledger.claim("a", "", "") is not None

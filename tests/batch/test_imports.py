@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.imports import import_clips
+from getagrip.batch.imports import ImportJob, import_clips, import_part
 from getagrip.batch.ledger import FILE, Ledger
 from getagrip.batch.limits import Limits
 from getagrip.batch.plan import Shard
@@ -170,3 +170,10 @@ def test_clips_in_memory_are_read_to_the_end_before_an_error_is_raised() -> None
     with pytest.raises(InputError, match="a-1"):
         next(found)
     assert any("torn-1" in note for note in notes)
+
+
+def test_a_camera_of_other_images_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("getagrip.batch.imports.doubt", lambda K, size: "it fits images of 8 x 6")
+    imported = import_part(ImportJob(Shelf("a"), tmp_path))
+    assert imported.doubted == len(imported.made) == 2
+    assert f"{tmp_path / 'a-0'}: warning: camera: it fits images of 8 x 6" in imported.notes

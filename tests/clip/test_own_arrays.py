@@ -31,6 +31,9 @@ WRONG: dict[str, tuple[Clip, str]] = {
     "110 m large": (replace(CLIP, mesh=Mesh(1e3 * CLIP.mesh.vertices, CLIP.mesh.faces)), "mesh"),
     "look inward": (replace(CLIP, mesh=Mesh(CLIP.mesh.vertices, CLIP.mesh.faces[:, ::-1])), "mesh"),
     "NaN or infinite": (replace(CLIP, times=np.array([0.0, np.nan, 0.1])), "times"),
+    "got 1e-299, expected frames per second": (replace(CLIP, fps=1e-299), "fps"),
+    "got 1e+299, expected frames per second": (replace(CLIP, fps=1e299), "fps"),
+    "are these seconds?": (replace(CLIP, times=1e-310 * np.arange(3)), "times"),
     "no rigid motion in frame '0000'": (
         replace(CLIP, world=World(1.1 * np.tile(np.eye(4), (3, 1, 1)))),
         "camera.T_world_cam",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -257,9 +258,15 @@ def test_clips_that_the_disk_has_no_room_for_are_not_written(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a system without /dev/full")
 @pytest.mark.parametrize("name", ["mask.png", "image.jpg", "clip.json", "hand.npz", "object.obj"])
-def test_a_full_disk_is_an_error_that_names_the_file(tmp_path: Path, name: str) -> None:
+def test_a_full_disk_is_an_error_that_names_the_file(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, content: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")  # as Python says it: without a name
+
     (clip, masks), path = small_clip(), tmp_path / name
-    path.symlink_to("/dev/full")
+    path.write_bytes(b"old")
+    monkeypatch.setattr(Path, "write_bytes", full)
     write: dict[str, Callable[[], object]] = {
         ".png": lambda: write_mask(path, masks.object[0]),
         ".jpg": lambda: write_image(path, np.zeros((24, 32, 3), np.uint8)),
@@ -270,3 +277,5 @@ def test_a_full_disk_is_an_error_that_names_the_file(tmp_path: Path, name: str) 
     with pytest.raises(OSError, match="No space left") as caught:
         write[path.suffix]()
     assert caught.value.filename == str(path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import re
 import struct
+from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -18,7 +21,9 @@ from getagrip.clip import Segment, read_clip, read_masks
 from getagrip.clip.video import video_frames, video_info
 from getagrip.errors import InputError
 from getagrip.geometry.mesh_files import read_mesh
-from getagrip.io import files
+from getagrip.io import arrays, files
+from getagrip.io.images import write_image
+from helpers import numbered_footage
 from helpers.clip_inputs import SIZE, K, bars, everything, new
 from helpers.command_line import Run
 from helpers.folders import FullDisk, contents
@@ -38,7 +43,7 @@ def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(content)
         with pytest.raises(InputError, match=name):
             video_info(tmp_path / name)
-    with pytest.raises(InputError, match="a folder, expected a video; ffmpeg"):
+    with pytest.raises(InputError, match="a folder, expected a video"):
         video_info(tmp_path)
 
 
@@ -196,3 +201,88 @@ def test_sizes_are_refused_in_the_unit_in_which_they_are_given(made: Path, capsy
     mesh = ["--mesh", str(made / "unit.obj"), option, "0.25", "--interval", "1", "3", "--side", "left", "--K", *K]
     assert main(new(made, *mesh)) == 2
     assert f"{option}: got 0.25, expected 5 to 2000 millimetres" in capsys.readouterr().err
+
+
+def clip_of(made: Path, source: Path, first: int, last: int, *more: str) -> SimpleNamespace:
+    """What ``clip.json`` says of a clip of some frames of a source, without masks and hands."""
+    base = ["--interval", str(first), str(last), "--side", "right", "--mesh", "mug", "--focal", "200"]
+    assert main(["clip", "new", str(source), "--out", str(made / "cup"), *base, *more]) == 3
+    return SimpleNamespace(**json.loads((made / "cup" / "clip.json").read_text()))
+
+
+def test_times_are_the_frames_own(made: Path) -> None:
+    """Of two rates with a stall between them, from a time other than zero; the rate is that of most frames."""
+    ticks = [100, *range(102, 130, 2), *range(160, 190, 3)]
+    video = numbered_footage.write_video(made / "uneven.mp4", ticks, fps=60, frames=len(ticks))
+    clip = clip_of(made, video, 3, 25)
+    np.testing.assert_allclose(clip.times, (np.array(ticks[2:25]) - 100) / 60, atol=1e-3)
+    assert clip.fps == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize("prefix", ["", "frame_", "2026-rgb-"])
+def test_a_folder_of_images_is_a_clip_of_its_names(made: Path, prefix: str) -> None:
+    folder = made / "rgb"
+    folder.mkdir()
+    for n in (8, 9, 10, 11):
+        write_image(folder / f"{prefix}{n}.png", numbered_footage.picture(n))
+    clip = clip_of(made, folder, 1, 3, "--fps", "10")
+    assert clip.frames == [f"{prefix}{n}" for n in (8, 9, 10)]
+    np.testing.assert_allclose(clip.times, [0.0, 0.1, 0.2])
+    for name, n in zip(clip.frames, (8, 9, 10), strict=True):
+        assert numbered_footage.number_in((made / "cup" / "frames" / f"{name}.jpg").read_bytes()) == n
+
+
+def test_folders_that_are_no_footage_are_refused_by_file(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, command = made / "rgb", ["--interval", "1", "2", "--side", "right", "--mesh", "mug", "--focal", "200"]
+    folder.mkdir()
+    cases: list[tuple[dict[str, tuple[int, int]], str]] = [
+        ({}, "rgb: got no images in it"),
+        ({"1.png": (64, 256)}, "1 images, expected at least 2"),
+        ({"1.png": (64, 256), "2.png": (32, 256)}, "256 x 32 pixels in frame 2, expected 256 x 64"),
+        ({"1.png": (64, 256), "1.jpg": (64, 256)}, "1.png: got another image of the name of 1.jpg"),
+    ]
+    for content, words in cases:
+        for old in folder.iterdir():
+            old.unlink()
+        for name, shape in content.items():
+            write_image(folder / name, np.zeros((*shape, 3), np.uint8))
+        assert main(["clip", "new", str(folder), "--out", str(made / "cup"), *command]) == 1
+        assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_pixels_that_are_not_square_are_shown_square(made: Path, turned: bool) -> None:
+    """The frames are as wide as players show them, upright or not; annotate shows them alike."""
+    path = made / "narrow.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 48, 48, "yuv420p"
+        stream.codec_context.sample_aspect_ratio = Fraction(4, 3)
+        for _ in range(3):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((48, 48, 3), np.uint8), format="rgb24")))
+        container.mux(stream.encode())
+    if turned:
+        write_turned(path, path)
+    size = (48, 64) if turned else (64, 48)
+    assert video_info(path).size == size
+    shown = Video(path)
+    assert shown.size == size
+    shown.close()
+
+
+def test_a_camera_of_other_images_is_said_when_the_clip_is_made(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(new(made, *everything(made), "--hands", str(made / "six.npz"), "--K", "90", "90", "48", "36")) == 3
+    printed = capsys.readouterr().err
+    assert "warning: camera: the principal point 48, 36" in printed
+    assert "it fits images of 96 x 72" in printed
+
+
+def test_hands_counted_from_another_start_are_asked_for(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of six hands the first is of frame 3, and is called 2."""
+    hands = arrays.read(made / "six.npz", lambda _: True)
+    arrays.write(made / "early.npz", hands | {"frames": np.arange(2, 8)})
+    command = new(made, *everything(made), "--hands", str(made / "early.npz"))
+    assert main(command) == 2
+    assert "--hand-first: got nothing, expected the number of the hand of frame 000003" in capsys.readouterr().err
+    assert main([*command, "--hand-first", "2"]) == 0
+    np.testing.assert_allclose(read_clip(made / "cup").hand.T_cam_hand, hands["T_cam_hand"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +13,11 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks, write_clip
+from getagrip.commands.evaluate_poses import OtherPoses, pose_jobs
+from getagrip.errors import UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.other_poses import poses_of
+from getagrip.evaluation.pose_files import read_pose_file
 from getagrip.export import bop
 from getagrip.export.scene import Scene
 from getagrip.geometry import se3
@@ -24,6 +28,7 @@ from helpers.command_line import Run
 from helpers.true_result import true_result
 
 Refused = Callable[..., str]
+BOP_HEAD = "scene_id,im_id,obj_id,score,R,t\n"
 
 
 @pytest.fixture(scope="module")
@@ -139,10 +144,23 @@ def test_what_is_wrong_is_named(tmp_path: Path, moved: Any, refused: Refused) ->
             "a second obj_id",
         ),
         "h.xml": ("", "the suffix"),
+        "i.csv": (BOP_HEAD + "1,10,1,1\r,1 0 0,0 0 500\n", "line 2: got 4 cells"),
+        "j.csv": (BOP_HEAD + f"1,10,1,1,{'1 ' * 100_000},0 0 500,-1\n", "no CSV"),
+        "k.csv": (BOP_HEAD + '1,10,1,1,"1 0 0,0 0 500,-1\n', "no CSV"),
+        "l.csv": (BOP_HEAD + "1,10,1,1\n", "4 cells"),
     }
     for name, (text, words) in texts.items():
-        (tmp_path / name).write_text(text)
+        (tmp_path / name).write_text(text, newline="")
         refused(lambda name=name: poses_of(tmp_path / name, "theirs", clip, masks), str(tmp_path / name), words)
+
+
+def test_a_text_of_numbers_is_read_in_bounded_memory(tmp_path: Path, refused: Refused) -> None:
+    path = tmp_path / "ones.txt"
+    path.write_bytes(b"1 " * (16 * 2**16 + 1))
+    tracemalloc.start()
+    refused(lambda: read_pose_file(path), str(path), "16 for each frame")
+    assert tracemalloc.get_traced_memory()[1] < 12 * path.stat().st_size
+    tracemalloc.stop()
 
 
 def test_the_best_score_of_an_image_counts(tmp_path: Path, moved: Any) -> None:
@@ -188,3 +206,23 @@ def _checksum(folder: Path) -> str:
     from getagrip.clip import input_sha256
 
     return input_sha256(folder)
+
+
+def test_poses_that_are_counted_from_another_start_are_asked_for(tmp_path: Path, moved: Any) -> None:
+    clip, masks, result = moved
+    T, first = clip.hand.T_cam_hand @ result.T_hand_obj, int(clip.frames[0]) - 1
+    path = tmp_path / "earlier.npz"
+    arrays.write(path, {"T_cam_obj": T, "frames": np.arange(first, first + len(T))})
+    with pytest.raises(UsageError, match="--first: got nothing"):
+        poses_of(path, "theirs", clip, masks)
+    found = poses_of(path, "theirs", clip, masks, first)
+    np.testing.assert_allclose(found.T_hand_obj, result.T_hand_obj, atol=1e-7)
+
+
+def test_files_of_single_frames_are_of_the_one_result(tmp_path: Path, moved: Any) -> None:
+    clip, _, _ = moved
+    for name in clip.frames:
+        np.savetxt(tmp_path / f"{name}.txt", np.eye(4))
+    (job,) = pose_jobs(OtherPoses(tmp_path, tmp_path / "clips"), {"mug": clip.frames})
+    assert (job.folder, job.clip) == (tmp_path, tmp_path / "clips" / "mug")
+    assert len(pose_jobs(OtherPoses(tmp_path, tmp_path / "clips"), {})) == len(clip)

@@ -223,6 +223,14 @@ def test_the_other_hand_stands_in_its_own_frames(both: Scene, tmp_path: Path) ->
     np.testing.assert_array_equal(accessor(gltf, gltf.animations[0].samplers[scale].output)[:, 0], [1.0, 0.0, 1.0])
 
 
+def test_times_of_the_animation_rise_where_single_precision_does_not(both: Scene, tmp_path: Path) -> None:
+    scene = replace(both, time=np.array([0.0, 86_000.0, 86_000.001]))
+    gltf = GLTF2().load(export(scene, tmp_path / "out", "glb") / "scene.glb")
+    time = accessor(gltf, gltf.animations[0].samplers[0].input)[:, 0]
+    assert (np.diff(time) > 0.0).all()
+    np.testing.assert_allclose(time, scene.time, atol=0.01)
+
+
 @pytest.mark.parametrize("stiff", [False, True])
 def test_the_animation_goes_through_every_pose(both: Scene, tmp_path: Path, stiff: bool) -> None:
     if stiff:

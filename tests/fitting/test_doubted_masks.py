@@ -20,14 +20,15 @@ WRONG = [4, 7]
 """Of 9 frames, 5 of which are fitted together: one that is among them, and one that is not."""
 
 
+@pytest.mark.parametrize("method", ["soft-hinge", "one-dof"])
 @pytest.mark.slow
-def test_wrong_masks_are_left_out_and_named() -> None:
+def test_wrong_masks_are_left_out_and_named(method: str) -> None:
     clip, masks = scene("mug", 2, replace(SMALL, frames=9))
     wrong = masks.object.copy()
     for n in WRONG:
         wrong[n] = another_object(masks.object[n], np.array([0.6, -0.8]))
     spoilt = replace(masks, object=wrong)
-    options = Options(inits=4, frames=5)
+    options = Options(method=method, inits=4, frames=5)
     result = reconstruct(clip, spoilt, options)
     assert [clip.frames[n] for n in WRONG] == [clip.frames[n] for n in np.flatnonzero(np.isnan(result.iou))]
     assert {result.frame_kind[n] for n in WRONG} == {"interpolated"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip.clip import Clip, Masks, read_clip, read_masks, write_clip
-from getagrip.clip import masks as clip_masks
+from getagrip.clip import Clip, FrameMasks, Masks, read_clip, read_masks, write_clip
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare
@@ -66,11 +66,14 @@ def test_no_more_masks_are_in_memory_than_are_used(tmp_path: Path, monkeypatch: 
     clip = written(tmp_path / "small", [4], [])
     kept: list[int] = []
 
-    def counted(object: np.ndarray, ignore: np.ndarray) -> Masks:
-        kept.append(len(object))
-        return Masks(object, ignore)
+    packed = Masks.packed
 
-    monkeypatch.setattr(clip_masks, "Masks", counted)
+    def counted(frames: Iterable[FrameMasks], size: tuple[int, int]) -> Masks:
+        masks = packed(frames, size)
+        kept.append(len(masks.object))
+        return masks
+
+    monkeypatch.setattr(Masks, "packed", staticmethod(counted))
     problem = prepare(clip, None, Options(frames=3))
     assert kept == [3]
     assert problem.clip.frames == (

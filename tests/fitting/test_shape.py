@@ -105,11 +105,13 @@ def test_contact_reaches_farther_and_counts_more_where_the_mesh_is_fitted() -> N
     assert pull.max() > 0.2 * values[0][:, 1].max()  # fingers too far away to be drawn to the given mesh
 
 
+@pytest.mark.parametrize("method", ["soft-hinge", "one-dof"])
 @pytest.mark.slow
-def test_a_result_has_the_shape_and_says_so(tmp_path: Path) -> None:
+def test_a_result_has_the_shape_and_says_so(tmp_path: Path, method: str) -> None:
     clip, masks = scene("mug", 0)
     given = stretched(clip)
-    result = reconstruct(given, masks, Options(inits=6))
+    options = Options(method=method, inits=6)
+    result = reconstruct(given, masks, options)
     assert result.warp is not None
     assert any("the object's shape is a guess" in note for note in result.notes)
     deformed = result.warp.displacement(given.mesh) / given.mesh.diameter
@@ -117,7 +119,7 @@ def test_a_result_has_the_shape_and_says_so(tmp_path: Path) -> None:
     (message,) = (finding.message for finding in result.findings if finding.check == "mesh-deformed")
     by = 1e3 * result.scale * result.warp.displacement(given.mesh)
     assert message.startswith(f"to meet the masks the mesh was deformed by {by:.1f} mm, so its shape is a guess; ")
-    as_given = reconstruct(given, masks, Options(inits=6, mesh="as-given"))
+    as_given = reconstruct(given, masks, replace(options, mesh="as-given"))
     assert as_given.warp is None
     assert result.mean_iou > as_given.mean_iou
     found = scores(result, given, masks)

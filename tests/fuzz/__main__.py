@@ -79,6 +79,7 @@ def _size(case: Changes) -> int:
 def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="make fuzz", description=__doc__)
     parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("--turns", type=int, default=None, help="of each reader, however long they take, not --minutes")
     parser.add_argument("--only", choices=[*READERS], action="append", help="these readers alone")
     parser.add_argument("--seed", type=int, default=None, help="(default: the time)")
     wanted = parser.parse_args(arguments)
@@ -97,7 +98,7 @@ def main(arguments: list[str]) -> int:
                 return 1
         for number in count(first):
             for name, place in seeds.items():
-                if time.monotonic() > end:
+                if time.monotonic() > end if wanted.turns is None else number == first + wanted.turns:
                     total = sum(tried.values())
                     print(f"seed {first}: {total} cases of {len(tried)} readers, {found} findings")
                     print(", ".join(f"{name} {n}" for name, n in tried.items()))

@@ -20,6 +20,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh, decimate, edge_table, merged, vertex_normals
 from getagrip.geometry.mesh_files import SUFFIXES, read_mesh, write_mesh
 from getagrip.geometry.obj import parse_obj
+from getagrip.geometry.polygons import triangulated
 from getagrip.geometry.subdivide import fine
 from helpers.clips import box
 
@@ -233,7 +234,7 @@ def test_odd_files_that_are_right(tmp_path: Path) -> None:
 
 @given(data=st.data())
 def test_an_obj_file_says_what_its_lines_say(data: st.DataObject) -> None:
-    """Polygons become fans; corners count from 1 or back from the latest vertex, and may bring textures and normals."""
+    """Polygons become triangles; corners count from 1 or back from the latest vertex, and may bring textures."""
     lines, points, triangles = ["o mug"], list[list[float]](), list[list[int]]()
     for part in range(data.draw(st.integers(1, 3))):
         new = data.draw(st.lists(st.lists(st.floats(-1, 1), min_size=3, max_size=3), min_size=5, max_size=5))
@@ -243,7 +244,7 @@ def test_an_obj_file_says_what_its_lines_say(data: st.DataObject) -> None:
         corner = data.draw(st.sampled_from(["{}", "{}/1", "{}//1", "{}/1/1"]))
         from_end = len(points) if data.draw(st.booleans()) else -1
         lines.append(" f\t" + " ".join(corner.format(i - from_end) for i in polygon))
-        triangles += [[polygon[0], *polygon[k : k + 2]] for k in range(1, len(polygon) - 1)]
+        triangles += [[polygon[n] for n in cut] for cut in triangulated(np.array(points)[polygon])]
     vertices, faces = parse_obj(Path("m.obj"), data.draw(st.sampled_from(["\n", "\r\n"])).join(lines).encode())
     assert vertices.tolist() == points
     assert faces.tolist() == triangles

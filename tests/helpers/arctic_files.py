@@ -68,7 +68,7 @@ def write_arctic(folder: Path, mano: Path) -> Path:
     save_pickled(raw / "ball_use_01.egocam.dist.npy", camera)
     mesh = ball(40.0)
     mesh.export(template / "mesh.obj")
-    (template / "parts.json").write_text(json.dumps((np.asarray(mesh.vertices)[:, 1] > 0).astype(int).tolist()))
+    (template / "parts.json").write_text(json.dumps((np.asarray(mesh.vertices)[:, 1] <= 0).astype(int).tolist()))
     fixed = {
         "world2cam": np.tile(of["T_cam_world"][0], (8, 1, 1)).tolist(),
         "intris_mat": np.tile(K_EGO, (8, 1, 1)).tolist(),

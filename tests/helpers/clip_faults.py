@@ -36,6 +36,8 @@ BROKEN: dict[str, tuple[Break, str, tuple[str, ...]]] = {
     "deep json": (content("clip.json", "[" * 10**6), "clip.json", ("no JSON",)),
     "deep json object": (content("clip.json", '{"a":' * 10**5), "clip.json", ("no JSON",)),
     "endless digits": (replaced('"fps": 30.0', f'"fps": {"9" * 10**4}'), "clip.json", ("no JSON",)),
+    "a frame in ages": (replaced('"fps": 30.0', '"fps": 1e-299'), "clip.json: fps", ("0.001 to 100000",)),
+    "frames in no time": (replaced('"fps": 30.0', '"fps": 1e299'), "clip.json: fps", ("0.001 to 100000",)),
     "NaN in json": (replaced('"fps": 30.0', '"fps": NaN'), "clip.json", ("NaN",)),
     "infinite in json": (replaced('"fps": 30.0', '"fps": 1e999'), "clip.json", ("1e999",)),
     "duplicate key": (replaced('"fps": 30.0', '"fps": 30.0, "fps": 25.0'), "clip.json: fps", ("twice",)),

@@ -16,7 +16,9 @@ from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
 import jaxtyping
+import numpy as np
 from jaxtyping import AbstractArray, AbstractDtype, install_import_hook, jaxtyped
+from numpy import ndarray
 
 _called: set[Any] = set()
 
@@ -85,6 +87,8 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
 def fits(value: Any, hint: Any) -> bool:
     """Whether a value is of a hint; of the entries of a collection, the first is looked at."""
     origin, parts = get_origin(hint), get_args(hint)
+    if type(value).__name__ == "PackedMasks" and isinstance(hint, type) and issubclass(hint, AbstractArray | ndarray):
+        value = np.broadcast_to(np.False_, value.shape)  # it stands for an array
     if origin is None:
         return hint is Any or not isinstance(hint, type) or isinstance(value, hint)
     if origin in (Union, UnionType):

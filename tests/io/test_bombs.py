@@ -19,6 +19,8 @@ from fuzz.containers import glb, glb_parts
 from getagrip.annotate import footage
 from getagrip.annotate.store import Store
 from getagrip.clip import read_clip, segments
+from getagrip.clip.mask_request import MaskRequest
+from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.reading import read_header
 from getagrip.datasets.dexycb.calibration import read_yaml
 from getagrip.datasets.epic import images
@@ -299,3 +301,37 @@ def test_contents_that_nobody_has_written_are_refused(
     store = Store(store_with(tmp_path / "a.sqlite", statement))
     refused(lambda: [*store.marks.standing(), *store.keyframes.standing()], "a.sqlite", "damaged")
     store.close()
+
+
+@pytest.mark.parametrize("ends", ["\n", "\r", "\r\n"])
+@pytest.mark.parametrize("kind", ["v 0 0 0", "\tf 1 2 3", "f 1/1 2/2 3/3 4/4"])
+def test_obj_lines_are_counted_before_they_are_parsed(
+    monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str], kind: str, ends: str
+) -> None:
+    monkeypatch.setattr(obj, "MOST", 10)
+    for parser in ("_plain", "_by_line"):
+        monkeypatch.setattr(obj, parser, None)
+    content = (ends + kind) * 11
+    refused(lambda: parse_obj(Path("x.obj"), content.encode()), "x.obj", "more than 10 lines")
+
+
+def test_regions_of_a_frame_are_counted_before_they_are_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    width, height = 40, 30
+    monkeypatch.setattr(segments, "MOST_DRAWN", 5 * width * height)
+    full = {"size": [height, width], "counts": [0, width * height]}
+    path = tmp_path / "coco.json"
+
+    def read(count: int) -> int:
+        annotations = [{"id": k, "image_id": 1, "category_id": 1, "segmentation": full} for k in range(count)]
+        image = {"id": 1, "file_name": "000000.png", "width": width, "height": height}
+        path.write_text(json.dumps({"images": [image], "annotations": annotations}))
+        request = MaskRequest(("000000",), (width, height))
+        return int(open_masks(path, request)(0).object.sum())
+
+    assert read(5) == width * height
+    refused(lambda: read(6), "annotations", "6 regions in one frame", "at most 5")
+    corners = [0, 0, width, 0, width, height, 0, height]
+    assert segments.polygons(path, "", [corners] * 5, (width, height)).all()
+    refused(lambda: segments.polygons(path, "k", [corners] * 6, (width, height)), "polygons of more than")

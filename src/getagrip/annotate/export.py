@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from getagrip.annotate.marks import Mark
 from getagrip.annotate.tasks import Task
+from getagrip.io.csv_tables import CsvTable
 
 COLUMNS = ("vid", "st_bound", "ed_bound", "st", "ed", "contact", "handside", "cat", "hos_name", "mp4_name", "set_name",
            "round", "duration", "n_unfiltered_masks", "n_filtered_masks", "good_CAD", "example", "fmt",
@@ -48,9 +48,8 @@ def epic_rows(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[dict[str
 def epic_csv(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> str:
     """EPIC-Grasps' table as text."""
     stream = io.StringIO(newline="")
-    table = csv.DictWriter(stream, COLUMNS)
-    table.writeheader()
-    table.writerows(epic_rows(marks, tasks))
+    rows = epic_rows(marks, tasks)
+    CsvTable(stream).write_rows([COLUMNS, *([row[column] for column in COLUMNS] for row in rows)])
     return stream.getvalue()
 
 

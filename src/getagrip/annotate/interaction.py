@@ -44,12 +44,14 @@ class Interaction:
         return [(n, mark) for n, mark in self.numbered if mark.interval]
 
     @property
-    def side(self) -> Side:
-        """The hand that touches the object longest, in stable grasps if there are any."""
+    def side(self) -> Side | None:
+        """The hand that touches the object longest, in stable grasps if there are any; None where none is stated."""
         frames: Counter[tuple[bool, bool, str]] = Counter()
         for _, mark in self.finished:
-            key = (mark.state == GRASP, mark.state in WITH_HAND, mark.side or "right")
-            frames[key] += _length(mark)
+            if mark.side is not None:
+                frames[mark.state == GRASP, mark.state in WITH_HAND, mark.side] += _length(mark)
+        if not frames:
+            return None
         return cast(Side, max(frames, key=lambda key: (*key[:2], frames[key]))[2])
 
     @property
@@ -92,6 +94,8 @@ class Interaction:
             yield "Where the object lies still, the camera must be known: state below that it stood still, if it did."
         if order and not states & {"static", GRASP}:
             yield "Nothing can be reconstructed yet: mark where the object lies still, or is held in a stable grasp."
+        if self.side is None and states & {*WITH_HAND}:
+            yield "Which hand touches the object? Choose left or right."
         others = [n for n, mark in order if mark.state in WITH_HAND and (mark.side or self.side) != self.side]
         if others:
             which = "segment" if len(others) == 1 else "segments"
@@ -105,6 +109,8 @@ class Interaction:
         if overlaps := self.overlaps():
             raise RefusedError(" ".join(overlaps))
         order = sorted((mark for _, mark in self.finished), key=lambda mark: mark.start or 0)
+        if self.side is None and any(mark.state in WITH_HAND for mark in order):
+            raise RefusedError("say first which hand touches the object: left or right")
         segments = [
             Segment(
                 cast(State, mark.state), mark.start or 0, mark.end or 0,

@@ -96,8 +96,7 @@ def write(labels: Labels, path: str | Path) -> None:
     """Write labels to a file, a line for each frame, whole or not at all."""
     fields = to_json(labels)
     frames = ",\n".join(f"  {json.dumps(n)}: {json.dumps(frame)}" for n, frame in fields.pop("frames").items())
-    with files.new_file(Path(path)) as part:
-        files.write_bytes(part, f'{json.dumps(fields)[:-1]}, "frames": {{\n{frames}\n}}}}\n'.encode())
+    files.write_bytes(Path(path), f'{json.dumps(fields)[:-1]}, "frames": {{\n{frames}\n}}}}\n'.encode())
 
 
 def to_json(labels: Labels) -> dict[str, Any]:

@@ -128,6 +128,8 @@ def changed(mark: Mark, sets: Mapping[str, Any], footage: Footage) -> Mark:
             raise RefusedError(f"frame {frame}: the footage has frames 0 to {footage.frames - 1}")
     if new.end is not None and (new.start is None or new.end < new.start):
         raise RefusedError("a segment cannot end before it starts")
+    if new.end is not None and new.state == GRASP and new.side is None and not new.deleted:
+        raise RefusedError("say first which hand holds the object: left or right")
     given = [value for value in (new.start, new.reason, new.camera) if value is not None]
     if len(given) > 1:
         raise RefusedError("a mark is a segment, the reason why there is none, or about the camera: one of them")

@@ -12,6 +12,7 @@ import json
 import os
 import secrets
 import sqlite3
+import stat
 from collections.abc import Callable
 from contextlib import suppress
 from hmac import compare_digest
@@ -31,6 +32,8 @@ ADDRESS = "127.0.0.1"
 NAMES = (ADDRESS, "localhost")
 """What this machine is called by its own browser."""
 PORT, PORTS = 8765, 20
+SHORTEST = 20
+"""Letters of a token."""
 """The first of the ports that are tried where none is named, and how many of them."""
 CLOSED = "open the address that getagrip annotate has printed: the token in it is missing here"
 LARGEST_BODY = 256 * 2**10
@@ -126,10 +129,18 @@ def first_free(project: Project, token: str) -> Server:
 
 
 def kept_token(path: Path) -> str:
-    """The token in a file that only its owner reads; a new one where there is none, so that pages survive a restart."""
-    with suppress(OSError):
-        if path.stat().st_mode & 0o077 == 0 and (token := path.read_text("ascii").strip()):
-            return token
+    """The token in a file of ours that only we read; a new one where there is none, so that pages survive a restart.
+
+    A link is not followed, and a short token not believed: whoever sent the folder may know either.
+    """
+    with suppress(OSError, ValueError):
+        about = path.lstat()
+        if stat.S_ISREG(about.st_mode) and about.st_mode & 0o077 == 0 and about.st_uid == os.geteuid():
+            token = path.read_text("ascii").strip()
+            if len(token) >= SHORTEST:
+                return token
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(FileNotFoundError):
         path.unlink()
     token = secrets.token_urlsafe(18)
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:

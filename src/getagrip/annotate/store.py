@@ -15,6 +15,7 @@ from getagrip.annotate.keyframes import KeyFrame
 from getagrip.annotate.marks import Mark
 from getagrip.annotate.versions import Database, Versions
 from getagrip.errors import InputError
+from getagrip.io import databases
 
 VERSION = 3
 """Of the tables, kept as the file's ``user_version``. Version 1 had marks of grasps only, 2 key frames, too: they are
@@ -34,8 +35,7 @@ class Store:
         """Open the file, or make it. Raises ``InputError`` where it is something else."""
         self.path = path
         try:
-            connection = sqlite3.connect(path, timeout=20.0, isolation_level=None, check_same_thread=False)
-            connection.execute("PRAGMA trusted_schema = OFF")
+            connection = databases.connect(path, APPLICATION, "a file of marks made here", timeout=20.0, shared=True)
             connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
             self.database = Database(path, connection)
             with self.database.transaction() as db:

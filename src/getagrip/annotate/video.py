@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ from numpy import ndarray
 
 from getagrip.annotate.decoding import Decoder
 from getagrip.annotate.footage import LARGEST_SIDE, MOST_FRAMES, WIDEST, encoded
-from getagrip.clip.video import open_video
+from getagrip.clip.video import open_video, shown_width, upright
 from getagrip.datasets.epic.tables import VIDEO, numbering_rate
 from getagrip.errors import InputError
 
@@ -43,6 +43,7 @@ class Video:
                 stream = container.streams.video[0]
                 self._base = Fraction(stream.time_base or Fraction(1, 90_000))
                 begin, rate = stream.start_time, float(stream.average_rate or 30)
+                aspect = stream.sample_aspect_ratio
             self._times, keys = self._read_times(path)
         except (FFmpegError, IndexError, OSError, ValueError) as error:
             raise InputError(path, "", f"a file that is no video ({error})", "a video") from error
@@ -50,8 +51,9 @@ class Video:
         span = (self._times[-1] - self._times[0]) * self._base
         self.fps = float((self.frames - 1) / span) if span else rate
         self._rate = numbering_rate(path.stem) if VIDEO.fullmatch(path.stem) else None
-        self.shown = Decoder(path, self._times, keys, _encoded, len)
-        self.whole = Decoder(path, self._times, keys, _upright, lambda image: int(image.nbytes), LARGEST_CACHE)
+        self.shown = Decoder(path, self._times, keys, partial(_encoded, aspect=aspect), len)
+        whole = partial(_upright, aspect=aspect)
+        self.whole = Decoder(path, self._times, keys, whole, lambda image: int(image.nbytes), LARGEST_CACHE)
 
     def _read_times(self, path: Path) -> tuple[list[int], list[int]]:
         """Presentation times of all frames and of the key frames, rising, in units of the stream's time base."""
@@ -121,14 +123,15 @@ class Video:
         self.whole.close()
 
 
-def _encoded(frame: VideoFrame) -> bytes:
+def _encoded(frame: VideoFrame, aspect: Fraction | None) -> bytes:
     """A frame as JPEG, upright, made smaller where it is too wide."""
-    shrunk = min(1.0, WIDEST / frame.width)
-    size = max(2, round(frame.width * shrunk)), max(2, round(frame.height * shrunk))
+    width = shown_width(frame, aspect)
+    shrunk = min(1.0, WIDEST / width)
+    size = max(2, round(width * shrunk)), max(2, round(frame.height * shrunk))
     image = frame.to_ndarray(format="bgr24", width=size[0], height=size[1])
     return encoded(np.ascontiguousarray(np.rot90(image, frame.rotation // 90), np.uint8))
 
 
-def _upright(frame: VideoFrame) -> UInt8[ndarray, "H W 3"]:
+def _upright(frame: VideoFrame, aspect: Fraction | None) -> UInt8[ndarray, "H W 3"]:
     """A frame, upright."""
-    return np.ascontiguousarray(np.rot90(frame.to_ndarray(format="rgb24"), frame.rotation // 90), np.uint8)
+    return np.ascontiguousarray(upright(frame, aspect))

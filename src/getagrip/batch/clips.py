@@ -44,9 +44,13 @@ class Batch:
     overwrite: bool = False
     """Make good results again, too."""
     strict: bool = False
-    """Count something serious that a check has found as a failure of the call."""
+    """Count results with a serious finding, or less probable than ``min_probability``, as failures of the call."""
+    min_probability: float = 0.5
+    """That poses are right in the hand; results without a probability have nothing to fall short of."""
 
     def __post_init__(self) -> None:
+        if not 0.0 <= self.min_probability <= 1.0:
+            raise UsageError(f"--min-probability: got {self.min_probability:g}, expected 0 to 1")
         if self.threads < 1:
             raise UsageError(f"--threads: got {self.threads}, expected 1 or more")
 
@@ -55,9 +59,9 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
     """Reconstruct clips into ``out/<clip name>/`` and print the outcome of each; 1 if any failed, else 0.
 
     Several calls may share a folder, at the same time or one after another: its ledger says who does what. Of more
-    than one clip a summary is written. With ``strict`` also 1 where a check has found something serious. Raises
-    ``UsageError`` where there is nothing to do, or where two clips have the same name; ``GetagripError`` where the
-    ledger cannot be written.
+    than one clip a summary is written. With ``strict`` also 1 where a check has found something serious or a result is
+    improbable. Raises ``UsageError`` where there is nothing to do, or where two clips have the same name;
+    ``GetagripError`` where the ledger cannot be written.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
@@ -81,7 +85,7 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
         tally.print()
     if sys.stdout.isatty() and tally.counts["done"] + tally.counts["kept"]:
         print(f"look at it with: getagrip view {shlex.quote(str(out))}, or getagrip report")
-    return 1 if tally.counts["failed"] or (batch.strict and tally.doubtful) else 0
+    return 1 if tally.counts["failed"] or (batch.strict and not tally.passes(batch.min_probability)) else 0
 
 
 class _Tally:
@@ -105,6 +109,10 @@ class _Tally:
 
     def __len__(self) -> int:
         return self.counts.total()
+
+    def passes(self, min_probability: float) -> bool:
+        """Whether no result has a serious finding, or a probability below the least one."""
+        return not self.doubtful and all(right >= min_probability for right in self.right.values())
 
     def print(self) -> None:
         print(f"{self.counts['done']} done, {self.counts['kept']} already done, {self.counts['failed']} failed")

@@ -23,7 +23,7 @@ def compile_once() -> None:
         with locks.held(mark):
             if not _is_set(mark):
                 reconstruct_small()
-                mark.write_text(code.fingerprint(), encoding="utf-8")
+                files.write_text(mark, code.fingerprint())
     except Exception:  # a full disk, no room in memory: the clips will say what is wrong
         return
 

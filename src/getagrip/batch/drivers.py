@@ -39,7 +39,8 @@ class Drivers:
         self._leaving = threading.Event()
 
     def join(self) -> None:
-        """Enter this process, and let its heart beat."""
+        """Enter this process, and let its heart beat; strike off those that were killed."""
+        self._strike_off_dead()
         row = (self.id, self._machine, os.getpid(), _born(os.getpid()))
         self._db.execute("INSERT INTO drivers VALUES (?, ?, ?, ?, 0)", row)
         _HERE.add(self.id)
@@ -51,8 +52,15 @@ class Drivers:
         _HERE.discard(self.id)
 
     def leave(self) -> None:
-        """Strike this process off."""
+        """Strike this process off, and those that have died meanwhile."""
+        self._strike_off_dead()
         self._db.execute("DELETE FROM drivers WHERE id = ?", (self.id,))
+
+    def _strike_off_dead(self) -> None:
+        """Remove the rows of drivers that do not live: nobody else would."""
+        known = [driver for (driver,) in self._db.execute("SELECT id FROM drivers")]
+        dead = [(driver,) for driver in known if not self.lives(driver)]
+        self._db.executemany("DELETE FROM drivers WHERE id = ?", dead)
 
     def lives(self, driver: str) -> bool:
         """Whether a driver is at work, as far as can be known."""

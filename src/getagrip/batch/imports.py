@@ -15,12 +15,16 @@ from getagrip.batch.engine import Engine
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.ledger import Entry, State
 from getagrip.batch.share import ALONE, Share
-from getagrip.clip import write_clip
+from getagrip.clip import Clip, write_clip
+from getagrip.clip.camera_of_image import doubt
 from getagrip.datasets.dataset import Dataset, Draft, Part
 from getagrip.grasps import lists
 from getagrip.io import leftovers
 from getagrip.io.counts import counted
 from getagrip.io.terminal import report
+
+DOUBTED = 3
+"""Exit status where a clip was made but its camera seems to be of other images."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +54,13 @@ class Imported:
     """Provenance of the clips that were made."""
     handless: int = 0
     """Clips, made or kept, that lack their hands."""
+    doubted: int = 0
+    """Clips that were made, whose camera seems to be of other images."""
 
 
 def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE, only: Set[str] | None = None) -> int:
-    """Write the clips of a dataset as ``out/<clip name>/``, or ``only`` some of them; 1 if something failed, else 0.
+    """Write the clips of a dataset as ``out/<clip name>/``, or ``only`` some of them; 1 if something failed, 3 if a
+    camera seems to be of other images, else 0.
 
     Clips that are there already are kept, unless they lack hands that are known now. What killed processes have left
     is removed. Beside clips that are cut to grasps stands the list of them (``grasp_list``). Several calls may share a
@@ -64,7 +71,7 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
     cut = dataset.cut_record()
     grasp_list.claim(out, cut)
     leftovers.sweep(out)
-    counts, made, handless = Counter[str](), list[Mapping[str, Any]](), 0
+    counts, made, handless, doubted = Counter[str](), list[Mapping[str, Any]](), 0, 0
     engine = Engine(work=import_part, lost=_lost, entry=_entry, options=repr(dataset))
     with closing(share.ended(engine, jobs, out, dataset.parts_are)) as parts:
         for imported in parts:
@@ -79,6 +86,7 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
             counts["failed"] += any(outcome.state == "failed" for outcome in imported.clips)
             made += imported.made
             handless += imported.handless
+            doubted += imported.doubted
             if share.fail_fast and counts["failed"]:
                 report(f"--fail-fast: no other of the {dataset.parts_are} is begun")
                 break
@@ -88,7 +96,7 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
     print(f"{counted(counts['done'], 'clip')}, {counts['kept']} already there, {failed}")
     for advice in dataset.advice(made, handless):
         report(advice)
-    return 1 if counts["failed"] else 0
+    return 1 if counts["failed"] else DOUBTED if doubted else 0
 
 
 def _lost(job: ImportJob, why: str) -> Imported:
@@ -106,7 +114,7 @@ def _entry(imported: Imported) -> Entry:
 
 def import_part(job: ImportJob) -> Imported:
     """Write the clips of one part. Raises nothing."""
-    outcomes, notes, made = list[Outcome](), list[str](), list[Mapping[str, Any]]()
+    outcomes, notes, made, doubted = list[Outcome](), list[str](), list[Mapping[str, Any]](), 0
 
     def missing(name: str, with_hands: bool = False) -> bool:
         folder = job.out / name
@@ -120,21 +128,24 @@ def import_part(job: ImportJob) -> Imported:
     try:
         for draft in job.part.drafts(missing, notes.append):
             try:
-                provenance = _write(draft, job.out / draft.name)
-                if provenance is not None:
+                clip = _write(draft, job.out / draft.name)
+                if clip is not None:
                     outcomes.append(Outcome(draft.name, "done", str(job.out / draft.name)))
-                    made.append(provenance)
+                    made.append(clip.provenance)
+                    if why := doubt(clip.K, clip.size):
+                        doubted += 1
+                        notes.append(f"{job.out / draft.name}: warning: camera: {why}")
             except Exception as error:  # one clip's trouble must not end the others
                 outcomes.append(failure(draft.name, error))
     except Exception as error:  # nor may one part's
         outcomes.append(failure(job.part.name, error))
     clips = [job.out / outcome.name for outcome in outcomes if outcome.state != "failed"]
     handless = sum(not (folder / "hand.npz").exists() for folder in clips)
-    return Imported(outcomes, notes, made, handless)
+    return Imported(outcomes, notes, made, handless, doubted)
 
 
-def _write(draft: Draft, folder: Path) -> Mapping[str, Any] | None:
-    """Write a clip; returns its provenance, or None where nothing is left of it. Raises as ``Draft.make`` does."""
+def _write(draft: Draft, folder: Path) -> Clip | None:
+    """Write a clip and return it; None where nothing is left of it. Raises as ``Draft.make`` does."""
     made = draft.make()
     if made is None:
         return None
@@ -142,4 +153,4 @@ def _write(draft: Draft, folder: Path) -> Mapping[str, Any] | None:
     images = None if draft.images is None else draft.images(clip)
     hand = None if draft.hand is None else draft.hand(clip)
     write_clip(clip, masks, folder, images, (folder / "clip.json").is_file(), hand)
-    return clip.provenance
+    return clip

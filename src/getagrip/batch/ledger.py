@@ -18,6 +18,7 @@ from typing import Any, Literal
 from getagrip.batch import drivers
 from getagrip.batch.drivers import Drivers
 from getagrip.errors import GetagripError, InputError
+from getagrip.io import databases
 
 FILE = "ledger.sqlite"
 VERSION = 1
@@ -64,6 +65,9 @@ class Entry:
 COLUMNS = tuple(Entry.__dataclass_fields__)
 
 
+LEDGER = f"a ledger of version {VERSION}, or none: results do without"
+
+
 class Ledger:
     """The ledger of a folder, opened by one driver."""
 
@@ -72,7 +76,7 @@ class Ledger:
         folder.mkdir(parents=True, exist_ok=True)
         self.path = folder / FILE
         with self._named():
-            self._db = sqlite3.connect(self.path, timeout=PATIENCE, isolation_level=None)
+            self._db = databases.connect(self.path, APPLICATION, LEDGER, timeout=PATIENCE)
         self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
         try:
             self._prepare()
@@ -169,7 +173,6 @@ class Ledger:
     def _prepare(self) -> None:
         """Make the tables, or see that they are ours."""
         with self._named():
-            self._db.execute("PRAGMA trusted_schema = OFF")
             self._to_wal()
             self._db.execute("PRAGMA synchronous = NORMAL")
         with self._transaction() as db:
@@ -186,7 +189,7 @@ class Ledger:
             version = db.execute("PRAGMA user_version").fetchone()[0]
             if not is_ours or version != VERSION or tables != list(SCHEMA):
                 given = f"a database of another kind or version ({version})"
-                raise InputError(self.path, "", given, f"a ledger of version {VERSION}, or none: results do without")
+                raise InputError(self.path, "", given, LEDGER)
 
     def _to_wal(self) -> None:
         """Have the file in WAL mode. Here SQLite does not wait for another driver that begins, as it does elsewhere."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import heapq
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -13,6 +12,7 @@ from getagrip.batch.ledger import Entry, Ledger
 from getagrip.batch.streamed import readable
 from getagrip.errors import InputError
 from getagrip.io import files
+from getagrip.io.csv_tables import CsvTable
 from getagrip.io.storage import Place, Remote
 from getagrip.result import is_result, read_result
 
@@ -55,17 +55,17 @@ def write_summary(ledger: Ledger, out: Place, nameless: Iterable[Outcome]) -> li
 
 def _write_here(ledger: Ledger, results: Place, out: Path, nameless: Iterable[Outcome]) -> list[Path]:
     """Write them into a folder on this machine."""
-    with files.new_file(out / TABLE) as part, part.open("w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(HEAD)
+    with files.new_text(out / TABLE) as file:
+        table = CsvTable(file)
+        table.write_row(HEAD)
         for entry in _entries(ledger, results):
             about = entry.about
             numbers = [about.get(key) for key in ("iou", "probability_right", "probability_right_in_camera")]
             cells = ("" if value is None else f"{float(value):.4f}" for value in numbers)
             row = entry.name, entry.state, entry.why, f"{entry.seconds:.2f}", *cells
-            table.writerow([*row, "; ".join(map(str, about.get("findings", ())))])
+            table.write_row([*row, "; ".join(map(str, about.get("findings", ())))])
         for outcome in nameless:
-            table.writerow([outcome.name, outcome.state, outcome.message, *[""] * (len(HEAD) - 3)])
+            table.write_row([outcome.name, outcome.state, outcome.message, *[""] * (len(HEAD) - 3)])
     return [out / TABLE, _write_index(ledger, results, out)]
 
 

@@ -151,13 +151,15 @@ class Evidence:
     @cached_property
     def small_ignore(self) -> Bool[ndarray, "T h w"]:
         """The ignored pixels, as small."""
-        return _shrunk(self.masks.ignore, self._zoom, self._small)
+        return np.stack([_shrunk(mask, self._zoom, self._small) for mask in self.masks.ignore])
 
     @cached_property
     def small_hand_pixels(self) -> Bool[ndarray, "T h w"]:
         """The hand's own pixels, as small; the ignored ones where these are not given."""
         hand = self.masks.hand
-        return self.small_ignore if hand is None else _shrunk(hand, self._zoom, self._small)
+        return (
+            self.small_ignore if hand is None else np.stack([_shrunk(mask, self._zoom, self._small) for mask in hand])
+        )
 
     @property
     def _zoom(self) -> float:
@@ -204,7 +206,6 @@ class Evidence:
         assert self.T_hand_obj is not None
         few, zoom = frame_indices(len(self.clip), FRAMES), min(1.0, LARGE / max(self.clip.size))
         size = max(1, int(self.clip.size[0] * zoom)), max(1, int(self.clip.size[1] * zoom))
-        hand_masks = np.zeros_like(self.masks.object) if self.masks.hand is None else self.masks.hand
         counts = np.zeros((2, 2))  # of the hand's pixels, then of the object's: with the other one in front, and all
         for n in few:
             hand = self.clip.hand.T_cam_hand[n]
@@ -213,15 +214,17 @@ class Evidence:
                 (se3.transform(hand, self.clip.hand.vertices[n]), self.clip.hand.faces),
             )
             nearest = nearest_surface(surfaces, np.diag([zoom, zoom, 1.0]) @ self.clip.K[n], size)
-            for k, mask in enumerate((hand_masks[n], self.masks.object[n])):
-                shown = _shrunk(mask, zoom, size)
+            for k, masks in enumerate((self.masks.hand, self.masks.object)):
+                if masks is None:
+                    continue
+                shown = _shrunk(masks[n], zoom, size)
                 counts[k] += np.count_nonzero(shown & (nearest == k)), np.count_nonzero(shown)
         with np.errstate(invalid="ignore"):
             over, under = counts[:, 0] / counts[:, 1]
         return float(over), float(under)
 
 
-def _shrunk(masks: Bool[ndarray, "*batch H W"], zoom: float, size: tuple[int, int]) -> Bool[ndarray, "*batch h w"]:
-    """Masks in images ``zoom`` times as large, of a size (width, height) [px]."""
+def _shrunk(mask: Bool[ndarray, "H W"], zoom: float, size: tuple[int, int]) -> Bool[ndarray, "h w"]:
+    """A mask in an image ``zoom`` times as large, of a size (width, height) [px]."""
     columns, rows = (((np.arange(side) + 0.5) / zoom).astype(int) for side in size)
-    return masks[..., rows[:, None], columns]
+    return mask[rows[:, None], columns]

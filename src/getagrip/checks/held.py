@@ -31,7 +31,8 @@ def seen_size(it: Evidence) -> float:
 
 def edge_share(it: Evidence) -> float:
     """Share of the image's edge that the masks cover, median over frames: all of it, where they are the background."""
-    edges = (it.masks.object[:, [0, -1]].mean(axis=(1, 2)), it.masks.object[:, :, [0, -1]].mean(axis=(1, 2)))
+    each = [(mask[[0, -1]].mean(), mask[:, [0, -1]].mean()) for mask in it.masks.object]
+    edges = np.array(each).T
     width, height = it.clip.size
     return float(np.median((width * edges[0] + height * edges[1]) / (width + height)))
 

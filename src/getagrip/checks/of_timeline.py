@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.checks.evidence import Evidence, Jumps
+from getagrip.checks.of_segment import SEGMENT_CHECKS, STATIC
 from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Check, examine, millimetres, of_diameter
 from getagrip.clip import Clip, Masks, Segment
 from getagrip.clip.sampling import frame_indices
@@ -28,7 +29,10 @@ WITH_HAND = (
     "hand-over-object", "regrasp", "second-gap", "contact-gap", "penetration",
 )  # fmt: skip
 """Checks that suppose a grasp, by the hand that holds the object."""
-OF_MASKS = ("mask-fit", "worst-frame")
+FEWEST = 2
+"""Frames that must show the object in a grasp."""
+UNSEEN_ADVICE = "nothing is known of this grasp: are masks missing there, or is it another object's?"
+OF_MASKS = ("mask-fit", "poor-mask-fit", "worst-frame")
 """Checks of any segment's result."""
 
 
@@ -86,6 +90,9 @@ def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, f
     assert whole.T_hand_obj is not None
     iou = whole.iou[segment.rows]
     seen = segment.rows[~np.isnan(iou)]
+    if segment.state == "grasp" and len(seen) < min(FEWEST, len(segment)):
+        message = f"the masks show the object in {len(seen)} of its {len(segment)} frames; {UNSEEN_ADVICE}"
+        return {}, (Finding("grasp-unseen", True, float(len(seen)), float(FEWEST), message),)
     if not len(seen):
         return {}, ()
     known = seen[clip.hand_known(segment.side)[seen]] if segment.state == "grasp" else seen[:0]
@@ -99,7 +106,8 @@ def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, f
         masks = replace(masks, hand=None)
     result = Evidence(by.take(rows), masks, T_hand_obj[rows], whole.scale, iou)
     checks = [c for c in RESULT_CHECKS if c.name in OF_MASKS or (held and c.name in WITH_HAND)]
-    measured, findings = examine([*checks, FLOATS] if segment.state == "static" else checks, result)
+    checks += [*SEGMENT_CHECKS, *((STATIC, FLOATS) if segment.state == "static" else ())]
+    measured, findings = examine(checks, result)
     if not held:
         return measured, findings
     given, wanted = Evidence(of.take(rows), masks), (*WITH_HAND, HAND_SIDE) if other else WITH_HAND

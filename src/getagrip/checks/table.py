@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from getagrip.checks import frame_order, held, mesh_form, regrasp
+from getagrip.checks import frame_order, held, mask_agreement, mesh_form, regrasp
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.hand_side import bend
+from getagrip.clip import camera_of_image
 from getagrip.finding import Finding
 
 GRAVER = {
@@ -19,6 +20,10 @@ GRAVER = {
     "other-size": "wrong-size",
     "masks-doubted": "many-masks-doubted",
     "mesh-deformed": "mesh-much-deformed",
+    "pixel-stretch": "principal-point",
+    "field-of-view": "principal-point",
+    "mask-misfit": "large-mask-misfit",
+    "poor-mask-fit": "mask-fit",
 }
 """What goes without saying where a graver check finds the same."""
 LEAST_IOU = 0.5
@@ -109,6 +114,20 @@ def deformation(it: Evidence) -> str:
     return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is a guess"
 
 
+def other_images(it: Evidence) -> str:
+    """Of which images the camera seems to be."""
+    return camera_of_image.doubt(it.clip.K, it.clip.size)
+
+
+CAMERA_ADVICE = "give the camera of these images: K is scaled and cropped as they are"
+
+
+MISFIT = "contours are {value} times as far from those of the masks as the object's own mesh would leave them"
+CAUSES = (
+    "is the hand's pose wrong, or the mesh another one? Do the masks show a box, a shadow, the hand, or only a part?"
+)
+"""Of contours that are off the masks."""
+
 INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "mesh-holes", lambda it: mesh_form.hole_share(it.clip.mesh), high=0.15, shown=percent,
@@ -147,6 +166,19 @@ INPUT_CHECKS: tuple[Check, ...] = (
         "mask-at-edges", held.edge_share, high=0.7, shown=percent,
         fault="the masks cover {value} of the image's edge",
         advice="are these masks of the background, or of the whole image? Check their label",
+    ),
+    Check(
+        "principal-point", lambda it: camera_of_image.off_middle(it.clip.K, it.clip.size),
+        high=camera_of_image.OFF_MIDDLE, shown=percent, fault=other_images, advice=CAMERA_ADVICE,
+    ),
+    Check(
+        "pixel-stretch", lambda it: camera_of_image.stretch(it.clip.K), high=camera_of_image.STRETCH,
+        fault=other_images, advice=CAMERA_ADVICE,
+    ),
+    Check(
+        "field-of-view", lambda it: camera_of_image.field_of_view(it.clip.K, it.clip.size),
+        low=camera_of_image.NARROW, high=camera_of_image.WIDE, shown="{:.3g} degrees".format,
+        fault=other_images, advice=CAMERA_ADVICE,
     ),
     Check(
         "focal-jumps", held.focal_jump, high=1.1,
@@ -190,6 +222,10 @@ RESULT_CHECKS: tuple[Check, ...] = (
         advice="is it the mesh of this object? Check mesh, masks and camera; more initial poses: --inits 200",
     ),
     Check(
+        "poor-mask-fit", mask_agreement.mean_iou, low=0.9,
+        fault="masks that agree with each other are met with a mean IOU of {value}", advice=CAUSES,
+    ),
+    Check(
         "worst-frame", lambda it: float(np.nanmin(it.overlaps)), low=0.4, serious=False,
         fault="in the worst frame the mask is met with an IOU of {value}",
         advice="look at the IOU over time in the report: is the mask of that frame right?",
@@ -224,9 +260,12 @@ RESULT_CHECKS: tuple[Check, ...] = (
         advice="is it one stable grasp? Else cut the clip there",
     ),
     Check(
-        "mask-misfit", lambda it: it.misfit, high=3.0, serious=False,
-        fault="contours are {value} times as far from those of the masks as the object's own mesh would leave them",
-        advice="do the masks show a box, a shadow, the hand, or only a part? Are they rough? Is it another mesh?",
+        "large-mask-misfit", mask_agreement.misfit, high=6.0, fault=MISFIT + ", and the masks agree with each other",
+        advice=CAUSES,
+    ),
+    Check(
+        "mask-misfit", lambda it: it.misfit, high=3.0, serious=False, fault=MISFIT,
+        advice=CAUSES + " Are they rough?",
     ),
     Check(
         "hand-off-pixels", held.hand_off_pixels, high=0.4, shown=percent,

@@ -40,11 +40,11 @@ class Bench(Command):
     ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_ablations)] = None
     """Compare settings of each method, instead of the methods as they are."""
     split: Annotated[
-        Literal["train", "test", "all"] | None,
-        one_of("train", "test", "all"),
-        arg(help_behavior_hint="(default: test; all of a folder)"),
+        Literal["train", "validation", "all"] | None,
+        one_of("train", "validation", "all"),
+        arg(help_behavior_hint="(default: validation; all of a folder)"),
     ] = None
-    """Which part of a dataset: train is for tuning."""
+    """Which part of a dataset: train is for tuning, validation for choosing."""
     hands: Annotated[tuple[str, ...], arg(metavar="NAME=DIR...", help_behavior_hint="")] = ()
     """Compare hands of several estimators for the same clips, on the frames that all have: DIR holds clips of the same
     names, or a hand file <clip>.npz for each (import hands --out)."""

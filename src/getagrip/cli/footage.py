@@ -18,8 +18,8 @@ Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate
 class ClipCommand(Command):
     """Make a clip of your own video, in one go or in steps. What is missing is listed, with how to get it."""
 
-    video: Annotated[Positional[Path], arg(metavar="VIDEO")]
-    """The video, undistorted."""
+    video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
+    """The video, undistorted; or a folder of its images, in the order of the numbers in their names."""
     out: Folder
     """The clip's folder; its name is the clip's."""
     interval: Annotated[tuple[int, int] | None, arg(metavar="START END", help_behavior_hint="")] = None
@@ -51,6 +51,8 @@ class ClipCommand(Command):
     """Of the masks: labels of the hand that holds it. It is ignored as well, and --hands are corrected by it."""
     hands: OptionalFile = None
     """A hand.npz; import hands makes one, and can add it later."""
+    hand_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    """The number of the first frame's hand. Needed where hands are counted from another start."""
     segments: OptionalFile = None
     """What the object does from frame to frame, as annotate writes it; import segments can add it later."""
     still_camera: Flag = False
@@ -59,6 +61,8 @@ class ClipCommand(Command):
     """The camera. Not needed where the hand file has it."""
     focal: Focal = None
     """Instead of K, the focal length; the principal point is in the middle."""
+    fps: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="(default: 30)")] = None
+    """Frames per second of a folder of images; a video has its frames' own times."""
     guess_focal: Flag = False
     """Guess it. Depths and sizes are guesses then, too."""
     overwrite: Flag = False
@@ -75,7 +79,7 @@ class ClipCommand(Command):
             mesh=None if self.mesh is None else MeshRequest(self.mesh, *sizes), masks=self.masks,
             mask_of_first=self.mask_first, object=self.object, ignore=self.ignore, hand=self.hand,
             hands=self.hands, lens=Lens(self.K, self.focal, self.guess_focal), segments=self.segments,
-            still_camera=self.still_camera,
+            still_camera=self.still_camera, fps=self.fps, hand_of_first=self.hand_first,
         )  # fmt: skip
         return new_clip(given, self.out, self.overwrite)
 

@@ -77,6 +77,8 @@ class ImportHands(Command):
     """With --out: instead of K, the focal length; the principal point is in the middle."""
     guess_focal: Flag = False
     """With --out: guess it. Depths and sizes are guesses then, too."""
+    first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    """The number of the first frame's hand in the files. Needed where these are counted from another start."""
     hold_ends: Flag = False
     """For a whole interaction: before the first and after the last frame in which it was found, the hand stands still
     where it was then, marked as a guess. Else these frames are left out."""
@@ -93,7 +95,7 @@ class ImportHands(Command):
     def run(self) -> int:
         new = NewFrames(self.side, self.frames, self.size, Lens(self.K, self.focal, self.guess_focal))
         tracker = choose(self.source, vars(self.trackers))
-        how = self.hold_ends, self.other_hand, self.overwrite
+        how = self.hold_ends, self.other_hand, self.first, self.overwrite
         return import_hands(self.paths, tracker, self.mano, self.clip, self.out, new, *how)
 
 

@@ -97,7 +97,11 @@ class Reconstruct(Command):
     overwrite: Flag = False
     """Make results again that are there already, of the same clip, options and code."""
     strict: Flag = False
-    """Exit with 1 also where a check finds something serious: the result is probably worthless."""
+    """Exit with 1 also where a check finds something serious (the result is probably worthless), or a result is less
+    probable than --min-probability."""
+    min_probability: Annotated[float, arg(metavar="P")] = 0.5
+    """With --strict, the least probability that poses are right in the hand, 0 to 1. Results without a probability
+    pass, if no finding is serious."""
     sharing: Annotated[Sharing, arg(name="")] = field(default_factory=Sharing)
 
     def run(self) -> int:
@@ -109,7 +113,7 @@ class Reconstruct(Command):
             hands=hands_of(self.given_hands), masks=masks_of(self.given_masks), mesh=mesh_of(self.given_mesh),
             axis=self.axis, every_frame=not self.sampled_only,
         )  # fmt: skip
-        batch = Batch(self.sharing.share(), self.threads, self.overwrite, self.strict)
+        batch = Batch(self.sharing.share(), self.threads, self.overwrite, self.strict, self.min_probability)
         if self.find_grasps or self.cut_grasps:
             from getagrip.commands.reconstruct_found import reconstruct_found
 
@@ -136,6 +140,8 @@ class Evaluate(Command):
     --clips and --mesh-frame, and appear under the name of DIR."""
     mesh_frame: Annotated[Literal["camera", "hand"] | None, one_of("camera", "hand"), arg(help_behavior_hint="")] = None
     """The frame of their vertices: the clip's camera frame, or its hand frame."""
+    first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    """The number of the first frame's pose or mesh in these files. Needed where they are counted from another start."""
     contact: Flag = False
     """Print stable contact by nine definitions of contact, too: within 0, 5 and 10 mm, of the object's vertices, the
     hand's, and points of the object's surface."""
@@ -151,12 +157,12 @@ class Evaluate(Command):
         if self.poses is not None:
             if self.clips is None:
                 raise UsageError("--poses: got no --clips, expected the clip, or the folder that holds the clips")
-            poses = OtherPoses(self.poses, self.clips)
+            poses = OtherPoses(self.poses, self.clips, self.first)
         meshes = None
         if self.meshes is not None:
             if self.clips is None or self.mesh_frame is None:
                 raise UsageError("--meshes: got no --clips or no --mesh-frame, expected both")
-            meshes = Meshes(self.meshes, self.mesh_frame, self.clips)
+            meshes = Meshes(self.meshes, self.mesh_frame, self.clips, self.first)
         elif self.mesh_frame is not None:
             raise UsageError(f"--mesh-frame: got {self.mesh_frame}, expected none without --meshes")
         return evaluate_results(self.results, self.clips, meshes, poses, self.contact, self.json, self.debug)

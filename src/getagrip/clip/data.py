@@ -19,6 +19,7 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
 from getagrip.io.files import inside, shown
+from getagrip.io.packed_masks import PackedMask, PackedMasks
 
 
 class FrameMasks(NamedTuple):
@@ -53,10 +54,20 @@ class Masks(ArrayData):
         known = [hand for hand in hands if hand is not None]
         return Masks(np.stack(objects), np.stack(ignored), np.stack(known) if len(known) == len(hands) else None)
 
+    @staticmethod
+    def packed(frames: Iterable[FrameMasks], size: tuple[int, int]) -> Masks:
+        """The same in little memory (``PackedMasks``), not to be written to. ``size``: width and height [px]."""
+        packed = [[None if mask is None else PackedMask.of(mask) for mask in frame] for frame in frames]
+        objects, ignored, hands = (
+            PackedMasks([mask for mask in column if mask is not None], (size[1], size[0])).as_array()
+            for column in zip(*packed, strict=True)
+        )
+        return Masks(objects, ignored, hands if len(hands) == len(objects) else None)
+
     @property
     def observed(self) -> Bool[ndarray, "T"]:
         """Frames in which a pixel of the object is not ignored."""
-        return np.asarray((self.object & ~self.ignore).any(axis=(1, 2)))
+        return np.array([(o & ~i).any() for o, i in zip(self.object, self.ignore, strict=True)], dtype=bool)
 
     def take(self, index: Int[ndarray, "n"]) -> Masks:
         """The masks of some of the frames, in the given order."""

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.clip.camera_of_image import WIDE, field_of_view, in_pixels
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.errors import InputError, UsageError
 
@@ -49,6 +50,8 @@ def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"]
         if lens.focal is None:
             source = "a guess: the focal length is the longer side of the image, the principal point in the middle"
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    if lens.focal is not None and lens.focal > 0.0 and field_of_view(K[None], size) > WIDE:
+        raise UsageError(f"--focal: got {lens.focal:g}, expected pixels; {in_pixels(lens.focal, size)}")
     try:
         check_intrinsics(Path(), K[None], size)
     except InputError as error:

@@ -10,9 +10,7 @@ from jaxtyping import Bool
 from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
-from getagrip.clip.naming import number_of
-from getagrip.errors import UsageError
-from getagrip.io import files
+from getagrip.clip.numbering import check_numbers
 
 MOST_NAMED = 12
 """Labels that an error lists."""
@@ -58,19 +56,5 @@ class MaskRequest:
     """The option that states the number of the first frame's mask, where it was not used."""
 
     def check_numbers(self, source: Path, names: Iterable[str]) -> None:
-        """Raise ``UsageError`` where masks are counted from 0, frames are not, and nobody has said how they match.
-
-        Segmenters often count from 0 what they were given, whichever frame of a video that began with. Frames may
-        then have a mask of their number each, by luck, and each would be another frame's.
-        """
-        first = number_of(self.frames[0])
-        if not self.ask_first or first is None or 0 in map(number_of, self.frames):
-            return
-        zero = next((name for name in names if number_of(name) == 0), None)
-        if zero is not None:
-            raise UsageError(
-                f"{self.ask_first}: got nothing, expected the number of the mask of frame {self.frames[0]}: in "
-                f"{source} masks are counted from 0 ({files.plain(zero)}), the clip's frames are not. "
-                f"{self.ask_first} 0 if the clip's images were segmented, {self.ask_first} {first - 1} if the whole "
-                f"video was, {self.ask_first} {first} if its numbers are the frames' numbers"
-            )
+        """Raise ``UsageError`` where masks seem to be counted from another start than frames."""
+        check_numbers(self.frames, names, source, "mask", self.ask_first)

@@ -26,7 +26,7 @@ from getagrip.clip.data import FrameMasks
 from getagrip.clip.label_images import label_value, read_labels
 from getagrip.clip.mask_request import MOST_NAMED, MaskReader, MaskRequest, without_object
 from getagrip.clip.naming import frame_of
-from getagrip.clip.segments import region, union
+from getagrip.clip.segments import check_count, region, union
 from getagrip.clip.video_segments import video_segments
 from getagrip.errors import InputError, UsageError
 from getagrip.io import arrays, files
@@ -219,7 +219,8 @@ def _coco(path: Path, request: MaskRequest) -> MaskReader:
 
     def drawn(n: int, kind: str) -> Bool[ndarray, "H W"]:
         found = regions.get((n, kind), [])
-        return union([region(path, key, item.get("segmentation"), request.size) for key, item in found], request.size)
+        check_count(path, "annotations", len(found), request.size)
+        return union((region(path, key, item.get("segmentation"), request.size) for key, item in found), request.size)
 
     def read(n: int) -> FrameMasks:
         return without_object(drawn(n, "object"), drawn(n, "ignore"), drawn(n, "hand") if request.hand else None)

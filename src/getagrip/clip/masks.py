@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 from numpy import ndarray
 
-from getagrip.clip.data import Clip, Masks
+from getagrip.clip.data import Clip, FrameMasks, Masks
 from getagrip.errors import InputError
 from getagrip.io import files
 from getagrip.io.png import read_png
@@ -21,13 +21,8 @@ def read_masks(clip: Clip) -> Masks:
     Raises ``InputError`` for a missing or unsuitable image, and where no frame shows the object. The folders
     ``masks/ignore`` and ``masks/hand`` may be absent; where they are there, they have an image for each frame.
     """
-    width, height = clip.size
-    known = clip.folder is not None and (clip.folder / "masks" / "hand").exists()
-    masks = Masks(*np.zeros((2 + known, len(clip), height, width), dtype=bool))
-    for n, (mask, ignore) in enumerate(_each(clip)):
-        masks.object[n], masks.ignore[n] = mask, ignore
-        if clip.folder is not None and masks.hand is not None:
-            masks.hand[n] = _read(clip.folder, "hand", clip.frames[n], clip.size)
+    folder = _folder(clip)
+    masks = Masks.packed(_each(clip, with_hand=(folder / "masks" / "hand").exists()), clip.size)
     _check_some(clip, bool(masks.object.any()))
     return masks
 
@@ -40,23 +35,28 @@ def find_masks(clip: Clip) -> Masks | None:
 def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
     """``read_masks(clip).observed``, with one frame at a time in memory."""
     any_object, observed = False, np.zeros(len(clip), dtype=bool)
-    for n, (mask, ignore) in enumerate(_each(clip)):
+    for n, (mask, ignore, _) in enumerate(_each(clip)):
         any_object |= bool(mask.any())
         observed[n] = (mask & ~ignore).any()
     _check_some(clip, any_object)
     return observed
 
 
-def _each(clip: Clip) -> Iterator[tuple[Bool[ndarray, "H W"], Bool[ndarray, "H W"]]]:
-    """Object mask and ignored pixels of each frame."""
+def _each(clip: Clip, with_hand: bool = False) -> Iterator[FrameMasks]:
+    """The masks of each frame."""
+    folder, (width, height) = _folder(clip), clip.size
+    hidden = (folder / "masks" / "ignore").exists()
+    for frame in clip.frames:
+        mask = _read(folder, "object", frame, clip.size)
+        ignore = _read(folder, "ignore", frame, clip.size) if hidden else np.zeros((height, width), dtype=bool)
+        yield FrameMasks(mask, ignore, _read(folder, "hand", frame, clip.size) if with_hand else None)
+
+
+def _folder(clip: Clip) -> Path:
+    """The clip's folder. Raises ``InputError`` where it has none."""
     if clip.folder is None:
         raise InputError(clip.origin, "masks", "none, for a clip that is in no folder", "the masks beside the clip")
-    width, height = clip.size
-    hidden = (clip.folder / "masks" / "ignore").exists()
-    for frame in clip.frames:
-        mask = _read(clip.folder, "object", frame, clip.size)
-        ignore = _read(clip.folder, "ignore", frame, clip.size) if hidden else np.zeros((height, width), dtype=bool)
-        yield mask, ignore
+    return clip.folder
 
 
 def _read(folder: Path, kind: str, frame: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:

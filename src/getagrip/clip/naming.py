@@ -16,6 +16,12 @@ def number_of(name: str) -> int | None:
     return int(found[1]) if found else None
 
 
+def number_in(name: str) -> int | None:
+    """The number of the image that a name stands for, without what an estimator adds; None where there is none."""
+    number = number_of(_PERSON.sub("", name))
+    return number_of(name) if number is None else number
+
+
 def frame_of(name: str, frames: Sequence[str]) -> int | None:
     """The index of the frame that a name, without suffix, stands for; None where it stands for none or for several.
 
@@ -26,6 +32,6 @@ def frame_of(name: str, frames: Sequence[str]) -> int | None:
     for candidate in (name, image):
         if candidate in frames:
             return frames.index(candidate)
-    number = number_of(name) if number_of(image) is None else number_of(image)
+    number = number_in(name)
     same = [n for n, frame in enumerate(frames) if number is not None and number_of(frame) == number]
     return same[0] if len(same) == 1 else None

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Bool
+from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
 from getagrip.geometry import se3
+from getagrip.io.packed_masks import PackedMasks
 
 
 def occluded_by_hand(clip: Clip, masks: Masks) -> Masks:
     """Masks whose ignored pixels are those that the clip's hands cover and the object's mask does not."""
     from getagrip.geometry.depth import covered
 
-    ignore = np.zeros_like(masks.ignore)
-    hands = [(clip.hand, np.arange(len(clip)))]
+    hands = [(clip.hand, np.ones(len(clip), dtype=bool))]
     if clip.other_hand is not None:
-        hands.append((clip.other_hand.track, np.flatnonzero(clip.other_hand.known)))
-    for hand, rows in hands:
-        vertices = se3.transform(hand.T_cam_hand, hand.vertices)
-        for n in rows:
-            ignore[n] |= covered(vertices[n], hand.faces, clip.K[n], clip.size)
-    return Masks(masks.object, ignore & ~masks.object)
+        hands.append((clip.other_hand.track, clip.other_hand.known))
+    posed = [(se3.transform(hand.T_cam_hand, hand.vertices), hand.faces, known) for hand, known in hands]
+
+    def hidden(n: int, visible: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
+        ignore = np.zeros_like(visible)
+        for vertices, faces, known in posed:
+            if known[n]:
+                ignore |= covered(vertices[n], faces, clip.K[n], clip.size)
+        return ignore & ~visible
+
+    return Masks(masks.object, PackedMasks.of(map(hidden, range(len(clip)), masks.object), clip.size).as_array())

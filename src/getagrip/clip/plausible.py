@@ -19,10 +19,14 @@ from getagrip.io.files import shown
 
 NEAREST, FARTHEST = 0.05, 20.0
 """Plausible distances from the camera [m]."""
+SLOWEST, FASTEST = 0.001, 100_000.0
+"""Plausible frames per second."""
 LONGEST = 86_400.0
 """Time that a clip can take [s]."""
 ROOM = 1000.0
 """How far a camera may be from where it was in the first frame [m]."""
+FROM_WORLD = 1e5
+"""How far a camera may be from the world's origin [m]: beyond, single precision does not hold a centimetre."""
 OFF_ORIGIN = 0.25
 """Largest distance of a hand's middle from the origin of the hand frame, which lies in the hand [m]."""
 
@@ -39,6 +43,10 @@ def check_clip(clip: Clip) -> None:
     for key, array in arrays:
         if not np.isfinite(array).all():
             raise InputError(path, key, "NaN or infinite numbers", "finite numbers")
+    if not SLOWEST <= clip.fps <= FASTEST:
+        raise InputError(path, "fps", f"{clip.fps:g}", f"frames per second, {SLOWEST:g} to {FASTEST:g}")
+    if clip.times is not None:
+        check_times(path, clip.times, clip.frames)
     check_intrinsics(path, clip.K, clip.size)
     if clip.world is not None:
         check_camera_poses(path, clip.world.T_world_cam, clip.frames)
@@ -94,24 +102,35 @@ def check_intrinsics(path: Path, K: Float[ndarray, "T 3 3"], size: tuple[int, in
 
 def check_times(path: Path, times: Float[ndarray, "T"], frames: Sequence[str]) -> None:
     """Raise ``InputError`` for times [s] that do not rise, or that take longer than a clip can."""
-    rises = np.diff(times) > 0.0
+    steps = np.diff(times)
+    rises = steps > 0.0
     if not rises.all():
         n = int(np.argmin(rises)) + 1
         bad = f"{times[n]:.10g} s in frame {shown(frames[n])}, after {times[n - 1]:.10g} s"
         raise InputError(path, "times", bad, "numbers that rise from frame to frame")
+    if len(steps) and steps.min() < 0.99 / FASTEST:
+        n = int(np.argmin(steps)) + 1
+        bad = f"frame {shown(frames[n])} {steps[n - 1]:.4g} s after the one before"
+        raise InputError(path, "times", bad, f"at least {1.0 / FASTEST:g} s; are these seconds?")
     if not times[-1] - times[0] <= LONGEST:
         bad = f"{times[-1] - times[0]:.4g} s from the first frame to the last"
         raise InputError(path, "times", bad, f"at most {LONGEST:g} s; are these nanoseconds?")
 
 
 def check_camera_poses(path: Path, T_world_cam: Float[ndarray, "T 4 4"], frames: Sequence[str]) -> None:
-    """Raise ``InputError`` for motions that are not rigid, or that take the camera too far."""
+    """Raise ``InputError`` for motions that are not rigid, or that are too far from the origin or the first place."""
     with np.errstate(over="ignore", invalid="ignore"):
         rigid = se3.is_rigid(T_world_cam)
         apart = np.linalg.norm(T_world_cam[:, :3, 3] - T_world_cam[0, :3, 3], axis=1)
     if not rigid.all():
         bad = f"a matrix that is no rigid motion in frame {shown(frames[int(np.argmin(rigid))])}"
         raise InputError(path, "camera.T_world_cam", bad, "rotations and translations [m], the last row 0 0 0 1")
+    far = np.abs(T_world_cam[:, :3, 3]).max(axis=1)
+    if not far.max() <= FROM_WORLD:
+        n = int(np.argmax(far))
+        given = f"a camera {far[n]:.4g} m from the world's origin in frame {shown(frames[n])}"
+        expected = f"at most {FROM_WORLD:g} m; subtract its first place from all, in metres"
+        raise InputError(path, "camera.T_world_cam", given, expected)
     if not apart.max() <= ROOM:
         n = int(np.argmax(apart))
         given = f"a camera {apart[n]:.4g} m from its first place in frame {shown(frames[n])}"

@@ -14,7 +14,7 @@ from numpy import ndarray
 from getagrip.clip.data import Clip
 from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
 from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
-from getagrip.clip.plausible import check_hand, check_in_view
+from getagrip.clip.plausible import FASTEST, SLOWEST, check_hand, check_in_view
 from getagrip.clip.reading_truth import read_truth
 from getagrip.clip.timeline import at_frames, read_segments
 from getagrip.errors import InputError
@@ -168,7 +168,8 @@ def _fields(folder: Path) -> dict[str, Any]:
     )
     require("category", isinstance(category, str) and category != "" and category.isprintable(), "a printable text")
     require("side", fields["side"] in ("left", "right"), '"left" or "right"')
-    require("fps", _is_number(fields["fps"]) and fields["fps"] > 0, "frames per second, above 0")
+    plausible = _is_number(fields["fps"]) and SLOWEST <= fields["fps"] <= FASTEST
+    require("fps", plausible, f"frames per second, {SLOWEST:g} to {FASTEST:g}")
     require("mesh", isinstance(mesh, str) and mesh != "", "the name of a mesh file")
     require("scale", fields["scale"] in ("known", "free"), '"known" or "free"')
     require("provenance", isinstance(fields.setdefault("provenance", {}), dict), "an object")

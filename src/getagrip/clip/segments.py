@@ -7,7 +7,7 @@ Not pycocotools (2.0.11): runs that end early leave stray memory in its masks, a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,8 @@ from getagrip.io import arrays, files
 
 MOST_CORNERS = 100_000
 """Of the polygons of one region."""
+MOST_DRAWN = 2**30
+"""Pixels that are gone through for the regions of one kind in a frame, or for the polygons of one region."""
 
 
 def polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
@@ -34,6 +36,7 @@ def polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool
     if sum(map(len, given)) > 2 * MOST_CORNERS:
         raise InputError(path, key, f"{sum(map(len, given)) // 2} corners", f"at most {MOST_CORNERS}")
     out = np.zeros((height, width), np.uint8)
+    drawn = 0
     for corners in given:
         points = arrays.from_lists(corners)
         if points is None or points.dtype.kind not in "fi" or points.ndim != 1 or len(points) < 6 or len(points) % 2:
@@ -42,6 +45,9 @@ def polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool
         if not np.all((points >= -np.array(size)) & (points <= 2 * np.array(size))):  # false for NaN, too
             bad = f"corners from {points.min():g} to {points.max():g}"
             raise InputError(path, key, bad, f"corners in or about the {width} x {height} image")
+        drawn += int(np.prod(np.clip(np.ptp(points, axis=0), 1, size)))
+        if drawn > MOST_DRAWN:
+            raise InputError(path, key, f"polygons of more than {MOST_DRAWN} pixels in all", "at most that")
         cv2.fillPoly(out, [np.round(256.0 * (points - 0.5)).astype(np.int32)], 1, shift=8)
     return out.astype(bool)
 
@@ -93,7 +99,14 @@ def region(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool[n
     return (run_lengths if isinstance(given, dict) else polygons)(path, key, given, size)
 
 
-def union(regions: Sequence[Bool[ndarray, "H W"]], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
+def check_count(path: Path, key: str, count: int, size: tuple[int, int]) -> None:
+    """Raise ``InputError`` for more regions of one kind in a frame than can be drawn in a few seconds."""
+    most = max(1, MOST_DRAWN // (size[0] * size[1]))
+    if count > most:
+        raise InputError(path, key, f"{count} regions in one frame", f"at most {most} at {size[0]} x {size[1]}")
+
+
+def union(regions: Iterable[Bool[ndarray, "H W"]], size: tuple[int, int]) -> Bool[ndarray, "H W"]:
     """The pixels in any of some regions."""
     out = np.zeros(size[::-1], dtype=bool)
     for pixels in regions:

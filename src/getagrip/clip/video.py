@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from getagrip.clip.reading import LARGEST_IMAGE, LARGEST_SIDE
@@ -19,6 +19,9 @@ from getagrip.errors import InputError
 from getagrip.io.counts import counted
 
 if TYPE_CHECKING:
+    from fractions import Fraction
+
+    from av import VideoFrame
     from av.container import InputContainer
 
 FORMATS = "mov,mp4,matroska,webm,avi,mpegts"
@@ -32,7 +35,8 @@ class VideoInfo:
     Attributes:
         path: the video file.
         fps: frames per second.
-        size: width and height as shown [px]; an upright video of a telephone is stored rotated.
+        size: width and height as shown [px]; an upright video of a telephone is stored rotated, and some have pixels
+            that are not square.
     """
 
     path: Path
@@ -66,7 +70,7 @@ def open_video(path: Path) -> InputContainer:
     from av.error import FFmpegError
 
     if path.is_dir():
-        raise InputError(path, "", "a folder", "a video; ffmpeg -i %06d.jpg video.mp4 makes one of images")
+        raise InputError(path, "", "a folder", "a video")
     if not path.is_file():
         raise InputError(path, "", "no such file", "a video")
     options = {"protocol_whitelist": "file", "format_whitelist": FORMATS}
@@ -84,6 +88,38 @@ def open_video(path: Path) -> InputContainer:
     return container
 
 
+def frame_times(path: Path) -> Float[ndarray, "N"] | None:
+    """When each frame is shown, from the first one [s]; None where the file does not say. Raises ``InputError``.
+
+    The file is read through without decoding.
+    """
+    from av.error import FFmpegError
+
+    with open_video(path) as container:
+        stream = container.streams.video[0]
+        try:
+            packets = [packet for packet in container.demux(stream) if packet.size and not packet.is_discard]
+        except (FFmpegError, OSError, ValueError) as error:
+            raise InputError(path, "", f"a file that does not decode as video ({error})", "a video") from error
+        ticks = [packet.pts for packet in packets if packet.pts is not None]
+        base = stream.time_base
+    if not ticks or len(set(ticks)) < len(packets) or base is None:
+        return None
+    return np.array([float((tick - min(ticks)) * base) for tick in sorted(ticks)])
+
+
+def shown_width(frame: VideoFrame, aspect: Fraction | None) -> int:
+    """The width at which the pixels of a frame are square [px], before it is turned."""
+    return max(1, round(frame.width * aspect)) if aspect else frame.width
+
+
+def upright(frame: VideoFrame, aspect: Fraction | None) -> UInt8[ndarray, "H W 3"]:
+    """The RGB image of a frame as it is shown: pixels that are stored ``aspect`` times as wide as high are square."""
+    width = shown_width(frame, aspect)
+    wide = frame if width == frame.width else frame.reformat(width=width, height=frame.height)
+    return np.rot90(np.asarray(wide.to_ndarray(format="rgb24"), np.uint8), round(frame.rotation / 90.0))
+
+
 def _decoded(path: Path) -> Iterator[tuple[UInt8[ndarray, "H W 3"], float]]:
     """All frames, and the frames per second."""
     from av.error import FFmpegError
@@ -93,7 +129,6 @@ def _decoded(path: Path) -> Iterator[tuple[UInt8[ndarray, "H W 3"], float]]:
         fps = float(stream.average_rate or 30)
         try:
             for frame in container.decode(stream):
-                quarters = round(frame.rotation / 90.0)
-                yield np.rot90(np.asarray(frame.to_ndarray(format="rgb24"), np.uint8), quarters), fps
+                yield upright(frame, stream.sample_aspect_ratio), fps
         except (FFmpegError, OSError, ValueError) as error:
             raise InputError(path, "", f"a file that does not decode as video ({error})", "a video") from error

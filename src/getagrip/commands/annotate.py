@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import csv
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,10 +21,12 @@ from getagrip.annotate.server import Server, first_free, kept_token
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, read_tasks
 from getagrip.annotate.versions import RefusedError
+from getagrip.batch.ledger_place import state_folder
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.io import files
 from getagrip.io.counts import counted
+from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import progress_bar, report
 
 if TYPE_CHECKING:
@@ -31,8 +34,8 @@ if TYPE_CHECKING:
 
 DATABASE = "marks.sqlite"
 """The marks, in the folder of the annotations."""
-TOKEN = "token"
-"""The file beside them whose content the address of the page holds."""
+TOKENS = "tokens"
+"""The folder, in the user's state folder, of what the addresses of pages hold."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,8 @@ def take_segments(project: Project, path: Path, annotator: str) -> int:
 
 def serve(project: Project, port: int | None) -> None:
     """Serve the page until it is interrupted. Raises ``UsageError`` for a port that is taken."""
-    token = kept_token(project.store.path.with_name(TOKEN))
+    marks = sha256(os.fsencode(project.store.path.resolve())).hexdigest()[:16]
+    token = kept_token(state_folder() / TOKENS / marks)  # not beside the marks: a folder may be a stranger's
     with first_free(project, token) if port is None else Server(project, port, token) as server:
         print(f"open {server.url} in a browser; marks are kept in {project.store.path}; Ctrl-C ends", flush=True)
         try:
@@ -163,7 +167,8 @@ class JobOnBar(BackgroundJob):
 def write_files(project: Project, out: Path) -> int:
     """Write ``grasps-<annotator>.csv`` and ``.json`` for each person, ``discards.csv`` and ``agreement.json``.
 
-    Of whole interactions also ``segments-<annotator>.json``. Returns 1 where segments overlap, else 0.
+    Of whole interactions also ``segments-<annotator>.json``. Returns 1 where segments overlap or a finished grasp is of
+    neither hand, else 0.
     """
     known, status = project.known(), 0
     others = len(project.store.marks.standing()) - len(known)
@@ -173,18 +178,18 @@ def write_files(project: Project, out: Path) -> int:
         own = [mark for mark in known if mark.annotator == name]
         rows = export.intervals(own, project.tasks)
         table = out / f"grasps-{name}.csv"
-        table.write_text(export.epic_csv(own, project.tasks), "utf-8", newline="")
+        files.write_text(table, export.epic_csv(own, project.tasks))
         files.write_json(table.with_suffix(".json"), rows)
         print(f"{name}: list of {counted(len(rows), 'grasp')}, {table} and .json")
         listed = export.grasps(own)
         marked = [mark for mark in own if mark.start is not None and mark.state == GRASP]
         if unfinished := [mark for mark in marked if mark not in listed]:
             report(f"{name}: {not_listed(unfinished)}")
+            status = max(status, int(any(mark.interval and not mark.side for mark in unfinished)))
         status = max(status, write_segments(project, out, name))
-    with (out / "discards.csv").open("w", encoding="utf-8", newline="") as stream:
-        lines = csv.DictWriter(stream, ("task", "clip", "annotator", "reason"))
-        lines.writeheader()
-        lines.writerows(export.discards(known, project.tasks))
+    with files.new_text(out / "discards.csv") as stream:
+        discards = (row.values() for row in export.discards(known, project.tasks))
+        CsvTable(stream).write_rows([("task", "clip", "annotator", "reason"), *discards])
     found = agreements(known)
     files.write_json(out / "agreement.json", [asdict(one) for one in found])
     for one in found:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 
@@ -25,6 +24,7 @@ from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import resamples
 from getagrip.io import files
 from getagrip.io.counts import counted
+from getagrip.io.csv_tables import CsvTable
 
 HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
 DRAWS = 400
@@ -60,16 +60,16 @@ def _write(plan: Plan, scores: Sequence[SequenceScores]) -> None:
     print(text, end="")
     name = plan.source.preset
     written = [plan.out / f"{name}.md", plan.out / f"{name}-sequences.csv"]
-    written[0].write_text(text, "utf-8")
-    with written[1].open("w", encoding="utf-8", newline="") as stream:
-        table = csv.writer(stream)
-        table.writerow(("sequence", "direction", "way", "true", "found", "tiou", "start", "end"))
+    files.write_text(written[0], text)
+    with files.new_text(written[1]) as stream:
+        table = CsvTable(stream)
+        table.write_row(("sequence", "direction", "way", "true", "found", "tiou", "start", "end"))
         for one in scores:
             for (direction, way), of in one.by.items():
                 rows = of.matches or (None,)
                 for match in rows:
                     numbers = ("", "", "") if match is None else (match.tiou, match.start, match.end)
-                    table.writerow((one.name, direction, way, len(of.matches), of.found, *numbers))
+                    table.write_row((one.name, direction, way, len(of.matches), of.found, *numbers))
     if plan.json is not None:
         summaries = {label: asdict(summary(rows)) for label, rows in _rows(scores).items()}
         files.write_json(plan.json, {"noise": plan.source.preset, "rows": summaries})

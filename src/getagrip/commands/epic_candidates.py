@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -15,6 +14,7 @@ from getagrip.datasets.epic import candidates, tables, visor
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.counts import counted
+from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import progress_bar
 
 COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name", "mp4_name")
@@ -64,11 +64,11 @@ def find_candidates(
 def _write_table(path: Path, found: Sequence[candidates.Candidate]) -> None:
     """Write candidates as a table with ``COLUMNS``, as EPIC-Grasps has them: -1 for more than one contact."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        table = csv.writer(stream)
-        table.writerow(COLUMNS)
+    with files.new_text(path) as stream:
+        table = CsvTable(stream)
+        table.write_row(COLUMNS)
         for one in found:
             contact = one.contacts[0] if len(one.contacts) == 1 else -1
             bounds = one.start_bound, one.end_bound
             hand = f"{one.side} hand"
-            table.writerow([one.video, *bounds, contact, hand, one.category, one.entity, f"{one.name}.mp4"])
+            table.write_row([one.video, *bounds, contact, hand, one.category, one.entity, f"{one.name}.mp4"])

@@ -11,6 +11,7 @@ import numpy as np
 
 from getagrip.batch.job import Outcome, failure
 from getagrip.clip import find_masks, read_clip
+from getagrip.clip.naming import number_of
 from getagrip.errors import InputError
 from getagrip.evaluation import evaluate_meshes
 from getagrip.evaluation.meshes import MeshFrame, read_meshes
@@ -26,6 +27,8 @@ class Meshes:
     frame: MeshFrame
     clips: Path
     """The folder that holds the clips by name, or the one clip."""
+    first: int | None = None
+    """The number of the first frame's mesh; None where meshes have the frames' numbers."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,8 @@ class MeshJob:
     method: str
     frames: Mapping[str, tuple[str, ...]]
     """By the names of clips: the frames to evaluate, where not all are."""
+    first: int | None
+    """As of ``Meshes``."""
 
 
 def mesh_jobs(meshes: Meshes, frames: Mapping[str, tuple[str, ...]]) -> list[MeshJob]:
@@ -53,19 +58,23 @@ def mesh_jobs(meshes: Meshes, frames: Mapping[str, tuple[str, ...]]) -> list[Mes
     if the_clip and len(folders) > 1:
         raise InputError(meshes.clips, "", "one clip", f"the folder of the clips of {len(folders)} folders of meshes")
     method = meshes.root.resolve().name
+    clips = [meshes.clips if the_clip else meshes.clips / folder.name for folder in folders]
     return [
-        MeshJob(folder, meshes.clips if the_clip else meshes.clips / folder.name, meshes.frame, method, frames)
-        for folder in folders
+        MeshJob(folder, clip, meshes.frame, method, frames, meshes.first)
+        for folder, clip in zip(folders, clips, strict=True)
     ]
 
 
 def evaluate_clip_meshes(job: MeshJob) -> tuple[dict[str, Any] | None, list[Outcome]]:
     """All metrics of the meshes of a clip, and what could not be read. Raises nothing."""
     try:
-        clip = read_clip(job.clip)
+        clip, first = read_clip(job.clip), job.first
+        begin = clip.frames[0]
         if clip.name in job.frames:
             clip = clip.take(np.array([clip.frames.index(frame) for frame in job.frames[clip.name]]))
-        meshes, errors = read_meshes(job.folder, clip, job.frame)
+        if first is not None:  # of the first of these frames
+            first += (number_of(clip.frames[0]) or 0) - (number_of(begin) or 0)
+        meshes, errors = read_meshes(job.folder, clip, job.frame, first)
         return evaluate_meshes(meshes, clip, find_masks(clip), job.method), [failure("", error) for error in errors]
     except Exception as error:  # one clip's trouble must not end the others
         return None, [failure("" if isinstance(error, InputError) else str(job.folder), error)]

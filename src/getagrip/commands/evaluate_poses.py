@@ -24,6 +24,8 @@ class OtherPoses:
     """A file or folder of one clip's poses; or a folder that holds those of many, by name."""
     clips: Path
     """The folder that holds the clips by name, or the one clip."""
+    first: int | None = None
+    """The number of the first frame's pose; None where poses have the frames' numbers."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,8 @@ class PoseJob:
     method: str
     frames: Mapping[str, tuple[str, ...]]
     """By the names of clips: the frames to evaluate, where not all are."""
+    first: int | None
+    """As of ``OtherPoses``."""
 
 
 def pose_jobs(poses: OtherPoses, frames: Mapping[str, tuple[str, ...]]) -> list[PoseJob]:
@@ -47,13 +51,16 @@ def pose_jobs(poses: OtherPoses, frames: Mapping[str, tuple[str, ...]]) -> list[
         name, one = read_name(poses.clips), root
         if root.is_dir() and any((root / f"{name}{suffix}").exists() for suffix in ("", *SUFFIXES)):
             one = OtherSystem(method, root).of_clip(name)
-        return [PoseJob(one, poses.clips, method, frames)]
+        return [PoseJob(one, poses.clips, method, frames, poses.first)]
     if root.is_file():
-        return [PoseJob(root, poses.clips / root.stem, method, frames)]
+        return [PoseJob(root, poses.clips / root.stem, method, frames, poses.first)]
     places = [path for path in sorted(root.iterdir()) if path.is_dir() or path.suffix.lower() in SUFFIXES]
     if not places:
         raise InputError(root, "", "no poses in it", f"<clip>/, or <clip> with one of {', '.join(SUFFIXES)}")
-    return [PoseJob(path, poses.clips / (path.name if path.is_dir() else path.stem), method, frames) for path in places]
+    clips = [poses.clips / (path.name if path.is_dir() else path.stem) for path in places]
+    if len(frames) == 1 and not any(clip.exists() for clip in clips):  # files of single frames
+        return [PoseJob(root, poses.clips / next(iter(frames)), method, frames, poses.first)]
+    return [PoseJob(path, clip, method, frames, poses.first) for path, clip in zip(places, clips, strict=True)]
 
 
 def evaluate_clip_poses(job: PoseJob) -> tuple[dict[str, Any] | None, list[Outcome]]:
@@ -61,7 +68,7 @@ def evaluate_clip_poses(job: PoseJob) -> tuple[dict[str, Any] | None, list[Outco
     try:
         clip = read_clip(job.clip)
         masks = find_masks(clip)
-        result = poses_of(job.folder, job.method, clip, masks)
+        result = poses_of(job.folder, job.method, clip, masks, job.first)
         if clip.name in job.frames:
             index = clip.index_of(job.frames[clip.name])
             result, clip, masks = result.take(index), clip.take(index), masks and masks.take(index)

@@ -7,8 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
 
+from getagrip.clip.camera_of_image import doubt
 from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.clip.numbering import renumbered
 from getagrip.clip.plausible import check_in_view
 from getagrip.clip.reading import OTHER_HAND, ClipHeader, frames_with_hand, read_header
 from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at
@@ -22,6 +26,8 @@ PREFIX = "other_"
 """Of what a clip's provenance says of the other hand."""
 MOST_FRAMES = 20_000
 """Of a hand file."""
+DOUBTED = 3
+"""Exit status where the hands are written, and the camera seems to be of other images."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +56,13 @@ def import_hands(
     new: NewFrames,
     hold_ends: bool,
     other: bool,
+    first: int | None,
     overwrite: bool,
 ) -> int:
     """Add hands to a clip, or write a file of them. Raises ``UsageError`` for options that do not fit.
 
     ``hold_ends``: with hands in the frames before the first and after the last one (``Hands.held_at_ends``).
-    ``other``: the hand of the other side than the clip's.
+    ``other``: the hand of the other side than the clip's. ``first``: the number of the first frame's hand.
     """
     if other and (hold_ends or clip is None):
         given = "--hold-ends" if hold_ends else "no --clip"
@@ -66,15 +73,21 @@ def import_hands(
         if new.given:
             raise UsageError("--side, --frames, --size, --K: got some, expected none with --clip, which has them")
         if other:
-            return other_into_clip(paths, tracker, mano, clip, overwrite)
-        return into_clip(paths, tracker, mano, clip, hold_ends, overwrite)
+            return other_into_clip(paths, tracker, mano, clip, first, overwrite)
+        return into_clip(paths, tracker, mano, clip, hold_ends, first, overwrite)
     if out is not None and clip is None:
-        return into_file(paths, tracker, mano, new, out, hold_ends, overwrite)
+        return into_file(paths, tracker, mano, new, out, hold_ends, first, overwrite)
     raise UsageError(f"--clip, --out: got {'both' if clip else 'neither'}, expected one of them")
 
 
 def into_clip(
-    paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder: Path, hold_ends: bool, overwrite: bool
+    paths: Sequence[Path],
+    tracker: Tracker,
+    mano: Path | None,
+    folder: Path,
+    hold_ends: bool,
+    first: int | None,
+    overwrite: bool,
 ) -> int:
     """Add ``hand.npz`` to a clip's folder. Where frames lack a hand it names those that have one.
 
@@ -85,7 +98,7 @@ def into_clip(
     if target.exists() and not overwrite:
         raise UsageError(f"{target}: exists already; --overwrite replaces it")
     side: Side = header.fields["side"]
-    hands = read(paths, tracker, Request(side, header.frames, header.K, header.size, mano))
+    hands = read(paths, tracker, _request(side, header.frames, header.K, header.size, mano, first))
     check_in_view(paths[0], hands.track, header.K[list(hands.found)], header.size)
     hands = hands.held_at_ends(header.frames) if hold_ends else hands
     if len(hands.found) < len(header.frames) and (header.folder / "truth.npz").exists():
@@ -96,10 +109,12 @@ def into_clip(
         files.write_json(fields, _fields(header, hands))
     _report(hands, header.frames)
     say(str(target))
-    return 0
+    return _status(header.K, header.size)
 
 
-def other_into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder: Path, overwrite: bool) -> int:
+def other_into_clip(
+    paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder: Path, first: int | None, overwrite: bool
+) -> int:
     """Add ``other_hand.npz``, in the frames in which it was found. Raises ``UsageError`` where there is one already,
     and ``InputError`` where none of these frames has the clip's own hand."""
     header = read_header(folder)
@@ -108,7 +123,7 @@ def other_into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, 
         raise UsageError(f"{target}: exists already; --overwrite replaces it")
     own = frames_with_hand(files.inside(header.folder, "hand.npz", "", "the clip's own hand first"), header.frames)
     side: Side = "left" if header.fields["side"] == "right" else "right"
-    hands = read(paths, tracker, Request(side, header.frames, header.K, header.size, mano))
+    hands = read(paths, tracker, _request(side, header.frames, header.K, header.size, mano, first))
     check_in_view(paths[0], hands.track, header.K[list(hands.found)], header.size)
     alone = sorted({*hands.found} - {*own.tolist()})
     if len(alone) == len(hands.found):
@@ -126,7 +141,7 @@ def other_into_clip(paths: Sequence[Path], tracker: Tracker, mano: Path | None, 
         some = _some(header.frames[row] for row in alone)
         left_out = f"{len(alone)} frames have the {side} hand only and are left out, as all without the clip's own"
         report(f"warning: {left_out}: {some}")
-    return 0
+    return _status(header.K, header.size)
 
 
 def into_file(
@@ -136,6 +151,7 @@ def into_file(
     new: NewFrames,
     out: Path,
     hold_ends: bool,
+    first_hand: int | None,
     overwrite: bool,
 ) -> int:
     """Write a hand file for ``clip new`` and ``import epic``: a ``hand.npz`` with ``frames`` (T,) and ``K`` (3, 3)."""
@@ -157,7 +173,7 @@ def into_file(
     numbers = np.arange(first, last + 1)
     names = tuple(f"{n:06d}" for n in numbers)
     many = np.tile(K, (len(names), 1, 1))
-    hands = read(paths, tracker, Request(new.side, names, many, new.size, mano))
+    hands = read(paths, tracker, _request(new.side, names, many, new.size, mano, first_hand))
     check_in_view(paths[0], hands.track, many[list(hands.found)], new.size)
     hands = hands.held_at_ends(names) if hold_ends else hands
     provenance = hands.provenance | {"camera": camera}
@@ -167,7 +183,21 @@ def into_file(
         write_hand(hands.track, part, extra)
     _report(replace(hands, provenance=provenance), names)
     print(out)
-    return 0
+    return _status(many, new.size)
+
+
+def _request(
+    side: Side,
+    frames: tuple[str, ...],
+    K: Float[ndarray, "T 3 3"],
+    size: tuple[int, int],
+    mano: Path | None,
+    first: int | None,
+) -> Request:
+    """What is asked for; ``first`` is the number of the first frame's hand, where hands are counted differently."""
+    if first is None:
+        return Request(side, frames, K, size, mano)
+    return Request(side, renumbered(frames, first, "--first"), K, size, mano, ask_first="")
 
 
 def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
@@ -184,6 +214,14 @@ def _report(hands: Hands, frames: Sequence[str]) -> None:
     missing = [name for n, name in enumerate(frames) if n not in hands.found]
     if missing:
         report(f"warning: no hand in {len(missing)} of {len(frames)} frames, skipped: {_some(missing)}")
+
+
+def _status(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> int:
+    """0, or ``DOUBTED`` with a warning where the camera, before which the hands are, seems to be of other images."""
+    doubted = doubt(K, size)
+    if doubted:
+        report(f"warning: camera: {doubted}")
+    return DOUBTED if doubted else 0
 
 
 def _some(names: Iterable[str]) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from getagrip.clip.mask_request import MaskReader, MaskRequest
 from getagrip.clip.mask_sources import open_masks
+from getagrip.clip.numbering import renumbered
 from getagrip.clip.reading import read_header
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
@@ -33,10 +34,7 @@ def into_clip(
         raise UsageError(f"{target}: exists already; --overwrite replaces it")
     names = header.frames
     if first is not None:
-        numbers = [int(name) if name.isascii() and name.isdigit() else -1 for name in names]
-        if min(numbers) < 0:
-            raise UsageError(f"--first: got {first}, expected none: the clip's frames have no numbers")
-        names = tuple(f"{number - numbers[0] + first:06d}" for number in numbers)
+        names = renumbered(names, first, "--first")
     ask_first = "--first" if first is None else ""
     reader = open_masks(source, MaskRequest(names, header.size, objects, ignore, hand, ask_first))
     whence = header.fields["provenance"] | {"masks": provenance(source, objects, ignore, hand)}
@@ -58,8 +56,7 @@ def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> in
         masks = reader(n)
         for kind, mask in masks._asdict().items():
             if mask is not None:
-                (folder / kind).mkdir(parents=True, exist_ok=True)
-                write_mask(folder / kind / f"{name}.png", mask)
+                write_mask(files.folder_inside(folder, kind) / f"{name}.png", mask)
         visible += int(masks.object.any())
     if not visible:
         there = f"; there are {', '.join(sorted(reader.others))}" if reader.others else ""

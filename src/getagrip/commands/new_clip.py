@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +16,16 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from getagrip.clip import Clip, HandTrack, read_clip, read_observed
+from getagrip.clip.camera_of_image import doubt
+from getagrip.clip.footage import size_and_rate, stretch
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.clip.mask_request import MaskReader, MaskRequest
 from getagrip.clip.mask_sources import open_masks
+from getagrip.clip.naming import number_of
+from getagrip.clip.numbering import check_numbers, renumbered
 from getagrip.clip.plausible import check_in_view, check_intrinsics
 from getagrip.clip.reading import read_hand
 from getagrip.clip.segment_files import SegmentList, read, with_segments
-from getagrip.clip.video import video_frames, video_info
 from getagrip.clip.writing import fill_folder, without_hand, write_hand_at
 from getagrip.commands import own_mesh
 from getagrip.commands.import_masks import provenance, write_masks
@@ -34,8 +37,9 @@ from getagrip.io.terminal import report
 
 MOST_FRAMES = 20_000
 """Of a clip; a stable grasp of minutes."""
+HAND_FIRST = "--hand-first"
 INCOMPLETE = 3
-"""Exit status where the clip is made, and lacks masks or hands."""
+"""Exit status where the clip is made, and lacks masks or hands, or its camera seems to be of other images."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,10 @@ class Ingredients:
     segments: Path | None = None
     still_camera: bool = False
     """The camera did not move, as the user states."""
+    fps: float | None = None
+    """Frames per second of a folder of images; None where it is not stated."""
+    hand_of_first: int | None = None
+    """The number of the first frame's hand in the hand file; the frame's own where it is not given."""
 
 
 HOW = {
@@ -84,8 +92,8 @@ LATER = {
 
 
 def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
-    """Write a clip. Returns 0 when it is complete, 3 when masks or hands are yet to come, 2 when the call lacks
-    what a clip cannot be made without.
+    """Write a clip. Returns 0 when it is complete, 3 when masks or hands are yet to come or its camera is in doubt,
+    2 when the call lacks what a clip cannot be made without.
 
     Raises ``InputError`` for what is there and does not fit, ``UsageError`` where the folder exists, unless it is that
     of a clip to be overwritten.
@@ -94,8 +102,8 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
         raise UsageError(f"{out}: exists already; --overwrite replaces it")
     if not files.is_plain_name(out.name):
         raise UsageError(f"--out: got {out}, expected a folder whose name can be the clip's")
-    info = video_info(given.video)
-    print(f"video: {info.size[0]} x {info.size[1]}, {info.fps:.6g} frames per second")
+    size, fps = size_and_rate(given.video, given.fps)
+    print(f"video: {size[0]} x {size[1]}, {fps:.6g} frames per second")
     hands = None if given.hands is None else _HandFile.of(given.hands)
     has = {
         "interval": given.interval is not None,
@@ -109,23 +117,24 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
     if missing or given.interval is None or given.side is None or given.mesh is None:
         return 2
     numbers = _numbers(given.interval)
-    names = tuple(f"{n:06d}" for n in numbers)
-    K, camera = _camera(given.lens, hands, info.size)
+    footage = stretch(given.video, numbers, size, fps, given.fps is not None)
+    names = footage.names
+    K, camera = _camera(given.lens, hands, size)
     found = own_mesh.own_mesh(given.mesh)
-    found_hands = None if hands is None else hands.at(numbers, given.side)
+    found_hands = None if hands is None else hands.at(names, given.side, given.hand_of_first)
     of_hands = {"hands": "none yet"}
     if hands is not None and found_hands is not None:
-        check_in_view(hands.path, found_hands.track, np.tile(K, (len(found_hands.rows), 1, 1)), info.size)
+        check_in_view(hands.path, found_hands.track, np.tile(K, (len(found_hands.rows), 1, 1)), size)
         of_hands = found_hands.provenance | without_hand(names, found_hands.rows)
     clip = Clip(
         folder=out,
         name=out.name,
         category=given.category or given.mesh.kind or "object",
         side=given.side,
-        fps=info.fps,
+        fps=footage.fps,
         frames=names,
-        times=(numbers - 1) / info.fps,
-        size=info.size,
+        times=footage.times,
+        size=size,
         K=np.tile(K, (len(numbers), 1, 1)),
         mesh=found.mesh,
         scale="known" if found.sized else "free",
@@ -133,14 +142,15 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
         provenance={
             "source": f"{given.video.name}, frames {numbers[0]} to {numbers[-1]}",
             "camera": camera,
+            **({"times": footage.rate} if footage.rate else {}),
             **found.provenance,
             "masks": provenance(given.masks, given.object, given.ignore, given.hand) if given.masks else "none yet",
             **of_hands,
         },
     )
     clip = with_segments(clip, _segments(given, out))
-    reader = None if given.masks is None else _masks(given, numbers, info.size)
-    _write(clip, found_hands, _images(given.video, numbers, info.size), reader, out, overwrite)
+    reader = None if given.masks is None else _masks(given, names, size)
+    _write(clip, found_hands, footage.images(), reader, out, overwrite)
     return _summary(clip, given, found_hands, out)
 
 
@@ -198,23 +208,26 @@ class _HandFile:
         K = arrays.floats(path, given, "K", (3, 3)) if "K" in given else None
         return _HandFile(path, arrays.frame_numbers(path, given), K, texts.get("side"), sources)
 
-    def at(self, wanted: Int[ndarray, "T"], side: Side) -> _Hands:
-        """The hands in those of the wanted frames that have one. Raises ``InputError``."""
+    def at(self, frames: tuple[str, ...], side: Side, first: int | None) -> _Hands:
+        """The hands in those of the frames that have one; ``first`` is the number of the first frame's, where hands are
+        counted from another start. Raises ``InputError``, and ``UsageError`` where they seem to be."""
         if self.side not in (None, side):
             raise InputError(self.path, "side", f"a {self.side} hand", f"a {side} hand, as --side says")
         sources = {"hands": f"from {self.path.name}", **self.provenance}
         sources.pop("camera", None)
         if self.numbers is None:
-            return _Hands(read_hand(self.path, len(wanted)), tuple(range(len(wanted))), sources)
+            return _Hands(read_hand(self.path, len(frames)), tuple(range(len(frames))), sources)
         track = read_hand(self.path, len(self.numbers))
+        names = frames if first is None else renumbered(frames, first, HAND_FIRST)
+        check_numbers(names, map(str, self.numbers), self.path, "hand", HAND_FIRST if first is None else "")
         place = {number: row for row, number in enumerate(self.numbers)}
-        rows = tuple(row for row, number in enumerate(wanted.tolist()) if number in place)
+        at = [None if number is None else place.get(number) for number in map(number_of, names)]
+        rows = tuple(row for row, there in enumerate(at) if there is not None)
         if len(rows) < 2:
             given = f"hands in {len(rows)} frames of the interval"
-            raise InputError(self.path, "frames", given, f"hands in frames {wanted[0]} to {wanted[-1]}")
-        index = [place[int(wanted[row])] for row in rows]
-        joints = None if track.joints is None else track.joints[index]
-        picked = replace(track, vertices=track.vertices[index], T_cam_hand=track.T_cam_hand[index], joints=joints)
+            expected = f"hands in frames {number_of(names[0])} to {number_of(names[-1])}"
+            raise InputError(self.path, "frames", given, expected)
+        picked = track.take(np.array([there for there in at if there is not None]))
         return _Hands(picked, rows, sources)
 
 
@@ -224,12 +237,11 @@ def _no_hand(frames: int) -> HandTrack:
     return HandTrack(none, np.zeros((0, 3), dtype=int), np.tile(np.eye(4), (frames, 1, 1)), {})
 
 
-def _masks(given: Ingredients, numbers: Int[ndarray, "T"], size: tuple[int, int]) -> MaskReader:
+def _masks(given: Ingredients, names: tuple[str, ...], size: tuple[int, int]) -> MaskReader:
     """A reader of the masks of the clip's frames."""
     assert given.masks is not None
-    assert given.interval is not None
-    shift = 0 if given.mask_of_first is None else given.mask_of_first - given.interval[0]
-    names = tuple(f"{n + shift:06d}" for n in numbers)
+    if given.mask_of_first is not None:
+        names = renumbered(names, given.mask_of_first, "--mask-first")
     ask_first = "--mask-first" if given.mask_of_first is None else ""
     return open_masks(given.masks, MaskRequest(names, size, given.object, given.ignore, given.hand, ask_first))
 
@@ -263,14 +275,6 @@ def _check(made: Path, masks: bool, out: Path) -> None:
         raise InputError(out / inside, error.key, error.given, error.expected) from error
 
 
-def _images(video: Path, numbers: Int[ndarray, "T"], size: tuple[int, int]) -> Iterator[UInt8[ndarray, "H W 3"]]:
-    """The images of the clip's frames. Raises ``InputError`` for a video whose size changes."""
-    for row, image in enumerate(video_frames(video, int(numbers[0]), int(numbers[-1]))):
-        if image.shape[1::-1] != size:
-            raise InputError(video, "size", f"frame {numbers[row]} of another size", "one size")
-        yield image
-
-
 def _summary(clip: Clip, given: Ingredients, hands: _Hands | None, out: Path) -> int:
     """Print what was made, what is a guess and what is missing; 3 where something is."""
     print(f"{out}: {len(clip)} frames")
@@ -284,7 +288,9 @@ def _summary(clip: Clip, given: Ingredients, hands: _Hands | None, out: Path) ->
     for key, text in clip.provenance.items():
         if "guess" in text:
             report(f"warning: {key}: {text}")
+    if doubted := doubt(clip.K, clip.size):
+        report(f"warning: camera: {doubted}")
     missing = [key for key, there in (("masks", given.masks), ("hands", given.hands)) if there is None]
     for key in missing:
         print(f"missing: {key}: {LATER[key].format(out=out, video=given.video)}", file=sys.stderr)
-    return INCOMPLETE if missing else 0
+    return INCOMPLETE if missing or doubted else 0

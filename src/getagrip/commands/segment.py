@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +14,9 @@ from getagrip.commands.each_clip import each_clip
 from getagrip.grasps import lists
 from getagrip.grasps.cut import Cut, as_listed
 from getagrip.grasps.lists import ListedGrasp
+from getagrip.io import files
 from getagrip.io.counts import counted
+from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import console, plain_table, report
 
 if TYPE_CHECKING:
@@ -143,7 +144,7 @@ def _table(found: Sequence[SegmentedClip]) -> Table:
 
 def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write the grasps as a table with ``COLUMNS``."""
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        table = csv.writer(stream)
-        table.writerow(COLUMNS)
-        table.writerows(row.values() for row in rows)
+    with files.new_text(path) as stream:
+        table = CsvTable(stream)
+        table.write_row(COLUMNS)
+        table.write_rows(row.values() for row in rows)

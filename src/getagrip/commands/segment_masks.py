@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from getagrip.grasps.definition import Definition
 from getagrip.grasps.lists import ListedGrasp
 from getagrip.io import files
 from getagrip.io.counts import counted
+from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import console, plain_table, report
 
 if TYPE_CHECKING:
@@ -161,9 +161,9 @@ def _table(found: Sequence[SegmentedClip]) -> Table:
 def _write(found: Sequence[SegmentedClip], out: Path) -> None:
     """All segments, into the folder."""
     out.mkdir(parents=True, exist_ok=True)
-    with (out / "segments.csv").open("w", encoding="utf-8", newline="") as stream:
-        table = csv.writer(stream)
-        table.writerow(COLUMNS)
-        table.writerows(row.values() for one in found for row in one.rows)
+    with files.new_text(out / "segments.csv") as stream:
+        table = CsvTable(stream)
+        table.write_row(COLUMNS)
+        table.write_rows(row.values() for one in found for row in one.rows)
     files.write_json(out / SEGMENTS, {one.clip: one.fields for one in found})
     print(out / "segments.csv", out / SEGMENTS, sep="\n")

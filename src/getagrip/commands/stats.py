@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -14,6 +13,7 @@ from getagrip.experiments.counts import Counts
 from getagrip.experiments.durations import ALL, CategoryDurations, Fps
 from getagrip.grasps import lists
 from getagrip.io import files
+from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import console, plain_table, report
 
 EPIC = "epic-grasps"
@@ -91,13 +91,13 @@ def _write(rows: Sequence[CategoryDurations], counted: Counts, out: Path) -> Non
     out.mkdir(parents=True, exist_ok=True)
     figures = {name: "-" if number is None else f"{number}" for name, number in asdict(counted).items()}
     pages = [_grid(HEADINGS, [_cells(row) for row in rows]), _grid(list(figures), [list(figures.values())])]
-    (out / "stats.md").write_text("\n".join(pages), "utf-8")
-    with (out / "counts.csv").open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream).writerows([asdict(counted), asdict(counted).values()])
-    with (out / "stats.csv").open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(asdict(rows[0]) if rows else ())
-        writer.writerows(asdict(row).values() for row in rows)
+    files.write_text(out / "stats.md", "\n".join(pages))
+    with files.new_text(out / "counts.csv") as stream:
+        CsvTable(stream).write_rows([asdict(counted), asdict(counted).values()])
+    with files.new_text(out / "stats.csv") as stream:
+        table = CsvTable(stream)
+        table.write_row(asdict(rows[0]) if rows else ())
+        table.write_rows(asdict(row).values() for row in rows)
     print(out / "stats.md")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -18,6 +17,7 @@ from getagrip.grasps.cut import Cut
 from getagrip.grasps.study import MEASURES, TIMES, Spread, StudiedGrasp, mean_curves, study_grasp
 from getagrip.io import files
 from getagrip.io.counts import counted
+from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import console, plain_table
 
 ALL = "All"
@@ -158,7 +158,5 @@ def _content(studied: Sequence[StudiedGrasp], cut: Cut) -> dict[str, Any]:
 
 def _write_csv(path: Path, rows: Iterable[dict[str, Any]]) -> None:
     lines = list(rows)
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        table = csv.DictWriter(stream, lines[0])
-        table.writeheader()
-        table.writerows(lines)
+    with files.new_text(path) as stream:
+        CsvTable(stream).write_rows([lines[0], *(line.values() for line in lines)])

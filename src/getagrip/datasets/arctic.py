@@ -6,15 +6,16 @@ Read are the raw sequences, as ARCTIC's own code (https://github.com/zc-alexfan/
     raw_seqs/<subject>/<sequence>.mano.npy          left, right: rot (T, 3), pose (T, 45), trans (T, 3) [m], shape (10,)
     raw_seqs/<subject>/<sequence>.egocam.dist.npy   R_k_cam_np (T, 3, 3), T_k_cam_np (T, 3, 1) [m], intrinsics (3, 3)
     meta/misc.json                                  by subject: world2cam, intris_mat (8), image_size (9), ioi_offset
-    meta/object_vtemplates/<object>/mesh.obj        [mm], and parts.json: 1 for each vertex of the top, 0 of the bottom
+    meta/object_vtemplates/<object>/mesh.obj        [mm], and parts.json: 0 for each vertex of the top, 1 of the bottom
 
+ARCTIC's prose numbers the parts the other way round; its code turns those that are 0. Where ``top.obj`` and
+``bottom.obj`` lie beside the template, they decide, and must agree with ``parts.json`` (``arctic_parts``).
 The top turns by the angle about -z of the template's frame; then the whole is turned and moved. View 0 is the camera on
 the head, its lens undistorted, 1 to 8 are the fixed ones. Images are not read.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -28,6 +29,7 @@ from tyro.conf import arg
 
 from getagrip.clip import HandTrack, Joint, World
 from getagrip.datasets import mano_tracks
+from getagrip.datasets.arctic_parts import is_top
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.pickled import numbers
@@ -42,7 +44,7 @@ from getagrip.grasps.options import GraspOptions
 from getagrip.hands.model import Side
 from getagrip.io import arrays, pickles
 from getagrip.io.arguments import OptionalFolder
-from getagrip.io.files import LARGEST_JSON, is_plain_name, read_bytes, read_json, shown
+from getagrip.io.files import is_plain_name, read_bytes, read_json, shown
 
 PAPER = GraspOptions(tau=0.5, contact_mm=0.0, shortest=FEWEST)
 """The paper's stable grasps of ARCTIC: it states no shortest length."""
@@ -208,18 +210,12 @@ def _is_table(value: object) -> bool:
 
 def read_template(folder: Path) -> Template:
     """An object's template. Raises ``InputError``."""
-    file, parts = folder / "mesh.obj", folder / "parts.json"
+    file = folder / "mesh.obj"
     vertices, faces = parse_obj(file, read_bytes(file, LARGEST_FILE))
     vertices, faces = MM * vertices, with_area(MM * vertices, faces)
     checked_mesh(file, vertices, faces)
-    try:
-        top = arrays.from_lists(json.loads(read_bytes(parts, LARGEST_JSON)))
-    except (ValueError, RecursionError) as error:
-        raise InputError(parts, "", f"text that is no JSON ({error})", "a JSON list") from error
-    if top is None or top.shape != (len(vertices),) or not np.isin(top, (0, 1)).all():
-        given = f"{len(top)} numbers" if top is not None and top.ndim == 1 else "something else"
-        raise InputError(parts, "", given, f"0 or 1 for each of the {len(vertices)} vertices of mesh.obj")
-    return in_neutral_frame(Mesh(vertices, faces), top == 1)
+    mesh = Mesh(vertices, faces)
+    return in_neutral_frame(mesh, is_top(folder, mesh))
 
 
 def in_neutral_frame(mesh: Mesh, top: Bool[ndarray, "V"]) -> Template:

@@ -19,6 +19,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
 from getagrip.clip.naming import frame_of
+from getagrip.clip.numbering import check_numbers, renumbered
 from getagrip.clip.plausible import FARTHEST, NEAREST
 from getagrip.errors import InputError
 from getagrip.evaluation.comparison import Comparison
@@ -80,15 +81,21 @@ class _MeshComparison(Comparison):
         return mesh_distances(self.meshes, self.clip.hand.vertices, self.clip.hand.faces)
 
 
-def read_meshes(folder: Path, clip: Clip, frame: MeshFrame) -> tuple[list[Mesh | None], list[InputError]]:
+def read_meshes(
+    folder: Path, clip: Clip, frame: MeshFrame, first: int | None = None
+) -> tuple[list[Mesh | None], list[InputError]]:
     """The mesh of each of the clip's frames, in the hand frame, or nothing; and what was wrong with files.
 
-    Files are named like the frames, or by the same numbers; those of other frames are passed over. Raises
-    ``InputError`` where no file is named like a frame.
+    Files are named like the frames, or by the same numbers; those of other frames are passed over; ``first`` is the
+    number of the first frame's, where they are counted from another start. Raises ``InputError`` where no file is named
+    like a frame, ``UsageError`` where they seem to be counted from another start.
     """
     named: dict[int, list[Path]] = {}
-    for path in sorted(folder.iterdir()):
-        n = frame_of(path.stem, clip.frames) if path.suffix.lower() in SUFFIXES else None
+    paths = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
+    frames = clip.frames if first is None else renumbered(clip.frames, first, "--first")
+    check_numbers(frames, [path.stem for path in paths], folder, "mesh", "--first" if first is None else "")
+    for path in paths:
+        n = frame_of(path.stem, frames)
         if n is not None:
             named.setdefault(n, []).append(path)
     if not named:

@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
 from getagrip.clip.naming import frame_of, number_of
+from getagrip.clip.numbering import check_numbers, renumbered
 from getagrip.clip.plausible import check_poses
 from getagrip.errors import InputError
 from getagrip.evaluation.pose_files import SUFFIXES, PoseFile, read_pose_file, row_of_each
@@ -19,6 +20,8 @@ from getagrip.io import files
 from getagrip.metrics.mask import iou_of_poses
 from getagrip.result import Candidates, FrameKind, Reconstruction, is_result, read_result
 
+FIRST = "--first"
+"""The option of ``evaluate`` that states the number of the first frame's pose."""
 FROM_HAND = 0.5
 """Largest distance of an object's middle from the origin of the hand frame [m]."""
 
@@ -54,13 +57,14 @@ class OtherSystem:
         return poses_of(self.of_clip(clip.name), self.name, clip, masks)
 
 
-def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None) -> Reconstruction:
-    """The poses of a file or folder at the clip's frames. Raises ``InputError``.
+def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int | None = None) -> Reconstruction:
+    """The poses of a file or folder at the clip's frames; ``first`` is the number of the first frame's pose, where
+    poses are counted from another start. Raises ``InputError``, and ``UsageError`` where they seem to be.
 
     A frame without a pose has that of the nearest one that has, still in the hand, and counts as interpolated.
     """
     given = _of_result(place, clip) if place.is_dir() and is_result(place) else read_pose_file(_only_file(place))
-    rows = _rows(given, clip)
+    rows = _rows(given, clip, first)
     index = np.array(sorted(rows))
     T = given.T[[rows[n] for n in index]]
     scale = 1.0 if given.scale is None else given.scale
@@ -114,7 +118,7 @@ def _of_result(folder: Path, clip: Clip) -> PoseFile:
     return PoseFile(folder, result.T_cam_hand @ result.T_hand_obj, result.frames, scale=result.scale)
 
 
-def _rows(given: PoseFile, clip: Clip) -> dict[int, int]:
+def _rows(given: PoseFile, clip: Clip, first: int | None) -> dict[int, int]:
     """The row of each of the clip's frames that has one. Raises ``InputError``."""
     if given.names is None:
         if len(given.T) != len(clip):
@@ -124,6 +128,9 @@ def _rows(given: PoseFile, clip: Clip) -> dict[int, int]:
     frames = clip.frames
     if given.by_place and number_of(frames[0]) is None:
         frames = tuple(str(n) for n in range(len(clip)))
+    if first is not None:
+        frames = renumbered(frames, first, FIRST)
+    check_numbers(frames, given.names, given.path, "pose", FIRST if first is None else "")
     rows = row_of_each(given.names, [frame_of(name, frames) for name in given.names], given.path)
     if not rows:
         shown = f"{files.plain(frames[0])} to {files.plain(frames[-1])}"

@@ -15,10 +15,10 @@ Matrices are in metres, from the object's frame to the camera's (x right, y down
 
 from __future__ import annotations
 
-import csv
-import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,8 @@ SUFFIXES = (".csv", ".npz", ".npy", ".json", ".txt")
 ALONE = (".txt", ".npy", ".json")
 """Of files that may hold one matrix."""
 LARGEST = 256 * 2**20
+MOST_POSES = 1_000_000
+"""In a text file, bounds its memory."""
 COLUMNS = ("scene_id", "im_id", "obj_id", "score", "R", "t")
 LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 
@@ -87,11 +89,14 @@ def _folder(folder: Path) -> PoseFile:
 
 
 def _text(path: Path) -> ndarray:
-    words = files.read_bytes(path, LARGEST).decode("utf-8", "replace").replace(",", " ").split()
+    words = re.finditer(rb"[^\s,]+", files.read_bytes(path, LARGEST))  # one by one: a list takes 30 times the file
+    numbers = (float(word[0].decode("utf-8", "replace")) for word in words)
     try:
-        values = np.array([float(word) for word in words])
+        values = np.fromiter(islice(numbers, 16 * MOST_POSES + 1), float)
     except ValueError as error:
         raise InputError(path, "", f"a text that is no number ({error})", "16 numbers for each frame") from error
+    if len(values) > 16 * MOST_POSES:
+        raise InputError(path, "", f"more than {MOST_POSES} poses", f"at most {MOST_POSES}")
     if not len(values) or len(values) % 16:
         raise InputError(path, "", f"{len(values)} numbers", "16 for each frame")
     return values.reshape(-1, 4, 4)
@@ -136,16 +141,13 @@ def _record(path: Path, given: Mapping[str, Any]) -> PoseFile:
 
 def _bop_results(path: Path) -> PoseFile:
     """BOP's table of results. Raises ``InputError`` where it is of several scenes or objects."""
-    text = files.read_bytes(path, LARGEST).decode("utf-8-sig", "replace")
-    rows = csv.DictReader(io.StringIO(text))
-    if rows.fieldnames is None or not {*COLUMNS} <= {*rows.fieldnames}:
-        raise InputError(
-            path, "line 1", files.shown(rows.fieldnames), f"the columns {', '.join(COLUMNS)} of BOP's results"
-        )
+    heads, rows = files.csv_rows(path, files.read_bytes(path, LARGEST), "BOP's results as CSV in UTF-8")
+    if not {*COLUMNS} <= {*heads}:
+        raise InputError(path, "line 1", files.shown(heads), f"the columns {', '.join(COLUMNS)} of BOP's results")
     best: dict[str, tuple[float, ndarray]] = {}
     seen: dict[str, set[str]] = {"scene_id": set(), "obj_id": set()}
-    for row in rows:
-        where = f"line {rows.line_num}"
+    for at, row in rows:
+        where = at.rstrip(", ")
         for key, values in seen.items():
             values.add(str(row[key]))
             if len(values) > 1:

@@ -12,6 +12,7 @@ from numpy import ndarray
 from getagrip.evaluation.metric import SCA, TRUE_SCA, Metric
 from getagrip.experiments.comparison import Row, Table
 from getagrip.experiments.statistics import LEVEL
+from getagrip.io import files
 from getagrip.io.counts import counted
 
 SHOWN = ("iou", "add_sym_success", "sca", "sca_add_sym", "sca_iou_80")
@@ -62,7 +63,8 @@ def plot(table: Table, title: str, path: Path) -> None:
         panel.axis("off")
     panels[len(columns)].legend(*panels[0].get_legend_handles_labels(), fontsize=9, frameon=False, loc="center left")
     figure.suptitle(f"{title} ({counted(table.clips, 'clip')}, {100 * LEVEL:.0f} % intervals)", fontsize=10)
-    figure.savefig(path, dpi=130)
+    with files.new_file(path) as part:
+        figure.savefig(part, dpi=130)
     plt.close(figure)
 
 

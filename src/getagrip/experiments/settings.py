@@ -94,6 +94,22 @@ OF_ITS_KIND = {
 """What is known of an object whose own mesh nobody has; the last is the paper's own setting, footage without CADs."""
 
 
+INPUTS = (
+    Setting("exact"),
+    _hand_noise(10.0),
+    _noise_level("strong"),
+    _noise_level("estimated"),
+    *(replace(_mask_noise(px), label=f"masks off by {px:g} px") for px in (2.0, 4.0)),
+    _wrong_masks("another object", 0.2),
+    Setting("size unknown", change=ScaleFree()),
+    *(
+        Setting(label, change=OF_ITS_KIND[label])
+        for label in ("of its kind", "of its kind, size unknown, hands moderate")
+    ),
+)
+"""The errors that are summed up in README; the first four are run on the test objects, too."""
+
+
 STEPS = {
     "+ energy scale": "scale",
     "+ optimiser": "optimiser",
@@ -142,6 +158,17 @@ ABLATIONS: dict[str, Ablation] = {
             *(_hand_noise(mm) for mm in (2.5, 5.0, 7.5, 10.0)),
             *map(_noise_level, ("moderate", "strong", "estimated")),
         ),
+    ),
+    "inputs": Ablation(
+        "Errors of the input: none, or one of them; both methods with the same filters",
+        None,
+        INPUTS,
+    ),
+    "final": Ablation(
+        "Hands that are exact, off by 10 mm and 8°, or at the levels `strong` and `estimated`",
+        None,
+        INPUTS[:4],
+        (REFERENCE, "soft-hinge", "contact-consistency"),
     ),
     "estimated-hands": Ablation(
         "Hands that are off as estimates from images are: as given, or corrected by their own pixels",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +12,9 @@ from getagrip.experiments.comparison import ERRORS, Table
 from getagrip.experiments.statistics import LEVEL, Estimate
 from getagrip.experiments.trials import Scores
 from getagrip.experiments.variants import Variant
+from getagrip.io import files
 from getagrip.io.counts import counted
+from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import plain_table
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ LATEX = Style(r"\textbf{{{}}}", r"\underline{{{}}}", r" {{\tiny {}}}", LATEX_SYM
 SCREEN = Style("[bold]{}[/]", "[u]{}[/]", "\n[dim]{}[/]")
 
 SETTINGS = "How it was made, and how to read it"
-DIFFERENCES = "Differences, clip by clip; bold where the interval excludes zero"
+DIFFERENCES = "Differences, clip by clip; the intervals are of single cells, not corrected for their number"
 MEDIANS = (
     "Right in the camera (ADD sym.); medians over clips; results marked ambiguous, of all and of those whose pose is "
     "wrong (ADD sym.)"
@@ -100,7 +101,7 @@ def _headings(table: Table) -> list[str]:
 
 
 def _differences(table: Table, style: Style) -> list[list[str]]:
-    """Headings and rows of the differences in pairs; those whose interval excludes zero are marked as best."""
+    """Headings and rows of the differences in pairs, unmarked: intervals are not corrected for their number."""
     columns = [column for column in table.columns if column.ranked]
     rows = [["", *(column.label for column in columns)]]
     for row in table.rows:
@@ -108,8 +109,7 @@ def _differences(table: Table, style: Style) -> list[list[str]]:
             cells = [style.text(f"{row.variant.label} − {row.variant.against}")]
             for column in columns:
                 value = row.differences[column.label]
-                sure = value.low > 0.0 or value.high < 0.0
-                cells.append(style.cell(_difference(value.mean), int(sure), _differences_interval(value)))
+                cells.append(style.cell(_difference(value.mean), 0, _differences_interval(value)))
             rows.append(cells)
     return rows
 
@@ -198,10 +198,10 @@ def latex(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
 
 def write_csv(tables: Sequence[Table], path: Path) -> None:
     """One line for each table, row and column, unrounded, shares from 0 to 1."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
+    with files.new_text(path) as file:
+        lines = CsvTable(file)
         numbers = ("mean", "low", "high", "clips")
-        writer.writerow(
+        lines.write_row(
             ["table", "row", "column", *numbers, "rank", "against", *(f"difference_{key}" for key in numbers)]
         )
         for table in tables:
@@ -209,12 +209,12 @@ def write_csv(tables: Sequence[Table], path: Path) -> None:
                 for row, rank in zip(table.rows, table.ranks(column), strict=True):
                     value, difference = row.values[column.label], row.differences.get(column.label)
                     compared = ["", *[""] * 4] if difference is None else [row.variant.against, *_numbers(difference)]
-                    writer.writerow(
+                    lines.write_row(
                         [table.title, row.variant.label, column.label, *_numbers(value), rank or "", *compared]
                     )
             for row in table.rows:
                 for label, median in (*row.medians.items(), ("seconds", row.seconds)):
-                    writer.writerow([table.title, row.variant.label, f"{label} (median)", median, *[""] * 9])
+                    lines.write_row([table.title, row.variant.label, f"{label} (median)", median, *[""] * 9])
 
 
 def _numbers(estimate: Estimate) -> list[float | int]:
@@ -225,16 +225,16 @@ def write_clips_csv(scores: Sequence[Scores], variants: Sequence[Variant], path:
     """One line for each clip and variant: what it is, how it went, and every metric, unrounded."""
     of = {variant.folder: variant for variant in variants}
     keys = list(dict.fromkeys(key for clip in scores for score in clip.scores for key in score.metrics))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
+    with files.new_text(path) as file:
+        lines = CsvTable(file)
         about = (
             "clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "probability_right",
             "probability_right_in_camera", "findings", "status",
         )  # fmt: skip
-        writer.writerow([*about, *keys])
+        lines.write_row([*about, *keys])
         for clip in scores:
             if clip.failure:
-                writer.writerow([clip.clip, *[""] * (len(about) - 2), f"failed: {clip.failure}", *[""] * len(keys)])
+                lines.write_row([clip.clip, *[""] * (len(about) - 2), f"failed: {clip.failure}", *[""] * len(keys)])
             for score in clip.scores:
                 variant = of[score.variant]
                 status = f"failed: {score.status}" if score.failed else score.status
@@ -243,7 +243,7 @@ def write_clips_csv(scores: Sequence[Scores], variants: Sequence[Variant], path:
                 how = [score.seconds, score.energy, score.ambiguous, *probable, found, status]
                 metrics = [score.metrics.get(key, "") for key in keys]
                 what = [clip.clip, clip.category, clip.subject, variant.method, variant.step]
-                writer.writerow([*what, *how, *metrics])
+                lines.write_row([*what, *how, *metrics])
 
 
 def terminal(table: Table) -> RichTable:

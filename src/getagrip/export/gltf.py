@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Float32, Int, Shaped
 from numpy import ndarray
 
 from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, MovingHand, Scene
@@ -40,7 +40,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     gltf.nodes = [Node(name="camera frame", rotation=flip, children=[n + 1 for n in range(len(names))])]
     gltf.nodes += [Node(name=name, mesh=n) for n, name in enumerate(names)]
     gltf.scenes, gltf.scene = [Root(name=scene.name, nodes=[0])], 0
-    time = buffers.add((scene.time - scene.time[0]).astype(np.float32), bounds=True)
+    time = buffers.add(_rising(scene.time), bounds=True)
     animation = Animation(name="grasp")
     for node, T in enumerate((scene.T_cam_obj, *(hand.T_cam_hand for hand in hands)), start=1):
         _channel(animation, time, buffers.add(T[:, :3, 3].astype(np.float32)), node, "translation")
@@ -99,6 +99,14 @@ def _mesh(
     corners = buffers.add(faces.astype(np.uint32).ravel(), corners=True)
     part = Primitive(attributes=given, indices=corners, material=material, targets=targets)
     return Mesh(name=name, primitives=[part], weights=[0.0] * len(targets))
+
+
+def _rising(time: Float[ndarray, "T"]) -> Float32[ndarray, "T"]:
+    """Seconds since the first frame, which rise from frame to frame in single precision, too, as glTF demands."""
+    out = (time - time[0]).astype(np.float32)
+    for n in range(1, len(out)):
+        out[n] = max(out[n], np.nextafter(out[n - 1], np.float32(np.inf)))
+    return out
 
 
 def _channel(animation: Any, time: int, values: int, node: int, path: str, between: str = "LINEAR") -> None:

@@ -13,6 +13,7 @@ from numpy import ndarray
 from getagrip.export.scene import AXES, Scene
 from getagrip.geometry import se3
 from getagrip.io import files
+from getagrip.io.csv_tables import text_cell
 
 POSE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 
@@ -31,7 +32,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     poses = np.concatenate([*columns.values()], axis=1)
     for n, frame in enumerate(scene.frames):
         numbers = [scene.time[n], *poses[n], angle[n], scene.iou[n]]
-        rows.writerow([frame, *("" if np.isnan(x) else f"{x:.9g}" for x in numbers), scene.frame_kind[n]])
+        rows.writerow([text_cell(frame), *("" if np.isnan(x) else f"{x:.9g}" for x in numbers), scene.frame_kind[n]])
     files.write_bytes(folder / "poses.csv", text.getvalue().encode())
     about = {
         "poses.csv": f"a row per frame; {AXES}; quaternions (w, x, y, z); the object's mesh is not scaled by poses"
@@ -49,7 +50,7 @@ def _joints(scene: Scene, joints: Float[ndarray, "T 21 3"], known: Bool[ndarray,
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["frame", "time_s", *(f"joint{k:02d}_{axis}_m" for k in range(joints.shape[1]) for axis in "xyz")])
     for n in np.flatnonzero(known):
-        rows.writerow([scene.frames[n], *(f"{x:.9g}" for x in (scene.time[n], *joints[n].ravel()))])
+        rows.writerow([text_cell(scene.frames[n]), *(f"{x:.9g}" for x in (scene.time[n], *joints[n].ravel()))])
     return text.getvalue()
 
 

@@ -12,6 +12,9 @@ from getagrip.clip import Clip, Masks
 from getagrip.fitting.energy.mask import SilhouetteMesh
 from getagrip.kernels.silhouette import silhouettes, unpack
 
+AT_ONCE = 64
+"""Frames that are rendered at once: those of a long clip would fill the memory."""
+
 
 class Overlap(NamedTuple):
     """Rendered and observed object mask of each frame, on the full image [px].
@@ -42,15 +45,19 @@ def overlap(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale
     T_cam_obj = clip.hand.T_cam_hand @ T_hand_obj
     K = np.stack([clip.K[:, 0, 0], clip.K[:, 1, 1], clip.K[:, 0, 2], clip.K[:, 1, 2]], axis=1)
     width, height = clip.size
-    bits = np.empty((len(clip), height, -(-width // 64)), np.uint64)
     R, t = np.ascontiguousarray(T_cam_obj[:, :3, :3]), np.ascontiguousarray(T_cam_obj[:, :3, 3])
-    silhouettes(R, t, np.full(len(clip), scale), *SilhouetteMesh.of(clip.mesh, np.zeros(3)).tables, K, bits)
+    tables = SilhouetteMesh.of(clip.mesh, np.zeros(3)).tables
     both, either, silhouette = np.empty(len(clip)), np.empty(len(clip)), np.empty(len(clip))
-    for n, (there, ignored) in enumerate(zip(masks.object, masks.ignore, strict=True)):
-        rendered = unpack(bits[n], width)
-        silhouette[n] = np.count_nonzero(rendered)
-        rendered &= there | ~ignored
-        both[n], either[n] = np.count_nonzero(rendered & there), np.count_nonzero(rendered | there)
+    bits = np.empty((min(len(clip), AT_ONCE), height, -(-width // 64)), np.uint64)
+    for first in range(0, len(clip), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        drawn = bits[: len(R[some])]
+        silhouettes(R[some], t[some], np.full(len(drawn), scale), *tables, K[some], drawn)
+        for n, (there, ignored) in enumerate(zip(masks.object[some], masks.ignore[some], strict=True), start=first):
+            rendered = unpack(drawn[n - first], width)
+            silhouette[n] = np.count_nonzero(rendered)
+            rendered &= there | ~ignored
+            both[n], either[n] = np.count_nonzero(rendered & there), np.count_nonzero(rendered | there)
     return Overlap(both, either, silhouette)
 
 

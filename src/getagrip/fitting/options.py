@@ -94,8 +94,8 @@ class Options:
         occlusion: leave out pixels hidden by the hand (the paper's C_o).
         hands: correct the given hands where they jump (``hand_jumps``) and by their own pixels (``hand_correction``),
             or take them as they are given.
-        masks: leave out those that contradict the others (``doubted_masks``; ``soft-hinge`` only), or believe all.
-        mesh: warp it where it is not the object's own (``shape``; ``soft-hinge`` only), or take it as it is given.
+        masks: leave out those that contradict the others (``soft-hinge`` and ``one-dof``), or believe all.
+        mesh: warp it where it is not the object's own (``soft-hinge`` and ``one-dof``), or take it as given.
         departures: what ``paper`` does our way; no other method has a choice.
     """
 

@@ -6,6 +6,7 @@ import io
 import re
 import warnings
 from array import array
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,8 @@ def parse_obj(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nd
 
     Parts, materials, normals and textures are passed over. Raises ``InputError``, which names the line.
     """
+    if len(content) > 8 * MOST:  # the shortest line of a vertex has 8 bytes
+        _check_counts(path, content)
     vertices, faces = _plain(content) or _by_line(path, content)
     if not len(faces):
         raise InputError(path, "faces", f"{len(vertices)} vertices and no faces", "a mesh with faces")
@@ -43,6 +46,14 @@ def obj_content(vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"]) -> 
     points = "v %.8f %.8f %.8f\n" * len(vertices) % tuple(vertices.ravel().tolist())
     corners = "f %d %d %d\n" * len(faces) % tuple((faces + 1).ravel().tolist())
     return (points + corners).encode()
+
+
+def _check_counts(path: Path, content: bytes) -> None:
+    """Raise ``InputError`` for more lines of a kind than are allowed, before any is parsed."""
+    lines = content.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r", b"\n")
+    for kind, found in _ANY.items():
+        if sum(1 for _ in islice(found.finditer(lines), MOST + 1)) > MOST:
+            raise InputError(path, "", f"more than {MOST} lines of {kind.decode()!r}", f"at most {MOST}")
 
 
 def _plain(content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]] | None:

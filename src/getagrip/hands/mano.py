@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -192,10 +193,6 @@ def _cached(cache: Path, changed: int, size: int) -> dict[str, ndarray]:
 
 
 def _write_cache(cache: Path, content: dict[str, ndarray]) -> None:
-    part = cache.with_name(f"{cache.stem}-{os.getpid()}.npz")
-    try:
-        cache.parent.mkdir(parents=True, exist_ok=True)
+    # A full or read-only disk costs only the time of reading the pickle again.
+    with suppress(OSError), files.new_file(cache) as part:
         np.savez_compressed(part, **content)  # type: ignore[arg-type]
-        part.replace(cache)
-    except OSError:  # a full or read-only disk costs only the time of reading the pickle again
-        part.unlink(missing_ok=True)

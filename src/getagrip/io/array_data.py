@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from getagrip.errors import UsageError
 from getagrip.io import files
+from getagrip.io.packed_masks import PackedMasks
 
 KINDS: dict[Any, tuple[str, type, str]] = {
     Float: ("f", float, "floats"),
@@ -47,6 +48,7 @@ class ArrayData:  # noqa: PLW1641 - not hashable, as arrays are not
 
 def same(a: object, b: object) -> bool:
     """Whether two values are equal, arrays in dictionaries, lists and tuples included; NaN equals NaN."""
+    a, b = (np.asarray(each) if isinstance(each, PackedMasks) else each for each in (a, b))
     if isinstance(a, ndarray | float) and isinstance(b, ndarray | float):
         a, b = np.asarray(a), np.asarray(b)
         return np.array_equal(a, b, equal_nan=a.dtype.kind == b.dtype.kind == "f")
@@ -74,13 +76,13 @@ def as_array(
     numpy_kinds, dtype, called = KINDS[kind]
     known = [int(axis) if axis.isdecimal() else lengths.get(axis) for axis in axes]
     expected = str(tuple(axis if n is None else n for axis, n in zip(axes, known, strict=True))).replace("'", "")
-    if not isinstance(value, ndarray):
+    if not isinstance(value, ndarray | PackedMasks):
         raise UsageError(f"{name}: got {files.shown(value)}, expected an array of {called} of shape {expected}")
     fits = value.ndim == len(axes) and all(n in (None, m) for n, m in zip(known, value.shape, strict=True))
     if not fits or value.dtype.kind not in numpy_kinds:
         raise UsageError(f"{name}: got {value.dtype} of shape {value.shape}, expected {called} of shape {expected}")
     lengths |= zip(axes, value.shape, strict=True)
-    return np.asarray(value, dtype)
+    return value if isinstance(value, PackedMasks) else np.asarray(value, dtype)  # type: ignore[return-value]
 
 
 @cache

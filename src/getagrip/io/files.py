@@ -7,24 +7,29 @@ names found in files are used as paths only once they are known to stay inside t
 from __future__ import annotations
 
 import csv
+import errno
 import hashlib
 import io
 import json
 import math
 import os
+import secrets
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TextIO
 
 from getagrip.errors import InputError, UsageError
 from getagrip.io import leftovers
+from getagrip.io.csv_tables import cell_text
 
 LARGEST_JSON = 64 * 2**20
 LARGEST_FILE = 2**30
 """Limits in bytes."""
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+"""Errors of writing that come without a file's name."""
 
 
 def shown(value: object) -> str:
@@ -126,7 +131,7 @@ def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tup
         for cells in filter(None, lines):
             if len(cells) != len(heads):
                 raise InputError(path, f"line {lines.line_num}", f"{len(cells)} cells", f"{len(heads)}, as in line 1")
-            rows.append((f"line {lines.line_num}, ", dict(zip(heads, cells, strict=True))))
+            rows.append((f"line {lines.line_num}, ", dict(zip(heads, map(cell_text, cells), strict=True))))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, "", f"text that is no CSV ({error})", what) from error
     return heads, rows
@@ -143,11 +148,14 @@ def sha256(paths: Mapping[str, Path]) -> str:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file. Raises ``OSError`` that names it, also where the disk is full: Python's own then names none."""
-    try:
-        path.write_bytes(content)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error
+    """Write a file whole or not at all, as ``new_file`` does. Raises ``OSError`` that names it."""
+    with new_file(path) as part:
+        part.write_bytes(content)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text as it is, in UTF-8, likewise."""
+    write_bytes(path, text.encode())
 
 
 def write_json(path: Path, content: Mapping[str, Any] | list[Any]) -> None:
@@ -155,7 +163,6 @@ def write_json(path: Path, content: Mapping[str, Any] | list[Any]) -> None:
 
     Arrays become lists, numbers that are not finite become null.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, (to_json(content) + "\n").encode())
 
 
@@ -207,6 +214,15 @@ def check_file(option: str, file: Path) -> None:
         raise UsageError(f"{option}: got {file}, expected a file that can be written ({reason})") from error
 
 
+def folder_inside(folder: Path, name: str) -> Path:
+    """A folder in another, made where there is none. Raises ``UsageError`` where its name is that of a link."""
+    inner = folder / name
+    if inner.is_symlink():
+        raise UsageError(f"{inner}: is a link, and nothing is written through one; expected a folder or a free name")
+    inner.mkdir(parents=True, exist_ok=True)
+    return inner
+
+
 @contextmanager
 def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
     """An empty folder beside ``target`` that takes its name once the block has ended well, and is removed if not.
@@ -215,6 +231,8 @@ def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
     not in one that was named by mistake. Raises ``UsageError`` for another. An ``OSError`` of the block about a file in
     the folder names it by the path that it was to have. What a killed process leaves, ``leftovers.sweep`` removes.
     """
+    if target.is_symlink():
+        raise UsageError(f"{target}: is a link, and nothing is written through one; expected a folder or a free name")
     missing = [f" without {name!r} in it" for name in replace if not (target / name).exists()]
     if target.exists() and (missing or not replace):
         raise UsageError(f"{target}: exists already{''.join(missing[:1])}; it is not overwritten")
@@ -237,16 +255,25 @@ def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
 def new_file(target: Path) -> Iterator[Path]:
     """A path beside ``target`` of a file that takes its place once the block has ended well, and is removed if not.
 
-    The folder is made where there is none. An ``OSError`` of the block about the file names it ``target``.
+    The folder is made where there is none. An ``OSError`` of the block about the file names it ``target``. A link of
+    that name is replaced, not followed; the new file has a random name, where nobody can have put a link.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(f".{target.name}.{os.getpid()}")
+    part = target.with_name(f".{secrets.token_hex(8)}{target.suffix}")
     try:
         with _named(part, target):
+            os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
             yield part
-        part.replace(target)
+            part.replace(target)
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def new_text(target: Path) -> Iterator[TextIO]:
+    """A stream of text in UTF-8, lines ended as they are written, that becomes a file as ``new_file`` does."""
+    with new_file(target) as part, part.open("w", encoding="utf-8", newline="") as stream:
+        yield stream
 
 
 @contextmanager
@@ -255,6 +282,8 @@ def _named(part: Path, target: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if error.filename is None and error.errno in FULL:  # Python and libraries do not say which file they wrote
+            raise OSError(error.errno, error.strerror, str(target)) from error
         if isinstance(error.filename, str) and (file := Path(error.filename)).is_relative_to(part):
             error.filename = str(target / file.relative_to(part))
         raise

@@ -15,7 +15,7 @@ from urllib.parse import unquote, urlsplit
 from zipfile import ZipFile, ZipInfo
 
 from getagrip.errors import GetagripError, InputError, UsageError
-from getagrip.io import archives, extras, files
+from getagrip.io import archives, extras, files, http_store
 
 EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs"}
 """The extra of this package that reads a kind of address."""
@@ -187,7 +187,7 @@ class Remote:
         extra = EXTRAS.get(kind, "s3")  # any of them brings fsspec
         core = extras.load("fsspec.core", extra, self.url)
         try:
-            fs, path = core.url_to_fs(self.url, use_listings_cache=False)
+            fs, path = core.url_to_fs(self.url, use_listings_cache=False, **http_store.options(self.url))
         except ImportError as error:
             advice = f"pip install 'getagrip[{extra}]'" if kind in EXTRAS else "install fsspec's library for it"
             raise UsageError(f"{self}: got no library for {kind}:// ({error}), expected one: {advice}") from error

@@ -127,8 +127,7 @@ def write_index(rows: Sequence[IndexRow], title: str, tables: Sequence[str], pat
         "version": __version__,
     }
     page = document(title, "index.html", ("page.js", "index.js"), data)
-    with files.new_file(path) as part:
-        files.write_bytes(part, page.encode())
+    files.write_text(path, page)
     return path
 
 

@@ -84,8 +84,7 @@ def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, A
         data,
         packed,
     )
-    with files.new_file(path) as part:
-        files.write_bytes(part, page.encode())
+    files.write_text(path, page)
     return path
 
 

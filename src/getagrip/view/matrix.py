@@ -12,6 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.grasps.stable import PairwiseIou
+from getagrip.io import files
 from getagrip.view.style import FAINT, FOUND, LINE, PAPER, letters
 
 if TYPE_CHECKING:
@@ -39,7 +40,8 @@ def write_matrix(
         # Names are anybody's: a dollar sign in one begins no formula.
         figure.text(0.085, 0.972, _short(title, 62), fontsize=13, fontweight="bold", va="top", parse_math=False)
         figure.text(0.085, 0.937, _short(subtitle, 105), fontsize=9.5, color=FAINT, va="top", parse_math=False)
-        figure.savefig(path, facecolor="white")
+        with files.new_file(Path(path)) as part:
+            figure.savefig(part, facecolor="white")
     return Path(path)
 
 

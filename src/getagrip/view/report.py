@@ -12,6 +12,7 @@ import numpy as np
 from getagrip.clip import Clip, Masks, check_masks
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, ROTATION_SYM
 from getagrip.fitting.methods import method_of
+from getagrip.io import files
 from getagrip.probability import percent
 from getagrip.result import Reconstruction
 from getagrip.view.curves import angle_curve, seconds
@@ -41,7 +42,9 @@ def write_report(
     metrics: Mapping[str, float] | None = None,
 ) -> Path:
     """Write ``report_figure`` as a PNG and return its path. Raises as it does."""
-    report_figure(result, clip, masks, metrics).savefig(path, facecolor="white")
+    figure = report_figure(result, clip, masks, metrics)
+    with files.new_file(Path(path)) as part:
+        figure.savefig(part, format="png", facecolor="white")
     return Path(path)
 
 

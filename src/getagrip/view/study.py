@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from getagrip.grasps.study import MEASURES, TIMES, Spread
+from getagrip.io import files
 from getagrip.view.style import AXIS, FAINT, FOUND, INK, LINE, letters
 
 if TYPE_CHECKING:
@@ -46,7 +47,8 @@ def write_study(path: str | Path, curves: Mapping[str, Sequence[Spread]], title:
         figure = _draw(curves)
         figure.text(0.055, 0.975, title, fontsize=13, fontweight="bold", va="top", parse_math=False)
         figure.text(0.055, 0.938, subtitle, fontsize=9.5, color=FAINT, va="top", parse_math=False)
-        figure.savefig(path, facecolor="white")
+        with files.new_file(Path(path)) as part:
+            figure.savefig(part, facecolor="white")
     return Path(path)
 
 

@@ -16,6 +16,8 @@ from helpers.numbered_footage import BITS, FRAMES, write_video
 
 pytestmark = IN_BROWSER
 
+RIGHT = "#side [data-side=right]"
+
 READ_CANVAS = f"""() => {{
   const canvas = document.getElementById("picture"), context = canvas.getContext("2d");
   let number = 0;
@@ -61,7 +63,8 @@ def shows(page: Any, number: int) -> None:
 
 
 def mark(page: Any, start: int, end: int) -> None:
-    """Mark a grasp with the keyboard, from the first frame on."""
+    """Mark a grasp of the right hand with the keyboard, from the first frame on."""
+    page.click(RIGHT)
     page.keyboard.press("Home")
     shows(page, 1)
     for _ in range(start):
@@ -195,6 +198,7 @@ def segments(served: Served) -> list[tuple[Any, ...]]:
 
 def test_a_whole_interaction_is_marked_state_by_state(context: Any, served: Served) -> None:
     page = opened(context, served)
+    page.click(RIGHT)
     for number, key in ((1, "t"), (21, "c"), (26, "g"), (61, "e")):
         go(page, number)
         page.keyboard.press(key)
@@ -217,6 +221,23 @@ def test_a_whole_interaction_is_marked_state_by_state(context: Any, served: Serv
     expect(page.locator("#amiss li")).to_contain_text(["Frames 19 to 22 are in no segment, between 1 and 2"])
     page.keyboard.press("l")  # all of it
     expect(page.locator("#label-title")).to_have_text("Frames 1 – 61")
+
+
+def test_the_hand_is_asked_for(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    expect(page.locator("#side [aria-checked=true]")).to_have_count(0)
+    page.keyboard.press("s")
+    expect(page.locator("#side")).to_have_class("choice wanted")
+    page.keyboard.press("e")
+    expect(page.locator("#next-step")).to_contain_text("which hand holds the object")
+    saved(page)
+    assert served.grasps() == [(0, None, None, None)]
+    page.keyboard.press("h")
+    expect(page.locator("#side")).to_have_class("choice")
+    page.keyboard.press("h")
+    page.keyboard.press("e")
+    saved(page)
+    assert served.grasps() == [(0, 0, "left", None)]
 
 
 def test_candidates_are_gone_through_and_discarded(context: Any, served: Served) -> None:
@@ -251,9 +272,9 @@ def test_playback_shows_frames_in_order_and_stops_at_the_end(context: Any, serve
         .observe(document.getElementById("frame"), {childList: true, characterData: true, subtree: true}); }"""
     )
     page.keyboard.press(" ")
-    expect(page.locator("#frame")).to_have_text(str(FRAMES), timeout=20_000)
+    expect(page.locator("#frame")).to_have_text(str(FRAMES))
     shows(page, FRAMES)
-    seen = page.evaluate("seen")
+    seen = page.evaluate("seen")  # as many as the machine keeps up with
     assert seen == sorted(seen)
-    assert len(seen) > 3
+    assert seen[-1] == FRAMES
     expect(page.locator("#play")).to_contain_text("Play")

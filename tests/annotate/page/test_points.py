@@ -19,7 +19,7 @@ def test_joints_are_clicked_in_order_corrected_and_not_lost(context: Any, served
     expect(page.locator("#joint")).to_have_text("Next: Wrist")
     click(page, points[0])
     expect(page.locator("#joint")).to_have_text("Next: Thumb root, at the wrist")
-    page.keyboard.press("x")
+    page.keyboard.press("m")
     click(page, points[2])
     expect(page.locator("#joint")).to_have_text("Next: Thumb last joint")
     saved(page)
@@ -51,6 +51,14 @@ def test_joints_are_clicked_in_order_corrected_and_not_lost(context: Any, served
     assert len(served.grasps()) == 1
 
 
+def test_joints_that_are_not_visible_are_not_called_there(context: Any, served: Served) -> None:
+    page = opened(context, served)
+    click(page, joints(FIRST)[0])
+    for _ in range(20):
+        page.keyboard.press("m")
+    expect(page.locator("#joint")).to_have_text("Nothing is left to click here: 20 joints are not visible.")
+
+
 def test_a_polygon_is_drawn_closed_and_edited(context: Any, served: Served) -> None:
     page, points = opened(context, served), circle(FIRST, 8)
     page.keyboard.press("o")
@@ -74,7 +82,7 @@ def test_a_polygon_is_drawn_closed_and_edited(context: Any, served: Served) -> N
     (outline,) = kept(served)[FIRST].outlines.values()
     assert near(outline["points"], [points[0], half.tolist(), *points[1:3], [60, 60], *points[4:]])
     page.keyboard.press("Delete")  # the point that was dragged
-    page.keyboard.press("f")
+    page.keyboard.press("i")
     draw(page, circle(FIRST + 8, 5))
     saved(page)
     assert [len(shape) for shape in kept(served)[FIRST].polygons("object")] == [8]

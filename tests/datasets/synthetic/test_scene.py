@@ -197,7 +197,7 @@ def test_grips_vary_where_they_are_asked_to() -> None:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_splits_are_disjoint_and_hold_every_category_and_both_hands(preset: str) -> None:
-    train, test = split("train", preset), split("test", preset)
+    train, test = split("train", preset), split("validation", preset)
     assert not {(category, seed) for category, seed, _ in train} & {(category, seed) for category, seed, _ in test}
     for clips in (train, test):
         assert {category for category, _, _ in clips} == set(CATEGORIES)
@@ -207,19 +207,19 @@ def test_splits_are_disjoint_and_hold_every_category_and_both_hands(preset: str)
         assert len({clip_name(*clip) for clip in clips}) == len(clips)
     assert len(test) > 190
     assert len(train) > 90
-    assert split("test", preset) == test
+    assert split("validation", preset) == test
 
 
 @pytest.mark.slow
 def test_presets_share_their_truth() -> None:
-    (category, seed, clean), (_, _, noisy) = (split("test", preset)[4] for preset in ("clean", "moderate"))
+    (category, seed, clean), (_, _, noisy) = (split("validation", preset)[4] for preset in ("clean", "moderate"))
     few = {"frames": 3, "size": (160, 120), "focal": 150.0}
     (a, _), (b, _) = (synthesise(category, seed, replace(o, **few)) for o in (clean, noisy))
     assert a.truth is not None
     assert b.truth is not None
     np.testing.assert_array_equal(a.truth.T_cam_obj, b.truth.T_cam_obj)
     assert not np.allclose(a.hand.T_cam_hand, b.hand.T_cam_hand)
-    for wrong in (("test", "dirty"), ("validation", "clean")):
+    for wrong in (("validation", "dirty"), ("test", "clean")):
         with pytest.raises(UsageError, match="expected one of"):
             split(*wrong)
 

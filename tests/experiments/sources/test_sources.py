@@ -40,7 +40,7 @@ def test_a_folder_of_synthetic_clips_belongs_to_one_preset(tmp_path: Path) -> No
         ("teapot", "no such clip of synthetic, clean, clips by name")
     ]
     with pytest.raises(UsageError, match=r"--split: got test and --only"):
-        source_of("synthetic", only=two, split="test")
+        source_of("synthetic", only=two, split="validation")
     with pytest.raises(UsageError, match="another dataset"):
         samples(source_of("synthetic", preset="wild"), clips, None, debug=False)
 
@@ -123,9 +123,9 @@ def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
     (folder / "imported").touch()  # as if from somewhere
     part = {
         which: [sample.name[8] for sample in samples(replace(source, split=which), folder, None, debug=False)[0]]
-        for which in ("train", "test", "all")
+        for which in ("train", "validation", "all")
     }
-    assert part == {"train": list("036"), "test": list("1245"), "all": list("0123456")}
+    assert part == {"train": list("036"), "validation": list("1245"), "all": list("0123456")}
 
 
 @pytest.mark.slow
@@ -141,7 +141,7 @@ def test_subjects_of_arctic_are_split_whichever_are_there(tmp_path: Path) -> Non
     def subjects(which: Split) -> list[str]:
         return [s.name.split("-")[0] for s in samples(replace(source, split=which), folder, None, debug=False)[0]]
 
-    assert [subjects(which) for which in ("train", "test", "all")] == [["s1", "s7"], ["s5"], ["s1", "s5", "s7"]]
+    assert [subjects(which) for which in ("train", "validation", "all")] == [["s1", "s7"], ["s5"], ["s1", "s5", "s7"]]
     for path in (folder / "s1--box_use_01--box--left", folder / "s7--box_use_01--box--left"):
         shutil.rmtree(path)
     with pytest.raises(UsageError, match="no clip of artigrasp"):

@@ -29,9 +29,9 @@ def planes(rng: np.random.Generator, spread: float = 0.03) -> TangentPlanes:
     return TangentPlanes(point, normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
-def push_of(mesh: Mesh, hand: TangentPlanes, delta: float = 0.002) -> PaperPushTerm:
+def push_of(mesh: Mesh, hand: TangentPlanes) -> PaperPushTerm:
     vertices = np.ascontiguousarray((mesh.vertices - mesh.centre).T)
-    return PaperPushTerm(vertices, hand, 10.0 * np.arange(1, FRAMES + 1), delta)
+    return PaperPushTerm(vertices, hand, 10.0 * np.arange(1, FRAMES + 1))
 
 
 def pull_of(mesh: Mesh, hand: TangentPlanes) -> PaperPullTerm:
@@ -85,11 +85,25 @@ def test_pull_is_what_the_appendix_says(which: str) -> None:
 def test_gradients(name: str, which: str) -> None:
     rng = np.random.default_rng(2)
     mesh, hand, poses = MESHES[which], planes(rng), random_poses(rng, 2, FRAMES)
-    term: Term = push_of(mesh, hand, delta=1e-12) if name == "push" else pull_of(mesh, hand)
+    term: Term = push_of(mesh, hand) if name == "push" else pull_of(mesh, hand)
     # Steps too small for another pair to become the nearest.
     expected = differences(lambda p: term(p, no_bound(p)).value, poses, np.full(7, 1e-8))
     g = term(poses, no_bound(poses)).g
     np.testing.assert_allclose(g, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("depth", [0.0001, 0.001, 0.0019, 0.01])
+def test_push_keeps_its_slope_near_the_surface(depth: float) -> None:
+    """One vertex behind one plane: the energy is linear in its depth."""
+    point, normal = np.tile([[0.0], [0.0], [0.5]], (FRAMES, 1, 1)), np.tile([[0.0], [0.0], [1.0]], (FRAMES, 1, 1))
+    term = PaperPushTerm(np.zeros((3, 1)), TangentPlanes(point, normal), np.full(FRAMES, 10.0))
+    centre = np.tile([0.0, 0.0, 0.5 - depth], (1, FRAMES, 1))
+    poses = PosesInCamera(np.tile(np.eye(3), (1, FRAMES, 1, 1)), centre, np.ones(1))
+    local = term(poses, no_bound(poses))
+    expected = differences(lambda p: term(p, no_bound(p)).value, poses, np.full(7, 1e-5))
+    np.testing.assert_allclose(local.value, 10.0 * depth)
+    np.testing.assert_allclose(local.g, expected, atol=1e-6)
+    np.testing.assert_allclose(local.g[..., 2], -10.0)
 
 
 @settings(max_examples=10)

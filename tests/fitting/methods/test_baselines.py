@@ -68,7 +68,8 @@ def test_a_single_frame_knows_nothing_of_the_others() -> None:
     back = np.arange(len(clip))[::-1]
     options = Options(method="single-frame", inits=12)
     forth = reconstruct(clip, masks, options)
-    reverse = reconstruct(clip.take(back), Masks(masks.object[back], masks.ignore[back]), options)
+    backward = replace(clip.take(back), times=clip.times)
+    reverse = reconstruct(backward, Masks(masks.object[back], masks.ignore[back]), options)
     np.testing.assert_allclose(reverse.T_hand_obj[back], forth.T_hand_obj, atol=1e-6)
 
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from getagrip.clip.numbering import renumbered
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import read
+from getagrip.hands.trackers import Request, read
 from getagrip.hands.trackers.hawor import HaWoR
 from helpers.estimator_files import (
     SIZE,
@@ -19,6 +21,12 @@ from helpers.estimator_files import (
     Known,
 )
 from helpers.tracked_hands import SIDES, joints_of, request
+
+
+def from_0(side: Side, folder: Path) -> Request:
+    """What is asked for where --first 0 is given."""
+    asked = request(side, folder)
+    return replace(asked, frames=renumbered(asked.frames, 0, "--first"), ask_first="")
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -35,10 +43,12 @@ def test_hawor(tmp_path: Path, mano_folder: Path, side: Side) -> None:
         "init_betas": known.betas[None],
         "init_trans": np.column_stack([z[:, None] * (u - centre) / focal, z])[None],
     }
-    for name, first in (("6_8.json", 1), ("0_2.json", 7)):  # it counts from 0
+    for name, asked in (("6_8.json", request(side, mano_folder)), ("0_2.json", from_0(side, mano_folder))):
         path = tmp_path / name
         path.write_text(json.dumps({key: value.tolist() for key, value in record.items()}))
-        hands = read([path], HaWoR(focal, first), request(side, mano_folder))
+        hands = read([path], HaWoR(focal), asked)
         np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)
+    with pytest.raises(UsageError, match="--first 0 if the clip's images were its input"):
+        read([path], HaWoR(focal), replace(request(side, mano_folder), frames=("000003", "000004", "000005")))
     with pytest.raises(UsageError, match="--estimator-focal"):
-        read([path], HaWoR(first=7), request(side, mano_folder))
+        read([path], HaWoR(), request(side, mano_folder))

@@ -31,7 +31,7 @@ export function change(mark, set) {
 
 export function defaults() {
   const { side, category, entity } = state.defaults;
-  return { side, ...(category && { category }), ...(entity && { entity }) };
+  return { ...(side && { side }), ...(category && { category }), ...(entity && { entity }) };
 }
 
 function start() {
@@ -47,10 +47,15 @@ function start() {
 /** The segment of the same interaction that a segment has a border with, which moves for both. */
 const adjoining = (mark, borders) => whole() && mark.end !== null && grasps().find((one) => one !== mark && one.end !== null && borders(one));
 
+export const WHICH_HAND = "Say first which hand holds the object: choose Left or Right, or press h.";
+/** Whether a stable grasp is not said to be of either hand, without which it cannot be finished. */
+export const handless = ({ state: name, side }) => name === "grasp" && !side;
+
 function end() {
   const mark = target();
   if (!mark) return say("Mark the start first: go there and press s.");
   if (player.at < mark.start) return say("It cannot end before it starts.");
+  if (handless(mark)) return say(WHICH_HAND);
   const after = adjoining(mark, (one) => one.start === mark.end + 1 && player.at < one.end);
   change(mark.mark, { end: player.at });
   if (after) change(after.mark, { start: player.at + 1 });
@@ -95,7 +100,7 @@ export const KEYS = {
   "s": start,
   "e": end,
   "u": undo,
-  "h": () => describe({ side: (target() ?? state.defaults).side === "left" ? "right" : "left" }),
+  "h": () => describe({ side: (target() ?? state.defaults).side === "right" ? "left" : "right" }),
   "1": () => discard(state.reasons[0]),
   "2": () => discard(state.reasons[1]),
   "3": () => discard(state.reasons[2]),
@@ -113,6 +118,7 @@ function nextStep() {
   if (state.chosen && mark && whole()) return `Segment ${n}, ${STATES[mark.state].word}: s and e move its start and end, and what adjoins it; t, c, g, f say what it is. Esc when done.`;
   if (state.chosen) return `Moving grasp ${n}: s sets its start, e its end, Esc when done.`;
   if (mark && whole()) return `Segment ${n}, ${STATES[mark.state].word}, has started. Where the object begins to do something else, press t, c, g or f; on the last frame of all, e.`;
+  if (grasps().some(handless)) return WHICH_HAND;
   if (mark) return `Grasp ${n} has started. Go to its last stable frame and press e.`;
   if (grasps().some((one) => !one.category && one.state === "grasp")) return "Say which kind of object it is, so that the grasp can be exported.";
   if (!grasps().length) return "Go to the first frame of the grasp and press s. Or mark the whole interaction: where the object lies still before it is grasped, press t.";
@@ -130,7 +136,7 @@ function row(mark, n) {
   const remove = button("✕", "Delete it", () => change(mark.mark, { deleted: true }));
   const open = button("Label", "Click joints and polygons on its frames, to make a clip of it (l)", () => emit("label", mark));
   open.hidden = mark.end === null || whole();
-  const about = [whole() && STATES[mark.state].word, !["static", "free"].includes(mark.state) && mark.side, mark.entity ?? mark.category ?? "object?", mark.seconds && `${mark.seconds.toFixed(2)} s`];
+  const about = [whole() && STATES[mark.state].word, !["static", "free"].includes(mark.state) && (mark.side ?? "hand?"), mark.entity ?? mark.category ?? "object?", mark.seconds && `${mark.seconds.toFixed(2)} s`];
   const text = element("span", { className: "text" }, `${number(mark.start_number, mark.start)} – ${number(mark.end_number, mark.end)}`, element("small", { textContent: about.filter(Boolean).join(" · ") }));
   return element("li", { className: `${mark.state} ${mark.mark === state.chosen ? "chosen" : ""}`, title: "Click to change", onclick: () => choose(mark) }, element("b", { textContent: n + 1 }), text, open, remove);
 }
@@ -144,6 +150,7 @@ export function draw() {
   const about = mark ? { ...state.defaults, ...pick(mark, "side", "category", "entity") } : state.defaults;
   for (const button of $("side").children) button.ariaChecked = String(button.dataset.side === about.side);
   for (const key of ["category", "entity"]) if (document.activeElement !== $(key)) $(key).value = about[key] ?? "";
+  $("side").classList.toggle("wanted", !about.side);
   $("category").classList.toggle("wanted", Boolean(mark && !mark.category));
   $("categories").replaceChildren(...state.categories.map((value) => element("option", { value })));
   $("reasons").replaceChildren(...state.reasons.map((reason, n) => {

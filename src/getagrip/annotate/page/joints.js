@@ -109,6 +109,9 @@ const svg = (name, attributes, ...children) => {
   return made;
 };
 
+/** Nothing is left to click on this frame: how many joints are there, and how many cannot be seen. */
+const allSaid = (count) => (count === NAMES.length ? "All joints are there." : `Nothing is left to click here: ${NAMES.length - count} joints are not visible.`);
+
 export function drawHand() {
   const mirrored = state.labels.side === "left";
   const place = ([x, y]) => (mirrored ? [200 - x, y] : [x, y]);
@@ -129,7 +132,7 @@ export function drawHand() {
   $("hand-side").textContent = `Back of the ${state.labels.side} hand`;
   const count = Object.values(here().joints).filter(Array.isArray).length;
   const chosenNow = selected();
-  $("joint").replaceChildren(now === null ? "All joints are there." : element("span", {}, "Next: ", element("b", { textContent: NAMES[now] })));
+  $("joint").replaceChildren(now === null ? allSaid(count) : element("span", {}, "Next: ", element("b", { textContent: NAMES[now] })));
   $("joint-chosen").textContent = chosenNow === null ? `${count} of 21 on this frame` : `Chosen: ${NAMES[chosenNow]}`;
   $("unseen").disabled = now === null;
   $("delete-joint").disabled = chosenNow === null;

@@ -57,7 +57,7 @@ export function end() {
 
 const nudge = (dx, dy) => (event) => {
   const step = Math.max(0.05, (event.shiftKey ? 10 : 1) / view.scale);
-  if (!tool().nudge(step * dx, step * dy, inside)) say("Click on a point to choose it; then w, a, s, d move it.");
+  if (!tool().nudge(step * dx, step * dy, inside)) say("Click on a point to choose it; then w, a, x, d move it.");
 };
 
 /** The next or previous frame that has labels. */
@@ -81,20 +81,20 @@ export const KEYS = {
   "]": () => keyframe(1),
   "j": () => choose("joints"),
   "o": () => choose("object"),
-  "f": () => choose("front"),
-  "x": () => state.tool === "joints" && unseen(),
+  "i": () => choose("front"),
+  "m": () => state.tool === "joints" && unseen(),
   "w": nudge(0, -1),
   "a": nudge(-1, 0),
-  "s": nudge(0, 1),
+  "x": nudge(0, 1),
   "d": nudge(1, 0),
   "Enter": () => tool().finish(),
   "Escape": () => { joints.finish(); draw(); },
   "Delete": remove,
   "Backspace": remove,
-  "t": take,
+  "k": take,
   "u": labels.undo,
   "v": () => { toggle(); draw(); },
-  "g": () => labels.work("propagate"),
+  "b": () => labels.work("propagate"),
   "l": end,
 };
 

@@ -74,7 +74,7 @@ const COMMON = {
 const MODES = { grasps: { ...COMMON, ...grasps.KEYS, ...segments.KEYS }, labels: { ...COMMON, ...labelling.KEYS } };
 const WITHOUT_FRAMES = new Set(["n", "p"]);
 const WHILE_PLAYING = new Set([" ", "s", "e", ...Object.keys(segments.KEYS), ...Object.keys(VIEW)]);
-const REPEATED = new Set(["w", "a", "s", "d"]); // beside the arrows
+const REPEATED = new Set(["w", "a", "x", "d"]); // beside the arrows
 
 function press(key, event) {
   const keys = MODES[state.mode];

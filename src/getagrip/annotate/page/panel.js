@@ -35,15 +35,15 @@ function nextStep(joint) {
   if (!withJoints.length) return "Go to the first frame, or one near it that shows the hand well, and click the joints in the order of the picture below. The mouse wheel brings it closer.";
   const few = withJoints.find((one) => clicked(one) < fewest);
   if (few) return `A frame needs ${fewest} joints at least: click some more on frame ${few.number}, or delete them.`;
-  if (!outlined.length) return "Draw a polygon around the visible part of the object (o): the hand does not belong to it. Then draw polygons around whatever else hides it (f), if anything does.";
+  if (!outlined.length) return "Draw a polygon around the visible part of the object (o): the hand does not belong to it. Then draw polygons around whatever else hides it (i), if anything does.";
   if (withJoints.length < 2 || outlined.length < 2) {
     const what = withJoints.length < 2 ? (outlined.length < 2 ? "both" : "joints") : "a polygon";
-    return `Now ${what} on the last frame or near it, and in the middle where the grasp is long or turns. The frames between are filled in (g).`;
+    return `Now ${what} on the last frame or near it, and in the middle where the grasp is long or turns. The frames between are filled in (b).`;
   }
-  if (unfilled()) return "Fill in the other frames (g).";
+  if (unfilled()) return "Fill in the other frames (b).";
   if (job?.what === "reconstruct" && job.state === "done") return "The result is there: see below, and open its report. Where it is off, correct labels or mesh, and reconstruct again.";
   if (job?.what === "files" && job.state === "done") return "The files are there. Run the command below, with your object's mesh, to make the clip.";
-  return "Step through the frames (→). Where something is off, t takes what was filled in, for you to correct; then fill in again. When all is right, name the object's mesh below and reconstruct.";
+  return "Step through the frames (→). Where something is off, k takes what was filled in, for you to correct; then fill in again. When all is right, name the object's mesh below and reconstruct.";
 }
 
 function drawKeyframes() {

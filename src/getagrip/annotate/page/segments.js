@@ -1,7 +1,7 @@
 // The whole interaction: what the object does from a frame on, and what is amiss with its segments.
 
 import { $, element, on, pick, player, state, emit } from "./app.js";
-import { change, defaults, discarded, grasps as segments, say, whole } from "./grasps.js";
+import { change, defaults, discarded, grasps as segments, handless, say, whole, WHICH_HAND } from "./grasps.js";
 import { fresh } from "./saving.js";
 import { STATES } from "./states.js";
 
@@ -9,8 +9,9 @@ import { STATES } from "./states.js";
 function paint(name) {
   const at = player.at, chosen = segments().find((one) => one.mark === state.chosen);
   if (discarded()) return say("This clip is discarded: undo that first.");
-  if (chosen) return change(chosen.mark, { state: name });
-  const open = segments().find((one) => one.end === null);
+  const open = segments().find((one) => one.end === null), side = chosen?.side ?? open?.side ?? state.defaults.side;
+  if (handless({ state: name, side }) || (open && handless(open))) return say(WHICH_HAND);
+  if (chosen) return change(chosen.mark, { ...(side && { side }), state: name });
   if (open) return at < open.start ? say("Go on to a later frame: the segment that has begun starts after this one.") : goOn(open, name, at);
   const here = segments().find((one) => one.start <= at && at <= one.end);
   if (here) return divide(here, name, at);
@@ -31,7 +32,7 @@ function divide(here, name, at) {
   const about = Object.fromEntries(Object.entries(pick(here, "side", "category", "entity")).filter(([, value]) => value));
   change(here.mark, { end: at - 1 });
   if (next) change(next.mark, { start: at });
-  else change(fresh(), { ...about, start: at, end: here.end, state: name });
+  else change(fresh(), { ...defaults(), ...about, start: at, end: here.end, state: name });
 }
 
 function still() {

@@ -11,7 +11,7 @@ export async function overview() {
 
 export async function openTask(task) {
   Object.assign(state, { task, info: null, marks: [], newest: -1, interaction: null, chosen: null });
-  state.defaults = { side: task.side ?? state.defaults.side ?? "right", category: task.category ?? "", entity: task.entity ?? "" };
+  state.defaults = { side: task.side ?? null, category: task.category ?? "", entity: task.entity ?? "" };
   location.hash = encodeURIComponent(task.key);
   problem(null);
   player.close();

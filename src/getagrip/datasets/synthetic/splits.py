@@ -16,7 +16,7 @@ from getagrip.datasets.synthetic.noise import NOISE
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import UsageError
 
-Split = Literal["train", "test"]
+Split = Literal["train", "validation"]
 
 PRESETS: dict[str, SceneOptions] = {
     "clean": SceneOptions(),
@@ -32,7 +32,7 @@ PRESETS: dict[str, SceneOptions] = {
 """
 RENAMED = {"hamer": "moderate", "frankmocap": "strong"}
 """Former names of presets."""
-SEEDS: dict[Split, range] = {"train": range(100_000, 100_005), "test": range(200_000, 200_009)}
+SEEDS: dict[Split, range] = {"train": range(100_000, 100_005), "validation": range(200_000, 200_009)}
 """Seeds of each category's clips."""
 BOTH_HANDS = 0.3
 """Share of clips in which the other hand comes in front."""

@@ -58,7 +58,7 @@ class Recorded(ClipSource):
         found, failed = by_name([clips])
         subject = {name: subject_of(name) for name in found}
         train = self.training({*subject.values()})
-        splits = {name: ("all", "train" if subject[name] in train else "test") for name in found}
+        splits = {name: ("all", "train" if subject[name] in train else "validation") for name in found}
         chosen = [name for name in sorted(found) if self.split in splits[name]]
         if found and not chosen:
             raise UsageError(f"--split: got {self.split}, expected another: no clip of {self.dataset} is in it")

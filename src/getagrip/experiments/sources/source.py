@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
     from getagrip.batch.share import Share
 
-Split = Literal["train", "test", "all"]
+Split = Literal["train", "validation", "all"]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class ClipSource:
 
     dataset: str
     """What the user calls it."""
-    split: Split = "test"
+    split: Split = "validation"
     only: frozenset[str] | None = None
     """Names of the clips to use, and to import, of ``split`` "all"; None: all."""
 

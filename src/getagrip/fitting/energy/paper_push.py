@@ -53,7 +53,7 @@ class PaperPushTerm:
     weight: Float[ndarray, "N"]
     """Energy per metre, per frame [px^2 / m]."""
     delta: float = 0.002
-    """Depths below this count as this in the curvature [m]."""
+    """Depths below this count as this in the curvature [m]; value and gradient are those of the term itself."""
     name: str = "push"
 
     def __call__(self, poses: PosesInCamera, bound: Float[ndarray, "B"]) -> Quadratic:
@@ -97,6 +97,5 @@ def _evaluate(R, centre, scale, vertices, point, normal, weight, delta, value, g
                     a[0], a[1], a[2] = -n0, -n1, -n2
                     a[3], a[4], a[5] = z * n1 - y * n2, x * n2 - z * n0, y * n0 - x * n1
                     a[6] = -(x * n0 + y * n1 + z * n2)
-                    h = weight[n] / max(depth, delta)
-                    add_plane(h * depth, h, a, g[b, n], H[b, n])
+                    add_plane(weight[n], weight[n] / max(depth, delta), a, g[b, n], H[b, n])
             mirror_upper(H[b, n])

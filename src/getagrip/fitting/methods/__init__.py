@@ -65,7 +65,7 @@ def _published(label: str, function: str, has_axis: bool = False) -> Method:
 
 
 METHODS: dict[str, Method] = {
-    "one-dof": Method("1-DoF, ours", _in("all_frames", "one_dof"), has_axis=True),
+    "one-dof": Method("1-DoF, ours", _in("all_frames", "one_dof"), has_axis=True, checks_masks=True),
     "soft-hinge": Method("soft hinge", _in("all_frames", "soft_hinge"), has_axis=True, checks_masks=True),
     "static": Method("Static", _in("all_frames", "static")),
     "dynamic": Method("Dynamic", _in("all_frames", "dynamic")),

@@ -18,6 +18,7 @@ from getagrip.fitting.schedule import THOROUGH, USUAL
 from getagrip.fitting.search import Search
 from getagrip.fitting.shape import own_shape
 from getagrip.fitting.solve import Solution, minimise
+from getagrip.geometry.warp import Warp
 from getagrip.result import Axis
 
 M = TypeVar("M", bound=Motion)
@@ -37,12 +38,11 @@ ALONE = 4.0
 
 def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> MethodResult:
     """A hinge, and a small deviation from it in each frame; ``more`` terms count in all stages."""
-    rough, warp = rough_fit(problem, on_stage, more), None
-    misfit, ridge = misfit_of(problem, rough), SOFT_RIDGE
+    rough, warp, ridge = rough_fit(problem, on_stage, more), None, SOFT_RIDGE
     if problem.options.mesh == "fitted":
-        warp = own_shape(problem, rough.motion, search_of(problem, on_stage).coarse_frames, misfit)
+        warp = shape_of(problem, rough)
     else:
-        ridge = stiffened(SOFT_RIDGE, misfit)
+        ridge = stiffened(SOFT_RIDGE, misfit_of(problem, rough))
     if warp is not None:
         problem = problem.warped(warp)
         rough = rough_fit(problem, on_stage, more)
@@ -85,17 +85,30 @@ def misfit_of(problem: Problem, rough: Solution[Soft[Fixed]]) -> float:
     return misfit(problem.observation, float(fitted.terms["mask"].min()) / len(frames))
 
 
+def shape_of(problem: Problem, rough: Solution[Soft[Fixed]]) -> Warp | None:
+    """The warp of the mesh that the masks ask for after the coarse stages; None where the mesh explains them."""
+    frames = search_of(problem, lambda stage: None).coarse_frames
+    return own_shape(problem, rough.motion, frames, misfit_of(problem, rough))
+
+
 def soft_energy(problem: Problem) -> Energy:
     """The soft hinge's energy at all frames."""
     return steady(problem, coarse_energy(problem))
 
 
 def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """A hinge (Eq. 3): ours, after the paper. ``methods.paper`` is the paper's method itself."""
+    """A hinge (Eq. 3): ours, after the paper. ``methods.paper`` is the paper's method itself.
+
+    The mesh is fitted by the same step as the soft hinge's, so that the two differ in the motion alone.
+    """
+    warp = None
+    if problem.options.mesh == "fitted":
+        warp = shape_of(problem, rough_fit(problem, lambda stage: None, NOTHING))
+    problem = problem.warped(warp)
     search, energy = search_of(problem, on_stage), energy_alone(problem)
     motion = hinge_of(problem, search.relax(initial_of(problem), energy))
     found = search.run(motion, energy)
-    return result_of(found, found.motion, energy_alone)
+    return replace(result_of(found, found.motion, energy_alone), warp=warp)
 
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:

@@ -1,8 +1,9 @@
 """The paper's method to the letter, and our departures from it, which can be made one by one (``Departures``).
 
-Eq. 5 with the paper's weights, on our silhouettes (the paper's renderer has a hand-crafted gradient; ours is exact):
-E_mask is the number of wrong pixels at 256 x 256; push and pull are those of the appendix, in millimetres, times 0.1 f,
-f the focal length in pixels of the crop. The latent axis starts as the CAD's z-axis through its origin, angles at zero;
+Eq. 5 with the paper's weights, on our silhouettes (their values are exact; the gradient of E_mask is smoothed below a
+pixel, and stands for the hand-crafted one of the paper's renderer): E_mask is the number of wrong pixels at 256 x 256;
+push and pull are those of the appendix, in millimetres, times 0.1 f, f the focal length in pixels of the crop. The
+latent axis starts as the CAD's z-axis through its origin, angles at zero;
 every initial pose runs to its end on all frames; the best IOU wins.
 
 The paper leaves these open:

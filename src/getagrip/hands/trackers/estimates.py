@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.clip.numbering import check_numbers
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import MIRROR, Side
@@ -41,6 +43,7 @@ class Request:
         K: (T, 3, 3) the clip's intrinsics in each of them [px].
         size: width and height of the clip's images [px].
         mano: folder of the user's MANO files.
+        ask_first: the option that states the number of the first frame's hand; empty where it was used.
     """
 
     side: Side
@@ -48,6 +51,11 @@ class Request:
     K: Float[ndarray, "T 3 3"]
     size: tuple[int, int]
     mano: Path | None = None
+    ask_first: str = "--first"
+
+    def check_numbers(self, source: Path, names: Iterable[str]) -> None:
+        """Raise ``UsageError`` where hands seem to be counted from another start than frames."""
+        check_numbers(self.frames, names, source, "hand", self.ask_first)
 
     def camera(self, frame: int) -> Camera:
         """The camera in a frame, by its index."""

@@ -60,6 +60,7 @@ def estimates(paths: Sequence[Path], request: Request, only: Side | None) -> Ite
     Raises ``InputError`` for damaged files, ``UsageError`` where there is too little to know the hand by.
     """
     found: dict[tuple[int, int], Saved] = {}
+    request.check_numbers(paths[0].parent, [path.stem.removesuffix(JOINTS) for path in paths])
     for path in paths:
         stem = path.stem.removesuffix(JOINTS)
         numbered = re.search(r"_(\d{1,2})$", stem)

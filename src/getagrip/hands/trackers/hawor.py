@@ -18,6 +18,7 @@ import numpy as np
 from tyro.conf import arg
 
 from getagrip.clip.naming import frame_of
+from getagrip.clip.numbering import counted_elsewhere
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.trackers import records
@@ -38,8 +39,6 @@ class HaWoR(Tracker):
 
     estimator_focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None
     """The focal length that it was run with."""
-    first: Annotated[int, arg(metavar="N", help_behavior_hint="(default: 1, the video's first)")] = 1
-    """The number of the first frame that it was run on, which it calls 0."""
 
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """The hand in those of the files' frames that the clip has."""
@@ -63,7 +62,13 @@ class HaWoR(Tracker):
         first, last = int(named[1]), int(named[2])
         if last - first + 1 != count:
             raise InputError(path, "init_trans", f"{count} frames", f"{last - first + 1}, as the file's name says")
-        return [frame_of(str(n + self.first), request.frames) for n in range(first, last + 1)]
+        names = [str(n) for n in range(first, last + 1)]
+        if request.ask_first:  # nobody has said which frame its image 0 is: of a whole video it is frame 1
+            of_video = [str(n) for n in range(first + 1, last + 2)]
+            if counted_elsewhere(request.frames, of_video):
+                request.check_numbers(path, names)
+            names = of_video
+        return [frame_of(name, request.frames) for name in names]
 
 
 def length(path: Path, record: Record) -> int:

@@ -45,6 +45,8 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
     ``InputError`` where no name is that of a frame of the request.
     """
     found, other = False, ""
+    if len(paths) > 1:
+        request.check_numbers(paths[0].parent, [path.stem for path in paths])
     for path in paths:
         frame = frame_of(path.stem, request.frames)
         may_hold_many = path.suffix.lower() in KEYED and (len(paths) == 1 or number_of(path.stem) is None)
@@ -53,6 +55,7 @@ def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, i
         if not named and frame is not None:
             found = True
             yield path, frame, record
+        request.check_numbers(path, [Path(name).stem for name in named])
         for name, content in named.items():
             frame = frame_of(Path(name).stem, request.frames)
             if frame is not None:
@@ -79,6 +82,7 @@ def frames_of_rows(path: Path, record: records.Record, count: int, request: Requ
         names = arrays.names(record["frames"])
         if names is None or len(names) != count:
             raise InputError(path, "frames", files.shown(record["frames"]), f"{count} names or numbers of frames")
+        request.check_numbers(path, map(str, names))
         return [frame_of(str(name), request.frames) for name in names]
     if count != len(request.frames):
         expected = f"{len(request.frames)} as the clip has, or an array frames with their names"

@@ -1,0 +1,114 @@
+"""What a clip is cut from: a video, or a folder of images of which each is a frame."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from numpy import ndarray
+
+from getagrip.clip.reading import LARGEST_SIDE
+from getagrip.clip.video import frame_times, video_frames, video_info
+from getagrip.errors import InputError, UsageError
+from getagrip.io import files
+from getagrip.io.images import decoded
+
+IMAGES = (".jpg", ".jpeg", ".png")
+LARGEST_IMAGE = 64 * 2**20
+"""Bytes of an image's file."""
+FOLDER_FPS = 30.0
+"""Of images in a folder, where nobody has said."""
+EVEN = 0.003
+"""Times that are off the average rate's by no more are even [s]."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Some frames of a video or folder.
+
+    Attributes:
+        names: of the frames, as clips have them.
+        times: when each is shown, from the beginning of the footage [s].
+        fps: frames per second.
+        size: width and height as shown [px].
+        rate: where ``fps`` comes from, in words, where that is a guess; else empty.
+    """
+
+    path: Path
+    first: int
+    names: tuple[str, ...]
+    times: Float[ndarray, "T"]
+    fps: float
+    size: tuple[int, int]
+    rate: str = ""
+
+    def images(self) -> Iterator[UInt8[ndarray, "H W 3"]]:
+        """RGB, one by one. Raises ``InputError`` where one has another size."""
+        last = self.first + len(self.names) - 1
+        shown: Iterable[UInt8[ndarray, "H W 3"]] = (
+            map(_image, images_of(self.path)[self.first - 1 : last])
+            if self.path.is_dir()
+            else video_frames(self.path, self.first, last)
+        )
+        for name, image in zip(self.names, shown, strict=True):
+            if image.shape[1::-1] != self.size:
+                given = f"{image.shape[1]} x {image.shape[0]} pixels in frame {files.plain(name)}"
+                raise InputError(self.path, "size", given, "{} x {}, as the first frame has".format(*self.size))
+            yield image
+
+
+def size_and_rate(path: Path, fps: float | None) -> tuple[tuple[int, int], float]:
+    """Width and height [px], and frames per second: as stated, else as the file says. Raises ``InputError``."""
+    if fps is not None and not 0.1 <= fps <= 10_000.0:
+        raise UsageError(f"--fps: got {fps:g}, expected 0.1 to 10000 frames per second")
+    if path.is_dir():
+        height, width = _image(images_of(path)[0]).shape[:2]
+        return (width, height), fps or FOLDER_FPS
+    if fps is not None:
+        raise UsageError(f"--fps: got {fps:g}, expected none: it is for folders of images, videos have times")
+    info = video_info(path)
+    return info.size, info.fps
+
+
+def stretch(path: Path, numbers: Int[ndarray, "T"], size: tuple[int, int], fps: float, stated: bool) -> Stretch:
+    """The frames of these numbers, counted from 1. Raises ``InputError`` where there are fewer."""
+    first, last = int(numbers[0]), int(numbers[-1])
+    if path.is_dir():
+        paths = images_of(path)
+        if len(paths) < last:
+            raise InputError(path, "", f"{len(paths)} images", f"at least {last}, for the interval {first} to {last}")
+        names = tuple(each.stem for each in paths[first - 1 : last])
+        rate = "" if stated else f"a guess: {fps:g} frames per second; --fps states it"
+        return Stretch(path, first, names, (numbers - 1) / fps, fps, size, rate)
+    times = frame_times(path)
+    shown = (numbers - 1) / fps if times is None or len(times) < last else times[first - 1 : last]
+    if np.abs(shown - shown[0] - (numbers - first) / fps).max() > EVEN:
+        fps = 1.0 / float(np.median(np.diff(shown)))
+    return Stretch(path, first, tuple(f"{n:06d}" for n in numbers), shown, fps, size)
+
+
+def images_of(folder: Path) -> Sequence[Path]:
+    """The images of a folder, in the order of the numbers in their names. Raises ``InputError`` where there is none."""
+    paths = [path for path in folder.iterdir() if path.suffix.lower() in IMAGES and path.is_file()]
+    if not paths:
+        raise InputError(folder, "", "no images in it", f"a video, or a folder of images ({', '.join(IMAGES)})")
+    paths.sort(key=lambda path: (_natural(path.stem), path.name))
+    stems: dict[str, Path] = {}
+    for path in paths:
+        if path.stem in stems:
+            raise InputError(path, "", f"another image of the name of {stems[path.stem].name}", "one for each frame")
+        stems[path.stem] = path
+    return paths
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Numbers in a name count as numbers: frame9 is before frame10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name) if part]
+
+
+def _image(path: Path) -> UInt8[ndarray, "H W 3"]:
+    return decoded(path, "", files.read_bytes(path, LARGEST_IMAGE), LARGEST_SIDE)

@@ -1,0 +1,42 @@
+"""CSV tables that a spreadsheet opens without running anything.
+
+Spreadsheets take a text that begins with ``=``, ``+``, ``-``, ``@`` or a control character for a formula. Names come
+from strangers' files, so that such a text gets an apostrophe before it, which spreadsheets do not show and
+``files.csv_rows`` takes away again. Numbers stay as they are.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable
+from typing import TextIO
+
+_FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
+"""Beginning of a text that gets an apostrophe; one that has some already gets one more, so that reading undoes it."""
+
+
+class CsvTable:
+    """A table that is being written into a text stream, opened with ``newline=""``."""
+
+    def __init__(self, stream: TextIO, line_end: str = "\r\n") -> None:
+        self._rows = csv.writer(stream, lineterminator=line_end)
+
+    def write_row(self, cells: Iterable[object]) -> None:
+        """Add a row: texts so that none is a formula, numbers as they are."""
+        self._rows.writerow([text_cell(cell) if isinstance(cell, str) else cell for cell in cells])
+
+    def write_rows(self, rows: Iterable[Iterable[object]]) -> None:
+        """Add rows."""
+        for cells in rows:
+            self.write_row(cells)
+
+
+def text_cell(text: str) -> str:
+    """A text as it stands in a cell."""
+    return f"'{text}" if _FORMULA.match(text) else text
+
+
+def cell_text(cell: str) -> str:
+    """The text of a cell that ``text_cell`` wrote; cells of others stay as they are."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell

@@ -1,0 +1,42 @@
+"""SQLite files of ours, opened only once it is known that they are ours: folders of strangers may hold other files."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+from getagrip.errors import InputError
+
+MAGIC = b"SQLite format 3\0"
+APPLICATION_ID = slice(68, 72)
+"""Where a file's first bytes say which application made it, as a big-endian number (SQLite's file format, 1.3)."""
+BESIDE = ("-journal", "-wal", "-shm")
+"""What SQLite writes beside a file."""
+
+
+def connect(path: Path, application: int, what: str, *, timeout: float, shared: bool = False) -> sqlite3.Connection:
+    """Open a database of an application, or a new file; nothing of another's is changed.
+
+    ``shared``: threads may share the connection. Raises ``InputError`` for links and for files of something else, and
+    ``sqlite3.Error``.
+    """
+    for file in (path, *(path.with_name(path.name + end) for end in BESIDE)):
+        if file.is_symlink() or (file.exists() and not file.is_file()):
+            raise InputError(file, "", "a link or a folder", f"{what}; move it away")
+    if path.exists() and path.stat().st_size:
+        with path.open("rb") as stream:
+            head = stream.read(100)
+        # 0 is that of a file of ours whose first transaction is still beside it.
+        if not head.startswith(MAGIC) or int.from_bytes(head[APPLICATION_ID], "big") not in (application, 0):
+            raise InputError(path, "", "a file of another program", what)
+    connection = sqlite3.connect(path, timeout=timeout, isolation_level=None, check_same_thread=not shared)
+    try:
+        connection.execute("PRAGMA trusted_schema = OFF")
+        (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        (found,) = connection.execute("PRAGMA application_id").fetchone()
+        if tables and found != application:
+            raise InputError(path, "", f"a database of another program ({found})", what)
+    except BaseException:
+        connection.close()
+        raise
+    return connection

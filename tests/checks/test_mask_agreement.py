@@ -1,0 +1,73 @@
+"""A result that misses masks which agree with each other is serious; rough masks do not make a right one so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from getagrip.batch.clips import Batch, _Tally
+from getagrip.batch.job import Outcome
+from getagrip.checks import RESULT_CHECKS, Evidence, examine
+from getagrip.clip import Clip, Masks
+from getagrip.datasets.synthetic.noise import Noise, perturbed
+from getagrip.errors import UsageError
+from getagrip.finding import Finding
+from getagrip.fitting.image_iou import image_iou
+from getagrip.geometry import se3
+from getagrip.probability import Probability
+from helpers.scenes import SMALL, scene
+
+SERIOUS = {"large-mask-misfit", "poor-mask-fit"}
+
+
+def found(clip: Clip, masks: Masks, away: float = 0.0, misfit: float = np.nan) -> dict[str, Finding]:
+    """Of the true poses, moved sideways by ``away`` [m]."""
+    assert clip.truth is not None
+    T_cam_obj = clip.truth.T_cam_obj.copy()
+    T_cam_obj[:, 0, 3] += away
+    T = se3.inverse(clip.hand.T_cam_hand) @ T_cam_obj
+    iou = image_iou(clip, masks, T, clip.truth.scale)
+    result = Evidence(clip, masks, T, clip.truth.scale, iou, misfit=misfit)
+    checks = [check for check in RESULT_CHECKS if "mask-" in check.name]
+    return {finding.check: finding for finding in examine(checks, result)[1]}
+
+
+@pytest.mark.parametrize("category", ["mug", "bottle", "can"])
+def test_right_results_are_not_serious_whatever_the_noise_of_masks(category: str) -> None:
+    clip, masks = scene(category, 2, SMALL)
+    assert found(clip, masks, misfit=0.7) == {}
+    for px in (1.0, 2.0, 4.0):
+        rough = perturbed(clip, masks, Noise(mask_ragged_px=px), 1)[1]
+        assert not SERIOUS & {*found(clip, rough, misfit=8.0)}
+
+
+@pytest.mark.parametrize("category", ["mug", "bottle", "can"])
+def test_contours_off_masks_that_agree_are_serious_and_the_hand_is_named(category: str) -> None:
+    clip, masks = scene(category, 2, SMALL)
+    findings = found(clip, masks, away=0.008, misfit=8.0)
+    assert findings.keys() == SERIOUS
+    for finding in findings.values():
+        assert finding.serious
+        assert "is the hand's pose wrong" in finding.message
+    assert "the hand's pose" in found(clip, masks, misfit=4.0)["mask-misfit"].message
+
+
+def test_a_low_overlap_with_near_contours_is_that_of_a_small_object() -> None:
+    clip, masks = scene("mug", 2, SMALL)
+    assert found(clip, masks, away=0.008, misfit=1.0) == {}
+
+
+@pytest.mark.parametrize(
+    ("right", "least", "passes"),
+    [(0.4, 0.5, False), (0.6, 0.5, True), (0.6, 0.7, False), (0.0, 0.0, True), (None, 1.0, True)],
+)
+def test_strict_asks_for_a_probability_where_there_is_one(right: float | None, least: float, passes: bool) -> None:
+    tally = _Tally()
+    tally.add(Outcome("a", "done", "", probability_right=None if right is None else Probability(right, "right")))
+    assert tally.passes(least) == passes
+
+
+@pytest.mark.parametrize("least", [-0.1, 1.1, float("nan")])
+def test_a_least_probability_is_a_probability(least: float) -> None:
+    with pytest.raises(UsageError, match="--min-probability"):
+        Batch(min_probability=least)

@@ -1,0 +1,104 @@
+"""Nothing is written through a link, and no file of another program is changed."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from getagrip.annotate.store import Store
+from getagrip.batch.ledger import FILE, Ledger
+from getagrip.errors import InputError, UsageError
+from getagrip.io import databases, files
+
+CANARY = b"another file of the user's"
+
+
+@pytest.fixture
+def canary(tmp_path: Path) -> Path:
+    path = tmp_path / "canary"
+    path.write_bytes(CANARY)
+    return path
+
+
+@pytest.mark.parametrize("dangling", [False, True])
+def test_a_link_is_replaced_and_not_followed(tmp_path: Path, canary: Path, dangling: bool) -> None:
+    target = tmp_path / "report.png"
+    target.symlink_to(tmp_path / "nowhere" if dangling else canary)
+    files.write_bytes(target, b"new")
+    assert target.read_bytes() == b"new"
+    assert not target.is_symlink()
+    assert canary.read_bytes() == CANARY
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_no_link_can_wait_where_a_file_is_written(tmp_path: Path, canary: Path) -> None:
+    for pid in range(os.getpid() - 5, os.getpid() + 6):
+        (tmp_path / f".page.html.{pid}").symlink_to(canary)
+    files.write_text(tmp_path / "page.html", "new")
+    assert canary.read_bytes() == CANARY
+
+
+def test_folders_that_are_links_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    for name in ("elsewhere", "nowhere"):
+        link = tmp_path / f"to-{name}"
+        link.symlink_to(tmp_path / name)
+        with pytest.raises(UsageError, match="is a link"), files.new_folder(link):
+            pass
+        with pytest.raises(UsageError, match="is a link"):
+            files.folder_inside(tmp_path, link.name)
+    assert not any((tmp_path / "elsewhere").iterdir())
+
+
+def test_a_full_disk_leaves_the_old_file_and_is_named(tmp_path: Path) -> None:
+    target = tmp_path / "report.png"
+    target.write_bytes(b"old")
+
+    def fill() -> None:
+        with files.new_file(target) as part:
+            part.write_bytes(b"half")
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match=r"report\.png"):
+        fill()
+    assert target.read_bytes() == b"old"
+    assert [path.name for path in tmp_path.iterdir()] == ["report.png"]
+
+
+def opened(kind: str, folder: Path) -> None:
+    """Open the ledger or the marks of a folder."""
+    if kind == "ledger":
+        with Ledger(folder):
+            return
+    Store(folder / "marks.sqlite").close()
+
+
+@pytest.mark.parametrize("end", ["", *databases.BESIDE])
+@pytest.mark.parametrize("kind", ["ledger", "marks"])
+def test_databases_that_are_links_are_refused(tmp_path: Path, canary: Path, kind: str, end: str) -> None:
+    name = {"ledger": FILE, "marks": "marks.sqlite"}[kind] + end
+    for place in (canary, tmp_path / "nowhere"):
+        (tmp_path / name).symlink_to(place)
+        with pytest.raises(InputError, match="a link"):
+            opened(kind, tmp_path)
+        (tmp_path / name).unlink()
+    assert canary.read_bytes() == CANARY
+    assert not (tmp_path / "nowhere").exists()
+
+
+@pytest.mark.parametrize("application", [0, 7])
+@pytest.mark.parametrize("kind", ["ledger", "marks"])
+def test_another_programs_database_is_not_changed(tmp_path: Path, kind: str, application: int) -> None:
+    file = tmp_path / {"ledger": FILE, "marks": "marks.sqlite"}[kind]
+    with sqlite3.connect(file) as db:
+        db.execute("CREATE TABLE own (a)")
+        db.execute(f"PRAGMA application_id = {application}")
+    db.close()
+    before = file.read_bytes()
+    with pytest.raises(InputError, match="another program"):
+        opened(kind, tmp_path)
+    assert file.read_bytes() == before
