@@ -14,7 +14,7 @@ from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
 from getagrip.errors import InputError
-from getagrip.geometry.polygons import triangulated
+from getagrip.geometry.polygons import triangles
 from getagrip.io import files
 
 MOST = 2**22
@@ -84,7 +84,7 @@ def _numbers(text: bytes, kind: type) -> Shaped[ndarray, "n"]:
 def _by_line(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
     """Any file. Raises ``InputError``."""
     text = content.decode("utf-8-sig", "replace")  # names and comments may be in any encoding
-    vertices, faces, polygons = array("d"), array("q"), list[tuple[int, list[int]]]()
+    vertices, counts, faces = array("d"), array("q"), array("q")
     lines = io.StringIO(text.replace("\\\r\n", " ").replace("\\\n", " "), newline=None)
     for number, line in enumerate(lines, start=1):
         if len(line) > LONGEST_LINE:
@@ -98,20 +98,15 @@ def _by_line(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nda
                 corners = [_index(word, len(vertices) // 3) for word in words[1:]]
                 if len(corners) < 3:
                     raise ValueError
-                if len(corners) > 3:
-                    polygons.append((len(faces), corners))
-                faces.extend(corners[n] for b in range(1, len(corners) - 1) for n in (0, b, b + 1))
+                counts.append(len(corners))
+                faces.extend(corners)
         except ValueError as error:
             expected = "v x y z" if words[0] == "v" else "f and three or more vertices, counted from 1"
             raise InputError(path, f"line {number}", files.shown(line.rstrip("\n")), expected) from error
-        if max(len(vertices), len(faces)) > 3 * MOST:
+        if len(vertices) > 3 * MOST or len(faces) - 2 * len(counts) > MOST:
             raise InputError(path, f"line {number}", f"more than {MOST} vertices or triangles", f"at most {MOST}")
-    points, triangles = np.array(vertices, dtype=float).reshape(-1, 3), np.array(faces, dtype=np.int64)
-    for start, corners in polygons:  # once all vertices are known; fans until then
-        if max(corners) < len(points):
-            cut = np.array(corners)[np.array(triangulated(points[corners]))]
-            triangles[start : start + cut.size] = cut.ravel()
-    return points, triangles.reshape(-1, 3)
+    points = np.array(vertices, dtype=float).reshape(-1, 3)
+    return points, triangles(path, points, np.array(counts, dtype=np.int64), np.array(faces, dtype=np.int64))
 
 
 def _index(word: str, vertices: int) -> int:
