@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from getagrip.commands.own_mesh import MeshRequest, Unit, own_mesh
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry.mesh_files import read_mesh
 
 
 def box(path: Path, size: float, more: str = "") -> Path:
@@ -41,3 +42,7 @@ def test_free_scale_needs_no_unit_and_known_scale_names_the_option(tmp_path: Pat
     assert "rescaled" in made.provenance["scale"]
     with pytest.raises(InputError, match=r"--unit mm.*--size-mm"):
         own_mesh(MeshRequest(path, None, None, True))
+    with pytest.raises(InputError, match=r"millimetres\? .*getagrip clip new takes the unit \(--unit mm"):
+        read_mesh(path)
+    with pytest.raises(UsageError, match="--unit: got mm, expected none"):
+        own_mesh(MeshRequest(Path("mug"), None, None, False, "mm"))

@@ -63,6 +63,8 @@ def own_mesh(request: MeshRequest) -> OwnMesh:
     if request.kind is not None and request.known_scale:
         expected = "--size-mm or --diameter-mm: its size is not that of the one in your video"
         raise UsageError(f"--known-scale: got it with this package's own {request.kind}, expected {expected}")
+    if request.kind is not None and request.unit is not None:
+        raise UsageError(f"--unit: got {request.unit}, expected none: this package's own {request.kind} is in metres")
     vertices, faces, provenance = _shape(request)
     kept = with_area(vertices, faces)  # generated meshes are full of slivers
     if len(kept) < len(faces):

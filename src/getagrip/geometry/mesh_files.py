@@ -21,6 +21,7 @@ LARGEST, SMALLEST = 2.0, 0.005
 """Plausible sizes of hands and objects [m]."""
 FARTHEST = 100.0
 """Farthest that a mesh may be from its origin [m]; the shape of one that is farther has too few digits."""
+OTHER_UNITS = " Scale the file to metres; of a clip's own mesh, getagrip clip new takes the unit (--unit mm, cm, in)"
 LARGEST_FILE = 128 * 2**20
 """Limit in bytes: parsing takes several times as much memory."""
 
@@ -87,7 +88,7 @@ def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray
     used, remapped = np.unique(merged(vertices)[faces], return_inverse=True)  # formats like .stl repeat vertices
     vertices, faces = vertices[used], remapped.reshape(faces.shape)
     extent = float(np.ptp(vertices, axis=0).max())
-    check_size(path, "vertices", extent, "the object")
+    check_size(path, "vertices", extent, "the object", OTHER_UNITS)
     away = float(np.abs(vertices.mean(axis=0)).max())
     if away > FARTHEST:
         expected = f"at most {FARTHEST:g} m: so far off, as in a map, its shape has too few digits; move it"
@@ -115,12 +116,16 @@ def with_area(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> In
         return faces[doubled > 1e-11 * np.ptp(vertices[faces.ravel()], axis=0).max(initial=0.0) ** 2]
 
 
-def check_size(path: Path, key: str, extent: float, what: str) -> None:
-    """Raise ``InputError`` when a hand or an object is absurdly large or small."""
+def check_size(path: Path, key: str, extent: float, what: str, units: str = "") -> None:
+    """Raise ``InputError`` when a hand or an object is absurdly large or small.
+
+    ``units``: what can be done where the unit is not the metre.
+    """
+    given = f"{what} {extent:.4g} m large"
     if extent > LARGEST:
-        raise InputError(path, key, f"{what} {extent:.4g} m large", f"at most {LARGEST:g} m; are these millimetres?")
+        raise InputError(path, key, given, f"at most {LARGEST:g} m; are these millimetres?{units}")
     if extent < SMALLEST:
-        raise InputError(path, key, f"{what} {extent:.4g} m large", f"at least {SMALLEST:g} m; is the unit the metre?")
+        raise InputError(path, key, given, f"at least {SMALLEST:g} m; is the unit the metre?{units}")
 
 
 def write_mesh(mesh: Mesh, path: str | Path) -> Path:

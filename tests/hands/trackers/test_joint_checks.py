@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -82,6 +84,8 @@ def test_joints_relative_to_the_hand_are_refused(about: list[int]) -> None:
 
 def test_a_dump_of_joblib_is_named(tmp_path: Path) -> None:
     path = tmp_path / "world.pth"
-    path.write_bytes(b"\x80\x04\x8c\x13joblib.numpy_pickle\x94.")
-    with pytest.raises(InputError, match=r"joblib\.load"):
-        records.read(path)
+    named = b"\x80\x04\x8c\x13joblib.numpy_pickle\x94."
+    for content in (named, zlib.compress(named), gzip.compress(named)):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"joblib\.load"):
+            records.read(path)

@@ -38,7 +38,7 @@ def test_mini(tmp_path: Path, mano_folder: Path, side: Side, tracker: Tracker, k
             "scaled_focal_length": full["scaled_focal_length"],
         }
         path = tmp_path / f"{name}.pkl"
-        path.write_bytes(pickle.dumps({f"{name}.jpg": [{"is_right": float(side == "right"), key: inner}]}))
+        path.write_bytes(pickle.dumps([{"is_right": float(side == "right"), key: inner}]))
         paths.append(path)
     hands = read(paths, tracker, request(side, mano_folder))
     np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)

@@ -48,9 +48,7 @@ def one_each(hands: Sequence[Estimate], request: Request) -> tuple[list[Estimate
             known = max(tracks, key=lambda rows: float(np.mean([np.ptp(seen[n][rows[n]], axis=0) for n in frames])))
         known = _followed(seen, known)
         ways.append(f"{near} in {len(several) - len(by_mask)}")
-    chosen = (
-        f"several {request.side} hands in {len(several)} of {len(frames)} frames; chosen is, as a guess, one of them"
-    )
+    chosen = f"several {request.side} hands in {len(several)} of {len(frames)} frames, one taken as a guess"
     return [found[frame][known[frame]] for frame in frames], f"{chosen}: {', '.join(ways)}"
 
 

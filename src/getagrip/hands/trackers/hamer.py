@@ -45,7 +45,7 @@ from getagrip.hands.trackers.estimates import (
     mirror_rotation,
     rotations,
 )
-from getagrip.hands.trackers.records import Record, child, numbers
+from getagrip.hands.trackers.records import PEOPLE, Record, child, numbers
 from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.hands.trackers.weak_perspective import WeakPerspective, hamer_focal, vitdet_side
 from getagrip.io import files
@@ -90,6 +90,8 @@ class HaMeR(Demo):
 
 def people(path: Path, content: object) -> list[Record]:
     """The records of an image's hands. Raises ``InputError``."""
+    if isinstance(content, Mapping) and list(content) == [PEOPLE]:
+        content = content[PEOPLE]
     each: list[Any] = content if isinstance(content, list) else [content]
     if isinstance(content, Mapping) and isinstance(content.get("mano"), list) and "cam_trans" in content:
         each = [
