@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from getagrip.batch.job import Job, reconstruct_one, standing
+from getagrip.batch.job import Job, failure, reconstruct_one, standing
 from getagrip.clip import input_sha256, write_clip
 from getagrip.finding import Finding
 from getagrip.fitting.options import Options
@@ -53,3 +53,32 @@ def test_why_there_is_no_probability_is_said(
     assert (outcome.state, f"{said}), " in outcome.message) == ("done", True)
     assert outcome.message.startswith("IOU ")
     assert ", no probability that it is right (none is calibrated " in outcome.message
+
+
+OWN = """
+import numpy as np
+
+def fit(poses):
+    return poses.t
+
+def library():
+    return np.zeros(2) @ np.zeros(3)
+
+def deep():
+    return library()
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "line"), [("fit", "mine.py:5: AttributeError: 'int' object"), ("deep", "mine.py:8: ValueError: matmul")]
+)
+def test_an_error_of_own_code_says_where(tmp_path: Path, name: str, line: str) -> None:
+    source = tmp_path / "mine.py"
+    source.write_text(OWN)
+    there: dict[str, Any] = {}
+    exec(compile(OWN, str(source), "exec"), there)
+    with pytest.raises(Exception) as caught:  # noqa: PT011
+        there[name](*[1] * (name == "fit"))
+    error = caught.value.with_traceback(caught.value.__traceback__.tb_next)  # without the line of this test
+    assert failure("cup", error).message.startswith(line)
+    assert failure("cup", KeyError("a")).message == "unexpected KeyError: 'a'"

@@ -112,11 +112,23 @@ def test_folders_of_a_thing_each_are_chosen_by_name(tmp_path: Path) -> None:
     np.testing.assert_array_equal(open_masks(folder, MaskRequest(FRAMES, SIZE))(0)[0], labels()[0] == 1)
 
 
-def test_missing_frames_are_named(tmp_path: Path, refused: Callable[..., str]) -> None:
+def test_frames_may_have_no_mask_but_not_two(tmp_path: Path, refused: Callable[..., str]) -> None:
     folder = label_folder(tmp_path / "labels")
-    request = MaskRequest((*FRAMES, "000009"), SIZE, ("1",))
-    refused(lambda: open_masks(folder, request), str(folder), "000009")
-    refused(lambda: open_masks(coco(tmp_path / "c.json"), request), "images", "000009")
+    arrays.write(tmp_path / "m.npz", {"labels": labels().astype(np.uint8), "frames": np.array([3, 4])})
+    (tmp_path / "s.pkl").write_bytes(pickle.dumps({3: {1: labels()[0] == 1}, 4: {1: labels()[1] == 1}}))
+    sparse, elsewhere = ("000002", *FRAMES, "000009"), ("000007", "000009")
+    for source, label in (
+        (folder, "1"),
+        (coco(tmp_path / "c.json"), "cup"),
+        (tmp_path / "m.npz", "1"),
+        (tmp_path / "s.pkl", "1"),
+    ):
+        reader = open_masks(source, MaskRequest(sparse, SIZE, (label,)))
+        assert [n for n in range(4) if reader(n) is not None] == [1, 2]
+        read = reader(1)
+        assert read is not None
+        np.testing.assert_array_equal(read.object, labels()[0] == 1)
+        refused(lambda at=source: open_masks(at, MaskRequest(elsewhere, SIZE, ("1",))), "no mask of any of 2 frames")
     (folder / "x_4.png").write_bytes((folder / "frame_4.png").read_bytes())
     refused(lambda: open_masks(folder, MaskRequest(FRAMES, SIZE)), "second mask")
 
@@ -199,11 +211,17 @@ def test_video_segments(tmp_path: Path, refused: Callable[..., str], protocol: A
         with pytest.raises(UsageError, match=f"--{kind}: got '7'"):
             open_masks(path, replace(request, **{kind: ("7",)}))  # type: ignore[arg-type]
     refused(lambda: open_masks(path, replace(request, size=(21, 14))), str(path), "0.1")
-    refused(lambda: open_masks(path, replace(request, frames=("000001", "000002"))), "nothing of 1 of 2 frames")
 
 
 @pytest.mark.parametrize(
-    "content", [segments_of(1, float), {0: [1]}, {0: {1: "x"}}, {0: {1: np.zeros((20, 14), bool)}}]
+    "content",
+    [
+        segments_of(1, complex),
+        {0: {1: np.full((14, 20), 2.5)}},
+        {0: [1]},
+        {0: {1: "x"}},
+        {0: {1: np.zeros((20, 14), bool)}},
+    ],
 )
 def test_what_are_no_video_segments(tmp_path: Path, refused: Callable[..., str], content: Any) -> None:
     path = tmp_path / "segments.pkl"

@@ -71,7 +71,7 @@ def five_frames(tmp_path_factory: Any) -> Path:
 def test_one_frame_with_a_visible_object_is_too_few(refused: Refused) -> None:
     clip, masks = small_clip(3)
     masks.object[1:] = False
-    refused(lambda: observed_frames(clip, masks.observed), "masks/object", "1 of 3 masks", "at least 2")
+    refused(lambda: observed_frames(clip, masks.observed), "masks/object", "1 of 3 frames", "at least 2")
 
 
 @pytest.mark.parametrize("case", BROKEN)
@@ -94,7 +94,7 @@ def test_the_checksum_of_a_broken_clip_is_refused_or_reads_nothing_else(clip_fol
 
 
 def test_the_checksum_names_what_is_missing(clip_folder: Path, refused: Refused) -> None:
-    for file in ("masks/object/0001.png", "object.obj", "hand.npz", "clip.json"):
+    for file in ("masks/ignore/0001.png", "object.obj", "hand.npz", "clip.json"):
         (clip_folder / file).unlink()
         refused(lambda: input_sha256(clip_folder), file, "no such file")
 

@@ -100,7 +100,7 @@ def test_frames_left_out_are_reported_once(tmp_path: Path) -> None:
     problem = prepared(clip, Options(frames=3), sampled=True)
     assert not isinstance(problem, str)
     assert [note for note in problem.notes if "left out" in note] == [
-        "1 frame without a visible object was left out of the fit: 0004"
+        "1 frame without a mask that shows the object was left out of the fit: 0004"
     ]
 
 

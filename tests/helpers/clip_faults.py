@@ -134,7 +134,6 @@ BROKEN: dict[str, tuple[Break, str, tuple[str, ...]]] = {
     "frame a path": (edit_json(frames=["0000", "../1", "0002"]), "clip.json: frames", ("'../1'",)),
     "frame with slash": (edit_json(frames=["0000", "a/b", "0002"]), "clip.json: frames", ("'a/b'",)),
     "frame with NUL": (edit_json(frames=["0000", "a\0", "0002"]), "clip.json: frames", ()),
-    "frame misnamed": (edit_json(frames=["0000", "1", "0002"]), "masks/object/1.png", ("no such file",)),
     "too few frames": (edit_json(frames=["0000", "0001"]), "hand.npz: vertices", ("(3, 8, 3)", "(2, any, 3)")),
     "size of one": (edit_json(size=[32]), "clip.json: size", ("width, height",)),
     "size with fraction": (edit_json(size=[32.0, 24]), "clip.json: size", ()),
@@ -297,7 +296,7 @@ BROKEN: dict[str, tuple[Break, str, tuple[str, ...]]] = {
     ),
     "truth hand not rigid": (edit_npz("truth.npz", T_cam_hand=2 * EYE), "truth.npz: T_cam_hand", ("rigid",)),
     # masks
-    "mask missing": (removed("masks/object/0001.png"), "masks/object/0001.png", ("no such file",)),
+    "ignore mask missing": (removed("masks/ignore/0001.png"), "masks/ignore/0001.png", ("no such file",)),
     "mask link": (linked_out("masks/object/0001.png"), "masks/object/0001.png", ("leads out",)),
     "mask no image": (content("masks/object/0001.png", "hello"), "masks/object/0001.png", ("no PNG",)),
     "mask empty file": (content("masks/object/0001.png", ""), "masks/object/0001.png", ("no PNG",)),

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from getagrip.batch.made_by import KEY, UNKNOWN
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.result import Reconstruction, is_result, read_result
@@ -18,6 +19,7 @@ OTHER = {
     "options": "other options",
     "getagrip": "another version",
     "code": "other code",
+    KEY: "another source of its method",
 }
 """In what a record may differ, by its key."""
 
@@ -36,6 +38,8 @@ def good_result(
         raise UsageError(f"{folder}: exists and is no result; it is not overwritten")
     if overwrite:
         return None, ""
+    if made_by.get(KEY) == UNKNOWN:
+        return None, without_source(method)
     try:
         result, record = read_result(folder)
     except InputError as error:
@@ -51,9 +55,14 @@ def difference(there: Mapping[str, Any], now: Mapping[str, Any], called: Mapping
 
     ``called`` are the entries that count, and how each is called.
     """
-    of_now = json.loads(files.to_json({key: now[key] for key in called}))
+    of_now = json.loads(files.to_json({key: now.get(key) for key in called}))
     other = next((what for key, what in called.items() if there.get(key) != of_now[key]), "")
     return f"what was there is of {other}" if other else ""
+
+
+def without_source(method: str) -> str:
+    """The reason where nobody can know whether a method has changed."""
+    return f"the source of the method {method} is in no file, and it may have changed"
 
 
 def damaged(error: object) -> str:

@@ -60,7 +60,7 @@ def misorder(given: Evidence) -> float:
     and ignored pixels, where there are any.
     """
     shown = given.mask_area > 0
-    overlap = _overlap(given.drawn_hands, given.small_ignore) if given.masks.ignore.any() else None
+    overlap = _overlap(given.drawn_hands, given.small_ignore) if given.masks.say_what_hides else None
     best = 1.0 if shown.sum() >= FEWEST else float("nan")
     for frames, others in _orders(len(shown)):
         both = shown[frames] & shown[others]
@@ -76,10 +76,14 @@ def misorder(given: Evidence) -> float:
 
 def lateness(given: Evidence) -> Lateness:
     """At which shift the hands overlap their own pixels best: ``masks/hand``, else those ignored."""
-    pixels = given.small_hand_pixels
-    best = Lateness(0, 1.0 if pixels.any() and len(pixels) >= FEWEST else float("nan"))
+    pixels, known = given.small_hand_pixels, given.masks.known
+    best = Lateness(0, 1.0 if pixels[known].any() and len(pixels) >= FEWEST else float("nan"))
     overlap, when = _overlap(given.drawn_hands, pixels), given.clip.time * given.clip.fps
-    for n, m in _shifts(len(pixels)):
+    for frames, others in _shifts(len(pixels)):
+        both = known[frames] & known[others]
+        n, m = frames[both], others[both]
+        if 2 * len(n) < known.sum():
+            continue
         times = float(overlap[n, m].mean() / max(overlap[n, n].mean(), LEAST_OVERLAP))
         if times > best.times:
             best = Lateness(round(float(np.median(when[m] - when[n]))), times)

@@ -101,26 +101,30 @@ class ImportHands(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class ImportMasks(Command):
-    """Masks from files into a clip: a folder of PNG (labels, palettes as of SAM 2, colours), COCO's .json, .npz, or SAM
-    2's video_segments (.pkl, .npy)."""
+    """Masks from files into a clip: a folder of PNG (labels, palettes as of SAM 2, colours), of .npy or of LabelMe's
+    .json; .json of COCO, YouTube-VIS or SA-V; .npz and .npy; or SAM 2's video_segments (.pkl, .npy)."""
 
     path: Annotated[Positional[Path], arg(metavar="PATH")]
     """The folder or file; images are named like the clip's frames, or by the same numbers."""
     clip: Annotated[Path, arg(metavar="CLIP")]
     """The clip's folder."""
     object: Labels = ()
-    """The object: values of its labels, #rrggbb, or names of COCO's categories. Not needed where there is one only."""
+    """The object: values of its labels, #rrggbb, or names of COCO's categories; of several cups, cup:7 by its track_id,
+    or cup:all. Not needed where there is one only."""
     ignore: Labels = ()
     """What hides it, likewise: other hands, other things in front."""
     hand: Labels = ()
     """The hand that holds it, likewise. It is ignored as well, and the clip's hands are corrected by its pixels."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
     """The number of the first frame's mask. Needed where masks are counted from 0 and frames are not."""
+    images: str = ""
+    """Which images are meant where there are several of a frame: a folder as take1, or a pattern as cam1_*."""
     overwrite: Flag = False
     """Replace masks that are there already."""
 
     def run(self) -> int:
-        return into_clip(self.path, self.object, self.ignore, self.hand, self.first, self.clip, self.overwrite)
+        labels = self.object, self.ignore, self.hand
+        return into_clip(self.path, *labels, self.first, self.images, self.clip, self.overwrite)
 
 
 @dataclass(frozen=True, kw_only=True)

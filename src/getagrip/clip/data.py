@@ -30,13 +30,20 @@ class FrameMasks(NamedTuple):
     hand: Bool[ndarray, "H W"] | None = None
     """Visible pixels of the hand that holds the object; None where they are not known apart."""
 
+    @staticmethod
+    def unknown(size: tuple[int, int], with_hand: bool) -> FrameMasks:
+        """Of a frame that has none; ``size``: width and height [px]."""
+        nothing = np.zeros(size[::-1], dtype=bool)
+        return FrameMasks(nothing, ~nothing, nothing if with_hand else None)
+
 
 @dataclass(frozen=True, eq=False)
 class Masks(ArrayData):
     """Masks of the object in every frame, at the size of the images.
 
     Attributes:
-        object: (T, H, W) pixels where the object is visible.
+        object: (T, H, W) pixels where the object is visible. A frame whose mask is not known has none, and all of its
+            pixels are ignored.
         ignore: (T, H, W) other pixels that say nothing about the object: those of the hand and of whatever else is in
             front of it. Where none is set, the hand of the clip is drawn to find them.
         hand: (T, H, W) visible pixels of the hand that holds the object, and of no other; None where they are not
@@ -68,6 +75,18 @@ class Masks(ArrayData):
     def observed(self) -> Bool[ndarray, "T"]:
         """Frames in which a pixel of the object is not ignored."""
         return np.array([(o & ~i).any() for o, i in zip(self.object, self.ignore, strict=True)], dtype=bool)
+
+    @property
+    def known(self) -> Bool[ndarray, "T"]:
+        """Frames whose mask is known: the others show no object, and all of their pixels are ignored."""
+        shown = np.asarray(self.object.any(axis=(1, 2)))
+        return np.array([one or not i.all() for one, i in zip(shown, self.ignore, strict=True)], dtype=bool)
+
+    @property
+    def say_what_hides(self) -> bool:
+        """Whether pixels are ignored in a frame whose mask is known."""
+        shown = np.asarray(self.object.any(axis=(1, 2)))
+        return any(i.any() and (one or not i.all()) for one, i in zip(shown, self.ignore, strict=True))
 
     def take(self, index: Int[ndarray, "n"]) -> Masks:
         """The masks of some of the frames, in the given order."""
@@ -124,7 +143,8 @@ class Clip(ArrayData):
         truth: the ground truth; None where it is not known.
         folder: folder of the clip, with its masks and images; None for a clip that is only in memory.
         provenance: where the data comes from, as JSON values; what is a guess is kept in the result's notes.
-        left_out: names of frames that are gone because the object is not visible in them (``observed_frames``).
+        left_out: names of frames that are gone because the object is not visible in them, or their mask is not known
+            (``observed_frames``).
     """
 
     hand: HandTrack
@@ -279,7 +299,7 @@ def observed_frames(clip: Clip, observed: Bool[ndarray, "T"]) -> Clip:
     Raises ``InputError`` for fewer than two: one silhouette says nothing about a motion.
     """
     if observed.sum() < 2:
-        given = f"{observed.sum()} of {len(clip)} masks with a pixel that is not ignored"
+        given = f"{observed.sum()} of {len(clip)} frames whose mask has a pixel that is not ignored"
         raise InputError(clip.origin / "masks" / "object", "", given, "at least 2")
     unobserved = tuple(name for name, is_observed in zip(clip.frames, observed, strict=True) if not is_observed)
     return replace(clip.take(np.flatnonzero(observed)), left_out=(*clip.left_out, *unobserved))

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath
 
 from jaxtyping import Bool
 from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
+from getagrip.clip.naming import frame_of, stem_of
 from getagrip.clip.numbering import check_numbers
+from getagrip.errors import InputError, UsageError
+from getagrip.io import files
 
 MOST_NAMED = 12
 """Labels that an error lists."""
@@ -27,15 +31,21 @@ def without_object(
 
 @dataclass(frozen=True)
 class MaskReader:
-    """The masks of a frame, by its index. Calling it raises ``InputError``."""
+    """The masks of a frame, by its index; None for a frame that has none. Calling it raises ``InputError``."""
 
     source: Path
     read: Callable[[int], FrameMasks]
+    known: Collection[int]
+    """The frames that have masks."""
     others: set[str] = field(default_factory=set)
     """Labels that were met so far in frames without the object, for an error about a label that is nowhere."""
+    notes: dict[str, int] = field(default_factory=dict)
+    """What was made of unusual content so far, and of how much of it."""
+    doubts: tuple[str, ...] = ()
+    """What is probably not as it is meant."""
 
-    def __call__(self, n: int) -> FrameMasks:
-        return self.read(n)
+    def __call__(self, n: int) -> FrameMasks | None:
+        return self.read(n) if n in self.known else None
 
 
 @dataclass(frozen=True)
@@ -54,7 +64,62 @@ class MaskRequest:
     """Of these the hand that holds it, which need not be among them."""
     ask_first: str = ""
     """The option that states the number of the first frame's mask, where it was not used."""
+    images: str = ""
+    """Which of the images are meant, where there are several of a frame: a folder, or a pattern of their names."""
+    ask_images: str = "--images"
+    """The option that says so."""
 
     def check_numbers(self, source: Path, names: Iterable[str]) -> None:
         """Raise ``UsageError`` where masks seem to be counted from another start than frames."""
         check_numbers(self.frames, names, source, "mask", self.ask_first)
+
+    def places(self, source: Path, names: Sequence[str]) -> dict[int, int]:
+        """Which of the images of these file names is each frame's, for the frames that have one.
+
+        Raises ``UsageError`` where they seem to be counted from another start, and ``InputError`` for a second one of a
+        frame, and where there is none of any.
+        """
+        chosen = [k for k, name in enumerate(names) if self._is_meant(name)]
+        if names and not chosen:
+            some = f"a folder of {source}'s images or a pattern of their names, as {files.plain(names[0])}"
+            raise UsageError(f"{self.ask_images}: got {self.images!r}, expected {some}")
+        self.check_numbers(source, (stem_of(names[k]) for k in chosen))
+        found: dict[int, list[int]] = {}
+        for k in chosen:
+            n = frame_of(stem_of(names[k]), self.frames)
+            if n is not None:
+                found.setdefault(n, []).append(k)
+        several = next((n for n in sorted(found) if len(found[n]) > 1), None)
+        if several is not None:
+            first, second = (files.plain(names[k]) for k in found[several][:2])
+            ways = sorted(_ways([names[k] for of_frame in found.values() for k in of_frame]))[:MOST_NAMED]
+            choice = f"; {self.ask_images} chooses: {' or '.join(map(files.plain, ways))}" if len(ways) > 1 else ""
+            given = f"a second mask of frame {files.plain(self.frames[several])}, {second} beside {first}"
+            raise InputError(source, "", given, f"one{choice}")
+        if not found:
+            raise self.nothing(source, names)
+        return {n: of_frame[0] for n, of_frame in found.items()}
+
+    def nothing(self, source: Path, names: Sequence[str]) -> InputError:
+        """That there is no mask of any frame."""
+        some = ", ".join(map(files.plain, names[:2])) + (", ..." if len(names) > 2 else "")
+        given = f"no mask of any of {len(self.frames)} frames" + (f" among {some}" if names else "")
+        return InputError(source, "", given, f"masks named like the frames, as {files.plain(self.frames[0])}")
+
+    def _is_meant(self, name: str) -> bool:
+        name, folder = name.replace("\\", "/"), self.images.strip("/")
+        parent = str(PurePosixPath(name).parent)
+        return not folder or f"/{folder}/" in f"/{parent}/" or fnmatchcase(name, self.images)
+
+
+def _ways(names: Sequence[str]) -> set[str]:
+    """Folders, suffixes or beginnings of names, whichever tell images of one frame apart."""
+    paths = [PurePosixPath(name.replace("\\", "/")) for name in names]
+    for ways in (
+        {str(path.parent) for path in paths},
+        {f"*{path.suffix}" for path in paths},
+        {str(path.with_name(f"{path.stem.rstrip('0123456789')}*")) for path in paths},
+    ):
+        if len(ways) > 1:
+            return ways
+    return set()

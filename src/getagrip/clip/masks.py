@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,8 +19,9 @@ from getagrip.io.png import read_png
 def read_masks(clip: Clip) -> Masks:
     """Read and check the masks of a clip's frames.
 
-    Raises ``InputError`` for a missing or unsuitable image, and where no frame shows the object. The folders
-    ``masks/ignore`` and ``masks/hand`` may be absent; where they are there, they have an image for each frame.
+    The mask of a frame without a file in ``masks/object`` is not known (``Masks.known``). Raises ``InputError`` for an
+    unsuitable image, and where no frame shows the object. The folders ``masks/ignore`` and ``masks/hand`` may be
+    absent; where they are there, they have an image for each frame that ``masks/object`` has.
     """
     folder = _folder(clip)
     masks = Masks.packed(_each(clip, with_hand=(folder / "masks" / "hand").exists()), clip.size)
@@ -47,9 +49,17 @@ def _each(clip: Clip, with_hand: bool = False) -> Iterator[FrameMasks]:
     folder, (width, height) = _folder(clip), clip.size
     hidden = (folder / "masks" / "ignore").exists()
     for frame in clip.frames:
+        if not has_mask(folder, frame):
+            yield FrameMasks.unknown(clip.size, with_hand)
+            continue
         mask = _read(folder, "object", frame, clip.size)
         ignore = _read(folder, "ignore", frame, clip.size) if hidden else np.zeros((height, width), dtype=bool)
         yield FrameMasks(mask, ignore, _read(folder, "hand", frame, clip.size) if with_hand else None)
+
+
+def has_mask(folder: Path, frame: str) -> bool:
+    """Whether there is a file, or a link, of the object's mask in a frame of the clip in a folder."""
+    return os.path.lexists(folder / "masks" / "object" / f"{frame}.png")
 
 
 def _folder(clip: Clip) -> Path:
@@ -69,4 +79,6 @@ def _check_some(clip: Clip, any_object: bool) -> None:
     """Refuse masks that are all empty."""
     if not any_object:
         folder = clip.origin / "masks" / "object"
-        raise InputError(folder, "", f"{len(clip)} masks without a pixel", "masks that show the object")
+        count = sum(has_mask(clip.origin, frame) for frame in clip.frames)
+        given = f"{count} masks without a pixel" if count else "no mask of any frame"
+        raise InputError(folder, "", given, "masks that show the object")

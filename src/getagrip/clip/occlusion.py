@@ -12,7 +12,10 @@ from getagrip.io.packed_masks import PackedMasks
 
 
 def occluded_by_hand(clip: Clip, masks: Masks) -> Masks:
-    """Masks whose ignored pixels are those that the clip's hands cover and the object's mask does not."""
+    """Masks whose ignored pixels are those that the clip's hands cover and the object's mask does not.
+
+    Of a frame whose mask is not known, all still are.
+    """
     from getagrip.geometry.depth import covered
 
     hands = [(clip.hand, np.ones(len(clip), dtype=bool))]
@@ -20,7 +23,11 @@ def occluded_by_hand(clip: Clip, masks: Masks) -> Masks:
         hands.append((clip.other_hand.track, clip.other_hand.known))
     posed = [(se3.transform(hand.T_cam_hand, hand.vertices), hand.faces, known) for hand, known in hands]
 
+    unknown = ~masks.known
+
     def hidden(n: int, visible: Bool[ndarray, "H W"]) -> Bool[ndarray, "H W"]:
+        if unknown[n]:
+            return np.ones_like(visible)
         ignore = np.zeros_like(visible)
         for vertices, faces, known in posed:
             if known[n]:

@@ -13,6 +13,7 @@ from numpy import ndarray
 
 from getagrip.clip.data import Clip
 from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
+from getagrip.clip.masks import has_mask
 from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
 from getagrip.clip.plausible import FASTEST, SLOWEST, check_hand, check_in_view
 from getagrip.clip.reading_truth import read_truth
@@ -126,7 +127,8 @@ def input_sha256(folder: str | Path) -> str:
         paths[OTHER_HAND] = files.inside(folder, OTHER_HAND, "", HANDS)
     for kind in ("object", "ignore", "hand"):
         if (folder / "masks" / kind).exists():
-            names = [f"masks/{kind}/{frames[row]}.png" for row in frames_with_hand(hand, frames)]
+            known = (frames[row] for row in frames_with_hand(hand, frames) if has_mask(folder, frames[row]))
+            names = [f"masks/{kind}/{frame}.png" for frame in known]
             paths |= {name: files.inside(folder, name, "", "a mask for each frame of clip.json") for name in names}
     return files.sha256(paths)
 

@@ -99,6 +99,24 @@ def region(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool[n
     return (run_lengths if isinstance(given, dict) else polygons)(path, key, given, size)
 
 
+def with_area(given: object) -> object:
+    """A ``segmentation`` without its polygons of fewer than three corners or without area; others as they are."""
+    return [one for one in given if not _is_flat(one)] if isinstance(given, list) else given
+
+
+def _is_flat(corners: object) -> bool:
+    """Whether corners, where they are numbers, are on a line."""
+    points = arrays.from_lists(corners) if isinstance(corners, list) else None
+    if points is None or points.dtype.kind not in "fi" or points.ndim != 1 or len(points) % 2:
+        return isinstance(corners, list) and not corners
+    if len(points) < 6:
+        return True
+    from_first = points.reshape(-1, 2).astype(float) - points[:2]
+    far = from_first[np.argmax(np.hypot(*from_first.T))]
+    across = from_first[:, 0] * far[1] - from_first[:, 1] * far[0]
+    return bool(np.all(np.abs(across) <= 1e-9 * (far @ far)))
+
+
 def check_count(path: Path, key: str, count: int, size: tuple[int, int]) -> None:
     """Raise ``InputError`` for more regions of one kind in a frame than can be drawn in a few seconds."""
     most = max(1, MOST_DRAWN // (size[0] * size[1]))

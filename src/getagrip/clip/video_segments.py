@@ -1,4 +1,7 @@
-"""SAM 2's ``video_segments``, pickled: ``{frame: {object: mask}}``, frames from 0, masks (1, H, W) or (H, W)."""
+"""SAM 2's ``video_segments``, pickled: ``{frame: {object: mask}}``, frames from 0, masks (1, H, W) or (H, W).
+
+Masks may be logits: what is above 0 counts.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ WHAT = "SAM 2's video_segments, {frame: {object: mask}}"
 def video_segments(path: Path, request: MaskRequest) -> MaskReader:
     """A reader of the masks of objects by their numbers; in a frame without one, nothing of it is visible.
 
-    Raises ``InputError`` for malformed and for missing frames, ``UsageError`` for labels.
+    Raises ``InputError`` for malformed frames and where there is none of the wanted ones, ``UsageError`` for labels.
     """
     given = pickles.read_file(path, WHAT, LARGEST)
     request.check_numbers(path, given)
@@ -35,10 +38,8 @@ def video_segments(path: Path, request: MaskRequest) -> MaskReader:
             if not isinstance(of_frame, Mapping):
                 raise InputError(path, files.plain(name), files.shown(of_frame), WHAT)
             masks[n] = {str(key): _mask(path, f"{name}.{key}", mask, request) for key, mask in of_frame.items()}
-    missing = [frame for n, frame in enumerate(request.frames) if n not in masks]
-    if missing:
-        lacks = f"nothing of {len(missing)} of {len(request.frames)} frames (first: {files.plain(missing[0])})"
-        raise InputError(path, "", f"{lacks} in keys {_some(given)}", "all frames, by their numbers")
+    if not masks:
+        raise request.nothing(path, list(given))
     there = sorted({key for of_frame in masks.values() for key in of_frame})
     chosen = request.object or tuple(there[:1])
     unknown = next((name for name in (*chosen, *request.ignore, *request.hand) if name not in there), None)
@@ -54,19 +55,34 @@ def video_segments(path: Path, request: MaskRequest) -> MaskReader:
         )
         return without_object(visible, hidden, hand if request.hand else None)
 
-    return MaskReader(path, read)
+    return MaskReader(path, read, masks.keys())
 
 
 def _mask(path: Path, key: str, value: object, request: MaskRequest) -> Bool[ndarray, "H W"]:
     """One mask. Raises ``InputError``."""
     width, height = request.size
-    expected = f"a mask of booleans or whole numbers, ({height}, {width}) or (1, {height}, {width})"
-    if not isinstance(value, ndarray) or value.dtype.kind not in "biu" or value.size != width * height:
+    expected = f"a mask of booleans, whole numbers or logits, ({height}, {width}) or (1, {height}, {width})"
+    if not isinstance(value, ndarray) or value.dtype.kind not in "biuf" or value.size != width * height:
         given = f"{value.dtype} of shape {value.shape}" if isinstance(value, ndarray) else files.shown(value)
         raise InputError(path, files.plain(key), given, expected)
     if value.shape not in {(height, width), (1, height, width)}:
         raise InputError(path, files.plain(key), f"the shape {value.shape}", expected)
+    if value.dtype.kind == "f":
+        least, most = float(value.min()), float(value.max())  # NaN where any is
+        if not (least < 0.0 or 0.0 <= least <= most <= 1.0) or np.isnan(most):
+            raise InputError(path, files.plain(key), f"numbers from {least:g} to {most:g}", expected)
+        return np.asarray(value.reshape(height, width) >= (0.5 if least >= 0.0 else np.nextafter(0.0, 1.0)))
     return np.asarray(value.reshape(height, width) != 0)
+
+
+def holds_objects(path: Path) -> bool:
+    """Whether an ``.npy`` file holds Python's objects, or is damaged; else it is an array of numbers."""
+    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    try:
+        with path.open("rb") as stream:
+            return bool(headers[np.lib.format.read_magic(stream)](stream)[2].hasobject)
+    except Exception:  # the header is a Python literal: its parser raises many things
+        return True
 
 
 def _some(names: object) -> str:

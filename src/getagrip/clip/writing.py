@@ -58,11 +58,9 @@ def fill_folder(
     if clip.truth is not None:
         arrays.write(folder / "truth.npz", _truth_arrays(clip, clip.truth))
     if masks is not None:
-        _write_masks(folder / "masks" / "object", clip.frames, masks.object)
-        if masks.ignore.any():
-            _write_masks(folder / "masks" / "ignore", clip.frames, masks.ignore)
-        if masks.hand is not None:
-            _write_masks(folder / "masks" / "hand", clip.frames, masks.hand)
+        kinds = {"object": masks.object} | ({"ignore": masks.ignore} if masks.say_what_hides else {})
+        for kind, each in (kinds if masks.hand is None else kinds | {"hand": masks.hand}).items():
+            _write_masks(folder / "masks" / kind, clip.frames, each, masks.known)
     if images is not None:
         _write_images(folder / "frames", clip.frames, images)
 
@@ -134,11 +132,14 @@ def _truth_arrays(clip: Clip, truth: Truth) -> dict[str, Shaped[ndarray, "..."]]
     return out
 
 
-def _write_masks(folder: Path, frames: tuple[str, ...], masks: Bool[ndarray, "T H W"]) -> None:
-    """One PNG for each frame, 255 where the mask is set."""
+def _write_masks(
+    folder: Path, frames: tuple[str, ...], masks: Bool[ndarray, "T H W"], known: Bool[ndarray, "T"]
+) -> None:
+    """One PNG for each frame whose mask is known, 255 where the mask is set."""
     folder.mkdir(parents=True)
-    for name, mask in zip(frames, masks, strict=True):
-        write_mask(folder / f"{name}.png", mask)
+    for name, mask, there in zip(frames, masks, known, strict=True):
+        if there:
+            write_mask(folder / f"{name}.png", mask)
 
 
 def _write_images(folder: Path, frames: tuple[str, ...], images: Iterable[UInt8[ndarray, "H W 3"]]) -> None:

@@ -11,7 +11,10 @@ from getagrip.clip.reading import read_header
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.images import write_mask
-from getagrip.io.terminal import say
+from getagrip.io.terminal import report, say
+
+FEWEST = 2
+"""Frames that show the object."""
 
 
 def into_clip(
@@ -20,13 +23,15 @@ def into_clip(
     ignore: tuple[str, ...],
     hand: tuple[str, ...],
     first: int | None,
+    images: str,
     folder: Path,
     overwrite: bool,
 ) -> int:
-    """Add ``masks/`` to a clip's folder.
+    """Add ``masks/`` to a clip's folder. Returns 0, or 3 where they are in doubt.
 
-    ``first`` is the number in the name of the first frame's mask, where masks are counted differently. Raises
-    ``InputError``, and ``UsageError`` where there are masks already.
+    ``first`` is the number in the name of the first frame's mask, where masks are counted differently; ``images`` says
+    which are meant where there are several of a frame. Raises ``InputError``, and ``UsageError`` where there are masks
+    already.
     """
     header = read_header(folder)
     target = header.folder / "masks"
@@ -36,24 +41,40 @@ def into_clip(
     if first is not None:
         names = renumbered(names, first, "--first")
     ask_first = "--first" if first is None else ""
-    reader = open_masks(source, MaskRequest(names, header.size, objects, ignore, hand, ask_first))
-    whence = header.fields["provenance"] | {"masks": provenance(source, objects, ignore, hand)}
+    reader = open_masks(source, MaskRequest(names, header.size, objects, ignore, hand, ask_first, images))
+    whence = header.fields["provenance"] | {"masks": provenance(source, objects, ignore, hand, images)}
     with files.new_folder(target, ("object",) if overwrite else ()) as new:
         visible = write_masks(reader, header.frames, new)
         with files.new_file(header.folder / "clip.json") as part:
             files.write_json(part, header.fields | {"provenance": whence})
     say(f"{target}: the object is visible in {visible} of {len(names)} frames")
-    return 0
+    return report_masks(reader, header.frames, visible)
+
+
+def report_masks(reader: MaskReader, frames: tuple[str, ...], visible: int) -> int:
+    """Say which frames have no masks and what was made of others; returns 3 where these are in doubt, else 0."""
+    for note, count in reader.notes.items():
+        report(f"warning: {reader.source}: {note}: {count}")
+    if missing := [name for n, name in enumerate(frames) if n not in reader.known]:
+        some = f"no mask of {len(missing)} of {len(frames)} frames (first: {missing[0]})"
+        report(f"warning: {reader.source}: {some}; reconstruct puts the object of these between that of the others")
+    if visible < FEWEST:
+        report(f"warning: {reader.source}: the object is visible in {visible} frame, reconstruct needs {FEWEST}")
+    for doubt in reader.doubts:
+        report(f"warning: {reader.source}: {doubt}")
+    return 3 if reader.doubts or visible < FEWEST else 0
 
 
 def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> int:
-    """Write the masks of all frames, one at a time in memory; returns in how many the object is visible.
+    """Write the masks of the frames that have some, one at a time in memory; returns in how many the object is visible.
 
     Raises ``InputError`` where it is visible in none.
     """
     visible = 0
     for n, name in enumerate(frames):
         masks = reader(n)
+        if masks is None:
+            continue
         for kind, mask in masks._asdict().items():
             if mask is not None:
                 write_mask(files.folder_inside(folder, kind) / f"{name}.png", mask)
@@ -64,8 +85,10 @@ def write_masks(reader: MaskReader, frames: tuple[str, ...], folder: Path) -> in
     return visible
 
 
-def provenance(source: Path, objects: tuple[str, ...], ignore: tuple[str, ...], hand: tuple[str, ...]) -> str:
+def provenance(
+    source: Path, objects: tuple[str, ...], ignore: tuple[str, ...], hand: tuple[str, ...], images: str = ""
+) -> str:
     """Where masks come from, for a clip's provenance."""
-    named = (("object", objects), ("ignored", ignore), ("hand", hand))
+    named = (("images", (images,) * bool(images)), ("object", objects), ("ignored", ignore), ("hand", hand))
     labels = "".join(f", {what} {', '.join(names)}" for what, names in named if names)
     return f"from {source.name}{labels}" + ("" if ignore or hand else ", nothing ignored")

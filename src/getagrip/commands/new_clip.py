@@ -28,7 +28,7 @@ from getagrip.clip.reading import read_hand
 from getagrip.clip.segment_files import SegmentList, read, with_segments
 from getagrip.clip.writing import fill_folder, without_hand, write_hand_at
 from getagrip.commands import own_mesh
-from getagrip.commands.import_masks import provenance, write_masks
+from getagrip.commands.import_masks import provenance, report_masks, write_masks
 from getagrip.commands.import_segments import stated
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
@@ -68,6 +68,8 @@ class Ingredients:
     """Frames per second of a folder of images; None where it is not stated."""
     hand_of_first: int | None = None
     """The number of the first frame's hand in the hand file; the frame's own where it is not given."""
+    mask_images: str = ""
+    """Which of the masks' images are meant where there are several of a frame."""
 
 
 HOW = {
@@ -144,14 +146,15 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
             "camera": camera,
             **({"times": footage.rate} if footage.rate else {}),
             **found.provenance,
-            "masks": provenance(given.masks, given.object, given.ignore, given.hand) if given.masks else "none yet",
+            "masks": _of_masks(given),
             **of_hands,
         },
     )
     clip = with_segments(clip, _segments(given, out))
     reader = None if given.masks is None else _masks(given, names, size)
-    _write(clip, found_hands, footage.images(), reader, out, overwrite)
-    return _summary(clip, given, found_hands, out)
+    visible = _write(clip, found_hands, footage.images(), reader, out, overwrite)
+    unsure = report_masks(reader, clip.frames, visible) if reader else 0
+    return _summary(clip, given, found_hands, out) or unsure
 
 
 def _segments(given: Ingredients, out: Path) -> SegmentList:
@@ -237,13 +240,22 @@ def _no_hand(frames: int) -> HandTrack:
     return HandTrack(none, np.zeros((0, 3), dtype=int), np.tile(np.eye(4), (frames, 1, 1)), {})
 
 
+def _of_masks(given: Ingredients) -> str:
+    """Where masks come from."""
+    if given.masks is None:
+        return "none yet"
+    return provenance(given.masks, given.object, given.ignore, given.hand, given.mask_images)
+
+
 def _masks(given: Ingredients, names: tuple[str, ...], size: tuple[int, int]) -> MaskReader:
     """A reader of the masks of the clip's frames."""
     assert given.masks is not None
     if given.mask_of_first is not None:
         names = renumbered(names, given.mask_of_first, "--mask-first")
     ask_first = "--mask-first" if given.mask_of_first is None else ""
-    return open_masks(given.masks, MaskRequest(names, size, given.object, given.ignore, given.hand, ask_first))
+    labels = given.object, given.ignore, given.hand
+    request = MaskRequest(names, size, *labels, ask_first, given.mask_images, "--mask-images")
+    return open_masks(given.masks, request)
 
 
 def _write(
@@ -253,15 +265,20 @@ def _write(
     masks: MaskReader | None,
     out: Path,
     overwrite: bool,
-) -> None:
-    """Write the clip, its images and masks one by one, and read it again: a clip that is written is valid."""
+) -> int:
+    """Write the clip, its images and masks one by one, and read it again: a clip that is written is valid.
+
+    Returns in how many frames masks show the object.
+    """
+    visible = 0
     with files.new_folder(out, ("clip.json",) if overwrite else ()) as new:
         fill_folder(new, clip, None, images)
         if masks:
-            write_masks(masks, clip.frames, new / "masks")
+            visible = write_masks(masks, clip.frames, new / "masks")
         if hands:
             write_hand_at(hands.track, clip.frames, hands.rows, new / "hand.npz")
             _check(new, masks is not None, out)
+    return visible
 
 
 def _check(made: Path, masks: bool, out: Path) -> None:

@@ -198,7 +198,7 @@ class Comparison:
         """The observed masks; the hand is ignored where nothing else is, as the methods take them."""
         if self.masks is None:
             raise MissingPartError
-        return self.masks if self.masks.ignore.any() else occluded_by_hand(self.clip, self.masks)
+        return self.masks if self.masks.say_what_hides else occluded_by_hand(self.clip, self.masks)
 
 
 @lru_cache(maxsize=32)

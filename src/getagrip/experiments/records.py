@@ -7,12 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from getagrip.batch.kept import damaged, difference
+from getagrip.batch.kept import damaged, difference, without_source
+from getagrip.batch.made_by import KEY, UNKNOWN, made_by
 from getagrip.clip import input_sha256
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
 from getagrip.io import files
-from getagrip.result import software
 
 KEYS = {"inputs": "another clip", "options": "other options", "software": "other code or other libraries"}
 """What a record says that it was made of, and how it is called where that differs."""
@@ -20,7 +20,7 @@ KEYS = {"inputs": "another clip", "options": "other options", "software": "other
 
 def made_of(clip: Path, options: Options, *code: str) -> dict[str, Any]:
     """What a record is made of; ``code`` are parts of the package that a reconstruction does not depend on."""
-    return {"inputs": input_sha256(clip), "options": asdict(options), "software": software(*code)}
+    return {"inputs": input_sha256(clip), "options": asdict(options), "software": made_by(options.method, *code)}
 
 
 def kept_or_made(
@@ -35,6 +35,8 @@ def kept_or_made(
         try:
             record = files.read_json(path)
             why = difference(record, of, KEYS)
+            if of["software"].get(KEY) == UNKNOWN:
+                why = without_source(of["options"]["method"])
             if not why:
                 return record, ""
         except InputError as error:

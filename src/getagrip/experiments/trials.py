@@ -16,6 +16,7 @@ import numpy as np
 
 from getagrip.batch.job import failure
 from getagrip.batch.kept import good_result
+from getagrip.batch.made_by import made_by
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.evaluation.metric import SCA
@@ -215,4 +216,5 @@ def _made_by(variant: Variant) -> dict[str, str]:
     also = () if variant.change == AS_GIVEN else CHANGES
     if variant.system is not None:
         also += SYSTEMS
-    return software(*also) | {"evaluation": code.fingerprint(EVALUATION)}
+    made = made_by(variant.method, *also) if variant.system is None else software(*also)
+    return made | {"evaluation": code.fingerprint(EVALUATION)}

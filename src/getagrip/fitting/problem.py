@@ -87,7 +87,7 @@ class Problem:
 
         Whether the masks leave gaps stays as it was found.
         """
-        shown = occluded_by_hand(clip, masks) if self.hand_drawn and not masks.ignore.any() else masks
+        shown = occluded_by_hand(clip, masks) if self.hand_drawn and not masks.say_what_hides else masks
         gap_share = 0.0 if self.observation.has_gaps else 1.0
         observation = observe(shown, clip.K, self.options.occlusion, gap_share)
         return replace(self, clip=clip, masks=shown, given_masks=masks, observation=observation)
@@ -154,7 +154,7 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     as_published = method_of(options.method).as_published
     masks, notes = given, []
     if clip.left_out:
-        one, more = "frame without a visible object was", "frames without a visible object were"
+        one, more = "frame without a mask that shows the object was", "frames without masks that show the object were"
         notes.append(f"{counted(len(clip.left_out), one, more)} left out of the fit: {', '.join(clip.left_out)}")
     # For the paper's method gaps between the masks are background.
     gap_share = 1.0 if as_published else GAP_SHARE
@@ -165,7 +165,7 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
-    hand_drawn = options.occlusion and not masks.ignore.any()
+    hand_drawn = options.occlusion and not masks.say_what_hides
     if hand_drawn:
         masks = occluded_by_hand(clip, masks)
         observation = observe(masks, clip.K, options.occlusion, gap_share)

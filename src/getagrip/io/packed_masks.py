@@ -31,7 +31,10 @@ class PackedMask:
         if not rows.size:
             return PackedMask((mask.shape[0], mask.shape[1]), 0, 0, 0, np.zeros((0, 0), np.uint8))
         box = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        return PackedMask((mask.shape[0], mask.shape[1]), rows[0], columns[0], box.shape[1], np.packbits(box, axis=1))
+        bits = np.packbits(box, axis=1)
+        if box.all():
+            bits = np.broadcast_to(bits[:1].copy(), bits.shape)  # one row in memory
+        return PackedMask((mask.shape[0], mask.shape[1]), rows[0], columns[0], box.shape[1], bits)
 
 
 @lru_cache(maxsize=4)

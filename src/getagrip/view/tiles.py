@@ -199,7 +199,8 @@ def _image(view: View, n: int) -> UInt8[ndarray, "H W 3"]:
     width, height = view.clip.size
     picture = np.full((height, width, 3), BLANK, dtype=np.uint8)
     if view.masks is not None:
-        picture[view.masks.ignore[n]] = IGNORED
+        ignored = view.masks.ignore[n]
+        picture[ignored & ~ignored.all()] = IGNORED  # all of them: the mask is not known
         picture[view.masks.object[n]] = OBSERVED
     return picture
 

@@ -39,7 +39,7 @@ def test_a_folder_of_synthetic_clips_belongs_to_one_preset(tmp_path: Path) -> No
     assert [(outcome.name, outcome.message) for outcome in failed] == [
         ("teapot", "no such clip of synthetic, clean, clips by name")
     ]
-    with pytest.raises(UsageError, match=r"--split: got test and --only"):
+    with pytest.raises(UsageError, match=r"--split: got validation and --only"):
         source_of("synthetic", only=two, split="validation")
     with pytest.raises(UsageError, match="another dataset"):
         samples(source_of("synthetic", preset="wild"), clips, None, debug=False)

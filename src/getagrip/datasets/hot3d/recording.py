@@ -96,6 +96,9 @@ def find(root: Path) -> dict[str, dict[str, Path]]:
         if path.is_file():
             folders.setdefault(path.parent.name, {})[path.name] = path
     found = {name: files for name, files in sorted(folders.items()) if any(objects in files for objects in OBJECTS)}
+    if not found and any(root.rglob("clip-*.tar")):
+        expected = "HOT3D's full recordings, as its own downloader saves them"
+        raise InputError(root, "", "HOT3D-Clips (clip-*.tar), another layout, which is not read", expected)
     if not found:
         raise InputError(root, "", f"no {OBJECTS[0]} below it", "HOT3D recordings")
     return found

@@ -58,6 +58,8 @@ def read(path: Path) -> Record:
     Raises ``InputError`` for damaged, hostile and absurdly large files, ``UsageError`` for ``.pt`` without torch.
     """
     suffix = path.suffix.lower()
+    if suffix in {".pkl", ".pickle", ".pt", ".pth"}:
+        _check_not_joblib(path)
     if suffix == ".npz":
         return arrays.read(path, lambda _: True)
     if suffix == ".json":
@@ -69,6 +71,17 @@ def read(path: Path) -> Record:
     if suffix == ".npy":
         return {"joints": arrays.parse_npy(path, "", files.read_bytes(path, LARGEST))}
     raise InputError(path, "", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")
+
+
+def _check_not_joblib(path: Path) -> None:
+    """Raise ``InputError`` for a file of ``joblib.dump``, which names its own classes and is no file of torch."""
+    content = files.read_bytes(path, LARGEST)
+    if b"joblib.numpy_pickle" in content:
+        line = (
+            f"import joblib, pickle; pickle.dump(joblib.load({path.name!r}), open({path.stem + '_plain.pkl'!r}, 'wb'))"
+        )
+        given = "a file of joblib.dump, which could run code when loaded"
+        raise InputError(path, "", given, f"a plain pickle; where it was made, Python converts it: {line}")
 
 
 def by_image(record: Record) -> Record:

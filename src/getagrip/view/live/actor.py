@@ -48,7 +48,7 @@ class Actor:
             self.gap[some] = gap(posed.at([view.result.frames[k] for k in some]))
             if view.masks is not None and np.isnan(view.result.iou[some]).all():
                 masks, clip = view.masks.take(some), view.clip.take(some)
-                masks = masks if view.masks.ignore.any() else occluded_by_hand(clip, masks)
+                masks = masks if view.masks.say_what_hides else occluded_by_hand(clip, masks)
                 poses = self.column.T_cam_obj[some]
                 self.iou[some] = iou_of_poses(clip.mesh, view.result.scale, poses, clip.K, masks).full
 

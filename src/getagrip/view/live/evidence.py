@@ -89,7 +89,7 @@ def numbers(column: Column) -> list[Numbers]:
             add = 1e3 * float(np.mean(pose_errors(some.clip.mesh, track, known).add))
         if some.masks is not None:
             poses = some.clip.hand.T_cam_hand @ T_hand_obj
-            masks = some.masks if some.masks.ignore.any() else occluded_by_hand(some.clip, some.masks)
+            masks = some.masks if some.masks.say_what_hides else occluded_by_hand(some.clip, some.masks)
             iou = iou_of_poses(some.clip.mesh, track.scale, poses, some.clip.K, masks).full
         findings: tuple[Finding, ...] = ()
         mean, deep, far, stable = (float("nan"),) * 4

@@ -1,0 +1,138 @@
+"""Masks and labels in numpy's files: ``.npz`` and ``.npy`` of all frames, or an array for each frame.
+
+Whole numbers and booleans are labels. Of numbers with fractions, those from 0 to 1 are probabilities, of which half and
+more counts; where some are below 0, they are logits, of which those above 0 count.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from getagrip.clip.data import FrameMasks
+from getagrip.clip.label_choice import LabelChoice
+from getagrip.clip.mask_request import MaskReader, MaskRequest, without_object
+from getagrip.clip.naming import frame_of
+from getagrip.clip.soft_edges import Load, looked_at, sharpened
+from getagrip.errors import InputError
+from getagrip.io import arrays, files
+
+KINDS = ("object", "ignore", "hand")
+LOGITS, HALVES = "logits: those above 0 were taken, in images", "probabilities: half and more was taken, in images"
+Numbers = Callable[[int], tuple[Path, str, ndarray]]
+"""The file of a frame's array, its key, and the array."""
+
+
+def npz(path: Path, request: MaskRequest) -> MaskReader:
+    """Masks or labels of all frames, or an array for each, in an ``.npz`` file. Raises ``InputError``."""
+    given = arrays.read(path, lambda _: True)
+    key = next((key for key in ("labels", "object") if key in given), None)
+    if key is None:
+        names = [name for name, array in given.items() if array.ndim in (2, 3)]
+        if not any(frame_of(name, request.frames) is not None for name in names):
+            there = f"the arrays {', '.join(map(files.plain, list(given)[:3]))}" if given else "no array"
+            raise InputError(path, "object", there, "the array, or one called labels, or one for each frame")
+        rows = request.places(path, [f"{name}.npy" for name in names])
+        return _labels(path, lambda n: (path, names[rows[n]], given[names[rows[n]]]), rows, request)
+    if given[key].ndim == 4 and given[key].shape[1] == 1:
+        given[key] = given[key][:, 0]
+    kinds = (key,) if key == "labels" else tuple(kind for kind in KINDS if kind in given)
+    width, height = request.size
+    for name in kinds:
+        expected = f"numbers or booleans of shape (n, H, W), as (n, {height}, {width})"
+        if given[name].shape != (*given[key].shape[:1], height, width):
+            raise InputError(path, name, f"{given[name].dtype} of shape {given[name].shape}", expected)
+    rows = _rows(path, given, len(given[key]), request)
+    if key == "labels":
+        return _labels(path, lambda n: (path, key, given[key][rows[n]]), rows, request)
+    notes = Counter[str]()
+    loads = {kind: _masks_of(path, kind, given[kind], rows, request, notes) for kind in kinds}
+
+    def read(n: int) -> FrameMasks:
+        at = {kind: load(n)[1] != 0 for kind, load in loads.items()}
+        return without_object(at["object"], at.get("ignore", np.zeros_like(at["object"])), at.get("hand"))
+
+    return MaskReader(path, read, rows.keys(), notes=notes)
+
+
+def npy(path: Path, request: MaskRequest) -> MaskReader:
+    """Masks or labels of all frames in an ``.npy`` file, in their order. Raises ``InputError``."""
+    stack = arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))
+    rows = _rows(path, {}, len(stack) if stack.ndim else 0, request)
+    return _labels(path, lambda n: (path, "", stack[rows[n]]), rows, request)
+
+
+def npy_folder(folder: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
+    """An ``.npy`` file of each frame, or an ``.npz`` file of one array. Raises ``InputError``."""
+    rows = request.places(folder, [path.name for path in paths])
+
+    def load(n: int) -> tuple[Path, str, ndarray]:
+        path = paths[rows[n]]
+        if path.suffix == ".npy":
+            return path, "", arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))
+        given = arrays.read(path, lambda _: True)
+        if len(given) != 1:
+            raise InputError(path, "", f"{len(given)} arrays", "one, the labels of a frame")
+        return path, *next(iter(given.items()))
+
+    return _labels(folder, load, rows, request)
+
+
+def _labels(source: Path, load: Numbers, frames: Mapping[int, int], request: MaskRequest) -> MaskReader:
+    """A reader of labels."""
+    choose, notes = LabelChoice(request), Counter[str]()
+    whole = _whole(load, frames, request.size, notes)
+    sharp = sharpened(whole, frames, notes, choose.object, bool(choose.ignore or choose.hand))
+    return MaskReader(source, lambda n: choose(*sharp(n)), frames.keys(), choose.others, notes)
+
+
+def _masks_of(
+    path: Path, key: str, stack: ndarray, rows: Mapping[int, int], request: MaskRequest, notes: Counter[str]
+) -> Load:
+    """The masks of one thing."""
+    return sharpened(_whole(lambda n: (path, key, stack[rows[n]]), rows, request.size, notes), rows, notes)
+
+
+def _whole(load: Numbers, frames: Collection[int], size: tuple[int, int], notes: Counter[str]) -> Load:
+    """The labels in arrays of any numbers."""
+    samples = (load(n)[2] for n in looked_at(frames))
+    logits = any(array.dtype.kind == "f" and array.size and array.min() < 0.0 for array in samples)
+
+    def labels(n: int) -> tuple[Path, Int[ndarray, "H W"]]:
+        path, key, array = load(n)
+        width, height = size
+        if array.dtype.kind not in "biuf" or array.shape not in {(height, width), (1, height, width)}:
+            expected = f"numbers or booleans of shape ({height}, {width})"
+            raise InputError(path, key, f"{array.dtype} of shape {array.shape}", expected)
+        array = array.reshape(height, width)
+        if array.dtype.kind != "f":
+            return path, array.astype(np.int64)
+        least, most = float(array.min()), float(array.max())  # NaN where any is
+        whole = np.isfinite(least + most) and least >= 0.0 and bool(np.all(array == np.floor(array)))
+        if not np.isfinite(least + most) or not (logits or whole or 0.0 <= least <= most <= 1.0):
+            expected = "whole numbers, probabilities from 0 to 1, or logits"
+            raise InputError(path, key, f"numbers from {least:g} to {most:g}", expected)
+        if whole and not logits:
+            return path, np.minimum(array, 2.0**24).astype(np.int64)
+        notes[LOGITS if logits else HALVES] += 1
+        return path, (array > 0.0 if logits else array >= 0.5).astype(np.int64)
+
+    return labels
+
+
+def _rows(path: Path, given: Mapping[str, ndarray], count: int, request: MaskRequest) -> dict[int, int]:
+    """The row of each frame that has one."""
+    frames = request.frames
+    if "frames" not in given:
+        if count != len(frames):
+            raise InputError(path, "frames", f"no such array, {count} masks", f"{len(frames)} masks, or their frames")
+        return {n: n for n in range(count)}
+    names = given["frames"]
+    if names.dtype.kind not in "Uiu" or names.shape != (count,):
+        raise InputError(path, "frames", f"{names.dtype} of shape {names.shape}", f"{count} names or numbers")
+    return request.places(path, [str(name) for name in names])

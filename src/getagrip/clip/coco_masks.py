@@ -1,0 +1,104 @@
+"""Masks in JSON that lists images, annotations and categories: COCO, and YouTube-VIS, which lists videos."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from getagrip.clip.mask_request import MaskReader, MaskRequest
+from getagrip.clip.region_masks import Region, region_masks
+from getagrip.errors import InputError
+from getagrip.io import files
+
+THING_KEYS = ("track_id", "instance_id", "object_id")
+"""By which trackers and annotators tell things of one category apart."""
+
+
+def coco(path: Path, content: Mapping[str, Any], request: MaskRequest) -> MaskReader:
+    """COCO's annotations; an image without any of the object shows nothing of it. Raises ``InputError``."""
+    images, names = objects(path, content, "images"), []
+    for k, image in enumerate(images):
+        if not isinstance(image.get("file_name"), str) or not isinstance(image.get("id"), int | str):
+            raise InputError(path, f"images[{k}]", files.shown(image), "an id and a file_name")
+        extra = image.get("extra")
+        original = extra.get("name") if isinstance(extra, dict) else None  # Roboflow's
+        names.append(original if isinstance(original, str) else image["file_name"])
+    if len({*names}) < len(names):  # versions of one image
+        names = [image["file_name"] for image in images]
+    places = request.places(path, names)
+    for k in places.values():
+        check_size(path, f"images[{k}]", images[k].get("width"), images[k].get("height"), request)
+    index = {images[k]["id"]: n for n, k in places.items()}
+    regions: dict[int, list[Region]] = {n: [] for n in places}
+    for key, item, labels in _annotations(path, content, "image_id"):
+        if item["image_id"] in index:
+            one = Region(f"{key}.segmentation", labels, _thing(item), item.get("segmentation"))
+            regions[index[item["image_id"]]].append(one)
+    return region_masks(path, request, regions)
+
+
+def youtube_vis(path: Path, content: Mapping[str, Any], request: MaskRequest) -> MaskReader:
+    """YouTube-VIS's annotations: a region of each thing for each frame of its video, or null."""
+    names: list[str] = []
+    where: list[tuple[Any, int]] = []
+    for k, video in enumerate(objects(path, content, "videos")):
+        of_video = video.get("file_names")
+        if not isinstance(video.get("id"), int | str) or not isinstance(of_video, list):
+            raise InputError(path, f"videos[{k}]", files.shown(video), "an id and file_names")
+        if not all(isinstance(name, str) for name in of_video):
+            raise InputError(path, f"videos[{k}].file_names", files.shown(of_video), "names of files")
+        names += of_video
+        where += [(video["id"], row) for row in range(len(of_video))]
+    places = request.places(path, names)
+    regions: dict[int, list[Region]] = {n: [] for n in places}
+    for key, item, labels in _annotations(path, content, "video_id"):
+        listed = item.get("segmentations")
+        if not isinstance(listed, list):
+            raise InputError(path, f"{key}.segmentations", files.shown(listed), "a region for each frame, or null")
+        for n, k in places.items():
+            video, row = where[k]
+            if item["video_id"] == video and row < len(listed) and listed[row] is not None:
+                thing = str(item.get("id", ""))
+                regions[n].append(Region(f"{key}.segmentations[{row}]", labels, thing, listed[row]))
+    return region_masks(path, request, regions)
+
+
+def check_size(path: Path, key: str, width: object, height: object, request: MaskRequest) -> None:
+    """Raise ``InputError`` for regions of images of another size."""
+    if (width, height) != request.size:
+        raise InputError(path, key, f"{files.shown(width)} x {files.shown(height)}", "{} x {}".format(*request.size))
+
+
+def objects(path: Path, content: Mapping[str, Any], key: str, needed: bool = True) -> list[dict[str, Any]]:
+    """A list of JSON objects. Raises ``InputError``."""
+    value = content.get(key, None if needed else [])
+    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+        given = "no such key" if key not in content else files.shown(value)
+        raise InputError(path, key, given, "a list of objects, as COCO has it")
+    return value
+
+
+def _annotations(
+    path: Path, content: Mapping[str, Any], of: str
+) -> Iterator[tuple[str, dict[str, Any], tuple[str, ...]]]:
+    """Each annotation with its place and its labels: its category's name and id."""
+    categories = objects(path, content, "categories", needed=False)
+    names = {str(item.get("id")): str(item.get("name")) for item in categories}
+    for k, item in enumerate(objects(path, content, "annotations")):
+        category = item.get("category_id")
+        if not isinstance(item.get(of), int | str) or not isinstance(category, int | str):
+            article = "an" if of[0] in "aeiou" else "a"
+            raise InputError(path, f"annotations[{k}]", files.shown(item), f"{article} {of} and a category_id")
+        label = str(category)
+        yield f"annotations[{k}]", item, (names[label], label) if label in names else (label,)
+
+
+def _thing(item: Mapping[str, Any]) -> str:
+    """Which thing of its category an annotation is of; empty where it does not say."""
+    attributes = item.get("attributes")
+    for given in (item, attributes if isinstance(attributes, dict) else {}):
+        for key in THING_KEYS:
+            if isinstance(given.get(key), int | str):
+                return str(given[key])
+    return ""

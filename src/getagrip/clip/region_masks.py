@@ -1,0 +1,131 @@
+"""Masks from regions with labels, as annotators and trackers list them: polygons or run lengths.
+
+A region is chosen by its label. Where there are several things of one label, as two cups, a thing is chosen by its own
+number: ``cup:7``; ``cup:all`` takes them together.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxtyping import Bool
+from numpy import ndarray
+
+from getagrip.clip.data import FrameMasks
+from getagrip.clip.mask_request import MOST_NAMED, MaskReader, MaskRequest, without_object
+from getagrip.clip.segments import check_count, region, union, with_area
+from getagrip.errors import InputError
+from getagrip.io import files
+
+ALL = "all"
+NO_AREA = "polygons without area were left out"
+
+
+@dataclass(frozen=True)
+class Region:
+    """A region of a thing in a frame."""
+
+    key: str
+    """Where it is in the file."""
+    labels: tuple[str, ...]
+    """By which it can be chosen; it is called by the first."""
+    thing: str
+    """Which of the things of that label it is of, in every frame; empty where the file does not say."""
+    content: object
+    """Polygons or run lengths."""
+    path: Path | None = None
+    """Its file, where there are several."""
+
+    @property
+    def name(self) -> str:
+        """Its label, and which thing of that label it is."""
+        return f"{self.labels[0]}:{self.thing}" if self.thing else self.labels[0]
+
+    def is_of(self, chosen: Sequence[str]) -> bool:
+        """Whether it is named."""
+        return bool({*self.labels} & {*chosen}) or self.is_named_apart(chosen)
+
+    def is_named_apart(self, chosen: Sequence[str]) -> bool:
+        """Whether it is named as the thing that it is, or as one of all."""
+        return any({f"{label}:{self.thing}", f"{label}:{ALL}"} & {*chosen} for label in self.labels)
+
+
+def region_masks(path: Path, request: MaskRequest, regions: Mapping[int, Sequence[Region]]) -> MaskReader:
+    """A reader of the regions of some frames. Raises ``InputError`` where it is not clear which are the object's."""
+    frames = {n: _Frame.of(of_frame, request) for n, of_frame in regions.items()}
+    labels = {one.labels[0] for frame in frames.values() for one in frame.object}
+    if not request.object and len(labels) > 1:
+        raise InputError(path, "categories", f"several, {_some(labels)}", "one, or --object names it")
+    doubts = (
+        *_together("--object", request.object, [frame.object for frame in frames.values()]),
+        *_together("--hand", request.hand, [frame.hand for frame in frames.values()]),
+    )
+    notes = Counter[str]()
+
+    def drawn(found: Sequence[Region]) -> Bool[ndarray, "H W"]:
+        check_count(path, "annotations", len(found), request.size)
+        return union(_pixels(found), request.size)
+
+    def _pixels(found: Sequence[Region]) -> Iterator[Bool[ndarray, "H W"]]:
+        for one in found:
+            content = with_area(one.content)
+            if isinstance(one.content, list) and isinstance(content, list) and len(content) < len(one.content):
+                notes[NO_AREA] += len(one.content) - len(content)
+            yield region(one.path or path, one.key, content, request.size)
+
+    def read(n: int) -> FrameMasks:
+        frame = frames[n]
+        return without_object(drawn(frame.object), drawn(frame.ignore), drawn(frame.hand) if request.hand else None)
+
+    everything = {one.name for of_frame in regions.values() for one in of_frame}
+    return MaskReader(path, read, frames.keys(), {*sorted(everything)[:MOST_NAMED]}, notes, doubts)
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """The regions of a frame that count, by what they are."""
+
+    object: tuple[Region, ...]
+    ignore: tuple[Region, ...]
+    hand: tuple[Region, ...]
+
+    @staticmethod
+    def of(regions: Sequence[Region], request: MaskRequest) -> _Frame:
+        hand = tuple(one for one in regions if one.is_of(request.hand))
+        ignore = tuple(one for one in regions if one.is_of(request.ignore) and one not in hand)
+        rest = tuple(one for one in regions if one not in hand and one not in ignore)
+        return _Frame(tuple(one for one in rest if not request.object or one.is_of(request.object)), ignore, hand)
+
+
+def _together(option: str, chosen: Sequence[str], frames: Sequence[Sequence[Region]]) -> Iterator[str]:
+    """Of which labels several things are chosen by one word, and how one is."""
+    by_label: dict[str, list[list[Region]]] = {}
+    for of_frame in frames:
+        here: dict[str, list[Region]] = {}
+        for one in of_frame:
+            if not one.is_named_apart(chosen):
+                here.setdefault(one.labels[0], []).append(one)
+        for label, found in here.items():
+            by_label.setdefault(label, []).append(found)
+    for label, each in by_label.items():
+        things = {one.thing for found in each for one in found}
+        counts = [sum(not one.thing for one in found) + len({one.thing for one in found} - {""}) for found in each]
+        if len(things) < 2 and max(counts) < 2:
+            continue
+        name, several = files.plain(label), sum(count > 1 for count in counts)
+        where = f"{max(counts)} regions in {several} of {len(frames)} frames" if several else "one in each frame"
+        names = sorted(f"{label}:{one}" for one in things - {""})[:MOST_NAMED]
+        way = (
+            f"{option} chooses one: {' or '.join(map(files.plain, names))}" if names else "a track_id tells them apart"
+        )
+        yield (
+            f"several things are called {name}, {where}, and were taken together; {way}; "
+            f"{option} {name}:{ALL} if all are meant"
+        )
+
+
+def _some(names: set[str]) -> str:
+    return ", ".join(map(files.plain, sorted(names)[:MOST_NAMED]))

@@ -1,0 +1,101 @@
+"""Masks with soft edges, as resizing, smoothing and lossy compression leave them: half of the maximum and more counts.
+
+An image of labels has areas of each label; in a soft mask, only the background and the maximum have. What is between
+them are steps from the one to the other.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from getagrip.clip.sampling import frame_indices
+from getagrip.errors import InputError
+
+NOTE = "edges are soft: half of the maximum and more was taken, in images"
+LOOKED_AT = 9
+"""Images."""
+LEAST_MAXIMUM = 64
+"""Below it, values are labels."""
+FEWEST_STEPS, MANY_STEPS = 3, 8
+"""Values that are edges only: of a soft mask, and of several of them in one image."""
+INSIDE = 0.25
+"""Share of the pixels of a value that are like all four neighbours, from which on the value is an area's."""
+
+
+Load = Callable[[int], tuple[Path, Int[ndarray, "H W"]]]
+"""The file of a frame's image, and its labels."""
+
+
+def sharpened(
+    load: Load, frames: Collection[int], notes: Counter[str], named: Sequence[int] = (), others: bool = False
+) -> Load:
+    """The same, masks with soft edges as one label, where some of the images show that they are such masks.
+
+    ``named`` are the labels of the object, as far as they are; ``others`` whether others are named as well. ``notes``
+    counts the images with soft edges.
+    """
+    looked = (soft_maximum(*load(n), named, others) for n in looked_at(frames))
+    maximum = next((one for one in looked if one is not None), None)
+    notes.clear()  # of what is read again
+    if maximum is None:
+        return load
+
+    def half(n: int) -> tuple[Path, Int[ndarray, "H W"]]:
+        path, labels = load(n)
+        notes[NOTE] += 1
+        return path, np.where(2 * np.max(_channels(labels), axis=0) >= maximum, named[0] if named else 255, 0)
+
+    return half
+
+
+def looked_at(frames: Collection[int]) -> list[int]:
+    """Some of the frames, spread over them, by which it is seen what all are like."""
+    every = sorted(frames)
+    return [every[i] for i in frame_indices(len(every), LOOKED_AT)]
+
+
+def soft_maximum(path: Path, labels: Int[ndarray, "H W"], named: Sequence[int], others: bool) -> int | None:
+    """The largest value of a mask with soft edges; None for an image of labels, and one that is sharp.
+
+
+    Raises ``InputError`` for several masks with soft edges in one image, and where a label is named that is an edge's.
+    """
+    channels = [channel for channel in _channels(labels) if channel.any()]
+    if not channels or not all(np.array_equal(channel, channels[0]) for channel in channels):
+        return None
+    values = channels[0]
+    maximum = int(values.max())
+    if maximum < LEAST_MAXIMUM:
+        return None
+    inside = np.ones(values.shape, dtype=bool)
+    for axis in (0, 1):
+        same = np.diff(values, axis=axis) == 0
+        first, last = ((slice(None),) * axis + (cut,) for cut in (slice(1, None), slice(None, -1)))
+        inside[first] &= same
+        inside[last] &= same
+    count, count_inside = np.bincount(values.ravel()), np.bincount(values[inside], minlength=maximum + 1)
+    value = np.flatnonzero(count)
+    area = count_inside[value] >= INSIDE * count[value]
+    steps = int(np.count_nonzero(~area[(value > 0) & (value < maximum)]))
+    several = value[area & (4 * value > maximum) & (4 * value < 3 * maximum)]
+    if several.size and steps >= MANY_STEPS:
+        some = ", ".join(map(str, [*several[:6], maximum]))
+        raise InputError(path, "labels", f"soft edges between several, {some}", "sharp ones, or a mask of each thing")
+    if several.size or steps < FEWEST_STEPS:
+        return None
+    edge = next((one for one in named if 2 * max(one >> 16, one >> 8 & 255, one & 255) < min(maximum, 255)), None)
+    if edge is not None or others:
+        given = "a mask with soft edges, the only thing in the image"
+        raise InputError(path, "labels", given, "--object for its maximum or for nothing, no --ignore and --hand")
+    return maximum
+
+
+def _channels(labels: Int[ndarray, "H W"]) -> list[Int[ndarray, "H W"]]:
+    """Red, green and blue of colours, else the values."""
+    return [labels] if labels.max(initial=0) < 2**16 else [labels >> 16, labels >> 8 & 255, labels & 255]

@@ -1,0 +1,50 @@
+"""Names of files: the frame's number, and no digits of what other programs add to it."""
+
+from __future__ import annotations
+
+import hashlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from getagrip.clip.naming import frame_of, number_in
+
+FRAMES = tuple(f"{n:06d}" for n in range(1, 31))
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        ("000001_jpg.rf.9f86d081884c7d659a2feaa0c55ad015", 1),
+        ("000001_jpg.rf.AbC9zQ12", 1),
+        ("000001-550e8400-e29b-41d4-a716-446655440000", 1),
+        ("550e8400-000001", 1),
+        ("000001_640x480", 1),
+        ("000001_20250131", 1),
+        ("000001_20250131T120000", 1),
+        ("000001_abcdef12", 1),
+        ("face0012", 12),
+        ("image_9f86d081884c7d12", None),
+        ("9f86d081884c7d65", None),
+        ("cam2_v2f0001", 1),
+        ("frame_0000000743", 743),
+        ("000743_0", 743),
+        ("cam_01", 1),
+    ],
+)
+def test_numbers_are_those_of_frames(name: str, number: int | None) -> None:
+    assert number_in(name) == number
+
+
+@given(st.integers(1, 30), st.binary(), st.sampled_from(["_", "-", ".", "_jpg.rf."]), st.sampled_from([8, 12, 32, 40]))
+def test_a_hash_behind_the_name_changes_nothing(n: int, content: bytes, separator: str, length: int) -> None:
+    code = hashlib.sha256(content).hexdigest()[:length]
+    if not code.isdigit():
+        assert frame_of(f"{n:06d}{separator}{code}", FRAMES) == n - 1
+    assert frame_of(f"image_{code}a1f", FRAMES) is None
+
+
+def test_dates_are_frames_where_frames_are_dates() -> None:
+    assert frame_of("000001_20250131", ("20250131", "20250201")) == 0
+    assert frame_of("cam0_1234567890123", ("234567890122", "234567890123")) == 1
