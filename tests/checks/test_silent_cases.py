@@ -155,6 +155,17 @@ def test_lateness_is_counted_in_frames_that_were_left_out_too() -> None:
     assert lateness(Evidence(every_third, masks.take(np.maximum(np.arange(16) - 1, 0)))).frames == 3
 
 
+@pytest.mark.parametrize("gone", [slice(0, 6), slice(11, 16), slice(0, 16, 2)])
+def test_frames_without_a_mask_say_nothing_of_lateness(gone: slice) -> None:
+    clip, masks = scene("box", 1, replace(SMALL, frames=16))
+    seen, ignored = masks.object.copy(), masks.ignore.copy()
+    seen[gone], ignored[gone] = False, True
+    assert lateness(Evidence(clip, Masks(seen, ignored))) == Lateness(0, 1.0)
+    whole = {finding.check for finding in examine(INPUT_CHECKS, Evidence(clip, masks))[1]}
+    sparse = {finding.check for finding in examine(INPUT_CHECKS, Evidence(clip, Masks(seen, ignored)))[1]}
+    assert sparse <= whole
+
+
 def test_nothing_is_late_in_time_or_without_pixels_of_the_hand() -> None:
     clip, masks = mug()
     assert lateness(Evidence(clip, masks)) == Lateness(0, 1.0)

@@ -118,3 +118,48 @@ def test_numbers_of_frames_need_no_option(tmp_path: Path, run: Run) -> None:
     source = counted_from_zero(tmp_path, "png", 40)
     (source / "00000.png").unlink()
     assert run("import", "masks", source, "--clip", folder)[0] == 0
+
+
+def test_frames_without_a_mask_are_said(tmp_path: Path, run: Run) -> None:
+    clip, masks = small_clip(5)
+    folder = write_clip(clip, None, tmp_path / "small")
+    arrays.write(tmp_path / "some.npz", {"object": masks.object[[0, 2]], "frames": np.array([0, 2])})
+    status, _, err = run("import", "masks", tmp_path / "some.npz", "--clip", folder)
+    assert status == 0
+    assert "no mask of 3 of 5 frames (first: 0001)" in err
+    assert read_masks(read_clip(folder)).known.tolist() == [True, False, True, False, False]
+    arrays.write(tmp_path / "one.npz", {"object": masks.object[[3]], "frames": np.array([3])})
+    status, _, err = run("import", "masks", tmp_path / "one.npz", "--clip", folder, "--overwrite")
+    assert status == 3
+    assert "visible in 1 frame" in err
+
+
+def test_what_is_in_doubt_is_said_and_chosen(tmp_path: Path, run: Run) -> None:
+    """Several things of one category, and two images of a frame."""
+    clip, masks = small_clip()
+    folder = write_clip(clip, None, tmp_path / "small")
+    seen = (masks.object, masks.ignore)
+    images = [
+        {"id": f"{take}-{name}", "file_name": f"{take}/{name}.jpg", "width": 32, "height": 24}
+        for take in ("take1", "take2")
+        for name in clip.frames
+    ]
+    annotations = [
+        {
+            "image_id": f"take1-{clip.frames[n]}", "category_id": 1, "track_id": k,
+            "segmentation": encoded(seen[k][n], True),
+        }
+        for n in range(len(clip))
+        for k in range(2)
+    ]  # fmt: skip
+    (tmp_path / "c.json").write_text(json.dumps({"images": images, "annotations": annotations}))
+    command = ("import", "masks", tmp_path / "c.json", "--clip", folder, "--object")
+    status, _, err = run(*command, "1")
+    assert status == 1
+    assert "--images chooses: take1 or take2" in err
+    status, _, err = run(*command, "1", "--images", "take1")
+    assert status == 3
+    assert "2 regions in 3 of 3 frames" in err
+    assert run(*command, "1:0", "--images", "take1", "--overwrite")[0] == 0
+    np.testing.assert_array_equal(read_masks(read_clip(folder)).object, masks.object)
+    assert "images take1" in read_clip(folder).provenance["masks"]

@@ -104,7 +104,7 @@ def test_only_a_clip_is_overwritten(made: Path, run: Run) -> None:
 @pytest.mark.parametrize(
     ("change", "status", "words"),
     [
-        (["--interval", "3", "30"], 1, "no mask of 18 of 28 frames"),
+        (["--interval", "3", "30"], 1, "got 12 frames, expected at least 30"),
         (["--interval", "8", "3"], 2, "--interval"),
         (["--mesh", "plte"], 1, "plte"),
         (["--object", "7"], 1, "without a pixel of the object; there are 0, 1, 2"),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from getagrip.clip import Masks
+from getagrip.clip import FrameMasks, Masks
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.options import Options
@@ -188,6 +188,25 @@ def test_frames_without_a_visible_object_are_left_out_and_reported() -> None:
     assert result.frames == clip.frames
     assert result.frames_of("interpolated").tolist() == [2, 5]
     assert any("2 frames" in note and clip.frames[2] in note for note in result.notes)
+
+
+@pytest.mark.parametrize("ignored", [True, False])
+def test_frames_without_a_mask_are_interpolated(ignored: bool) -> None:
+    """They are no evidence that the object is not there, and change nothing in the others."""
+    clip, masks = scene("spoon", 1)
+    given = masks if ignored else replace(masks, ignore=np.zeros_like(masks.ignore))
+    size, gone = clip.size, [2, 5]
+    of_frames = [FrameMasks(*each) for each in zip(given.object, given.ignore, strict=True)]
+    sparse = Masks.of(FrameMasks.unknown(size, False) if n in gone else one for n, one in enumerate(of_frames))
+    seen = given.object.copy()
+    seen[gone] = False
+    result, empty = (reconstruct(clip, m, Options(inits=8)) for m in (sparse, Masks(seen, given.ignore)))
+    assert result.frames_of("interpolated").tolist() == gone
+    np.testing.assert_array_equal(result.T_hand_obj, empty.T_hand_obj)
+    assert np.flatnonzero(np.isnan(result.iou)).tolist() == gone
+    metrics = scores(result, clip, sparse)
+    assert metrics["iou"] == pytest.approx(scores(result, clip, Masks(seen, given.ignore))["iou"])
+    assert {finding.check for finding in result.findings} == {finding.check for finding in empty.findings}
 
 
 def test_an_object_behind_the_camera_is_reported() -> None:

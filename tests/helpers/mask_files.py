@@ -79,3 +79,39 @@ def coco(path: Path, compressed: bool = True) -> Path:
 def segments_of(frames: int, kind: Any = bool) -> dict[int, dict[int, ndarray]]:
     """SAM 2's dictionary, as its example collects it."""
     return {n: {k: (labels()[n % 2] == k)[None].astype(kind) for k in (1, 2, 3)} for n in range(frames)}
+
+
+def youtube_vis(path: Path) -> None:
+    """A region of each thing in each frame, and none in some."""
+    videos = [{"id": 1, "file_names": [f"take/{name}.jpg" for name in FRAMES], "width": SIZE[0], "height": SIZE[1]}]
+    annotations = [
+        {
+            "id": k, "video_id": 1, "category_id": k,
+            "segmentations": [encoded(labels()[n] == k, True) if n or k < 3 else None for n in range(2)],
+        }
+        for k in (1, 2, 3)
+    ]  # fmt: skip
+    path.write_text(json.dumps({"videos": videos, "annotations": annotations}))
+
+
+def label_me(folder: Path) -> None:
+    folder.mkdir()
+    for name in FRAMES:
+        shapes: list[dict[str, Any]] = [
+            {"label": "1", "points": [[3, 2], [9, 2], [9, 6]], "shape_type": "polygon", "group_id": 4},
+            {"label": "2", "points": [[11, 8], [18, 12]], "shape_type": "rectangle", "group_id": None},
+        ]
+        content = {"shapes": shapes, "imageWidth": SIZE[0], "imageHeight": SIZE[1]}
+        (folder / f"{name}.json").write_text(json.dumps(content))
+
+
+def masklets(path: Path) -> None:
+    """SA-V's, of the frames 0 and 4."""
+    listed = [[encoded(labels()[n] == k, True) for k in (1, 2)] for n in range(2)]
+    path.write_text(json.dumps({"masklet": listed, "masklet_id": [1, 2], "video_frame_count": 8.0}))
+
+
+def array_folder(folder: Path) -> None:
+    folder.mkdir()
+    for name, values in zip(FRAMES, labels(), strict=True):
+        np.save(folder / f"mask_{name}.npy", values.astype(np.uint16))

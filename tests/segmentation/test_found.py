@@ -36,6 +36,20 @@ def test_a_grasp_is_found_within_a_few_frames_under_a_moving_head() -> None:
 
 
 @pytest.mark.slow
+def test_frames_without_a_mask_are_no_sign_that_the_object_lies() -> None:
+    clip, masks = from_table()
+    seen, ignored = masks.object.copy(), masks.ignore.copy()
+    seen[1::2], ignored[1::2] = False, True
+    some = find_segments(replace(clip, truth=None), Masks(seen, ignored), replace(DEFINITION, shortest=5), QUICK)
+    states = [(s.segment.state, s.segment.first, s.segment.last) for s in some.segments]
+    assert states[0][:2] == ("static", 0)
+    assert all(b[1] == a[2] + 1 for a, b in pairwise(states))
+    assert states[-1] == ("grasp", states[-1][1], LYING + HOLDING - 1)
+    assert abs(states[-1][1] - LYING) <= 6
+    assert any(f"{(LYING + HOLDING) // 2} of {LYING + HOLDING} frames have no mask" in note for note in some.notes)
+
+
+@pytest.mark.slow
 def test_segments_cover_the_clip_and_are_better_than_the_next_best() -> None:
     segments = [s.segment for s in found().segments]
     assert segments[0].first == 0

@@ -50,17 +50,16 @@ def youtube_vis(path: Path, content: Mapping[str, Any], request: MaskRequest) ->
             raise InputError(path, f"videos[{k}].file_names", files.shown(of_video), "names of files")
         names += of_video
         where += [(video["id"], row) for row in range(len(of_video))]
-    places = request.places(path, names)
-    regions: dict[int, list[Region]] = {n: [] for n in places}
+    index = {where[k]: n for n, k in request.places(path, names).items()}
+    regions: dict[int, list[Region]] = {n: [] for n in index.values()}
     for key, item, labels in _annotations(path, content, "video_id"):
         listed = item.get("segmentations")
         if not isinstance(listed, list):
             raise InputError(path, f"{key}.segmentations", files.shown(listed), "a region for each frame, or null")
-        for n, k in places.items():
-            video, row = where[k]
-            if item["video_id"] == video and row < len(listed) and listed[row] is not None:
-                thing = str(item.get("id", ""))
-                regions[n].append(Region(f"{key}.segmentations[{row}]", labels, thing, listed[row]))
+        for row, one in enumerate(listed):
+            n = index.get((item["video_id"], row))
+            if n is not None and one is not None:
+                regions[n].append(Region(f"{key}.segmentations[{row}]", labels, str(item.get("id", "")), one))
     return region_masks(path, request, regions)
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Bool
 from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
-from getagrip.clip.naming import frame_of, stem_of
+from getagrip.clip.naming import frames_of, stem_of
 from getagrip.clip.numbering import check_numbers
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
@@ -85,8 +85,7 @@ class MaskRequest:
             raise UsageError(f"{self.ask_images}: got {self.images!r}, expected {some}")
         self.check_numbers(source, (stem_of(names[k]) for k in chosen))
         found: dict[int, list[int]] = {}
-        for k in chosen:
-            n = frame_of(stem_of(names[k]), self.frames)
+        for k, n in zip(chosen, frames_of((stem_of(names[k]) for k in chosen), self.frames), strict=True):
             if n is not None:
                 found.setdefault(n, []).append(k)
         several = next((n for n in sorted(found) if len(found[n]) > 1), None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 
 _NUMBER = re.compile(r"(\d{1,12})$")
@@ -70,7 +70,17 @@ def frame_of(name: str, frames: Sequence[str]) -> int | None:
     Tried in this order: the same name; the same but for what is added at its end (``000743_0``, a hash); the same
     number at the end (``frame_0000000743`` is ``000743``), a date only where frames are numbered by dates.
     """
-    by_name, by_number = _places(tuple(frames))
+    return _frame_at(name, _places(tuple(frames)))
+
+
+def frames_of(names: Iterable[str], frames: Sequence[str]) -> Iterator[int | None]:
+    """``frame_of`` of many names."""
+    places = _places(tuple(frames))
+    return (_frame_at(name, places) for name in names)
+
+
+def _frame_at(name: str, places: tuple[dict[str, int], dict[int, list[int]]]) -> int | None:
+    by_name, by_number = places
     for candidate in (name, _PERSON.sub("", name), without_codes(name)):
         if candidate in by_name:
             return by_name[candidate]

@@ -24,7 +24,7 @@ ALL = "all"
 NO_AREA = "polygons without area were left out"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Region:
     """A region of a thing in a frame."""
 
@@ -88,16 +88,19 @@ def region_masks(path: Path, request: MaskRequest, regions: Mapping[int, Sequenc
 class _Frame:
     """The regions of a frame that count, by what they are."""
 
-    object: tuple[Region, ...]
-    ignore: tuple[Region, ...]
-    hand: tuple[Region, ...]
+    object: Sequence[Region]
+    ignore: Sequence[Region]
+    hand: Sequence[Region]
 
     @staticmethod
     def of(regions: Sequence[Region], request: MaskRequest) -> _Frame:
-        hand = tuple(one for one in regions if one.is_of(request.hand))
-        ignore = tuple(one for one in regions if one.is_of(request.ignore) and one not in hand)
-        rest = tuple(one for one in regions if one not in hand and one not in ignore)
-        return _Frame(tuple(one for one in rest if not request.object or one.is_of(request.object)), ignore, hand)
+        kinds: dict[str, list[Region]] = {"object": [], "ignore": [], "hand": []}
+        chosen = {"hand": request.hand, "ignore": request.ignore, "object": request.object}
+        for one in regions:
+            kind = next((kind for kind, words in chosen.items() if one.is_of(words)), "")
+            if kind or not request.object:
+                kinds[kind or "object"].append(one)
+        return _Frame(**kinds)
 
 
 def _together(option: str, chosen: Sequence[str], frames: Sequence[Sequence[Region]]) -> Iterator[str]:

@@ -101,7 +101,9 @@ def region(path: Path, key: str, given: object, size: tuple[int, int]) -> Bool[n
 
 def with_area(given: object) -> object:
     """A ``segmentation`` without its polygons of fewer than three corners or without area; others as they are."""
-    return [one for one in given if not _is_flat(one)] if isinstance(given, list) else given
+    if not isinstance(given, list) or sum(len(one) for one in given if isinstance(one, list)) > 2 * MOST_CORNERS:
+        return given
+    return [one for one in given if not _is_flat(one)]
 
 
 def _is_flat(corners: object) -> bool:

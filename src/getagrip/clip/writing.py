@@ -58,9 +58,10 @@ def fill_folder(
     if clip.truth is not None:
         arrays.write(folder / "truth.npz", _truth_arrays(clip, clip.truth))
     if masks is not None:
+        known = masks.known
         kinds = {"object": masks.object} | ({"ignore": masks.ignore} if masks.say_what_hides else {})
         for kind, each in (kinds if masks.hand is None else kinds | {"hand": masks.hand}).items():
-            _write_masks(folder / "masks" / kind, clip.frames, each, masks.known)
+            _write_masks(folder / "masks" / kind, clip.frames, each, known)
     if images is not None:
         _write_images(folder / "frames", clip.frames, images)
 

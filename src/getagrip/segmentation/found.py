@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 from threadpoolctl import threadpool_limits
 
@@ -77,7 +77,8 @@ def find_segments(
 ) -> FoundSegments:
     """What the object does from frame to frame; ``masks`` are read from the clip's folder where none are given.
 
-    Without ``clip.world`` the camera is taken to stand still. The clip's own segments and truth are not read. Of
+    Without ``clip.world`` the camera is taken to stand still. Frames whose mask is not known are left out; halfway
+    between two others one segment ends and the next begins. The clip's own segments and truth are not read. Of
     ``options`` the method and the frames that follow from others do not matter. Raises ``UsageError`` for masks of
     another clip, and ``InputError`` for what no clip can be, and for more than ``MOST_FRAMES`` frames.
     """
@@ -87,6 +88,11 @@ def find_segments(
     masks = read_masks(clip) if masks is None else masks
     check_masks(clip, masks)
     options = replace(options or Options(), method=METHOD)
+    rows = np.flatnonzero(masks.known)
+    if 1 < len(rows) < len(clip):
+        rate = clip.fps * (len(rows) - 1) / (rows[-1] - rows[0])
+        some = replace(replace(clip, segments=(), truth=None).take(rows), fps=rate)
+        return _at_all(find_segments(some, masks.take(rows), definition, options, progress), rows, len(clip))
     clip, jumps = steady_hand(replace(clip, segments=(), truth=None), options)
     moved = _moved(clip, masks)
     with threadpool_limits(1, user_api="blas"):
@@ -100,6 +106,18 @@ def find_segments(
         notes.append(str(jumps))
     margin = margins(cost, division)
     return FoundSegments(tuple(_segments(clip, division, margin, held, moved.jitter, definition)), tuple(notes))
+
+
+def _at_all(found: FoundSegments, rows: Int[ndarray, "n"], frames: int) -> FoundSegments:
+    """Segments found in some of the frames, in all."""
+    begins = [0, *(int(rows[s.segment.first - 1] + rows[s.segment.first]) // 2 + 1 for s in found.segments[1:])]
+    ends = [*(begin - 1 for begin in begins[1:]), frames - 1]
+    spread = tuple(
+        replace(one, segment=replace(one.segment, first=first, last=last))
+        for one, first, last in zip(found.segments, begins, ends, strict=True)
+    )
+    note = f"{frames - len(rows)} of {frames} frames have no mask: they are in the segment of the frames beside them"
+    return FoundSegments(spread, (*found.notes, note))
 
 
 def moving_runs(clip: Clip, masks: Masks) -> list[tuple[int, int]]:
