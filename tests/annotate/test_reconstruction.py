@@ -11,7 +11,7 @@ from getagrip.annotate import reconstruction
 from getagrip.annotate.background import BackgroundJob, CancelledError
 from getagrip.annotate.reconstruction import Shape, reconstruct, shape_of
 from getagrip.annotate.versions import RefusedError
-from getagrip.errors import GetagripError
+from getagrip.errors import GetagripError, UsageError
 
 
 def test_what_the_page_says_of_the_mesh() -> None:
@@ -32,6 +32,15 @@ def test_a_command_that_fails_ends_it_with_its_words(tmp_path: Path) -> None:
     with pytest.raises(GetagripError, match=r"^.*nothing.mp4.*no such file"):
         reconstruct(["clip", "new", str(tmp_path / "nothing.mp4")], Shape("plate", None), tmp_path, "it", job)
     assert job.message == "making the clip"
+
+
+@pytest.mark.parametrize("name", [reconstruction.CLIPS, reconstruction.RESULTS])
+def test_folders_that_are_links_are_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UsageError, match="is a link"):
+        reconstruct(["doctor"], Shape("plate", None), tmp_path / "out", "it", BackgroundJob("reconstruct"))
 
 
 def test_work_that_is_not_wanted_any_more_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

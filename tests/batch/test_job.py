@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 import json
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
-from getagrip.batch.job import Job, reconstruct_one, standing
+from getagrip.batch.job import Job, failure, reconstruct_one, standing
 from getagrip.clip import input_sha256, write_clip
 from getagrip.finding import Finding
-from getagrip.fitting.methods import METHODS, Method
 from getagrip.fitting.options import Options
 from getagrip.io.files import to_json
 from getagrip.result import Reconstruction, write_result
@@ -59,23 +55,30 @@ def test_why_there_is_no_probability_is_said(
     assert ", no probability that it is right (none is calibrated " in outcome.message
 
 
-def test_results_of_a_method_of_ones_own_are_kept_as_long_as_its_file_is_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scene = egg_and_mug()
-    folder = write_clip(*scene, tmp_path / "clip")
-    checksum, own = input_sha256(folder), tmp_path / "own_weights.py"
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr("sys.dont_write_bytecode", True)
-    own.write_text("def fit(problem, on_stage): return 1.0\n")
-    monkeypatch.setitem(METHODS, "own", Method("Own", importlib.import_module("own_weights").fit))
-    job = Job("egg-and-mug", folder, tmp_path / "out", Options(method="own"), overwrite=False)
-    result = replace(perfect(scene[0]), method="own", options=json.loads(to_json(asdict(job.options))))
-    monkeypatch.setattr("getagrip.fitting.reconstruct.reconstruct", lambda *_: result)
-    assert reconstruct_one(job).state == "done"
-    assert reconstruct_one(job).state == "kept"
-    own.write_text("def fit(problem, on_stage): return 1e7\n")
-    assert standing(job, checksum) == (None, "what was there is of other code")
-    monkeypatch.delitem(sys.modules, "own_weights")
-    monkeypatch.setitem(sys.modules, "own_weights", ModuleType("own_weights"))  # as a prompt is, it is in no file
-    assert standing(job, checksum) == (None, "the method's code is in no file, so that it may have changed")
+OWN = """
+import numpy as np
+
+def fit(poses):
+    return poses.t
+
+def library():
+    return np.zeros(2) @ np.zeros(3)
+
+def deep():
+    return library()
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "line"), [("fit", "mine.py:5: AttributeError: 'int' object"), ("deep", "mine.py:8: ValueError: matmul")]
+)
+def test_an_error_of_own_code_says_where(tmp_path: Path, name: str, line: str) -> None:
+    source = tmp_path / "mine.py"
+    source.write_text(OWN)
+    there: dict[str, Any] = {}
+    exec(compile(OWN, str(source), "exec"), there)
+    with pytest.raises(Exception) as caught:  # noqa: PT011
+        there[name](*[1] * (name == "fit"))
+    error = caught.value.with_traceback(caught.value.__traceback__.tb_next)  # without the line of this test
+    assert failure("cup", error).message.startswith(line)
+    assert failure("cup", KeyError("a")).message == "unexpected KeyError: 'a'"

@@ -7,6 +7,7 @@ import pytest
 
 from getagrip.batch.plan import OUR_FILES, Plan
 from getagrip.clip import write_clip
+from getagrip.errors import cleaned
 from helpers.clips import small_clip
 
 
@@ -19,3 +20,30 @@ def test_no_clip_takes_the_place_of_a_file_beside_the_results(tmp_path: Path, na
         (failed,) = plan.failed
         assert failed.name == name
         assert "name: got" in failed.message
+
+
+def test_clips_that_share_a_name_fail_and_no_others(tmp_path: Path) -> None:
+    clip, masks = small_clip()
+    names = {"a": "mug", "b": "cup", "c": "mug", "d": "pan", "e": "mug", "r\udcff": "pan"}
+    folders = [write_clip(replace(clip, name=name), masks, tmp_path / folder) for folder, name in names.items()]
+    with Plan([tmp_path]) as plan:
+        assert [name for name, _ in plan] == ["cup"]
+        assert len(plan) == 1
+        for outcome in plan.failed:
+            here = next(
+                folder for folder in folders if outcome.message.startswith(f"{cleaned(str(folder))}: name: got")
+            )
+            assert names[here.name] == outcome.name
+            assert "a name of its own" in outcome.message
+            others = [f for f in folders if names[f.name] == outcome.name and f != here]
+            assert any(cleaned(f"{other} has the same") in outcome.message for other in others)
+        assert len({outcome.message for outcome in plan.failed}) == 5
+
+
+def test_a_clip_that_is_named_twice_counts_once(tmp_path: Path) -> None:
+    clip, masks = small_clip()
+    for name in ("mug", "cup"):
+        write_clip(replace(clip, name=name), masks, tmp_path / "clips" / name)
+    (tmp_path / "link").symlink_to(tmp_path / "clips" / "mug")
+    with Plan([tmp_path / "clips", tmp_path / "clips" / "mug", tmp_path / "link"]) as plan:
+        assert (list(plan), plan.failed) == ([(n, tmp_path / "clips" / n) for n in ("cup", "mug")], [])

@@ -127,6 +127,16 @@ def test_the_summary_has_a_row_for_each_clip_and_the_index_shows_the_worst(
     assert rows(out)["a"]["why"] == "its result is not there any more"
 
 
+def test_of_clips_that_share_a_name_only_these_fail(clips: Path, tmp_path: Path, run: Run, fitted: list[str]) -> None:
+    clip, masks = small_clip()
+    write_clip(replace(clip, name="a"), masks, clips / "copied")
+    status, printed, err = run("reconstruct", clips, "--out", tmp_path / "out")
+    assert (status, sorted(fitted)) == (1, ["b", LONG])
+    assert "2 done, 0 already done, 2 failed" in printed
+    assert f"failed: a: {clips / 'a'}: name: got" in err
+    assert f"failed: a: {clips / 'copied'}: name: got" in err
+
+
 def test_fail_fast_begins_no_other_clip(clips: Path, tmp_path: Path, run: Run, fitted: list[str]) -> None:
     (clips / "a" / "hand.npz").unlink()
     assert run("reconstruct", clips, "--out", tmp_path / "out", "--fail-fast")[0] == 1

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from getagrip.cli import main
 from getagrip.clip import read_clip, read_masks, write_clip
+from getagrip.clip.reading import read_hand
 from getagrip.clip.writing import write_hand
 from getagrip.geometry import se3
 from getagrip.hands import generic
@@ -182,3 +184,46 @@ def test_hands_need_a_place_to_go(made: Path, capsys: pytest.CaptureFixture[str]
         else:
             assert main([*base, *more]) == 2
             assert words in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_hands_that_are_doubted_are_written_with_status_3(made: Path, run: Run) -> None:
+    """They fit no hand, or most frames have none."""
+    run(*new(made, "--interval", "3", "8", "--side", "right", "--focal", "60", "--mesh", "mug"))
+    joints = np.tile(generic.load("right").with_shape().with_pose().joints + AHEAD, (6, 1, 1))
+    tips = joints.copy()
+    tips[:, [4, 20]] = tips[:, [20, 4]]
+    command = ["import", "hands", made / "j.npz", "--from", "joints", "--order", "auto", "--clip", made / "cup"]
+    for values, numbers, words in [
+        (tips, range(3, 9), "mm off every pose of a hand"),
+        (joints[:2], [3, 4], "only 2 of 6 frames have a hand"),
+    ]:
+        arrays.write(made / "j.npz", {"joints": values, "frames": np.array(numbers)})
+        status, _, err = run(*command, "--overwrite")
+        assert status == 3
+        assert words in err
+        assert (made / "cup" / "hand.npz").is_file()
+    assert run(*command, "--overwrite", "--hold-ends")[0] == 0
+
+
+@pytest.mark.slow
+def test_of_two_hands_in_a_frame_the_one_in_the_clips_mask_is_taken(made: Path, run: Run) -> None:
+    run(*new(made, "--interval", "3", "8", "--side", "right", "--focal", "60", "--mesh", "mug"))
+    hand = generic.load("right").with_shape().with_pose().joints
+    places = [AHEAD, AHEAD + np.array([0.25, 0.0, 0.0])]
+    joints = np.concatenate([np.tile(hand + place, (6, 1, 1)) for place in places])
+    arrays.write(made / "j.npz", {"joints": joints, "frames": np.tile(np.arange(3, 9), 2)})
+    command = ["import", "hands", made / "j.npz", "--from", "joints", "--order", "openpose", "--clip", made / "cup"]
+    (made / "cup" / "masks" / "hand").mkdir(parents=True)
+    for row, place in enumerate(places):
+        for name in range(3, 9):
+            image = np.zeros((48, 64), np.uint8)
+            u = 60 * (hand + place)[:, 0] / (hand + place)[:, 2] + 32
+            image[:, max(0, int(u.min())) : int(u.max()) + 1] = 255
+            cv2.imwrite(str(made / "cup" / "masks" / "hand" / f"{name:06d}.png"), image)
+        status, _, err = run(*command, "--overwrite")
+        assert status == 0
+        assert "by the hand's mask in 6" in err, row
+        track = read_hand(made / "cup" / "hand.npz", 6)
+        seen = se3.transform(track.T_cam_hand, track.vertices).mean(axis=(0, 1))
+        assert np.argmin([abs(seen[0] - (hand + p).mean(axis=0)[0]) for p in places]) == row

@@ -247,7 +247,6 @@ def test_wrong_calls_exit_with_2_and_write_nothing(run: Run, tmp_path: Path) -> 
         ("a", "--workers", "0"),
         ("a", "--out", __file__),
         ("a", "--json", f"{__file__}/file.json"),
-        (tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out"),  # both have the same name
     ]
     for args in wrong:
         status, _, err = run("segment", *args)
@@ -255,6 +254,15 @@ def test_wrong_calls_exit_with_2_and_write_nothing(run: Run, tmp_path: Path) -> 
         assert err
     assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
     assert run("segment", "--help")[0] == 0
+
+
+def test_of_clips_that_share_a_name_only_these_fail(run: Run, tmp_path: Path) -> None:
+    for folder, name in (("a", "cup"), ("b", "cup"), ("c", "other")):
+        write(replace(three_grasps(), name=name), tmp_path / folder)
+    for more in ((), (tmp_path / "c",)):
+        status, printed, err = run("segment", tmp_path / "a", tmp_path / "b", *more)
+        assert (status, err.count("a name of its own")) == (1, 2)
+        assert ("other" in printed) == bool(more)
 
 
 @pytest.mark.slow

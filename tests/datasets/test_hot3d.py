@@ -126,6 +126,16 @@ def test_recordings_of_absurd_lengths_are_refused(root, monkeypatch):
         list(read(root))
 
 
+@pytest.mark.parametrize("name", ["train_aria/clip-000001.tar", "clip-000001/000000.objects.json"])
+def test_hot3d_clips_are_named(tmp_path, name):
+    path = tmp_path / name
+    path.parent.mkdir()
+    path.touch()
+    for folder in (tmp_path, *([path] if path.suffix == ".tar" else [])):
+        with pytest.raises(InputError, match=r"HOT3D-Clips \(clip-\*\.tar\), another layout"):
+            recording.find(folder)
+
+
 def test_missing_files_are_named(root):
     (root / "sequences" / NAME / "camera_models.json").unlink()
     with pytest.raises(InputError, match=r"camera_models\.json"):

@@ -19,6 +19,7 @@ from getagrip.evaluation import evaluate_result
 from getagrip.experiments import trials
 from getagrip.experiments.hand_sources import HandSource
 from getagrip.experiments.trials import Scores
+from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.result import read_result
@@ -296,3 +297,43 @@ def test_what_fails_is_named_and_the_rest_done(can_and_box: Path, tmp_path: Path
     assert "1 done, 0 already done, 1 failed" in out
     rows = list(csv.DictReader((tmp_path / "out" / "methods-clips.csv").read_text().splitlines()))
     assert [row["status"].startswith("failed") for row in rows] == [False, True, True]
+
+
+METHOD = """
+from dataclasses import replace
+from getagrip.fitting.methods import METHODS, Method
+from getagrip.fitting.methods.all_frames import static
+
+def fit(problem, on_stage):
+    found = static(problem, on_stage)
+    return replace(found, terms=found.terms | {"mine": 1.0})
+
+METHODS["static"] = Method("mine", fit)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [(None, ""), (("1.0", "2.0"), "another source of its method"), (("<file>", "<stdin>"), "is in no file")],
+)
+def test_results_of_a_method_from_outside_are_kept_while_its_source_is_the_same(
+    can_and_box: Path, tmp_path: Path, run: Run, monkeypatch, unplotted: None, change: tuple[str, str] | None, why: str
+) -> None:
+    source, out = tmp_path / "mine.py", tmp_path / "out"
+    call = ("bench", can_and_box, "--out", out, "--workers", "1", "--inits", "2", "--methods", "static")
+
+    def load(text: str, name: str) -> None:
+        source.write_text(text)
+        exec(compile(text, name, "exec"), {"__name__": "mine"})
+
+    monkeypatch.setitem(METHODS, "static", METHODS["static"])  # put back in the end
+    load(METHOD, str(source))
+    assert "1 done, 0 already done" in run(*call)[1]
+    load(METHOD.replace(*change) if change else METHOD, "<stdin>" if "no file" in why else str(source))
+    status, text, _ = run(*call)
+    assert status == 0
+    assert ("0 done, 1 already done" in text) == (change is None)
+    assert why in text
+    if change == ("1.0", "2.0"):
+        assert read_result(out / "results" / "static" / "can-right-0000")[0].energy["mine"] == 2.0

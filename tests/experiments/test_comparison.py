@@ -63,6 +63,20 @@ def test_best_second_and_paired_differences() -> None:
     assert table.ranks(truth) == [0, 0, 0]
 
 
+def test_a_method_that_failed_on_every_clip_shows_no_number() -> None:
+    clips = [
+        Scores(name, kind, "", True, (score("one-dof", 1.0), score("static", 0.0, failed=True)))
+        for name, kind in (("a", "can"), ("b", "mug"))
+    ]
+    tables = compare(clips, method_variants(["one-dof", "static"], Options()))
+    for page in (markdown(tables, "Methods", [], []), latex(tables, "Methods", [])):
+        rows = [line for line in page.splitlines() if "static (" in line]
+        assert rows
+        assert all("failed" in line.split("failed)")[1] and "0.0" not in line for line in rows)
+    assert all(np.isnan(value.mean) for value in tables[0].rows[1].values.values())
+    assert tables[0].ranks(tables[0].columns[0]) == [0, 0]  # there is nothing to be better than
+
+
 def test_a_failed_method_scores_zero_and_a_failed_clip_nothing() -> None:
     variants = method_variants(["one-dof", "static"], Options())
     scores = [

@@ -12,7 +12,7 @@ import pytest
 from getagrip.annotate.store import Store
 from getagrip.batch.ledger import FILE, Ledger
 from getagrip.errors import InputError, UsageError
-from getagrip.io import databases, files
+from getagrip.io import databases, files, leftovers
 
 CANARY = b"another file of the user's"
 
@@ -52,6 +52,24 @@ def test_folders_that_are_links_are_refused(tmp_path: Path) -> None:
         with pytest.raises(UsageError, match="is a link"):
             files.folder_inside(tmp_path, link.name)
     assert not any((tmp_path / "elsewhere").iterdir())
+
+
+def test_looking_whether_a_file_can_be_written_follows_no_link(tmp_path: Path) -> None:
+    link = tmp_path / "numbers.json"
+    link.symlink_to(tmp_path / "nowhere")
+    files.check_file("--json", link)
+    assert link.is_symlink()
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_sweeping_moves_nothing_out_of_a_folder_that_is_linked(tmp_path: Path, canary: Path) -> None:
+    (elsewhere := tmp_path / "elsewhere").mkdir()
+    canary.rename(elsewhere / "own")
+    left = tmp_path / "sent" / f"{leftovers.PREFIX}x"
+    left.mkdir(parents=True)
+    (left / "old").symlink_to(elsewhere)
+    leftovers.sweep(tmp_path / "sent")
+    assert (elsewhere / "own").read_bytes() == CANARY
 
 
 def test_a_full_disk_leaves_the_old_file_and_is_named(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 from getagrip.annotate.background import BackgroundJob, CancelledError
 from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError
+from getagrip.io import files
 from getagrip.io.files import shown
 
 CLIPS, RESULTS = "clips", "results"
@@ -63,7 +64,7 @@ def reconstruct(new_clip: Sequence[str], shape: Shape, out: Path, name: str, job
 
     Returns what was said of it. Raises ``GetagripError`` with what a command said against it, ``CancelledError``.
     """
-    clip, result = out / CLIPS / name, result_folder(out, name)
+    clip, result = files.folder_inside(out, CLIPS) / name, files.folder_inside(out, RESULTS) / name
     steps = (
         ("making the clip", [*new_clip, *shape.options, "--out", str(clip), "--overwrite"]),
         ("reconstructing", ["reconstruct", str(clip), "--out", str(result.parent), "--overwrite", "--threads", "2"]),

@@ -60,8 +60,8 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
 
     Several calls may share a folder, at the same time or one after another: its ledger says who does what. Of more
     than one clip a summary is written. With ``strict`` also 1 where a check has found something serious or a result is
-    improbable. Raises ``UsageError`` where there is nothing to do, or where two clips have the same name;
-    ``GetagripError`` where the ledger cannot be written.
+    improbable. Raises ``UsageError`` where there is nothing to do, ``GetagripError`` where the ledger cannot be
+    written.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")

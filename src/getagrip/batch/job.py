@@ -8,10 +8,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from getagrip.batch.kept import good_result, made_by
+from getagrip.batch.kept import good_result
+from getagrip.batch.made_by import made_by
 from getagrip.clip import input_sha256, read_clip
 from getagrip.errors import GetagripError, InputError
 from getagrip.finding import Finding
+from getagrip.io.own_code import place
 from getagrip.probability import Probability, of_grasps
 from getagrip.result import Reconstruction, write_result
 
@@ -65,9 +67,12 @@ class Outcome:
 
 
 def failure(name: str, error: Exception) -> Outcome:
-    """The outcome of a clip that raised an error."""
+    """The outcome of a clip that raised an error; one that nobody raised on purpose says where in a user's own code."""
     expected = isinstance(error, GetagripError | OSError)
-    message = str(error) if expected else f"unexpected {type(error).__name__}: {error}"
+    message = str(error)
+    if not expected:
+        where = place(error)
+        message = f"{f'{where}:' if where else 'unexpected'} {type(error).__name__}: {error}"
     if isinstance(error, MemoryError):
         message = f"it needs more memory than there is, or than --limit-gb allows; {error}".removesuffix("; ")
     return Outcome(name, "failed", " ".join(message.split()), "".join(traceback.format_exception(error)))
@@ -97,7 +102,8 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         if meanwhile is not None and not job.overwrite:
             return meanwhile
         metrics = {"iou_full": result.mean_iou}
-        write_result(result, job.out, checksum, metrics, job.origin or job.clip, True, made_by(job.options.method))
+        origin = job.origin or job.clip
+        write_result(result, job.out, checksum, metrics, origin, overwrite=True, made_by=made_by(job.options.method))
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.name, error)
     from getagrip.fitting.reconstruct import uncalibrated
@@ -133,8 +139,8 @@ def standing(job: Job, checksum: str) -> tuple[Outcome | None, str]:
 
     ``checksum`` is that of the clip. Raises ``UsageError`` where something else is in the result's place.
     """
-    options, method = asdict(job.options), job.options.method
-    there, why = good_result(job.out, checksum, method, options, made_by(method), job.overwrite)
+    options = asdict(job.options)
+    there, why = good_result(job.out, checksum, job.options.method, options, made_by(job.options.method), job.overwrite)
     if there is None:
         return None, why
     return _outcome(job, "kept", f"already done in {job.out}", there[0], checksum), ""

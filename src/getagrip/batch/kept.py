@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from getagrip.batch.made_by import KEY, UNKNOWN
 from getagrip.errors import InputError, UsageError
-from getagrip.fitting.methods import METHODS
-from getagrip.io import code, files
-from getagrip.result import Reconstruction, is_result, read_result, software
+from getagrip.io import files
+from getagrip.result import Reconstruction, is_result, read_result
 
 OTHER = {
     "input_sha256": "another clip",
@@ -19,19 +19,9 @@ OTHER = {
     "options": "other options",
     "getagrip": "another version",
     "code": "other code",
+    KEY: "another source of its method",
 }
 """In what a record may differ, by its key."""
-
-NOWHERE = "in no file"
-"""Where the code of a method may stand that was typed: it may have changed, so its results are not kept."""
-
-
-def made_by(method: str, *also: str) -> dict[str, str]:
-    """The software that would make a method's result now (``result.software``), its own files among the code."""
-    made = software(*also)
-    if method in METHODS and (own := code.outside(METHODS[method].fit)) != "":
-        made["code"] += f" and {own or NOWHERE}"
-    return made
 
 
 def good_result(
@@ -48,12 +38,12 @@ def good_result(
         raise UsageError(f"{folder}: exists and is no result; it is not overwritten")
     if overwrite:
         return None, ""
+    if made_by.get(KEY) == UNKNOWN:
+        return None, without_source(method)
     try:
         result, record = read_result(folder)
     except InputError as error:
         return None, damaged(error)
-    if made_by["code"].endswith(NOWHERE):
-        return None, "the method's code is in no file, so that it may have changed"
     there = record | record["software"]
     now = {"input_sha256": checksum, "method": method, "seed": options["seed"], "options": options, **made_by}
     why = difference(there, now, OTHER | {"getagrip": f"version {files.shown(there.get('getagrip'))}"})
@@ -65,9 +55,14 @@ def difference(there: Mapping[str, Any], now: Mapping[str, Any], called: Mapping
 
     ``called`` are the entries that count, and how each is called.
     """
-    of_now = json.loads(files.to_json({key: now[key] for key in called}))
+    of_now = json.loads(files.to_json({key: now.get(key) for key in called}))
     other = next((what for key, what in called.items() if there.get(key) != of_now[key]), "")
     return f"what was there is of {other}" if other else ""
+
+
+def without_source(method: str) -> str:
+    """The reason where nobody can know whether a method has changed."""
+    return f"the source of the method {method} is in no file, and it may have changed"
 
 
 def damaged(error: object) -> str:

@@ -48,13 +48,13 @@ class Plan:
     """The clips of a call in the order in which they were found: on disk, since there may be millions."""
 
     def __init__(self, paths: Sequence[Place], shard: Shard = ALL) -> None:
-        """Find them. Raises ``UsageError`` where two clips have the same name: their results would have, too."""
+        """Find them; a clip that is named twice counts once."""
         self.failed: list[Outcome] = []
-        """Paths that are no clips."""
+        """Paths that are no clips, and clips that share their name with another: their results would, too."""
         self.remote = any(isinstance(path, Remote) for path in paths)
         """Whether some lie in an object store."""
         self._db = sqlite3.connect("")  # a temporary file, and that only where it does not fit into the cache
-        self._db.execute("CREATE TABLE clips (place INTEGER PRIMARY KEY, name TEXT UNIQUE, folder BLOB)")
+        self._db.execute("CREATE TABLE found (place INTEGER PRIMARY KEY, name TEXT, folder BLOB)")
         for name, clip in _named_clips(paths, self.failed):
             if name not in shard:
                 continue
@@ -64,22 +64,32 @@ class Plan:
                 )
                 self.failed.append(failure(name, known))
                 continue
-            try:
-                self._db.execute("INSERT INTO clips (name, folder) VALUES (?, ?)", (name, os.fsencode(str(clip))))
-            except sqlite3.IntegrityError:
-                (other,) = self._db.execute("SELECT folder FROM clips WHERE name = ?", (name,)).fetchone()
-                self._db.close()
-                raise UsageError(
-                    f"{clip} and {os.fsdecode(other)} are both named {name!r}; give one at a time"
-                ) from None
+            self._db.execute("INSERT INTO found (name, folder) VALUES (?, ?)", (name, os.fsencode(str(clip))))
+        self._db.execute("CREATE INDEX by_name ON found (name)")
+        self._sort_out_namesakes()
+
+    def _sort_out_namesakes(self) -> None:
+        """Leave each clip once, and of clips that share a name none."""
+        shared = "SELECT name FROM found GROUP BY name HAVING count(*) > 1"
+        for (name,) in self._db.execute(shared).fetchall():
+            clips = dict[Place, tuple[int, Place]]()
+            for n, folder in self._db.execute("SELECT place, folder FROM found WHERE name = ? ORDER BY place", (name,)):
+                clip = place(os.fsdecode(folder))
+                clips.setdefault(_resolved(clip), (n, clip))
+            (kept, first), *others = clips.values()
+            self._db.execute("DELETE FROM found WHERE name = ? AND (? OR place != ?)", (name, bool(others), kept))
+            alike = [clip for _, clip in others]
+            for clip, other in zip([first, *alike], [*alike[:1], *[first] * len(alike)], strict=False):
+                expected = f"a name of its own: {other} has the same, and so would their results"
+                self.failed.append(failure(name, InputError(str(clip), "name", files.shown(name), expected)))
 
     def __len__(self) -> int:
-        (count,) = self._db.execute("SELECT count(*) FROM clips").fetchone()
+        (count,) = self._db.execute("SELECT count(*) FROM found").fetchone()
         return int(count)
 
     def __iter__(self) -> Iterator[tuple[str, Place]]:
         """The name and the folder of each."""
-        for name, folder in self._db.execute("SELECT name, folder FROM clips ORDER BY place"):
+        for name, folder in self._db.execute("SELECT name, folder FROM found ORDER BY place"):
             yield name, place(os.fsdecode(folder))
 
     def __enter__(self) -> Plan:
@@ -92,10 +102,14 @@ class Plan:
 def by_name(paths: Sequence[Path]) -> tuple[dict[str, Path], list[Outcome]]:
     """The folder of each clip by its name, and the outcome of those that have none.
 
-    A path is a clip, a folder of clips, or a pattern. Raises ``UsageError`` as ``Plan`` does.
+    A path is a clip, a folder of clips, or a pattern; of clips that share a name, each has failed.
     """
     with Plan(paths) as plan:
         return {name: clip for name, clip in plan if isinstance(clip, Path)}, plan.failed
+
+
+def _resolved(clip: Place) -> Place:
+    return clip.resolve() if isinstance(clip, Path) else clip
 
 
 def _named_clips(paths: Sequence[Place], failed: list[Outcome]) -> Iterator[tuple[str, Place]]:

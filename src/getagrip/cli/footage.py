@@ -33,8 +33,10 @@ class ClipCommand(Command):
     """Rescale the mesh to this largest side of its bounding box."""
     diameter_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
     """Rescale the mesh to this largest distance between two of its points."""
+    unit: Annotated[Literal["mm", "cm", "m", "in"] | None, arg(help_behavior_hint="(default: m)")] = None
+    """The unit of the mesh file."""
     known_scale: Flag = False
-    """The mesh, in metres, has the object's size. Else, unless it is rescaled, its size is found with its pose."""
+    """The mesh, in its unit, has the object's size. Else, unless it is rescaled, its size is found with its pose."""
     category: Annotated[str | None, arg(metavar="WORD", help_behavior_hint="(default: KIND, or object)")] = None
     """What it is, in a word."""
     masks: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
@@ -73,7 +75,7 @@ class ClipCommand(Command):
         from getagrip.commands.new_clip import Ingredients, new_clip
         from getagrip.commands.own_mesh import MeshRequest
 
-        sizes = (self.size_mm, self.diameter_mm, self.known_scale)
+        sizes = (self.size_mm, self.diameter_mm, self.known_scale, self.unit)
         given = Ingredients(
             video=self.video, interval=self.interval, side=self.side, category=self.category,
             mesh=None if self.mesh is None else MeshRequest(self.mesh, *sizes), masks=self.masks,

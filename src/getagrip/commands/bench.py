@@ -109,9 +109,9 @@ def bench(plan: Plan, debug: bool) -> int:
         return 1
     plan.out.mkdir(parents=True, exist_ok=True)
     scores = []
-    results = plan.out / "results"
+    results = files.folder_inside(plan.out, "results")
     distinct = tuple({variant.folder: variant for variant in variants}.values())
-    for folder in (plan.out / "clips", *(results / variant.folder for variant in distinct)):
+    for folder in (plan.out / "clips", *(files.folder_inside(results, variant.folder) for variant in distinct)):
         leftovers.sweep(folder)
     contacts = tuple(dict.fromkeys((*CONTACT_DEFINITIONS, *plan.contacts)))
     chosen = [sample for sample in clips if sample.name in plan.share.shard]

@@ -43,8 +43,9 @@ def bench_segments(plan: Plan, debug: bool) -> int:
         return 1
     plan.out.mkdir(parents=True, exist_ok=True)
     noise = plan.source.preset
+    results = files.folder_inside(plan.out, "results", noise)
     trials = [
-        SequenceTrial(sample, noise, plan.options, plan.out / "results" / noise, plan.overwrite)
+        SequenceTrial(sample, noise, plan.options, results, plan.overwrite)
         for sample in found
         if sample.name in plan.share.shard
     ]

@@ -32,8 +32,10 @@ def bench_timelines(plan: Plan, debug: bool) -> int:
     if not found:
         return 1
     plan.out.mkdir(parents=True, exist_ok=True)
-    preset, results = plan.source.preset, plan.out / "results"
+    preset, results = plan.source.preset, files.folder_inside(plan.out, "results")
     levels = tuple(LEVELS) if preset == ALL else (preset,)
+    for level in levels:
+        files.folder_inside(results, level)
     trials = [
         TimelineTrial(sample, levels, plan.options, results, plan.overwrite)
         for sample in found

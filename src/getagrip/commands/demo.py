@@ -10,6 +10,7 @@ from getagrip.datasets.synthetic.scene import clip_name, ground_truth_masks, mak
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.evaluation import evaluate, results_table
 from getagrip.fitting.reconstruct import reconstruct
+from getagrip.io import files
 from getagrip.io.terminal import console, progress_bar
 from getagrip.pages import write_page
 from getagrip.result import read_record, write_result
@@ -33,7 +34,7 @@ def run(out: Path) -> None:
     screen = console()
     with progress_bar() as bar:
         steps = bar.add_task("make a clip", total=4.0)
-        clip = _clip(out / "clips")
+        clip = _clip(files.folder_inside(out, "clips"))
         masks = read_masks(clip)
         screen.print(f"clip     {clip.origin}: a {clip.category} in a {clip.side} hand, {len(clip)} frames")
 

@@ -41,7 +41,7 @@ def each_clip(
 
     A path is a clip, or a folder of clips; ``job`` makes one of a clip's name and folder, or None for clips to be
     passed over. ``work`` takes a job and, where it is done in this process, a function to call with its progress.
-    Raises ``UsageError`` where no path is given, and where two clips have the same name.
+    Raises ``UsageError`` where no path is given.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")

@@ -11,6 +11,7 @@ from getagrip.commands.evaluate import results_in
 from getagrip.errors import InputError
 from getagrip.evaluation.results import clip_of
 from getagrip.export import Scene, export
+from getagrip.io import files
 from getagrip.io.terminal import say
 from getagrip.result import read_result
 
@@ -23,6 +24,8 @@ def export_results(
     for path in paths:
         try:
             for folder in results_in(path):
+                if out is None and folder != path:
+                    files.refuse_link(folder)
                 result, record = read_result(folder)
                 scene = Scene.of(result, clip_of(folder, result, record, clips))
                 target = folder / f"export-{to}" if out is None else out / folder.resolve().name

@@ -18,7 +18,7 @@ from getagrip.clip.reading import OTHER_HAND, ClipHeader, frames_with_hand, read
 from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import HELD, Hands, Request, Tracker, read
+from getagrip.hands.trackers import CHOSEN, HELD, Hands, Request, Tracker, read
 from getagrip.io import files
 from getagrip.io.terminal import report, say
 
@@ -27,7 +27,7 @@ PREFIX = "other_"
 MOST_FRAMES = 20_000
 """Of a hand file."""
 DOUBTED = 3
-"""Exit status where the hands are written, and the camera seems to be of other images."""
+"""Exit status where the hands are written, and something seems to be wrong with them or with the camera."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,8 @@ def into_clip(
     if target.exists() and not overwrite:
         raise UsageError(f"{target}: exists already; --overwrite replaces it")
     side: Side = header.fields["side"]
-    hands = read(paths, tracker, _request(side, header.frames, header.K, header.size, mano, first))
+    request = _request(side, header.frames, header.K, header.size, mano, first)
+    hands = read(paths, tracker, replace(request, hand_masks=_hand_masks(header)))
     check_in_view(paths[0], hands.track, header.K[list(hands.found)], header.size)
     hands = hands.held_at_ends(header.frames) if hold_ends else hands
     if len(hands.found) < len(header.frames) and (header.folder / "truth.npz").exists():
@@ -109,7 +110,7 @@ def into_clip(
         files.write_json(fields, _fields(header, hands))
     _report(hands, header.frames)
     say(str(target))
-    return _status(header.K, header.size)
+    return _status(header.K, header.size, _doubts(hands, len(header.frames)))
 
 
 def other_into_clip(
@@ -141,7 +142,7 @@ def other_into_clip(
         some = _some(header.frames[row] for row in alone)
         left_out = f"{len(alone)} frames have the {side} hand only and are left out, as all without the clip's own"
         report(f"warning: {left_out}: {some}")
-    return _status(header.K, header.size)
+    return _status(header.K, header.size, hands.doubts)
 
 
 def into_file(
@@ -183,7 +184,7 @@ def into_file(
         write_hand(hands.track, part, extra)
     _report(replace(hands, provenance=provenance), names)
     print(out)
-    return _status(many, new.size)
+    return _status(many, new.size, _doubts(hands, len(names)))
 
 
 def _request(
@@ -202,7 +203,8 @@ def _request(
 
 def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
     """What ``clip.json`` says with the hands: where they come from, and which frames have none."""
-    known = {key: text for key, text in header.fields["provenance"].items() if key not in (WITHOUT_HAND, HELD)}
+    old = (WITHOUT_HAND, HELD, CHOSEN)
+    known = {key: text for key, text in header.fields["provenance"].items() if key not in old}
     return header.fields | {"provenance": known | hands.provenance | without_hand(header.frames, hands.found)}
 
 
@@ -216,12 +218,29 @@ def _report(hands: Hands, frames: Sequence[str]) -> None:
         report(f"warning: no hand in {len(missing)} of {len(frames)} frames, skipped: {_some(missing)}")
 
 
-def _status(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> int:
-    """0, or ``DOUBTED`` with a warning where the camera, before which the hands are, seems to be of other images."""
-    doubted = doubt(K, size)
-    if doubted:
-        report(f"warning: camera: {doubted}")
-    return DOUBTED if doubted else 0
+def _doubts(hands: Hands, frames: int) -> tuple[str, ...]:
+    """What may be wrong with hands, in words, that most frames lack included."""
+    most = 2 * len(hands.found) < frames
+    return (*hands.doubts, f"only {len(hands.found)} of {frames} frames have a hand") if most else hands.doubts
+
+
+def _status(K: Float[ndarray, "T 3 3"], size: tuple[int, int], doubts: tuple[str, ...]) -> int:
+    """0, or ``DOUBTED`` with warnings where the hands seem to be wrong, or the camera to be of other images."""
+    camera = doubt(K, size)
+    texts = [*(f"hands: {text}" for text in doubts), *([f"camera: {camera}"] if camera else [])]
+    for text in texts:
+        report(f"warning: {text}")
+    return DOUBTED if texts else 0
+
+
+def _hand_masks(header: ClipHeader) -> tuple[Path | None, ...]:
+    """The clip's masks of its hand; None for frames without one."""
+    images = [f"masks/hand/{frame}.png" for frame in header.frames]
+    there = [(header.folder / image).is_file() for image in images]
+    return tuple(
+        files.inside(header.folder, image, "", "a mask of the hand") if known else None
+        for image, known in zip(images, there, strict=True)
+    )
 
 
 def _some(names: Iterable[str]) -> str:

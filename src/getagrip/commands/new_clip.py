@@ -39,7 +39,8 @@ MOST_FRAMES = 20_000
 """Of a clip; a stable grasp of minutes."""
 HAND_FIRST = "--hand-first"
 INCOMPLETE = 3
-"""Exit status where the clip is made, and lacks masks or hands, or its camera seems to be of other images."""
+"""Exit status where the clip is made, and lacks masks or hands, or most frames lack a hand, or its camera seems to be
+of other images."""
 
 
 @dataclass(frozen=True)
@@ -310,4 +311,5 @@ def _summary(clip: Clip, given: Ingredients, hands: _Hands | None, out: Path) ->
     missing = [key for key, there in (("masks", given.masks), ("hands", given.hands)) if there is None]
     for key in missing:
         print(f"missing: {key}: {LATER[key].format(out=out, video=given.video)}", file=sys.stderr)
-    return INCOMPLETE if missing or doubted else 0
+    few_hands = hands is not None and 2 * len(hands.rows) < len(clip)
+    return INCOMPLETE if missing or doubted or few_hands else 0

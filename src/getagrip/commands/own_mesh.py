@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,6 +15,11 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh, diameter
 from getagrip.geometry.mesh_files import LARGEST, SMALLEST, SUFFIXES, checked_mesh, parse_mesh, with_area
 from getagrip.io.counts import counted
+
+Unit = Literal["mm", "cm", "m", "in"]
+METRES: dict[Unit, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+FREE_SIZE = 0.1
+"""Largest side that a mesh of free scale gets where its own is no hand-held object's in metres [m]."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +34,8 @@ class MeshRequest:
     """Rescale it to this largest distance between two of its points."""
     known_scale: bool
     """It has the object's size as it is."""
+    unit: Unit | None = None
+    """What one unit of the file is; None for metres."""
 
     @property
     def kind(self) -> str | None:
@@ -55,14 +63,19 @@ def own_mesh(request: MeshRequest) -> OwnMesh:
     if request.kind is not None and request.known_scale:
         expected = "--size-mm or --diameter-mm: its size is not that of the one in your video"
         raise UsageError(f"--known-scale: got it with this package's own {request.kind}, expected {expected}")
+    if request.kind is not None and request.unit is not None:
+        raise UsageError(f"--unit: got {request.unit}, expected none: this package's own {request.kind} is in metres")
     vertices, faces, provenance = _shape(request)
     kept = with_area(vertices, faces)  # generated meshes are full of slivers
     if len(kept) < len(faces):
         provenance["mesh"] += f", {counted(len(faces) - len(kept), 'face')} without area left out"
-    vertices, scale = _rescaled(vertices, request)
+    vertices, scale = _rescaled(vertices, kept, request)
     if scale:
         provenance["scale"] = scale
-    return OwnMesh(checked_mesh(request.path, vertices, kept), bool(scale) or request.known_scale, provenance)
+    if request.unit is not None:
+        provenance["mesh"] += f", in {request.unit}"
+    sized = request.known_scale or request.side_mm is not None or request.diameter_mm is not None
+    return OwnMesh(checked_mesh(request.path, vertices, kept), sized, provenance)
 
 
 def _shape(request: MeshRequest) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], dict[str, str]]:
@@ -77,19 +90,35 @@ def _shape(request: MeshRequest) -> tuple[Float[ndarray, "..."], Int[ndarray, ".
     return *parse_mesh(request.path), {"mesh": request.path.name}
 
 
-def _rescaled(vertices: Float[ndarray, "..."], request: MeshRequest) -> tuple[Float[ndarray, "..."], str]:
-    """Vertices at the size that is stated, and how they got it in words; "" where none is stated."""
+def _rescaled(
+    vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."], request: MeshRequest
+) -> tuple[Float[ndarray, "..."], str]:
+    """Vertices at the size that is stated, and how they got it in words; "" where none is stated.
+
+    The size is that of the surface: files hold points that no face uses.
+    """
     sizes = {"--size-mm": request.side_mm, "--diameter-mm": request.diameter_mm}
     stated = [(option, value) for option, value in sizes.items() if value is not None]
-    if not stated:
-        return vertices, ""
     if len(stated) > 1:
         raise UsageError("--size-mm, --diameter-mm: got both, expected one")
+    known_unit = METRES[request.unit or "m"]
+    used = vertices
+    if faces.size and vertices.size and 0 <= faces.min() <= faces.max() < len(vertices):
+        used = vertices[np.unique(faces)]
+    extent = float(np.ptp(used, axis=0).max()) if used.ndim == 2 and used.size and np.isfinite(used).all() else 0.0
+    plausible = SMALLEST <= known_unit * extent <= LARGEST or extent == 0
+    if not stated and plausible:
+        return known_unit * vertices, ""
+    if not stated and request.known_scale:
+        given = f"the object {known_unit * extent:.4g} m large"
+        expected = f"{SMALLEST:g} to {LARGEST:g} m; if the file is in another unit than the metre, --unit mm, cm or in"
+        raise InputError(request.path, "vertices", given, f"{expected}, or --size-mm or --diameter-mm")
+    if not stated:
+        factor = FREE_SIZE / extent
+        return factor * vertices, f"the mesh, {extent:.4g} units large, rescaled by {factor:.6g}: its size is a guess"
     option, value = stated[0]
     if not 1e3 * SMALLEST <= value <= 1e3 * LARGEST:
         raise UsageError(f"{option}: got {value:g}, expected {1e3 * SMALLEST:g} to {1e3 * LARGEST:g} millimetres")
-    now = 0.0
-    if vertices.ndim == 2 and vertices.size > 0 and np.isfinite(vertices).all():
-        now = float(np.ptp(vertices, axis=0).max() if option == "--size-mm" else diameter(vertices))
+    now = (diameter(used) if option == "--diameter-mm" else extent) if extent else 0.0
     factor = value / 1e3 / now if now > 0 else 1.0  # checked_mesh reports what is wrong with the others
     return vertices * factor, f"the mesh rescaled by {factor:.6g}, to {option} {value:g}"

@@ -18,7 +18,7 @@ from getagrip.batch.progress import Pace
 from getagrip.batch.share import Share
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
-from getagrip.io import leftovers
+from getagrip.io import files, leftovers
 from getagrip.io.terminal import progress_bar, report, say
 from getagrip.timelines.reconstruct import METHOD
 
@@ -60,8 +60,8 @@ def _find(jobs: Sequence[FindJob], out: Path, share: Share, debug: bool) -> list
     if not jobs:
         return []
     found: dict[str, FoundClip] = {}
-    with Ledger((share.ledger or out) / CLIPS) as ledger, progress_bar() as bar:
-        leftovers.sweep(out / CLIPS)
+    leftovers.sweep(files.folder_inside(out, CLIPS))
+    with Ledger(files.folder_inside(share.ledger or out, CLIPS)) as ledger, progress_bar() as bar:
         pace = Pace(bar, "clips", len(jobs))
         engine = Engine(
             work=find_one, lost=lost, entry=entry_of, options=[asdict(jobs[0].options), jobs[0].alone],

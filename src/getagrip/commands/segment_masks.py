@@ -78,9 +78,13 @@ def find_in_clips(
     ``clip.json`` has them, with margins, as ``segments.json``; ``json`` the list; ``write`` the clips' own. Raises
     ``UsageError`` where there is nothing to do, and where two clips have the same name.
     """
-    found, failures = each_clip(
-        paths, lambda _, folder: SegmentJob(folder, definition, write), find_one, workers, debug
-    )
+
+    def job(_: str, folder: Path) -> SegmentJob:
+        if write is not None and folder not in paths:
+            files.refuse_link(folder)
+        return SegmentJob(folder, definition, write)
+
+    found, failures = each_clip(paths, job, find_one, workers, debug)
     if found:
         console().print(_table(found))
         print(LEGEND)

@@ -51,6 +51,12 @@ class Row:
     seconds: float
     """Median for a clip."""
     failed: int
+    tried: int
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether there is nothing that the row could be of: the method has failed on every clip."""
+        return self.failed == self.tried > 0
 
 
 @dataclass(frozen=True)
@@ -130,6 +136,7 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of
                 noted=_counts([score.noted for score in done]),
                 seconds=_median([score.seconds for score in done]),
                 failed=len(tried) - len(done),
+                tried=len(tried),
             )
         )
     return Table(title, len(scores), there, folded, tuple(rows))
@@ -153,11 +160,14 @@ def _counts(names: Sequence[tuple[str, ...]]) -> dict[str, int]:
 def _values(scores: Sequence[Scores], variant: Variant, column: Metric) -> Float[ndarray, "n"]:
     """A column's value for each clip; zero, the worst, where the method failed, so that failures improve no score.
 
+    Where it failed on all clips none is known: a zero would look as if it had been measured.
     It is known of none where a result lacks it that was made before it was measured: the others' mean would mislead.
     """
     key, values = column.key(variant.contact), np.full(len(scores), np.nan)
     tried = [(n, clip, score) for n, clip in enumerate(scores) if (score := _score(clip, variant))]
     if column.needs_truth and any(c.has_truth and not s.failed and key not in s.metrics for _, c, s in tried):
+        return values
+    if all(score.failed for _, _, score in tried):
         return values
     for n, clip, score in tried:
         if score.failed and column.ranked and (clip.has_truth or not column.needs_truth):

@@ -7,7 +7,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from getagrip.batch.kept import damaged, difference, made_by
+from getagrip.batch.kept import damaged, difference, without_source
+from getagrip.batch.made_by import KEY, UNKNOWN, made_by
 from getagrip.clip import input_sha256
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
@@ -34,12 +35,12 @@ def kept_or_made(
         try:
             record = files.read_json(path)
             why = difference(record, of, KEYS)
+            if of["software"].get(KEY) == UNKNOWN:
+                why = without_source(of["options"]["method"])
             if not why:
                 return record, ""
         except InputError as error:
             why = damaged(error)
     record = {**of, **make()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with files.new_file(path) as new:
-        files.write_json(new, record)
+    files.write_json(path, record)
     return record, why

@@ -58,6 +58,8 @@ MEDIANS = (
 DOUBTS = "Results that the checks doubt, how many of them are right, and the checks"
 CATEGORIES = "Each category"
 """Titles of what a page folds away."""
+FAILED = "failed"
+"""In place of numbers, of a method that has failed on every clip."""
 
 
 def _number(share: float) -> str:
@@ -91,7 +93,8 @@ def _body(table: Table, style: Style) -> list[list[str]]:
         cells = [style.text(row.variant.label + (f" ({row.failed} failed)" if row.failed else ""))]
         for column in table.columns:
             value = row.values[column.label]
-            cells.append(style.cell(_number(value.mean), ranks[column.label][n], _interval(value)))
+            shown = FAILED if row.has_failed else _number(value.mean)
+            cells.append(style.cell(shown, ranks[column.label][n], _interval(value)))
         rows.append([*cells, _seconds(row.seconds)])
     return rows
 
@@ -120,8 +123,11 @@ def _errors(table: Table, style: Style) -> list[list[str]]:
     rows = [["", *(f"{column.label}, %" for column in table.folded), *labels, "ambiguous", "of wrong poses"]]
     for row in table.rows:
         means = [row.values[column.label] for column in table.folded]
-        shares = [style.cell(_number(mean.mean), 0, _interval(mean)) for mean in means]
-        medians = ["–" if math.isnan(row.medians[label]) else f"{row.medians[label]:.1f}" for label in labels]
+        shares = [style.cell(FAILED if row.has_failed else _number(mean.mean), 0, _interval(mean)) for mean in means]
+        medians = [
+            FAILED if row.has_failed else "–" if math.isnan(row.medians[label]) else f"{row.medians[label]:.1f}"
+            for label in labels
+        ]
         marked = [f"{row.ambiguous} of {table.clips}", f"{row.wrong_ambiguous} of {row.wrong}"]
         rows.append([style.text(row.variant.label), *shares, *medians, *marked])
     return rows

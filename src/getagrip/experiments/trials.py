@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from getagrip.batch.job import failure
-from getagrip.batch.kept import good_result, made_by
+from getagrip.batch.kept import good_result
+from getagrip.batch.made_by import made_by
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.evaluation.metric import SCA
@@ -27,7 +28,7 @@ from getagrip.finding import read_findings
 from getagrip.io import code, files
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 from getagrip.probability import read_probability
-from getagrip.result import Reconstruction, read_record, write_result
+from getagrip.result import Reconstruction, read_record, software, write_result
 
 EVALUATION = "evaluation"
 CHANGES = tuple(f"experiments/{name}.py" for name in ("changes", "hand_sources", "wrong_inputs", "wrong_masks"))
@@ -215,4 +216,5 @@ def _made_by(variant: Variant) -> dict[str, str]:
     also = () if variant.change == AS_GIVEN else CHANGES
     if variant.system is not None:
         also += SYSTEMS
-    return made_by(variant.method, *also) | {"evaluation": code.fingerprint(EVALUATION)}
+    made = made_by(variant.method, *also) if variant.system is None else software(*also)
+    return made | {"evaluation": code.fingerprint(EVALUATION)}

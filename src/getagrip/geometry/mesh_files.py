@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry.glb import parse_glb
 from getagrip.geometry.mesh import Mesh, merged
 from getagrip.geometry.obj import obj_content, parse_obj
+from getagrip.geometry.ply import parse_ply
 from getagrip.io import files
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
@@ -21,6 +21,7 @@ LARGEST, SMALLEST = 2.0, 0.005
 """Plausible sizes of hands and objects [m]."""
 FARTHEST = 100.0
 """Farthest that a mesh may be from its origin [m]; the shape of one that is farther has too few digits."""
+OTHER_UNITS = " Scale the file to metres; of a clip's own mesh, getagrip clip new takes the unit (--unit mm, cm, in)"
 LARGEST_FILE = 128 * 2**20
 """Limit in bytes: parsing takes several times as much memory."""
 
@@ -48,37 +49,27 @@ def parse_mesh(path: Path) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
         return parse_obj(path, content)
     if suffix == ".glb":
         return parse_glb(path, content)
-    vertices, faces = _parse(path, suffix, content)
-    if suffix == ".ply" and len(faces) < (promised := _ply_faces(content)):
-        raise InputError(path, "faces", f"{len(faces)} faces", f"{promised}, as its header says; is it cut short?")
-    return vertices, faces
+    if suffix == ".ply":
+        return parse_ply(path, content)
+    return _parse_stl(path, content)
 
 
-def _parse(path: Path, suffix: str, content: bytes) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
-    """Vertices and faces of a .ply or .stl file, by trimesh. ``path`` is only named in errors."""
+def _parse_stl(path: Path, content: bytes) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
+    """Vertices and faces of a .stl file, by trimesh. ``path`` is only named in errors."""
     import trimesh
 
-    kind, stream = suffix[1:], io.BytesIO(content)  # without a path nothing beside the file is ever opened
+    kind, stream = "stl", io.BytesIO(content)  # without a path nothing beside the file is ever opened
     binary = len(content) >= 84 and len(content) == 84 + 50 * int.from_bytes(content[80:84], "little")
-    if suffix == ".stl" and not binary:
+    if not binary:
         kind, stream = "stl_ascii", io.BytesIO(content.decode("utf-8", "replace").encode())
         if not stream.getvalue().lstrip().startswith(b"solid"):
             raise InputError(path, "mesh", "a file that does not parse", "a whole .stl file, binary or text")
     try:
         loaded = trimesh.load(stream, file_type=kind, force="mesh", process=False, skip_materials=True)
     except Exception as error:  # trimesh's readers raise whatever their parsers meet
-        raise InputError(path, "mesh", f"a file that does not parse ({error})", f"a whole {suffix} file") from error
+        raise InputError(path, "mesh", f"a file that does not parse ({error})", "a whole .stl file") from error
     vertices, faces = getattr(loaded, "vertices", ()), getattr(loaded, "faces", ())
     return np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64)
-
-
-_PLY_FACES = re.compile(rb"^element face (\d{1,18})\s*$", re.MULTILINE)
-
-
-def _ply_faces(content: bytes) -> int:
-    """How many faces the header of a .ply file promises."""
-    found = _PLY_FACES.search(content[: content.find(b"end_header")])
-    return int(found[1]) if found else 0
 
 
 def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> Mesh:
@@ -97,7 +88,7 @@ def checked_mesh(path: Path, vertices: Float[ndarray, "..."], faces: Int[ndarray
     used, remapped = np.unique(merged(vertices)[faces], return_inverse=True)  # formats like .stl repeat vertices
     vertices, faces = vertices[used], remapped.reshape(faces.shape)
     extent = float(np.ptp(vertices, axis=0).max())
-    check_size(path, "vertices", extent, "the object")
+    check_size(path, "vertices", extent, "the object", OTHER_UNITS)
     away = float(np.abs(vertices.mean(axis=0)).max())
     if away > FARTHEST:
         expected = f"at most {FARTHEST:g} m: so far off, as in a map, its shape has too few digits; move it"
@@ -122,15 +113,19 @@ def with_area(vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."]) -> In
     with np.errstate(invalid="ignore", over="ignore"):
         a, b, c = np.moveaxis(vertices[faces], 1, 0)
         doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        return faces[doubled > 1e-11 * np.ptp(vertices, axis=0).max(initial=0.0) ** 2]
+        return faces[doubled > 1e-11 * np.ptp(vertices[faces.ravel()], axis=0).max(initial=0.0) ** 2]
 
 
-def check_size(path: Path, key: str, extent: float, what: str) -> None:
-    """Raise ``InputError`` when a hand or an object is absurdly large or small."""
+def check_size(path: Path, key: str, extent: float, what: str, units: str = "") -> None:
+    """Raise ``InputError`` when a hand or an object is absurdly large or small.
+
+    ``units``: what can be done where the unit is not the metre.
+    """
+    given = f"{what} {extent:.4g} m large"
     if extent > LARGEST:
-        raise InputError(path, key, f"{what} {extent:.4g} m large", f"at most {LARGEST:g} m; are these millimetres?")
+        raise InputError(path, key, given, f"at most {LARGEST:g} m; are these millimetres?{units}")
     if extent < SMALLEST:
-        raise InputError(path, key, f"{what} {extent:.4g} m large", f"at least {SMALLEST:g} m; is the unit the metre?")
+        raise InputError(path, key, given, f"at least {SMALLEST:g} m; is the unit the metre?{units}")
 
 
 def write_mesh(mesh: Mesh, path: str | Path) -> Path:

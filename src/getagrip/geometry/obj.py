@@ -6,7 +6,7 @@ import io
 import re
 import warnings
 from array import array
-from itertools import islice, pairwise
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
 from getagrip.errors import InputError
+from getagrip.geometry.polygons import triangles
 from getagrip.io import files
 
 MOST = 2**22
@@ -26,7 +27,7 @@ _ANY = {kind: re.compile(rb"^[ \t\v\f]*" + kind + rb"[ \t]", re.MULTILINE) for k
 
 
 def parse_obj(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
-    """Vertices, and faces with polygons cut into fans. ``path`` is only named in errors: nothing is opened.
+    """Vertices, and faces with polygons cut into triangles. ``path`` is only named in errors: nothing is opened.
 
     Parts, materials, normals and textures are passed over. Raises ``InputError``, which names the line.
     """
@@ -83,7 +84,7 @@ def _numbers(text: bytes, kind: type) -> Shaped[ndarray, "n"]:
 def _by_line(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
     """Any file. Raises ``InputError``."""
     text = content.decode("utf-8-sig", "replace")  # names and comments may be in any encoding
-    vertices, faces = array("d"), array("q")
+    vertices, counts, faces = array("d"), array("q"), array("q")
     lines = io.StringIO(text.replace("\\\r\n", " ").replace("\\\n", " "), newline=None)
     for number, line in enumerate(lines, start=1):
         if len(line) > LONGEST_LINE:
@@ -97,14 +98,15 @@ def _by_line(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[nda
                 corners = [_index(word, len(vertices) // 3) for word in words[1:]]
                 if len(corners) < 3:
                     raise ValueError
-                for b, c in pairwise(corners[1:]):
-                    faces.extend((corners[0], b, c))
+                counts.append(len(corners))
+                faces.extend(corners)
         except ValueError as error:
             expected = "v x y z" if words[0] == "v" else "f and three or more vertices, counted from 1"
             raise InputError(path, f"line {number}", files.shown(line.rstrip("\n")), expected) from error
-        if max(len(vertices), len(faces)) > 3 * MOST:
+        if len(vertices) > 3 * MOST or len(faces) - 2 * len(counts) > MOST:
             raise InputError(path, f"line {number}", f"more than {MOST} vertices or triangles", f"at most {MOST}")
-    return np.array(vertices, dtype=float).reshape(-1, 3), np.array(faces, dtype=np.int64).reshape(-1, 3)
+    points = np.array(vertices, dtype=float).reshape(-1, 3)
+    return points, triangles(path, points, np.array(counts, dtype=np.int64), np.array(faces, dtype=np.int64))
 
 
 def _index(word: str, vertices: int) -> int:

@@ -201,26 +201,31 @@ def check_file(option: str, file: Path) -> None:
 
     Its folder need not be there yet: whoever writes the file makes it.
     """
+    check_folder(option, file.parent)
     try:
-        if not file.parent.exists():
-            check_folder(option, file.parent)
-            return
-        new = not file.exists()
-        file.open("ab").close()
-        if new:
-            file.unlink()
+        if file.exists() and not file.is_symlink():  # a link is replaced
+            file.open("ab").close()
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise UsageError(f"{option}: got {file}, expected a file that can be written ({reason})") from error
 
 
-def folder_inside(folder: Path, name: str) -> Path:
-    """A folder in another, made where there is none. Raises ``UsageError`` where its name is that of a link."""
-    inner = folder / name
-    if inner.is_symlink():
-        raise UsageError(f"{inner}: is a link, and nothing is written through one; expected a folder or a free name")
-    inner.mkdir(parents=True, exist_ok=True)
-    return inner
+def refuse_link(path: Path) -> None:
+    """Raise ``UsageError`` where a folder in which something is to be written is a link."""
+    if path.is_symlink():
+        raise UsageError(f"{path}: is a link, and nothing is written through one; expected a folder or a free name")
+
+
+def folder_inside(folder: Path, *names: str) -> Path:
+    """A folder in another, each of ``names`` in the one before, made where there is none.
+
+    ``folder`` itself may be a link: the user names it. Raises ``UsageError`` where a name is that of a link.
+    """
+    for name in names:
+        folder /= name
+        refuse_link(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 @contextmanager
@@ -231,8 +236,7 @@ def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
     not in one that was named by mistake. Raises ``UsageError`` for another. An ``OSError`` of the block about a file in
     the folder names it by the path that it was to have. What a killed process leaves, ``leftovers.sweep`` removes.
     """
-    if target.is_symlink():
-        raise UsageError(f"{target}: is a link, and nothing is written through one; expected a folder or a free name")
+    refuse_link(target)
     missing = [f" without {name!r} in it" for name in replace if not (target / name).exists()]
     if target.exists() and (missing or not replace):
         raise UsageError(f"{target}: exists already{''.join(missing[:1])}; it is not overwritten")

@@ -38,9 +38,11 @@ def workplace(parent: Path) -> Iterator[Path]:
 
 def restore(folder: Path) -> None:
     """Put what stands in ``old/`` of a workplace back where it was, unless something newer has taken its place."""
+    if (folder / "old").is_symlink():  # a stranger's: what it leads to stays where it is
+        return
     for old in (folder / "old").glob("*"):
         target = folder.parent / old.name
-        if not target.exists():
+        if not os.path.lexists(target):
             os.rename(old, target)
 
 

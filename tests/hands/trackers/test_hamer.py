@@ -112,7 +112,7 @@ def test_keypoints_serve_where_there_is_no_mano(tmp_path: Path, side: Side, flip
 
 
 def test_several_hands_in_one_record(tmp_path: Path) -> None:
-    """Rows are hands; the other side's are passed over, two of one side are refused."""
+    """Rows are hands; the other side's are passed over, of two of one side one is taken."""
     right, left = Known("right", None), Known("left", None, seed=3)
     records = [hamer_record(right, 0, "crop"), hamer_record(left, 0, "crop")]
     both = {key: np.stack([r[key] for r in records]) for key in records[0]}
@@ -121,7 +121,19 @@ def test_several_hands_in_one_record(tmp_path: Path) -> None:
         hands = read([path], HaMeR(), request(side))  # type: ignore[arg-type]
         np.testing.assert_allclose(joints_of(hands), known.joints[:1], atol=1e-6)
     write_npz(path, both | {"right": np.ones(2)})
-    with pytest.raises(InputError, match="2 right hands"):
+    assert "several right hands in 1 of 1 frames" in read([path], HaMeR(), request("right")).provenance["hands_chosen"]
+
+
+def test_img_size_as_height_and_width(tmp_path: Path) -> None:
+    """It is read the other way round where the clip's images say so; other proportions are refused."""
+    known = Known("right", None)
+    record = hamer_record(known, 0, "full")
+    path = write_npz(tmp_path / "000007.npz", record | {"img_size": record["img_size"][::-1]})
+    hands = read([path], HaMeR(), request("right"))
+    np.testing.assert_allclose(joints_of(hands), known.joints[:1], atol=1e-6)
+    assert "img_size read as height and width, a guess" in hands.provenance["hands_focal"]
+    write_npz(path, record | {"img_size": np.array([480.0, 480.0])})
+    with pytest.raises(InputError, match="got 480 x 480, expected width and height like the clip's images, 640 x 480"):
         read([path], HaMeR(), request("right"))
 
 

@@ -1,4 +1,4 @@
-"""Hands from WiLoR-mini: written by its own formulas from a known hand, they come back as it was."""
+"""Hands from WiLoR-mini and hamer-mini: written by its own formulas from a known hand, they come back as it was."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import pytest
 
 from getagrip.geometry import se3
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import read
+from getagrip.hands.trackers import Tracker, read
+from getagrip.hands.trackers.hamer import HaMeR
 from getagrip.hands.trackers.wilor import WiLoR
 from helpers.estimator_files import (
     FRAMES,
@@ -20,10 +21,11 @@ from helpers.estimator_files import (
 from helpers.tracked_hands import SIDES, joints_of, request
 
 
+@pytest.mark.parametrize(("tracker", "key"), [(WiLoR(), "wilor_preds"), (HaMeR(), "hamer_preds")])
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.slow
-def test_wilor_mini(tmp_path: Path, mano_folder: Path, side: Side) -> None:
-    """Rotations are vectors, of left hands turned back already."""
+def test_mini(tmp_path: Path, mano_folder: Path, side: Side, tracker: Tracker, key: str) -> None:
+    """Lists of hands. Rotations are vectors, of left hands turned back already."""
     known = Known(side, mano_folder)
     paths = []
     for n, name in enumerate(FRAMES):
@@ -36,7 +38,7 @@ def test_wilor_mini(tmp_path: Path, mano_folder: Path, side: Side) -> None:
             "scaled_focal_length": full["scaled_focal_length"],
         }
         path = tmp_path / f"{name}.pkl"
-        path.write_bytes(pickle.dumps({"is_right": float(side == "right"), "wilor_preds": inner}))
+        path.write_bytes(pickle.dumps([{"is_right": float(side == "right"), key: inner}]))
         paths.append(path)
-    hands = read(paths, WiLoR(), request(side, mano_folder))
+    hands = read(paths, tracker, request(side, mano_folder))
     np.testing.assert_allclose(joints_of(hands), known.joints, atol=1e-6)

@@ -14,6 +14,7 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -87,8 +88,14 @@ class Recording:
     """By HOT3D's object uid."""
 
 
+CLIPS = ("clip-*.tar", "*.objects.json", "*.cameras.json")
+"""Names of the files of HOT3D-Clips, packed and not."""
+
+
 def find(root: Path) -> dict[str, dict[str, Path]]:
     """The files of each recording below a folder, by their names. Raises ``InputError`` where there is no recording."""
+    if root.is_file() and fnmatch(root.name, CLIPS[0]):
+        raise _is_clips(root)
     if not root.is_dir():
         raise InputError(root, "", "no such folder", "a folder with HOT3D recordings")
     folders: dict[str, dict[str, Path]] = {}
@@ -96,9 +103,17 @@ def find(root: Path) -> dict[str, dict[str, Path]]:
         if path.is_file():
             folders.setdefault(path.parent.name, {})[path.name] = path
     found = {name: files for name, files in sorted(folders.items()) if any(objects in files for objects in OBJECTS)}
+    if not found and any(fnmatch(name, kind) for names in folders.values() for name in names for kind in CLIPS):
+        raise _is_clips(root)
     if not found:
         raise InputError(root, "", f"no {OBJECTS[0]} below it", "HOT3D recordings")
     return found
+
+
+def _is_clips(root: Path) -> InputError:
+    """The error for HOT3D-Clips, which hold the same recordings in another layout."""
+    given = "HOT3D-Clips (clip-*.tar), another layout, which is not read"
+    return InputError(root, "", given, "HOT3D's full recordings, as its own downloader saves them")
 
 
 def read_recording(name: str, files: dict[str, Path]) -> Recording:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from getagrip.errors import GetagripError, UsageError
 from getagrip.experiments.sources.source import ClipSource, Sample
+from getagrip.io import files
 from getagrip.io.terminal import report
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class Recorded(ClipSource):
             if status and share.fail_fast:
                 raise GetagripError(f"{self.dataset}: not all could be imported, and --fail-fast ends the call")
             if status == 0 and self.only is None:
-                done.touch()  # else what failed is tried again next time
+                files.write_bytes(done, b"")  # else what failed is tried again next time
         found, failed = by_name([clips])
         subject = {name: subject_of(name) for name in found}
         train = self.training({*subject.values()})

@@ -71,9 +71,8 @@ class ClipSource:
 
         options = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("split", "only")}
         mine = {name: str(value.resolve()) if isinstance(value, Path) else value for name, value in options.items()}
-        note = clips / "source.json"
+        note = files.folder_inside(clips.parent, clips.name) / "source.json"
         if not note.exists():
-            clips.mkdir(parents=True, exist_ok=True)
             with files.new_file(note) as part:
                 files.write_json(part, mine)
         elif files.read_json(note) != mine:

@@ -7,7 +7,7 @@ imported when it is first used.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -76,3 +76,5 @@ METHODS: dict[str, Method] = {
     "paper-static": _published("Static, the paper's", "static"),
     "paper-dynamic": _published("Dynamic, the paper's", "dynamic"),
 }
+OURS: Mapping[str, Method] = dict(METHODS)
+"""Those of the package, whatever a script adds or puts in their places."""

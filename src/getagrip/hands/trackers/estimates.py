@@ -44,6 +44,7 @@ class Request:
         size: width and height of the clip's images [px].
         mano: folder of the user's MANO files.
         ask_first: the option that states the number of the first frame's hand; empty where it was used.
+        hand_masks: the image of the hand's mask in each frame, None where a frame has none; empty where no frame has.
     """
 
     side: Side
@@ -52,6 +53,7 @@ class Request:
     size: tuple[int, int]
     mano: Path | None = None
     ask_first: str = "--first"
+    hand_masks: tuple[Path | None, ...] = ()
 
     def check_numbers(self, source: Path, names: Iterable[str]) -> None:
         """Raise ``UsageError`` where hands seem to be counted from another start than frames."""
@@ -111,12 +113,14 @@ class Estimates:
             only, or the left one's own.
         scale: where the size comes from, in words; empty where it is that of the shape parameters or of the generic
             hand.
+        doubt: what may be wrong with them, in words; empty where nothing seems to be.
     """
 
     side: Side
     hands: tuple[Estimate, ...]
     left_model: Literal["mirrored", "own"] = "mirrored"
     scale: str = ""
+    doubt: str = ""
 
 
 def rotations(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) -> Float[ndarray, "... 3 3"]:

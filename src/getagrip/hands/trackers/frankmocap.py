@@ -49,25 +49,23 @@ class FrankMocap(Tracker):
         mean = mean_pose(request.mano, request.side)
         found = []
         for path, frame, record in per_image(paths, request):
-            hand = of_side(path, record, request.side)
-            if hand is not None:
-                found.append(estimate(path, frame, hand, request.camera(frame), mean))
+            hands = of_side(path, record, request.side)
+            found += [estimate(path, frame, hand, request.camera(frame), mean) for hand in hands]
         return Estimates(request.side, tuple(found), scale=f"the mean hand; {ONE_CAMERA}")
 
 
-def of_side(path: Path, record: Record, side: Side) -> Record | None:
-    """The record of one side's hand, or nothing where it holds none. Raises ``InputError`` for two of them."""
+def of_side(path: Path, record: Record, side: Side) -> list[Record]:
+    """The records of one side's hands, of one person or several. Raises ``InputError``."""
     people = record.get("pred_output_list") if isinstance(record, Mapping) else None
     if not isinstance(people, list) or not all(person is None or isinstance(person, Mapping) for person in people):
         given = "no such key" if people is None else shown(people)
         raise InputError(path, "pred_output_list", given, "a list with a dictionary for each person")
     hands = [person.get(f"{side}_hand") for person in people if person]
     hands = [hand for hand in hands if not (hand is None or (isinstance(hand, Mapping) and not hand))]
-    if len(hands) > 1:
-        raise InputError(path, "pred_output_list", f"{len(hands)} {side} hands", "one; leave out other people's")
-    if hands and not isinstance(hands[0], Mapping):
-        raise InputError(path, f"{side}_hand", shown(hands[0]), "a dictionary")
-    return hands[0] if hands else None
+    wrong = next((hand for hand in hands if not isinstance(hand, Mapping)), None)
+    if wrong is not None:
+        raise InputError(path, f"{side}_hand", shown(wrong), "a dictionary")
+    return hands
 
 
 def mean_pose(folder: Path | None, side: Side) -> Float[ndarray, "45"]:

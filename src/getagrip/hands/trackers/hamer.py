@@ -12,7 +12,8 @@ and where the hand is, from the first of these that is there:
 Boxes and translations are in the pixels of ``img_size`` (W, H), or of the clip's images where it is missing. ``right``
 (or ``is_right``) is 1 for right hands. Both networks know right hands only: rotations of a left hand are those of a
 right one in the mirrored crop, and are mirrored here; ``pred_cam[1]`` is as both demos leave it, its sign turned
-already. ``wilor_preds`` (WiLoR-mini) holds left hands' rotations, vectors, turned back already.
+already. ``wilor_preds`` (WiLoR-mini) and ``hamer_preds`` (hamer-mini) hold left hands' rotations, vectors, turned back
+already.
 
 One file may hold many images, by their paths: a record each, a list of records, or lists ``mano`` of such parameters
 (with ``is_right``) and ``cam_trans`` (3), which is ``pred_cam_t_full``. What the demos themselves save is read by
@@ -44,14 +45,18 @@ from getagrip.hands.trackers.estimates import (
     mirror_rotation,
     rotations,
 )
-from getagrip.hands.trackers.records import Record, child, numbers
+from getagrip.hands.trackers.records import PEOPLE, Record, child, numbers
 from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.hands.trackers.weak_perspective import WeakPerspective, hamer_focal, vitdet_side
 from getagrip.io import files
 from getagrip.io.arguments import one_of
 
+MINI = ("wilor_preds", "hamer_preds")
+"""Where the records of WiLoR-mini and hamer-mini have the network's output."""
 LATER_SIZE = (456, 256)
 """Images in which the later code's boxes are [px]."""
+SAME_SHAPE = 0.1
+"""Images whose ratios of width to height differ by less [log] are the same at another size."""
 
 
 @dataclass(frozen=True)
@@ -67,11 +72,8 @@ class Demo(Tracker):
             return Estimates(request.side, tuple(hamer_demo.estimates(paths, request, self.joints_of)))
         found = []
         for path, frame, content in per_image(held, request):
-            of_all = [of_side(path, record, request.side) for record in people(path, content)]
-            hands = [hand for hand in of_all if hand is not None]
-            if len(hands) > 1:
-                raise InputError(path, "right", f"{len(hands)} {request.side} hands", "one; leave out other people's")
-            found += [estimate(path, frame, hand, request) for hand in hands]
+            for record in people(path, content):
+                found += [estimate(path, frame, hand, request) for hand in of_side(path, record, request.side)]
         return Estimates(request.side, tuple(found))
 
 
@@ -88,6 +90,8 @@ class HaMeR(Demo):
 
 def people(path: Path, content: object) -> list[Record]:
     """The records of an image's hands. Raises ``InputError``."""
+    if isinstance(content, Mapping) and list(content) == [PEOPLE]:
+        content = content[PEOPLE]
     each: list[Any] = content if isinstance(content, list) else [content]
     if isinstance(content, Mapping) and isinstance(content.get("mano"), list) and "cam_trans" in content:
         each = [
@@ -100,25 +104,18 @@ def people(path: Path, content: object) -> list[Record]:
     return each
 
 
-def of_side(path: Path, record: Record, side: Side) -> Record | None:
-    """The record of one side's hand, or nothing where it holds none.
-
-    Raises ``InputError`` for records that do not state the side, or hold two hands of it.
-    """
+def of_side(path: Path, record: Record, side: Side) -> list[Record]:
+    """The records of one side's hands in a record. Raises ``InputError`` for records that do not state the side."""
     if not record:  # the later code's, of an image without hands
-        return None
+        return []
     if "left" in record or isinstance(record.get("right", 0), dict | None):
-        return child(path, record, side) if record.get(side) is not None else None
+        return [child(path, record, side)] if record.get(side) is not None else []
     key = next((key for key in ("right", "is_right") if key in record), None)
     if key is None:
         raise InputError(path, "right", "no such key", "1 for a right hand, 0 for a left one")
     flags = np.atleast_1d(numbers(path, record, key, (-1,))).ravel()
     rows = np.flatnonzero((flags > 0.5) == (side == "right"))
-    if len(rows) > 1:
-        raise InputError(path, key, f"{len(rows)} {side} hands", "one; leave out those of other people")
-    if not rows.size:
-        return None
-    return dict(_taken(record, int(rows[0]), len(flags))) if len(flags) > 1 else record
+    return [dict(_taken(record, int(row), len(flags))) if len(flags) > 1 else record for row in rows]
 
 
 def _taken(record: Record, row: int, of: int) -> Iterator[tuple[str, object]]:
@@ -135,14 +132,13 @@ def _taken(record: Record, row: int, of: int) -> Iterator[tuple[str, object]]:
 def estimate(path: Path, frame: int, record: Record, request: Request) -> Estimate:
     """The hand of one record. Raises ``InputError``."""
     side, camera = request.side, request.camera(frame)
-    turned_back = "wilor_preds" in record
-    inner = child(path, record, "wilor_preds") if turned_back else record
-    inner = {**record, **inner}
+    mini = next((key for key in MINI if key in record), None)
+    inner = record if mini is None else {**record, **child(path, record, mini)}
     of = {**inner, **child(path, inner, "pred_mano_params")} if "pred_mano_params" in inner else inner
     R = rotations(path, "global_orient", numbers(path, of, "global_orient", (3, 3), (3,)), 0)
     fingers = rotations(path, "hand_pose", numbers(path, of, "hand_pose", (15, 3, 3), (15, 3)), 1)
     betas = numbers(path, of, "betas", (10,))
-    if side == "left" and not turned_back:
+    if side == "left" and mini is None:
         R, fingers = mirror_rotation(R), mirror_rotation(fingers)
     weak, depth = _weak_perspective(path, inner, camera)
     if not weak.pixels_per_metre > 0:
@@ -155,13 +151,7 @@ def estimate(path: Path, frame: int, record: Record, request: Request) -> Estima
 
 def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakPerspective, str]:
     """What the network saw, in the pixels of the clip's images, and where its depth comes from, in words."""
-    size = np.array(camera.size, dtype=float)
-    if "img_size" in record:
-        size = numbers(path, record, "img_size", (2,))
-    if "box_xyxy_456x256" in record:
-        size = np.array(LATER_SIZE, dtype=float)
-    if not size.min() >= 1.0:
-        raise InputError(path, "img_size", str(size.tolist()), "width and height [px]")
+    size, swapped = _size(path, record, camera)
     zoom = np.array(camera.size) / size
     if "pred_cam_t_full" in record:
         t = numbers(path, record, "pred_cam_t_full", (3,))
@@ -175,7 +165,7 @@ def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakP
         if not focal > 0:
             raise InputError(path, "scaled_focal_length", f"{focal:g}", "above 0")
         weak = WeakPerspective.of_translation(t, focal, size / 2.0)
-        return weak.resized(zoom), f"pred_cam_t_full, {assumed}, and the clip's put in"
+        return weak.resized(zoom), f"pred_cam_t_full, {assumed}, and the clip's put in{swapped}"
     cam = numbers(path, record, "pred_cam", (3,))
     if "box_center" in record:
         centre, side = numbers(path, record, "box_center", (2,)), float(numbers(path, record, "box_size", ()))
@@ -187,7 +177,29 @@ def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakP
     if not side > 0:
         raise InputError(path, source, f"a box {side:g} px large", "a box with an area")
     weak = WeakPerspective.of_crop(centre, side, cam)
-    return weak.resized(zoom), f"weak perspective (pred_cam, {source}) and the clip's focal length"
+    return weak.resized(zoom), f"weak perspective (pred_cam, {source}) and the clip's focal length{swapped}"
+
+
+def _size(path: Path, record: Record, camera: Camera) -> tuple[Float[ndarray, "2"], str]:
+    """Width and height of the images that a record is of [px], and in words how ``img_size`` was read otherwise.
+
+    Raises ``InputError`` for images of other proportions than the clip's.
+    """
+    if "box_xyxy_456x256" in record:
+        return np.array(LATER_SIZE, dtype=float), ""
+    size = numbers(path, record, "img_size", (2,)) if "img_size" in record else np.array(camera.size, dtype=float)
+    if not size.min() >= 1.0:
+        raise InputError(path, "img_size", str(size.tolist()), "width and height [px]")
+    clip = camera.size[0] / camera.size[1]
+    if abs(np.log(size[0] / size[1] / clip)) < SAME_SHAPE:
+        return size, ""
+    if abs(np.log(size[1] / size[0] / clip)) < SAME_SHAPE:
+        return size[::-1], f"; img_size read as height and width, a guess: the clip's images are {_by(camera.size)}"
+    raise InputError(path, "img_size", _by(size), f"width and height like the clip's images, {_by(camera.size)}")
+
+
+def _by(size: Sequence[float] | ndarray) -> str:
+    return f"{size[0]:g} x {size[1]:g}"
 
 
 def _joints(

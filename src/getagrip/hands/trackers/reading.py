@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,13 +11,18 @@ import numpy as np
 from getagrip.clip import HandTrack
 from getagrip.clip.plausible import check_in_hand, check_poses
 from getagrip.errors import InputError
-from getagrip.hands.trackers.estimates import ONE_CAMERA, Estimate, Request
+from getagrip.geometry import se3
+from getagrip.hands.trackers.choosing import one_each
+from getagrip.hands.trackers.estimates import ONE_CAMERA, Estimates, Request
 from getagrip.hands.trackers.hand import track
+from getagrip.hands.trackers.joint_checks import MISFIT
 from getagrip.hands.trackers.records import listed
 from getagrip.hands.trackers.tracker import Tracker
 
 HELD = "hands_held"
 """Key of a clip's provenance: frames in which the hand is not known, and stands still."""
+CHOSEN = "hands_chosen"
+"""Key of a clip's provenance: which hand was taken where there were several."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,8 @@ class Hands:
     found: tuple[int, ...]
     """These frames, rising, as indices into those of the ``Request``."""
     provenance: dict[str, str]
+    doubts: tuple[str, ...] = ()
+    """What may be wrong with it, in words."""
 
     def held_at_ends(self, frames: Sequence[str]) -> Hands:
         """The hand stands still, as a guess, before the first and after the last frame in which it was found.
@@ -43,14 +49,16 @@ class Hands:
         nearest = np.searchsorted(self.found, np.clip(rows, first, last))
         where = " and ".join(f"{frames[end[0]]} to {frames[end[-1]]}" for end in ends)
         guess = f"a guess in the frames {where}, which have none: the hand of the nearest frame that has one"
-        return Hands(self.track.take(nearest), tuple(rows), self.provenance | {HELD: guess})
+        return replace(
+            self, track=self.track.take(nearest), found=tuple(rows), provenance=self.provenance | {HELD: guess}
+        )
 
 
 def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
     """The hand of one side in some frames of a clip.
 
     ``paths`` are files, folders of them, or patterns (``out/*.npz``). Raises as ``Tracker.read`` does, and
-    ``InputError`` where there is no such file or hand, two hands in a frame, or none that can be one.
+    ``InputError`` where there is no such file or hand, or none that can be one.
     """
     paths = listed(paths)
     estimates = tracker.read(paths, request)
@@ -58,9 +66,9 @@ def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
         other = "left" if request.side == "right" else "right"
         given = f"no {request.side} hand in the clip's frames, in {len(paths)} files"
         raise InputError(paths[0], "", given, f"one; or is it the {other} hand that holds the object?")
-    _check_each_once(estimates.hands, request)
-    depths = "; ".join(dict.fromkeys(hand.depth for hand in estimates.hands))
-    estimates = replace(estimates, hands=tuple(sorted(estimates.hands, key=lambda hand: hand.frame)))
+    hands, chosen = one_each(estimates.hands, request)
+    depths = "; ".join(dict.fromkeys(hand.depth for hand in hands))
+    estimates = replace(estimates, hands=tuple(hands))
     made, what = track(estimates, request.mano)
     first = estimates.hands[0]
     if first.mano is not None:  # a hand fitted to plain joints has a hand's size; whether it is in view, callers check
@@ -72,13 +80,18 @@ def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
         "hands_focal": depths,
         "hands_scale": estimates.scale or f"{size}; {ONE_CAMERA}",
     }
-    return Hands(made, tuple(hand.frame for hand in estimates.hands), provenance)
+    if chosen:
+        provenance[CHOSEN] = chosen
+    doubts = tuple(filter(None, [estimates.doubt, _misfit(estimates, made)]))
+    return Hands(made, tuple(hand.frame for hand in estimates.hands), provenance, doubts)
 
 
-def _check_each_once(hands: Sequence[Estimate], request: Request) -> None:
-    """Raise ``InputError`` for two hands in a frame."""
-    twice = next((frame for frame, count in Counter(hand.frame for hand in hands).items() if count > 1), None)
-    if twice is not None:
-        last = next(hand for hand in reversed(hands) if hand.frame == twice)
-        given = f"a second hand in frame {request.frames[twice]}"
-        raise InputError(last.path, "", given, "one; leave out other people's")
+def _misfit(estimates: Estimates, made: HandTrack) -> str:
+    """Words for joints that are far from those of the hand that was fitted to them; empty where they are not."""
+    given = [hand.joints for hand in estimates.hands if hand.joints is not None]
+    if len(given) < len(estimates.hands) or made.joints is None:
+        return ""
+    apart = se3.transform(made.T_cam_hand, made.joints) - np.array(given)
+    off = float(np.sqrt(np.mean(np.sum(apart**2, axis=-1))))
+    causes = "noise, another order, another skeleton, or depths that are not in metres"
+    return "" if off <= MISFIT else f"joints {1e3 * off:.1f} mm off every pose of a hand (root mean square): {causes}"

@@ -21,6 +21,10 @@ Record = Mapping[str, Any]
 SUFFIXES = (".npz", ".npy", ".json", ".pkl", ".pickle", ".pt", ".pth")
 MESHES = (".obj",)
 IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
+COMPRESSED = (b"x\x01", b"x^", b"x\x9c", b"x\xda", b"\x1f\x8b", b"BZh", b"\xfd7zXZ")
+"""How files begin that joblib has compressed."""
+PEOPLE = "people"
+"""Key of the records of several hands, where a file holds nothing but a list of these."""
 LARGEST = 256 * 2**20
 """Bytes of the largest ``.npy`` or ``.pt`` file, unpacked."""
 ABSURD = 1e7
@@ -53,22 +57,37 @@ def listed(paths: Sequence[Path]) -> list[Path]:
 
 
 def read(path: Path) -> Record:
-    """The content of a file. A bare ``.npy`` array becomes a record with the one key ``joints``.
+    """The content of a file. A bare ``.npy`` array becomes a record with the one key ``joints``, a list of records,
+    as of the hands in one image, one with the key ``PEOPLE``.
 
     Raises ``InputError`` for damaged, hostile and absurdly large files, ``UsageError`` for ``.pt`` without torch.
     """
     suffix = path.suffix.lower()
+    if suffix in {".pkl", ".pickle", ".pt", ".pth"}:
+        _check_not_joblib(path)
     if suffix == ".npz":
         return arrays.read(path, lambda _: True)
     if suffix == ".json":
-        return files.read_json(path)
+        return _record(path, files.read_any_json(path))
     if suffix in {".pkl", ".pickle"}:
-        return pickles.read(path, files.read_bytes(path, pickles.LARGEST), "a pickled dictionary of arrays")
+        content = files.read_bytes(path, pickles.LARGEST)
+        return _record(path, pickles.read_any(path, content, "a pickled dictionary of arrays"))
     if suffix in {".pt", ".pth"}:
         return _read_torch(path)
     if suffix == ".npy":
         return {"joints": arrays.parse_npy(path, "", files.read_bytes(path, LARGEST))}
     raise InputError(path, "", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")
+
+
+def _check_not_joblib(path: Path) -> None:
+    """Raise ``InputError`` for a file of ``joblib.dump``, which names its own classes and is no file of torch."""
+    content = files.read_bytes(path, LARGEST)
+    if b"joblib.numpy_pickle" in content or content.startswith(COMPRESSED):
+        line = (
+            f"import joblib, pickle; pickle.dump(joblib.load({path.name!r}), open({path.stem + '_plain.pkl'!r}, 'wb'))"
+        )
+        given = "a file of joblib.dump, which could run code when loaded"
+        raise InputError(path, "", given, f"a plain pickle; where it was made, Python converts it: {line}")
 
 
 def by_image(record: Record) -> Record:
@@ -107,10 +126,17 @@ def _read_torch(path: Path) -> Record:
             return {str(key): plain(item) for key, item in value.items()}
         return [plain(item) for item in value] if isinstance(value, list | tuple) else value
 
-    record = plain(loaded)
-    if not isinstance(record, dict):
-        raise InputError(path, "", f"a {type(loaded).__name__}", "a dictionary of tensors")
-    return record
+    return _record(path, plain(loaded))
+
+
+def _record(path: Path, content: object) -> Record:
+    """A file's content as a record. Raises ``InputError``."""
+    if isinstance(content, list) and all(isinstance(each, Mapping) for each in content):
+        return {PEOPLE: content}
+    if not isinstance(content, Mapping):
+        given = "a list of other things" if isinstance(content, list) else f"a {type(content).__name__}"
+        raise InputError(path, "", given, "a dictionary, or a list of one for each hand")
+    return content
 
 
 def numbers(path: Path, record: Record, key: str, *shapes: tuple[int, ...], of: str = "") -> Float[ndarray, "..."]:

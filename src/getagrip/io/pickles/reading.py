@@ -58,15 +58,30 @@ def read(
     than ``largest`` bytes is refused, and what takes more memory than one so large would. Raises ``InputError``,
     also for what is malformed, no dictionary, or small in the file and vast in memory.
     """
+    value = read_any(path, content, what, classes, largest)
+    if not isinstance(value, dict):
+        raise InputError(path, "", f"a pickled {type(value).__name__}", f"{what} (a dictionary)")
+    return value
+
+
+def read_any(
+    path: Path,
+    content: bytes,
+    what: str,
+    classes: Mapping[tuple[str, str], str] = NO_CLASSES,
+    largest: int = LARGEST,
+) -> object:
+    """What a pickle holds, as ``read`` reads it, a dictionary or not; keys of a dictionary are text.
+
+    Raises ``InputError``.
+    """
     if len(content) > largest:
         raise InputError(path, "", f"{len(content) / 2**20:.0f} MB", f"{what} of at most {largest >> 20} MB")
     try:
         value = run(content, StandIns(classes, MOST_BYTES * (largest // LARGEST)))
         check_bounded(path, value, what, MOST_VALUES * (largest // LARGEST))
         value = _finished(value, {})
-        if not isinstance(value, dict):
-            raise InputError(path, "", f"a pickled {type(value).__name__}", f"{what} (a dictionary)")
-        return {str(key): item for key, item in value.items()}
+        return {str(key): item for key, item in value.items()} if isinstance(value, dict) else value
     except InputError:
         raise
     except ForbiddenNameError as error:

@@ -1,0 +1,186 @@
+"""Polygons cut into triangles: fans where they are convex, ears where not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from getagrip.errors import InputError
+
+STRAIGHT = 1e-14
+"""Corners that turn less are straight, in polygons about 1 large."""
+FEW = 50
+"""Corners that are tested one by one; more are tested at once, each in a fraction of the time."""
+MOST_TESTS = 10_000_000
+"""Of corners against triangles, in the concave polygons of a file; some seconds."""
+AT_ONCE = 2**18
+"""Corners of polygons that are looked at at a time."""
+
+
+@dataclass
+class Effort:
+    """How many more tests a file may take."""
+
+    left: int
+
+
+def triangles(
+    path: Path, points: Float[ndarray, "V 3"], counts: Int[ndarray, "n"], corners: Int[ndarray, "c"]
+) -> Int[ndarray, "F 3"]:
+    """Triangles of polygons with ``counts`` corners each (3 or more), which are listed one after the other.
+
+    Those of a polygon that is no plane one of these points are a fan. Raises ``InputError`` for polygons that take too
+    long to be cut.
+    """
+    starts, firsts = np.cumsum(counts) - counts, np.cumsum(counts - 2) - (counts - 2)
+    made, effort = np.empty((int(np.sum(counts - 2)), 3), dtype=np.int64), Effort(MOST_TESTS)
+    for count in np.unique(counts):
+        of_count, step = np.flatnonzero(counts == count), max(1, AT_ONCE // int(count))
+        for begin in range(0, len(of_count), step):
+            rows = of_count[begin : begin + step]
+            polygons = corners[starts[rows, None] + np.arange(count)]
+            made[firsts[rows, None] + np.arange(count - 2)] = _cut(path, points, polygons, effort)
+    return made
+
+
+def _cut(
+    path: Path, points: Float[ndarray, "V 3"], polygons: Int[ndarray, "n N"], effort: Effort
+) -> Int[ndarray, "n f 3"]:
+    """The triangles of polygons of as many corners each."""
+    count = polygons.shape[1]
+    n = np.arange(1, count - 1)
+    cut: ndarray = polygons[:, np.stack([np.zeros_like(n), n, n + 1], axis=1)]
+    if count == 3 or not len(points):
+        return cut
+    known: Bool[ndarray, "n"] = np.all((polygons >= 0) & (polygons < len(points)), axis=1)
+    flat = _in_plane(points[np.where(known[:, None], polygons, 0)])
+    concave = known & ~_are_convex(flat)
+    if count == 4:
+        cut[concave] = np.where(_split_at_first(flat[concave])[:, None, None], cut[concave], _other(polygons[concave]))
+        return cut
+    for row in np.flatnonzero(concave):
+        cut[row] = polygons[row][np.array(_ears(path, flat[row], effort))]
+    return cut
+
+
+def _split_at_first(flat: Float[ndarray, "n 4 2"]) -> Bool[ndarray, "n"]:
+    """Whether the diagonal from a quad's first corner lies in it, where one of the two does."""
+    a, b, c, d = np.moveaxis(flat, 1, 0)
+    return (_turns(a, b, c) > 0) & (_turns(a, c, d) > 0)
+
+
+def _other(quads: Int[ndarray, "n 4"]) -> Int[ndarray, "n 2 3"]:
+    """Quads cut at the diagonal from their second corner."""
+    return quads[:, np.array([[1, 2, 3], [1, 3, 0]])]
+
+
+def _ears(path: Path, flat: Float[ndarray, "N 2"], effort: Effort) -> list[tuple[int, int, int]]:
+    """N - 2 triangles of a simple polygon in the plane, by its corners, turning as it turns.
+
+    Corners are cut off that are convex and whose triangle holds no other corner, or that are straight where there are
+    none. A polygon that has neither, as one that crosses itself, is cut into a fan from there on. Plain numbers, since
+    most polygons have few corners.
+    """
+    at: list[list[float]] = flat.tolist()
+    count = len(at)
+    before, after = [n - 1 for n in range(count)], [n + 1 for n in range(count)]
+    before[0], after[-1] = count - 1, 0
+    turn = [_turn(at[before[n]], at[n], at[after[n]]) for n in range(count)]
+    reflex = {n for n in range(count) if turn[n] <= 0}
+    is_reflex = np.array(turn) <= 0
+    cut: list[tuple[int, int, int]] = []
+    n = passed = 0
+    while count > 3:
+        a, c = before[n], after[n]
+        convex, straight = turn[n] > STRAIGHT, passed > count and abs(turn[n]) <= STRAIGHT
+        few = len(reflex) <= FEW
+        if convex:
+            effort.left -= 1 + (len(reflex) if few else 20 * FEW + len(flat) // 4)
+        if effort.left < 0:
+            given = f"concave polygons, one of {len(flat)} corners, that take too long to be cut"
+            raise InputError(path, "faces", given, "triangles: triangulate the mesh where it was made")
+        if convex and few:
+            convex = not any(_holds(at[a], at[n], at[c], at[r]) for r in reflex)
+        elif convex:
+            convex = not _holds_any(flat[a], flat[n], flat[c], flat[is_reflex])
+        if straight or convex:
+            cut.append((a, n, c))
+            after[a], before[c] = c, a
+            turn[n] = np.inf
+            for k in (a, c):
+                turn[k] = _turn(at[before[k]], at[k], at[after[k]])
+            for k in (a, n, c):
+                is_reflex[k] = turn[k] <= 0
+                (reflex.add if turn[k] <= 0 else reflex.discard)(k)
+            count, passed = count - 1, 0
+        elif passed > 2 * count:
+            break
+        n, passed = c, passed + 1
+    rest = [n]
+    while len(rest) < count:
+        rest.append(after[rest[-1]])
+    return cut + [(n, b, c) for b, c in pairwise(rest[1:])]
+
+
+def _turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
+    """Twice the signed area of a triangle, positive where it is counter-clockwise."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _holds(a: Sequence[float], b: Sequence[float], c: Sequence[float], point: Sequence[float]) -> bool:
+    """Whether a point is in a counter-clockwise triangle, edges included and corners not."""
+    inside = _turn(a, b, point) >= 0 and _turn(b, c, point) >= 0 and _turn(c, a, point) >= 0
+    return inside and point not in (a, b, c)
+
+
+def _holds_any(
+    a: Float[ndarray, "2"], b: Float[ndarray, "2"], c: Float[ndarray, "2"], points: Float[ndarray, "n 2"]
+) -> bool:
+    """``_holds`` for any of many points."""
+    inside = (_turns(a, b, points) >= 0) & (_turns(b, c, points) >= 0) & (_turns(c, a, points) >= 0)
+    corner = np.any([(points == point).all(axis=1) for point in (a, b, c)], axis=0)
+    return bool((inside & ~corner).any())
+
+
+def _in_plane(points: Float[ndarray, "n N 3"]) -> Float[ndarray, "n N 2"]:
+    """Corners in their polygon's plane, counter-clockwise; zeros where it has no area or is not finite.
+
+    The plane's normal is Newell's.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = points - points.mean(axis=1, keepdims=True)
+        extent = np.abs(off).max(axis=(1, 2))[:, None, None]
+        off = off / np.where(extent > 0, extent, 1.0)
+        normal = np.cross(off, np.roll(off, -1, axis=1)).sum(axis=1)
+        length = np.linalg.norm(normal, axis=1)
+        plane = np.isfinite(length) & (length > 1e-12)
+    off, normal = np.where(plane[:, None, None], off, 0.0), np.where(plane[:, None], normal, [0.0, 0.0, 1.0])
+    normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
+    across = across / np.linalg.norm(across, axis=1, keepdims=True)
+    up = np.cross(normal, across)
+    return np.stack([(off * across[:, None]).sum(axis=-1), (off * up[:, None]).sum(axis=-1)], axis=-1)
+
+
+def _turns(a: Float[ndarray, "*n 2"], b: Float[ndarray, "*m 2"], c: Float[ndarray, "*k 2"]) -> Float[ndarray, "*l"]:
+    """Twice the signed areas of triangles, positive where they are counter-clockwise."""
+    ab, ac = b - a, c - a
+    return np.asarray(ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0])
+
+
+def _are_convex(flat: Float[ndarray, "n N 2"]) -> Bool[ndarray, "n"]:
+    """Which polygons turn back at no corner and go round once."""
+    before, after = np.roll(flat, 1, axis=1), np.roll(flat, -1, axis=1)
+    turns_left: Bool[ndarray, "n"] = np.all(_turns(before, flat, after) >= -1e-12, axis=1)
+    if flat.shape[1] < 5:
+        return turns_left
+    step = after - flat
+    angle = np.arctan2(step[..., 1], step[..., 0])
+    turned = np.mod(np.diff(angle, axis=1, append=angle[:, :1]), 2 * np.pi)
+    return turns_left & (turned.sum(axis=1) < 3 * np.pi)
