@@ -12,7 +12,8 @@ from typing import Any
 
 from getagrip.batch.crew import Ended
 from getagrip.batch.engine import Engine
-from getagrip.batch.ledger import Entry, Ledger
+from getagrip.batch.entries import Entry
+from getagrip.batch.ledger import Ledger
 from getagrip.batch.limits import NONE
 from getagrip.batch.on_ray import RayCrew
 from getagrip.batch.pool import shared_out

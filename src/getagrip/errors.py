@@ -18,6 +18,11 @@ def cleaned(text: str, kept: str = "") -> str:
     return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in text)
 
 
+def legible(text: str) -> str:
+    """A text that a page or a table can hold: bytes of file names that are no UTF-8 become replacement characters."""
+    return "".join("\ufffd" if "\ud800" <= letter <= "\udfff" else letter for letter in text)
+
+
 class GetagripError(Exception):
     """Root of all errors a user can cause. The message names the culprit, what was given and what is allowed."""
 

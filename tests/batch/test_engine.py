@@ -14,7 +14,8 @@ from threading import Barrier
 import pytest
 
 from getagrip.batch import drivers
-from getagrip.batch.ledger import Entry, Ledger
+from getagrip.batch.entries import Entry
+from getagrip.batch.ledger import Ledger
 from helpers.jobs import drive
 from helpers.paths import import_path
 

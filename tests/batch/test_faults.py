@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 
 from getagrip import cli
-from getagrip.batch.ledger import FILE
+from getagrip.batch.entries import FILE
 from getagrip.cli import _parsed
 from getagrip.clip import Clip, write_clip
 from getagrip.errors import InputError

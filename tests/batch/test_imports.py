@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from getagrip.batch.entries import FILE
 from getagrip.batch.imports import ImportJob, import_clips, import_part
-from getagrip.batch.ledger import FILE, Ledger
+from getagrip.batch.ledger import Ledger
 from getagrip.batch.limits import Limits
 from getagrip.batch.plan import Shard
 from getagrip.batch.share import Share

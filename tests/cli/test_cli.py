@@ -61,6 +61,7 @@ def test_help_is_there(run: Run, args: tuple[str, ...]) -> None:
         ("evaluate", "a", "--json", f"{__file__}/file.json"),
         ("import", "dexycb", "root", "--out", "x"),
         ("report",),
+        ("status",),
     ],
 )
 @pytest.mark.slow
@@ -173,13 +174,6 @@ def test_an_archive_on_a_disk_has_an_address(run: Run, tmp_path: Path) -> None:
     assert status == 1
     assert "mug.zip: got an archive, expected a clip, or a folder of clips; reconstruct reads" in err
     assert err.strip().endswith(f"local://{tmp_path}/mug.zip")
-
-
-def test_two_clips_of_one_name_are_refused(run: Run, can_and_box: Path, tmp_path: Path) -> None:
-    status, _, err = run("reconstruct", can_and_box, can_and_box / "can", "--out", tmp_path / "out")
-    assert status == 2
-    assert str(can_and_box / "can") in err
-    assert not (tmp_path / "out").exists()
 
 
 def test_foreign_folders_are_left_alone(run: Run, can_and_box: Path, tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ import trimesh
 from fuzz.reader import Reader
 from getagrip.annotate import labels, tasks
 from getagrip.annotate.store import Store
-from getagrip.batch.ledger import Entry, Ledger
+from getagrip.batch.entries import Entry
+from getagrip.batch.ledger import Ledger
 from getagrip.clip import Joint, find_masks, input_sha256, read_clip, read_masks, segment_files, write_clip
 from getagrip.clip.data import World
 from getagrip.clip.masks import read_observed

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from getagrip.batch.crew import Start
 from getagrip.batch.engine import Engine
-from getagrip.batch.ledger import Entry, Ledger
+from getagrip.batch.entries import Entry
+from getagrip.batch.ledger import Ledger
 from getagrip.batch.processes import Processes
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from getagrip.annotate.store import Store
-from getagrip.batch.ledger import FILE, Ledger
+from getagrip.batch.entries import FILE
+from getagrip.batch.ledger import Ledger
 from getagrip.errors import InputError, UsageError
 from getagrip.io import databases, files, leftovers
 

@@ -15,6 +15,7 @@ from getagrip.clip import OtherHand, input_sha256, write_clip
 from getagrip.commands.report import ReportRequest, report
 from getagrip.finding import Finding
 from getagrip.geometry import se3
+from getagrip.pages import IndexRow, row_without_clip, write_index
 from getagrip.probability import RIGHT, Probability
 from getagrip.result import Axis, Candidates, write_result
 from helpers.browser import IN_BROWSER, READS_BACK, until
@@ -188,18 +189,20 @@ def test_the_index_sorts_filters_and_links(page: Any, folder: Path) -> None:
     def sets() -> list[str]:
         return [text.split("\n")[1] for text in page.locator("tbody .name").all_inner_texts()]
 
-    assert sets()[:2] == ["moved", "good"]  # the worst first, what has no value last
-    assert any("bad/result.json" in words for words in sets()[2:])
+    assert sets()[1:3] == ["moved", "good"]  # what has failed first, then the worst
+    assert "bad/result.json" in sets()[0]
     assert page.locator(".summary tbody th").all_inner_texts() == ["moved", "good", "other"]
     page.locator("#order").select_option("best")
     assert sets()[:2] == ["good", "moved"]
     page.get_by_role("button", name="worst frame").click()
-    assert sets()[::2][:2] == ["moved", "good"]
-    assert sets()[1].startswith("other: ")
-    assert "expected an unchanged clip" in sets()[1]
-    assert page.locator("tbody .value.by").first.inner_text() == "40.0"
+    assert sets()[1::2] == ["moved", "good"]
+    assert sets()[2].startswith("other: ")
+    assert "expected an unchanged clip" in sets()[2]
+    assert page.inner_text("#facts") == "3 of 4 results, 1 failed. Pictures show the frame of the lowest IOU."
+    assert page.inner_text("tbody .badge.failed") == "failed"
+    assert page.locator("tbody .value.by").nth(1).inner_text() == "40.0"
     page.get_by_role("button", name="probability right in the hand").click()
-    assert page.locator("tbody .value.by").first.inner_text() == "> 99"
+    assert page.locator("tbody .value.by").nth(1).inner_text() == "> 99"
     page.get_by_role("button", name="worst frame").click()
     page.locator("#flags").select_option("serious")
     assert sets()[0] == "moved"
@@ -213,3 +216,22 @@ def test_the_index_sorts_filters_and_links(page: Any, folder: Path) -> None:
     page.click(".gallery a >> nth=0")
     page.locator("body[data-ready='3d']").wait_for()
     page.evaluate("window.links = 1")
+
+
+def test_an_index_says_no_more_than_there_is(page: Any, tmp_path: Path) -> None:
+    """Of clips that have failed or are left, and without pictures."""
+    clip, _ = egg_and_mug()
+    done = row_without_clip("done", perfect(clip), {}, "")
+    rows = [IndexRow("z", "no hand", flags=("failed",)), done, IndexRow("left", "not done yet", flags=("left",))]
+    opened(page, write_index(rows, "results", ["summary.csv"], tmp_path / "index.html"))
+    assert page.inner_text("#facts") == "1 of 3 results, 1 failed, 1 not done."
+    assert page.inner_text("#footer").endswith("Tables: summary.csv")
+    names = [text.split("\n")[0] for text in page.locator("tbody .name").all_inner_texts()]
+    assert names == ["z", "egg-and-mug", "left"]
+    red = page.locator(".badge.failed")
+    assert red.all_inner_texts() == ["failed"]
+    assert red.evaluate("(one) => getComputedStyle(one).backgroundColor") != page.locator(".badge").last.evaluate(
+        "(one) => getComputedStyle(one).backgroundColor"
+    )
+    page.locator("#flags").select_option("left")
+    assert page.inner_text("#facts") == "1 of 3 results, 1 failed, 1 not done, 1 shown."

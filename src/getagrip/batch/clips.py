@@ -20,11 +20,11 @@ from getagrip.batch.plan import Plan
 from getagrip.batch.progress import Pace
 from getagrip.batch.share import ALONE, Share
 from getagrip.batch.streamed import StreamedJob, reconstruct_streamed
-from getagrip.batch.summary import entry_of, write_summary
+from getagrip.batch.summary import entry_of, entry_of_path, write_summary
 from getagrip.errors import UsageError, cleaned
 from getagrip.io import leftovers
 from getagrip.io.storage import Place, Remote
-from getagrip.io.terminal import progress_bar, report, show_stage
+from getagrip.io.terminal import progress_bar, report, say, show_stage
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -59,9 +59,9 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
     """Reconstruct clips into ``out/<clip name>/`` and print the outcome of each; 1 if any failed, else 0.
 
     Several calls may share a folder, at the same time or one after another: its ledger says who does what. Of more
-    than one clip a summary is written. With ``strict`` also 1 where a check has found something serious or a result is
-    improbable. Raises ``UsageError`` where there is nothing to do, ``GetagripError`` where the ledger cannot be
-    written.
+    than one clip a summary is written, also after an interrupt. With ``strict`` also 1 where a check has found
+    something serious or a result is improbable. Raises ``UsageError`` where there is nothing to do, ``GetagripError``
+    where the ledger cannot be written.
     """
     if not paths:
         raise UsageError("CLIP: name at least one clip")
@@ -76,16 +76,29 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
                 report(f"{out}: its ledger is {ledger.path}")
             for folder in leftovers.sweep(out) if isinstance(out, Path) else ():
                 report(f"{folder}: removed, left behind by a process that has died")
-            tally = _work_off(plan, ledger, out, options, batch, debug)
-            if len(plan) + len(plan.failed) > 1:
-                for path in write_summary(ledger, out, plan.failed):
-                    print(path)
+            ledger.expect((name for name, _ in plan), map(entry_of_path, plan.failed))
+            many = len(plan) + len(plan.failed) > 1
+            try:
+                tally = _work_off(plan, ledger, out, options, batch, debug)
+            except KeyboardInterrupt:
+                if many:
+                    _summarise(ledger, out)
+                report(f"what is done: getagrip status {shlex.quote(str(out))}")
+                raise
+            if many:
+                _summarise(ledger, out)
     tally.counts["failed"] += len(plan.failed)
     if len(tally) > 1:
         tally.print()
     if sys.stdout.isatty() and tally.counts["done"] + tally.counts["kept"]:
         print(f"look at it with: getagrip view {shlex.quote(str(out))}, or getagrip report")
     return 1 if tally.counts["failed"] or (batch.strict and not tally.passes(batch.min_probability)) else 0
+
+
+def _summarise(ledger: Ledger, out: Place) -> None:
+    """Write the summary, and say where."""
+    for path in write_summary(ledger, out):
+        say(str(path))
 
 
 class _Tally:
@@ -137,7 +150,7 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
         engine = Engine(
             work=work,
             lost=_lost,
-            entry=entry_of,
+            entry=partial(entry_of, method=options.method, seed=options.seed),
             options=asdict(options),
             crew=batch.share.crew(len(plan)),
             limits=batch.share.limits,

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
 from getagrip.batch.crew import Ended, Start
-from getagrip.batch.ledger import Entry, Ledger
+from getagrip.batch.entries import Entry
+from getagrip.batch.ledger import Ledger
 from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.pool import in_turn, shared_out
 from getagrip.io import code, files

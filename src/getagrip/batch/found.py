@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from getagrip.batch.entries import Entry
 from getagrip.batch.job import Outcome, Progress, failure
 from getagrip.batch.kept import OTHER, damaged, difference
-from getagrip.batch.ledger import Entry
 from getagrip.clip import input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options

@@ -12,8 +12,8 @@ from typing import Any
 from getagrip.batch import grasp_list
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.engine import Engine
+from getagrip.batch.entries import Entry, State
 from getagrip.batch.job import Outcome, failure
-from getagrip.batch.ledger import Entry, State
 from getagrip.batch.share import ALONE, Share
 from getagrip.clip import Clip, write_clip
 from getagrip.clip.camera_of_image import doubt

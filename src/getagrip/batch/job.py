@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 from getagrip.batch.kept import good_result
 from getagrip.batch.made_by import made_by
 from getagrip.clip import input_sha256, read_clip
-from getagrip.errors import GetagripError, InputError
+from getagrip.errors import GetagripError, InputError, cleaned
 from getagrip.finding import Finding
 from getagrip.io.own_code import place
 from getagrip.probability import Probability, of_grasps
@@ -45,7 +45,7 @@ class Outcome:
     """What became of a clip (or of a path where none was found)."""
 
     name: str
-    """Empty where a path is no clip."""
+    """Empty where a path is no clip and no folder."""
     state: Literal["done", "kept", "failed"]
     """``kept``: the result stood there already."""
     message: str
@@ -62,8 +62,12 @@ class Outcome:
     """Of a result: how it ended."""
     iou: float | None = None
     """Of a result: over its frames."""
+    ambiguous: bool | None = None
+    """Of a result."""
     seconds: float = 0.0
     """Of a result: what its making took."""
+    path: str = ""
+    """Of what gave no clip to work on: where it is, whole."""
 
 
 def failure(name: str, error: Exception) -> Outcome:
@@ -75,7 +79,7 @@ def failure(name: str, error: Exception) -> Outcome:
         message = f"{f'{where}:' if where else 'unexpected'} {type(error).__name__}: {error}"
     if isinstance(error, MemoryError):
         message = f"it needs more memory than there is, or than --limit-gb allows; {error}".removesuffix("; ")
-    return Outcome(name, "failed", " ".join(message.split()), "".join(traceback.format_exception(error)))
+    return Outcome(name, "failed", cleaned(" ".join(message.split())), "".join(traceback.format_exception(error)))
 
 
 def load() -> None:
@@ -143,7 +147,7 @@ def standing(job: Job, checksum: str) -> tuple[Outcome | None, str]:
     there, why = good_result(job.out, checksum, job.options.method, options, made_by(job.options.method), job.overwrite)
     if there is None:
         return None, why
-    return _outcome(job, "kept", f"already done in {job.out}", there[0], checksum), ""
+    return _outcome(job, "kept", f"already done in {job.out}, IOU {there[0].mean_iou:.2f}", there[0], checksum), ""
 
 
 def _outcome(job: Job, state: Literal["done", "kept"], message: str, result: Reconstruction, checksum: str) -> Outcome:
@@ -151,5 +155,6 @@ def _outcome(job: Job, state: Literal["done", "kept"], message: str, result: Rec
     return Outcome(
         job.name, state, message, findings=result.findings, probability_right=result.probability_right,
         probability_right_in_camera=result.probability_right_in_camera,
-        inputs=checksum, status=result.status, iou=result.mean_iou, seconds=float(result.seconds.get("total", 0.0)),
+        inputs=checksum, status=result.status, iou=result.mean_iou, ambiguous=result.ambiguous,
+        seconds=float(result.seconds.get("total", 0.0)),
     )  # fmt: skip

@@ -9,66 +9,28 @@ from __future__ import annotations
 import json
 import sqlite3
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
 
-from getagrip.batch import drivers
 from getagrip.batch.drivers import Drivers
-from getagrip.errors import GetagripError, InputError
+from getagrip.batch.entries import (
+    APPLICATION,
+    COLUMNS,
+    FILE,
+    LEDGER,
+    LONGEST,
+    PATIENCE,
+    SCHEMA,
+    VERSION,
+    Entries,
+    Entry,
+)
+from getagrip.errors import GetagripError
 from getagrip.io import databases
 
-FILE = "ledger.sqlite"
-VERSION = 1
-APPLICATION = 0x6761676C
-"""The file's ``application_id``: "gagl"."""
-TASKS = """CREATE TABLE tasks (
-    name TEXT PRIMARY KEY, state TEXT NOT NULL, why TEXT NOT NULL, attempts INTEGER NOT NULL, seconds REAL NOT NULL,
-    worker TEXT NOT NULL, inputs TEXT NOT NULL, options TEXT NOT NULL, code TEXT NOT NULL, about TEXT NOT NULL,
-    claimed_by TEXT NOT NULL, ended_by TEXT NOT NULL
-) WITHOUT ROWID"""
-SCHEMA = (TASKS, drivers.SCHEMA)
-LONGEST = 2**20
-"""Bytes of a text in the file, and of a row."""
-PATIENCE = 60.0
-"""Seconds to wait for another driver's transaction."""
-State = Literal["open", "done", "failed", "kept"]
-"""``kept`` is what has become of a task whose result was there already; it is written as ``done``."""
 
-
-@dataclass(frozen=True)
-class Entry:
-    """A task in the ledger."""
-
-    name: str
-    state: State = "open"
-    why: str = ""
-    """Why it failed; of one that is done, how it ended."""
-    attempts: int = 0
-    """In the run that has ended it."""
-    seconds: float = 0.0
-    """Wall time of the last attempt."""
-    worker: str = ""
-    """Machine and number of the process that made it."""
-    inputs: str = ""
-    """Checksum of what it was made from."""
-    options: str = ""
-    """Checksum of the options."""
-    code: str = ""
-    """Version and fingerprint of the code."""
-    about: Mapping[str, Any] = field(default_factory=dict)
-    """What else a summary says of it."""
-
-
-COLUMNS = tuple(Entry.__dataclass_fields__)
-
-
-LEDGER = f"a ledger of version {VERSION}, or none: results do without"
-
-
-class Ledger:
+class Ledger(Entries):
     """The ledger of a folder, opened by one driver."""
 
     def __init__(self, folder: Path) -> None:
@@ -101,6 +63,18 @@ class Ledger:
             pass
         finally:
             self._db.close()
+
+    def expect(self, names: Iterable[str], failed: Iterable[Entry]) -> None:
+        """Enter what is to be done, where it has no entry, and what cannot be: paths that give no clip.
+
+        Their names have a slash, as no clip's has. They take the place of those of earlier calls.
+        """
+        with self._transaction() as db:
+            values = ((name, "open", "", 0, 0.0, "", "", "", "", "{}", "", "") for name in names)
+            db.executemany(f"INSERT OR IGNORE INTO tasks VALUES ({', '.join('?' * 12)})", values)
+            db.execute("DELETE FROM tasks WHERE instr(name, '/') > 0")
+            rows = ((e.name, e.state, e.why, 0, 0.0, "", "", "", "", json.dumps(e.about), "", "") for e in failed)
+            db.executemany(f"INSERT OR IGNORE INTO tasks VALUES ({', '.join('?' * 12)})", rows)
 
     def claim(self, name: str, options: str, code: str) -> Entry | None:
         """Claim a task for this driver, and return its entry; None where a living driver is at work on it.
@@ -146,29 +120,9 @@ class Ledger:
             changes = ", ".join(f"{column} = :{column}" for column in values)
             db.execute(f"UPDATE tasks SET {changes} WHERE {ours}", values | {"me": self._drivers.id})
 
-    def entries(self) -> Iterator[Entry]:
-        """All of them, by name."""
-        with self._named():
-            for row in self._db.execute(f"SELECT {', '.join(COLUMNS)} FROM tasks ORDER BY name"):
-                yield self._entry(row)
-
     def _of_another(self, driver: str) -> bool:
         """Whether this is a driver that lives, and not ourselves."""
         return bool(driver) and driver != self._drivers.id and self._drivers.lives(driver)
-
-    def _entry(self, row: tuple[Any, ...]) -> Entry:
-        """A row as an entry. Raises ``InputError`` where it is none."""
-        values = dict(zip(COLUMNS, row, strict=True))
-        texts = [value for column, value in values.items() if column not in ("attempts", "seconds")]
-        try:
-            values["about"] = json.loads(values["about"])
-            good = all(isinstance(text, str) for text in texts) and isinstance(values["about"], dict)
-            good = good and isinstance(values["attempts"], int) and isinstance(values["seconds"], float)
-        except (TypeError, ValueError, RecursionError):
-            good = False
-        if not good or values["state"] not in ("open", "done", "failed"):
-            raise InputError(self.path, "tasks", "a damaged row", "a ledger, or none: results do without")
-        return Entry(**values)
 
     def _prepare(self) -> None:
         """Make the tables, or see that they are ours."""
@@ -176,20 +130,13 @@ class Ledger:
             self._to_wal()
             self._db.execute("PRAGMA synchronous = NORMAL")
         with self._transaction() as db:
-            tables = [
-                sql for (sql,) in db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rowid")
-            ]
-            if not tables:
+            if not self._tables():
                 for statement in SCHEMA:
                     db.execute(statement)
                 db.execute(f"PRAGMA user_version = {VERSION}")
                 db.execute(f"PRAGMA application_id = {APPLICATION}")
                 return
-            is_ours = db.execute("PRAGMA application_id").fetchone() == (APPLICATION,)
-            version = db.execute("PRAGMA user_version").fetchone()[0]
-            if not is_ours or version != VERSION or tables != list(SCHEMA):
-                given = f"a database of another kind or version ({version})"
-                raise InputError(self.path, "", given, LEDGER)
+            self._check()
 
     def _to_wal(self) -> None:
         """Have the file in WAL mode. Here SQLite does not wait for another driver that begins, as it does elsewhere."""
@@ -215,14 +162,3 @@ class Ledger:
                 if self._db.in_transaction:
                     self._db.execute("ROLLBACK")
                 raise
-
-    @contextmanager
-    def _named(self) -> Iterator[None]:
-        """Say which file SQLite's errors are about."""
-        try:
-            yield
-        except sqlite3.OperationalError as error:  # a full disk, no permission, no answer
-            raise GetagripError(f"{self.path}: the ledger cannot be written ({error})") from error
-        except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: a message that quotes damaged text
-            given = f"a file that is no ledger ({error})"
-            raise InputError(self.path, "", given, "a ledger, or none: results do without") from error

@@ -6,13 +6,13 @@ import glob
 import os
 import sqlite3
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from zlib import crc32
 
 from getagrip.batch.job import Outcome, failure
 from getagrip.clip import read_name
-from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.errors import GetagripError, InputError, UsageError, cleaned
 from getagrip.io import files
 from getagrip.io.storage import ARCHIVE, Place, Remote, place
 
@@ -50,7 +50,7 @@ class Plan:
     def __init__(self, paths: Sequence[Place], shard: Shard = ALL) -> None:
         """Find them; a clip that is named twice counts once."""
         self.failed: list[Outcome] = []
-        """Paths that are no clips, and clips that share their name with another: their results would, too."""
+        """Paths that are no clips, and clips that share their name with another, as their results would."""
         self.remote = any(isinstance(path, Remote) for path in paths)
         """Whether some lie in an object store."""
         self._db = sqlite3.connect("")  # a temporary file, and that only where it does not fit into the cache
@@ -62,7 +62,7 @@ class Plan:
                 known = InputError(
                     str(clip), "name", files.shown(name), f"another name; {', '.join(OUR_FILES)} are taken"
                 )
-                self.failed.append(failure(name, known))
+                self.failed.append(_failure(name, clip, known))
                 continue
             self._db.execute("INSERT INTO found (name, folder) VALUES (?, ?)", (name, os.fsencode(str(clip))))
         self._db.execute("CREATE INDEX by_name ON found (name)")
@@ -81,7 +81,8 @@ class Plan:
             alike = [clip for _, clip in others]
             for clip, other in zip([first, *alike], [*alike[:1], *[first] * len(alike)], strict=False):
                 expected = f"a name of its own: {other} has the same, and so would their results"
-                self.failed.append(failure(name, InputError(str(clip), "name", files.shown(name), expected)))
+                error = InputError(str(clip), "name", files.shown(name), expected)
+                self.failed.append(_failure(name, clip, error))
 
     def __len__(self) -> int:
         (count,) = self._db.execute("SELECT count(*) FROM found").fetchone()
@@ -108,6 +109,12 @@ def by_name(paths: Sequence[Path]) -> tuple[dict[str, Path], list[Outcome]]:
         return {name: clip for name, clip in plan if isinstance(clip, Path)}, plan.failed
 
 
+def _failure(name: str, clip: Place, error: Exception) -> Outcome:
+    """That of a path that gives no clip to work on."""
+    whole = clip.absolute() if isinstance(clip, Path) else clip
+    return replace(failure(name, error), path=cleaned(str(whole)))
+
+
 def _resolved(clip: Place) -> Place:
     return clip.resolve() if isinstance(clip, Path) else clip
 
@@ -123,9 +130,9 @@ def _named_clips(paths: Sequence[Place], failed: list[Outcome]) -> Iterator[tupl
                 try:
                     yield read_name(clip), clip
                 except InputError as error:
-                    failed.append(failure(clip.name, error))
+                    failed.append(_failure(clip.name, clip, error))
         except (InputError, OSError) as error:
-            failed.append(failure("", error))
+            failed.append(_failure("", path, error))
 
 
 def clips_in(path: Path) -> Iterator[Path]:
@@ -171,7 +178,7 @@ def _in_store(path: Remote, failed: list[Outcome]) -> Iterator[tuple[str, Remote
             yield name, clip
         else:
             wrong = InputError(clip.url, "", f"the name {files.shown(clip.name)}", "a name that can name a folder")
-            failed.append(failure("", wrong))
+            failed.append(_failure("", clip, wrong))
 
 
 def _folders_in_store(path: Remote) -> list[Remote]:

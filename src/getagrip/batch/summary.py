@@ -4,27 +4,42 @@ from __future__ import annotations
 
 import heapq
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from math import isnan
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from getagrip import __version__
+from getagrip.batch.entries import Entries, Entry
 from getagrip.batch.job import Outcome
-from getagrip.batch.ledger import Entry, Ledger
 from getagrip.batch.streamed import readable
-from getagrip.errors import InputError
+from getagrip.errors import InputError, cleaned, legible
+from getagrip.finding import read_findings
 from getagrip.io import files
 from getagrip.io.csv_tables import CsvTable
 from getagrip.io.storage import Place, Remote
-from getagrip.result import is_result, read_result
+from getagrip.probability import read_probability
+from getagrip.result import is_result, read_record, read_result
+
+if TYPE_CHECKING:
+    from getagrip.pages import IndexRow
 
 TABLE, PAGE = "summary.csv", "index.html"
-HEAD = ("clip", "status", "why", "seconds", "IOU", "probability_right", "probability_right_in_camera", "findings")
+PROBABILITIES = ("probability_right", "probability_right_in_camera")
+"""That the poses are right in the hand, and in the camera."""
+MADE = ("ambiguous", "method", "seed", "version")
+HEAD = ("clip", "status", "why", "seconds", "IOU", *PROBABILITIES, *MADE, "findings")
 WORST = 1000
 """The index shows so many clips at most: a page of all would be too large for a browser."""
+KINDS = {"failed": "failed", "done": "results", "open": "left"}
+"""States, the worst first (of what is not done yet nobody knows), each with what the index calls it."""
 
 
-def entry_of(outcome: Outcome) -> Entry:
-    """What the ledger is to say of a clip."""
-    right, in_camera = outcome.probability_right, outcome.probability_right_in_camera
+def entry_of(outcome: Outcome, method: str, seed: int) -> Entry:
+    """What the ledger is to say of a clip that was given to a method."""
+    right = (outcome.probability_right, outcome.probability_right_in_camera)
     return Entry(
         name=outcome.name,
         state=outcome.state,
@@ -33,73 +48,142 @@ def entry_of(outcome: Outcome) -> Entry:
         seconds=outcome.seconds,
         about={
             "iou": outcome.iou,
-            "probability_right": None if right is None else right.value,
-            "probability_right_in_camera": None if in_camera is None else in_camera.value,
+            **{key: None if one is None else one.value for key, one in zip(PROBABILITIES, right, strict=True)},
+            "ambiguous": outcome.ambiguous,
+            "method": method,
+            "seed": seed,
+            "version": __version__,
             "findings": [str(finding) for finding in outcome.findings],
         },
     )
 
 
-def write_summary(ledger: Ledger, out: Place, nameless: Iterable[Outcome]) -> list[Place]:
-    """Write table and index page of the ledger of a folder of results, and return where they are.
+def entry_of_path(outcome: Outcome) -> Entry:
+    """What it is to say of a path that gave no clip to work on: its name is the path, as no clip's is."""
+    clip = cleaned(outcome.name) or Path(outcome.path).name
+    return Entry(outcome.path, "failed", outcome.message, about={"clip": clip})
 
-    ``nameless`` are failures of what has no entry: folders that are no clips.
+
+def shown_name(entry: Entry) -> str:
+    """What a table calls the clip of an entry."""
+    return legible(str(entry.about.get("clip", entry.name)))
+
+
+def number_of(entry: Entry, key: str) -> float | None:
+    """A number that a result's entry has, if it is known."""
+    value = entry.about.get(key)
+    return float(value) if isinstance(value, int | float) and not isnan(value) else None
+
+
+def known_entries(ledger: Entries | None, out: Place) -> Iterator[Entry]:
+    """An entry for each clip that the ledger knows or that has a result, in the state in which the results are.
+
+    What is done but has no result any more is open; what is open but has one is done: who made it was interrupted. In
+    an object store that is not looked up.
     """
+    for entry in () if ledger is None else ledger.entries():
+        yield _as_it_is(entry, out)
+    for path in sorted(out.iterdir()) if isinstance(out, Path) and out.is_dir() else ():
+        known = ledger is not None and path.name.isprintable() and ledger.has(path.name)
+        if not known and not path.name.startswith(".") and is_result(path):
+            yield _of_result(Entry(path.name), path)
+
+
+def badness(entry: Entry) -> tuple[int, float, str]:
+    """The worse a clip, the less: failed ones first."""
+    return [*KINDS].index(entry.state), number_of(entry, "iou") or 0.0, entry.name
+
+
+def write_summary(ledger: Entries | None, out: Place) -> list[Place]:
+    """Write table and index page of a folder of results and of its ledger, and return where they are."""
     if isinstance(out, Path):
-        return [*_write_here(ledger, out, out, nameless)]
+        return [*_write_here(ledger, out, out)]
     with tempfile.TemporaryDirectory(prefix="getagrip.") as folder:
-        for path in _write_here(ledger, out, Path(folder), nameless):
+        for path in _write_here(ledger, out, Path(folder)):
             (out / path.name).write(path.read_bytes())
     return [out / TABLE, out / PAGE]
 
 
-def _write_here(ledger: Ledger, results: Place, out: Path, nameless: Iterable[Outcome]) -> list[Path]:
-    """Write them into a folder on this machine."""
-    with files.new_text(out / TABLE) as file:
+def write_table(ledger: Entries | None, results: Place, path: Path) -> Counter[str]:
+    """Write the table of all clips; how many are in each state."""
+    states = Counter[str]()
+    with files.new_text(path) as file:
         table = CsvTable(file)
         table.write_row(HEAD)
-        for entry in _entries(ledger, results):
-            about = entry.about
-            numbers = [about.get(key) for key in ("iou", "probability_right", "probability_right_in_camera")]
-            cells = ("" if value is None else f"{float(value):.4f}" for value in numbers)
-            row = entry.name, entry.state, entry.why, f"{entry.seconds:.2f}", *cells
+        for entry in known_entries(ledger, results):
+            states[entry.state] += 1
+            about, known = entry.about, (number_of(entry, key) for key in ("iou", *PROBABILITIES))
+            cells = ["" if value is None else f"{value:.4f}" for value in known]
+            made = ["" if (value := about.get(key)) is None else value for key in MADE]
+            row = [shown_name(entry), entry.state, entry.why, f"{entry.seconds:.2f}", *cells, *made]
             table.write_row([*row, "; ".join(map(str, about.get("findings", ())))])
-        for outcome in nameless:
-            table.write_row([outcome.name, outcome.state, outcome.message, *[""] * (len(HEAD) - 3)])
-    return [out / TABLE, _write_index(ledger, results, out)]
+    return states
 
 
-def _write_index(ledger: Ledger, results: Place, out: Path) -> Path:
+def row_without_result(entry: Entry) -> IndexRow:
+    """The row of the index of a clip that has failed, or that is not done."""
+    from getagrip.pages import IndexRow
+
+    return IndexRow(shown_name(entry), entry.why, flags=(KINDS[entry.state],))
+
+
+def _write_here(ledger: Entries | None, results: Place, out: Path) -> list[Path]:
+    """Write them into a folder on this machine."""
+    states = write_table(ledger, results, out / TABLE)
+    return [out / TABLE, _write_index(ledger, results, out, states)]
+
+
+def _write_index(ledger: Entries | None, results: Place, out: Path, states: Counter[str]) -> Path:
     """The index page of the worst clips; pictures are ``getagrip report``'s, which takes as long as the clips."""
     from getagrip.pages import IndexRow, row_without_clip, write_index
 
-    worst = heapq.nsmallest(WORST, _entries(ledger, results), key=_goodness)
+    worst = heapq.nsmallest(WORST, known_entries(ledger, results), key=badness)
     rows = []
     with readable(results, [entry.name for entry in worst if entry.state == "done"]) as there:
         for entry in worst:
             folder = there / entry.name
             try:
                 if entry.state != "done":
-                    rows.append(IndexRow(entry.name, problem=entry.why))
+                    rows.append(row_without_result(entry))
                     continue
                 result, record = read_result(folder)
                 page = (folder / "report.html").is_file()
                 rows.append(row_without_clip(entry.name, result, record["metrics"], "", page))
             except InputError as error:
-                rows.append(IndexRow(entry.name, problem=str(error)))
+                rows.append(IndexRow(entry.name, problem=str(error), flags=("failed",)))
     title = results.name if isinstance(results, Remote) else results.resolve().name
-    return write_index(rows, title, [TABLE], out / PAGE)
+    counts = Counter({kind: states[state] for state, kind in KINDS.items()})
+    return write_index(rows, title, [TABLE], out / PAGE, None if states.total() == len(rows) else counts)
 
 
-def _entries(ledger: Ledger, out: Place) -> Iterator[Entry]:
-    """The entries, those whose results are gone marked so; in an object store that is not looked up."""
-    for entry in ledger.entries():
-        gone = entry.state == "done" and not files.is_plain_name(entry.name)
-        gone = gone or (entry.state == "done" and isinstance(out, Path) and not is_result(out / entry.name))
-        yield Entry(entry.name, "open", "its result is not there any more") if gone else entry
+def _as_it_is(entry: Entry, out: Place) -> Entry:
+    """An entry in the state in which its result is."""
+    if entry.state == "failed":
+        return entry
+    has_result = isinstance(out, Remote) or (files.is_plain_name(entry.name) and is_result(out / entry.name))
+    if entry.state == "done":
+        return entry if has_result else Entry(entry.name, "open", "its result is not there any more")
+    if has_result and isinstance(out, Path):
+        return _of_result(entry, out / entry.name)
+    return replace(entry, why=entry.why or "not done yet")
 
 
-def _goodness(entry: Entry) -> tuple[bool, float, str]:
-    """The worse a clip, the less: failed ones first."""
-    iou = entry.about.get("iou")
-    return entry.state == "done", float(iou) if isinstance(iou, int | float) else 0.0, entry.name
+def _of_result(entry: Entry, folder: Path) -> Entry:
+    """The entry of a clip whose result is there, by that alone."""
+    path = folder / "result.json"
+    try:
+        record = read_record(folder)
+        right = {key: read_probability(path, record[key], key) for key in PROBABILITIES}
+        found = [str(finding) for finding in read_findings(path, record["findings"])]
+    except InputError as error:
+        return replace(entry, why=f"its result cannot be read ({error})")
+    about = {
+        "iou": record["metrics"].get("iou_full"),
+        **{key: None if one is None else one.value for key, one in right.items()},
+        **{key: record[key] for key in MADE[:-1]},
+        "version": record["software"].get("getagrip"),
+        "findings": found,
+    }
+    return replace(
+        entry, state="done", why=record["status"], seconds=record["seconds"].get("total") or 0.0, about=about
+    )

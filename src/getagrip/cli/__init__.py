@@ -21,7 +21,7 @@ from getagrip.cli.command import Command
 from getagrip.cli.footage import Annotate, ClipCommand, Epic
 from getagrip.cli.labelled import Segment, Stats, Study
 from getagrip.cli.names import joined
-from getagrip.cli.report import Report
+from getagrip.cli.report import Report, Status
 from getagrip.cli.results import Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct
 from getagrip.cli.view import View
 from getagrip.errors import GetagripError, UsageError, cleaned
@@ -47,6 +47,7 @@ def commands(imports: Any, figures: Any) -> Any:
         | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
         | Annotated[Epic, subcommand("epic candidates")]
         | Annotated[Reconstruct, subcommand("reconstruct")]
+        | Annotated[Status, subcommand("status")]
         | Annotated[Evaluate, subcommand("evaluate")]
         | Annotated[Report, subcommand("report")]
         | Annotated[View, subcommand("view")]

@@ -1,4 +1,4 @@
-"""`getagrip report`: results as pages, pictures and films."""
+"""`getagrip status` and `getagrip report`: what has become of clips, and results as pages, pictures and films."""
 
 from __future__ import annotations
 
@@ -10,7 +10,24 @@ from tyro.conf import Positional, arg
 
 from getagrip.cli.command import ClipsFolder, Command, Workers
 from getagrip.errors import UsageError
-from getagrip.io.arguments import Flag
+from getagrip.io.arguments import Flag, OptionalFolder, placed
+from getagrip.io.storage import Place
+
+
+@dataclass(frozen=True, kw_only=True)
+class Status(Command):
+    """Print what is done, failed and left of a folder that reconstruct is or was at work on, with each clip's IOU and
+    probabilities; write its summary.csv and index.html."""
+
+    folder: Annotated[Positional[Place], placed("DIR"), arg(metavar="DIR", help_behavior_hint="")]
+    """What reconstruct was given as --out."""
+    ledger: OptionalFolder = None
+    """The folder of its ledger, where reconstruct was given one."""
+
+    def run(self) -> int:
+        from getagrip.commands.status import status
+
+        return status(self.folder, self.ledger)
 
 
 @dataclass(frozen=True, kw_only=True)

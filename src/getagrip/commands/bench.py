@@ -11,8 +11,8 @@ from pathlib import Path
 
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.engine import Engine
+from getagrip.batch.entries import Entry
 from getagrip.batch.job import Outcome, load
-from getagrip.batch.ledger import Entry
 from getagrip.batch.share import ALONE, Share
 from getagrip.errors import UsageError
 from getagrip.evaluation.other_poses import OtherSystem

@@ -10,8 +10,8 @@ from typing import Protocol, TypeVar
 
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.engine import Engine, Named
+from getagrip.batch.entries import Entry
 from getagrip.batch.job import Outcome
-from getagrip.batch.ledger import Entry
 from getagrip.batch.share import Share
 from getagrip.experiments.sources.timelines import Timelines
 from getagrip.fitting.options import Options

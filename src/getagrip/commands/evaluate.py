@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from getagrip.batch.clips import print_outcome
+from getagrip.batch.entries import FILE as LEDGER
 from getagrip.batch.job import Outcome, failure
-from getagrip.batch.ledger import FILE as LEDGER
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.batch.share import FEW
 from getagrip.batch.summary import PAGE, TABLE

@@ -9,9 +9,11 @@ from itertools import filterfalse
 from pathlib import Path
 
 from getagrip.batch.clips import print_outcome
+from getagrip.batch.entries import ledger_there
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.batch.share import FEW
+from getagrip.batch.summary import TABLE, known_entries, row_without_result, write_table
 from getagrip.commands.evaluate import no_result, of_batch
 from getagrip.errors import InputError
 from getagrip.evaluation import evaluate, read_evaluated
@@ -77,8 +79,8 @@ def report(paths: Sequence[Path], request: ReportRequest, workers: int | None, d
     return int(failed)
 
 
-def results_below(path: Path) -> list[Path]:
-    """The result folders anywhere in a folder, sorted. Raises ``InputError`` where there is none."""
+def results_below(path: Path, may_lack: bool = False) -> list[Path]:
+    """The result folders anywhere in a folder, sorted. Raises ``InputError`` where there is none but may not be."""
     if not path.is_dir():
         raise InputError(path, "", "no such folder", "a result, or a folder of results")
     found = []
@@ -89,7 +91,7 @@ def results_below(path: Path) -> list[Path]:
         if "result.json" in names or len(here.relative_to(path).parts) >= DEEPEST:
             folders.clear()
         folders[:] = [name for name in folders if not name.startswith(".")]
-    if not found:
+    if not found and not may_lack:
         raise no_result(path)
     return sorted(found)
 
@@ -123,23 +125,28 @@ def _unwritten(job: ReportJob, problem: str) -> IndexRow:
         result, record = read_result(job.folder)
         return row_without_clip(job.name, result, record["metrics"], problem)
     except Exception:  # its files may hold anything
-        return IndexRow(job.name, problem=problem)
+        return IndexRow(job.name, problem=problem, flags=("failed",))
 
 
 def _folder(path: Path, request: ReportRequest, workers: int | None) -> list[Outcome]:
-    """Report on all results in a folder and write their index; what went wrong."""
-    jobs = [ReportJob(folder, path, request) for folder in results_below(path)]
+    """Report on all results in a folder and write their index, with what its ledger knows; what went wrong."""
+    with ledger_there(path) as ledger:
+        without = [] if ledger is None else [one for one in known_entries(ledger, path) if one.state != "done"]
+        if ledger is not None:
+            write_table(ledger, path, path / TABLE)
+    jobs = [ReportJob(folder, path, request) for folder in results_below(path, may_lack=bool(without))]
     done: dict[Path, Reported] = {}
     with progress_bar(counted=True) as bar:
         task = bar.add_task("results", total=len(jobs))
         for job, reported in _reported(jobs, workers):
-            dead = IndexRow(job.name, problem=DIED), Outcome(str(job.folder), "failed", DIED)
+            dead = IndexRow(job.name, problem=DIED, flags=("failed",)), Outcome(str(job.folder), "failed", DIED)
             done[job.folder] = reported or dead
             bar.advance(task)
-    rows, problems = zip(*(done[job.folder] for job in jobs), strict=True)
-    tables = sorted(file.name for file in path.glob("*.md"))
+    ends = [done[job.folder] for job in jobs]
+    rows = [*(row for row, _ in ends), *map(row_without_result, without)]
+    tables = sorted(file.name for file in (*path.glob("*.md"), *path.glob(TABLE)))
     write_index(rows, path.resolve().name, tables, path / INDEX)
-    return [problem for problem in problems if problem is not None]
+    return [problem for _, problem in ends if problem is not None]
 
 
 def _reported(jobs: Sequence[ReportJob], workers: int | None) -> Iterator[tuple[ReportJob, Reported | None]]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote_to_bytes
 
 import numpy as np
 from jaxtyping import Int
@@ -150,7 +152,7 @@ def clip_of(folder: Path, result: Reconstruction, record: dict[str, Any], clips:
         places = [Path(clips) / result.clip, Path(clips)]
     else:
         recorded = record.get("clip_folder")
-        places = [Path(recorded)] if isinstance(recorded, str) and recorded else []
+        places = [_recorded(recorded)] if isinstance(recorded, str) and recorded else []
         places += [folder.parent / result.clip, folder.parent.parent / result.clip]
     found = next((place for place in places if _is_file(place / "clip.json")), None)
     if found is None:
@@ -164,6 +166,12 @@ def clip_of(folder: Path, result: Reconstruction, record: dict[str, Any], clips:
         given = f"the checksum of other masks, hands or mesh than those in {found}"
         raise InputError(folder / "result.json", "input_sha256", given, "an unchanged clip; reconstruct it again")
     return clip
+
+
+def _recorded(folder: str) -> Path:
+    """The path that a result has recorded (``result.folder``)."""
+    address = folder.removeprefix("file://")
+    return Path(folder if address == folder else os.fsdecode(unquote_to_bytes(address)))
 
 
 def _is_file(path: Path) -> bool:

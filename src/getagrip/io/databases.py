@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from pathlib import Path
+from urllib.parse import quote
 
 from getagrip.errors import InputError
 
@@ -14,11 +16,13 @@ BESIDE = ("-journal", "-wal", "-shm")
 """What SQLite writes beside a file."""
 
 
-def connect(path: Path, application: int, what: str, *, timeout: float, shared: bool = False) -> sqlite3.Connection:
+def connect(
+    path: Path, application: int, what: str, *, timeout: float, shared: bool = False, read_only: bool = False
+) -> sqlite3.Connection:
     """Open a database of an application, or a new file; nothing of another's is changed.
 
-    ``shared``: threads may share the connection. Raises ``InputError`` for links and for files of something else, and
-    ``sqlite3.Error``.
+    ``shared``: threads may share the connection. ``read_only``: nothing is changed or made. Raises ``InputError`` for
+    links and for files of something else, and ``sqlite3.Error``.
     """
     for file in (path, *(path.with_name(path.name + end) for end in BESIDE)):
         if file.is_symlink() or (file.exists() and not file.is_file()):
@@ -29,7 +33,10 @@ def connect(path: Path, application: int, what: str, *, timeout: float, shared: 
         # 0 is that of a file of ours whose first transaction is still beside it.
         if not head.startswith(MAGIC) or int.from_bytes(head[APPLICATION_ID], "big") not in (application, 0):
             raise InputError(path, "", "a file of another program", what)
-    connection = sqlite3.connect(path, timeout=timeout, isolation_level=None, check_same_thread=not shared)
+    name = _to_read(path) if read_only else path
+    connection = sqlite3.connect(
+        name, timeout=timeout, isolation_level=None, check_same_thread=not shared, uri=read_only
+    )
     try:
         connection.execute("PRAGMA trusted_schema = OFF")
         (tables,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
@@ -40,3 +47,10 @@ def connect(path: Path, application: int, what: str, *, timeout: float, shared: 
         connection.close()
         raise
     return connection
+
+
+def _to_read(path: Path) -> str:
+    """The address of a file that is only read: SQLite would leave new files beside one that has no log."""
+    log = path.with_name(f"{path.name}-wal")
+    mode = "mode=ro" if log.exists() and log.stat().st_size else "immutable=1"
+    return f"file:{quote(os.fsencode(path.absolute()))}?{mode}"

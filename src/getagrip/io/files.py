@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any, TextIO
 
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import InputError, UsageError, legible
 from getagrip.io import leftovers
 from getagrip.io.csv_tables import cell_text
 
@@ -168,7 +168,7 @@ def write_json(path: Path, content: Mapping[str, Any] | list[Any]) -> None:
 
 def to_json(content: Mapping[str, Any] | list[Any]) -> str:
     """A JSON object or list as ``write_json`` writes it."""
-    return json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False)
+    return legible(json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def _plain(value: Any) -> Any:

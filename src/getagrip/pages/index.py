@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
@@ -12,6 +14,7 @@ from urllib.parse import quote
 import numpy as np
 
 from getagrip import __version__
+from getagrip.errors import legible
 from getagrip.evaluation.metric import METRICS, Metric
 from getagrip.fitting.methods import method_of
 from getagrip.io import files
@@ -44,13 +47,18 @@ class IndexRow:
     method: str = ""
     status: str = ""
     flags: tuple[str, ...] = ()
-    """What speaks against it: failed, serious, note, ambiguous, guess."""
+    """What speaks against it: failed, left (not done yet), misfit, serious, note, ambiguous, guess."""
     doubts: tuple[str, ...] = ()
     """Its findings, in words."""
     values: dict[str, float] = field(default_factory=dict)
     """By the names of the columns."""
     thumbnail: str = ""
     """JPEG, in base64."""
+
+    @property
+    def kind(self) -> str:
+        """Whether it is a result, or of a clip that has failed or is left to be done."""
+        return next((kind for kind in ("failed", "left") if kind in self.flags), "results")
 
 
 def row(folder: str, view: View, evaluation: Mapping[str, Any], page: bool) -> IndexRow:
@@ -80,7 +88,7 @@ def row_without_clip(
 
 def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> IndexRow:
     flags = {
-        "failed": result.status.startswith("failed"),
+        "misfit": result.status.startswith("failed"),
         "serious": any(finding.serious for finding in result.findings),
         "note": any(not finding.serious for finding in result.findings),
         "ambiguous": result.ambiguous,
@@ -99,17 +107,29 @@ def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> I
     )
 
 
-def write_index(rows: Sequence[IndexRow], title: str, tables: Sequence[str], path: Path) -> Path:
-    """Write the page and return its path. ``tables`` are files beside it that it links to."""
+def write_index(
+    rows: Sequence[IndexRow], title: str, tables: Sequence[str], path: Path, all_rows: Counter[str] | None = None
+) -> Path:
+    """Write the page and return its path.
+
+    ``tables`` are files beside it that it links to; ``all_rows`` counts by ``IndexRow.kind`` where these are not all.
+    """
     units: dict[str, tuple[str, int]] = {"IOU": ("%", 1)}
     units |= {name: (metric.unit, metric.decimals) for name, metric in COLUMNS.items()}
     units |= {f"probability right {where}": ("%", 0) for where in ("in the hand", "in the camera")}
     units |= {"worst frame": ("%", 1), "time": ("s", 2)}
     known = [name for name in units if any(np.isfinite(one.values.get(name, np.nan)) for one in rows)] or ["IOU"]
+    counts, title = all_rows or Counter(one.kind for one in rows), legible(title)
     data = {
         "title": title,
         "rows": [
-            {**asdict(one), "link": f"./{quote(one.folder)}/report.html" if one.page else "", "set": name}
+            {
+                **asdict(one),
+                "folder": legible(one.folder),
+                "problem": legible(one.problem),
+                "link": f"./{quote(os.fsencode(one.folder))}/report.html" if one.page else "",
+                "set": legible(name),
+            }
             for one, name in zip(rows, _sets([one.folder for one in rows]), strict=True)
         ],
         "columns": [
@@ -123,7 +143,8 @@ def write_index(rows: Sequence[IndexRow], title: str, tables: Sequence[str], pat
             for name in known
         ],
         "first": "ADD sym." if "ADD sym." in known else "IOU",
-        "tables": [{"name": name, "link": f"./{quote(name)}"} for name in tables],
+        "tables": [{"name": legible(name), "link": f"./{quote(os.fsencode(name))}"} for name in tables],
+        "counts": {kind: counts[kind] for kind in ("results", "failed", "left")},
         "version": __version__,
     }
     page = document(title, "index.html", ("page.js", "index.js"), data)

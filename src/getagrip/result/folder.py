@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Shaped
 from numpy import ndarray
 
+from getagrip.errors import legible
 from getagrip.io import arrays, code, files
 from getagrip.result.data import Reconstruction
 
@@ -110,8 +111,11 @@ def _fields(
 
 
 def _resolved(folder: str) -> str:
-    """An absolute path; an address in an object store stays as it is."""
-    return folder if "://" in folder else str(Path(folder).resolve())
+    """An absolute path, as an address where it is no UTF-8; an address in an object store stays as it is."""
+    if "://" in folder:
+        return folder
+    whole = Path(folder).resolve()
+    return str(whole) if legible(str(whole)) == str(whole) else whole.as_uri()
 
 
 def software(*also: str) -> dict[str, str]:

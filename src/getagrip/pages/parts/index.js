@@ -2,10 +2,10 @@
 // The page of many results.
 
 const FLAGS = {
-  any: "all", failed: "failed", serious: "serious finding", note: "note", ambiguous: "ambiguous", guess: "guesses",
+  any: "all", failed: "failed", left: "not done", misfit: "poor fit", serious: "serious finding", note: "note", ambiguous: "ambiguous", guess: "guesses",
   unread: "could not be read", none: "none of these",
 };
-const MORE_FLAGS = new Set(["serious", "failed"]);
+const BAD_FLAGS = new Set(["serious", "misfit"]);
 const column = (name) => data.columns.find((one) => one.name === name);
 
 /** A value as text; below `least`, or as near to 1, which of the two it is. */
@@ -20,9 +20,10 @@ function unitOf({ unit }) {
   return unit === "deg" ? "°" : unit;
 }
 
-const flagsOf = (row) => (row.problem ? [...row.flags, "unread"] : row.flags);
+const hasFailed = (row) => row.flags.includes("failed");
+const flagsOf = (row) => row.problem && !hasFailed(row) && !row.flags.includes("left") ? [...row.flags, "unread"] : row.flags;
 
-/** The rows that the filters leave, in the order that is chosen; those without a value last. */
+/** The rows that the filters leave, in the order that is chosen: failed ones first, or last; those without a value last. */
 function chosen() {
   const words = byId("words").value.toLowerCase().split(/\s+/), set = byId("sets").value, flag = byId("flags").value;
   const by = column(byId("by").value), sign = (by.more ? 1 : -1) * (byId("order").value === "worst" ? 1 : -1);
@@ -32,15 +33,16 @@ function chosen() {
     const flagged = flag === "any" || (flag === "none" ? flags.length === 0 : flags.includes(flag));
     return flagged && (set === "*" || row.set === set) && words.every((word) => text.includes(word));
   });
-  const value = (row) => row.values[by.name] ?? null;
+  const value = (row) => row.values[by.name] ?? null, worst = byId("order").value === "worst" ? 1 : -1;
   return rows.sort((a, b) => {
+    if (hasFailed(a) !== hasFailed(b)) return worst * (hasFailed(b) - hasFailed(a));
     if (value(a) === null || value(b) === null) return (value(a) === null) - (value(b) === null);
     return sign * (value(a) - value(b)) || a.folder.localeCompare(b.folder);
   });
 }
 
 function badges(row) {
-  return flagsOf(row).map((flag) => element("span", { class: `badge${MORE_FLAGS.has(flag) ? " bad" : ""}` }, FLAGS[flag]));
+  return flagsOf(row).map((flag) => element("span", { class: `badge${flag === "failed" ? " failed" : BAD_FLAGS.has(flag) ? " bad" : ""}` }, FLAGS[flag]));
 }
 
 /** A link to the result's page, where it has one. */
@@ -100,9 +102,20 @@ function summary(rows) {
   return element("table", { class: "summary" }, element("thead", {}, element("tr", {}, ...heads.map((words) => element("th", {}, words)))), element("tbody", {}, ...lines));
 }
 
+/** How many results there are, how many clips have none, and what is not shown. */
+function facts(rows) {
+  const { results, failed, left } = data.counts, all = results + failed + left, listed = data.rows.length;
+  const words = [`${results} of ${all} results`];
+  if (failed) words.push(`${failed} failed`);
+  if (left) words.push(`${left} not done`);
+  if (listed < all) words.push(`the worst ${listed} listed`);
+  if (rows.length < listed) words.push(`${rows.length} shown`);
+  return `${words.join(", ")}.${rows.some((row) => row.thumbnail) ? " Pictures show the frame of the lowest IOU." : ""}`;
+}
+
 function show() {
   const rows = chosen();
-  byId("facts").textContent = `${rows.length} of ${data.rows.length} results. Pictures show the frame of the lowest IOU.`;
+  byId("facts").textContent = facts(rows);
   byId("summary").replaceChildren(summary(rows));
   byId("rows").replaceChildren(byId("form").value === "table" ? table(rows) : gallery(rows));
 }
@@ -122,7 +135,7 @@ function start() {
   if (column(data.first)) byId("by").value = data.first;
   for (const id of ["words", "sets", "flags", "by", "order", "form"]) byId(id).addEventListener("input", show);
   const tables = data.tables.flatMap(({ name, link }) => [element("a", { href: link }, name), " "]);
-  byId("footer").append(`getagrip ${data.version}. `, ...(tables.length ? ["Tables with intervals: ", ...tables] : []));
+  byId("footer").append(`getagrip ${data.version}. `, ...(tables.length ? ["Tables: ", ...tables] : []));
   show();
   document.body.dataset.ready = "index";
 }
