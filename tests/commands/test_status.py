@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.entries import FILE
+from getagrip.batch.entries import FILE, Entry
 from getagrip.batch.ledger import Ledger
 from getagrip.clip import Clip, write_clip
 from getagrip.fitting.options import Options
@@ -122,6 +122,31 @@ def test_results_do_without_a_ledger(clips: Path, tmp_path: Path, run: Run, inte
     before = sorted(path.name for path in out.iterdir())
     assert run("status", out)[0] == 0
     assert sorted(path.name for path in out.iterdir()) == before
+
+
+def test_a_ledger_of_a_stranger_does_no_harm(tmp_path: Path, run: Run) -> None:
+    out = tmp_path / "out"
+    about = {
+        "iou": 10**300,
+        "probability_right": [1],
+        "findings": 7,
+        "method": "=cmd",
+        "seed": {},
+        "clip": "\x1b[2J[red]",
+    }
+    with Ledger(out) as ledger:
+        ledger.expect(["[bold]", ".."], [Entry("/a/b", "failed", "\x1b[2J", about=about)])
+    (tmp_path / "canary").write_text("mine")
+    (out / "summary.csv").symlink_to(tmp_path / "canary")
+    status, printed, _ = run("status", out)
+    assert (status, "0 done, 1 failed, 2 left" in printed) == (0, True)
+    assert "\x1b" not in printed
+    assert "[bold]" in printed
+    assert "'=cmd" in (out / "summary.csv").read_text("utf-8")
+    assert (tmp_path / "canary").read_text() == "mine"
+    ledger_file = (out / FILE).rename(tmp_path / "elsewhere")
+    (out / FILE).symlink_to(ledger_file)
+    assert "a link" in run("status", out)[2]
 
 
 def test_nothing_is_no_status(tmp_path: Path, run: Run) -> None:

@@ -83,7 +83,10 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
             except KeyboardInterrupt:
                 if many:
                     _summarise(ledger, out)
-                report(f"what is done: getagrip status {shlex.quote(str(out))}")
+                where = (
+                    f"{shlex.quote(str(out))}{f' --ledger {shlex.quote(str(share.ledger))}' if share.ledger else ''}"
+                )
+                report(f"what is done: getagrip status {where}")
                 raise
             if many:
                 _summarise(ledger, out)

@@ -7,7 +7,6 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
-from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +30,8 @@ PROBABILITIES = ("probability_right", "probability_right_in_camera")
 """That the poses are right in the hand, and in the camera."""
 MADE = ("ambiguous", "method", "seed", "version")
 HEAD = ("clip", "status", "why", "seconds", "IOU", *PROBABILITIES, *MADE, "findings")
+LARGEST = 1e9
+"""No number of a result is so large: ledgers may come from anybody."""
 WORST = 1000
 """The index shows so many clips at most: a page of all would be too large for a browser."""
 KINDS = {"failed": "failed", "done": "results", "open": "left"}
@@ -72,7 +73,7 @@ def shown_name(entry: Entry) -> str:
 def number_of(entry: Entry, key: str) -> float | None:
     """A number that a result's entry has, if it is known."""
     value = entry.about.get(key)
-    return float(value) if isinstance(value, int | float) and not isnan(value) else None
+    return float(value) if isinstance(value, int | float) and abs(value) < LARGEST else None
 
 
 def known_entries(ledger: Entries | None, out: Place) -> Iterator[Entry]:
@@ -114,9 +115,10 @@ def write_table(ledger: Entries | None, results: Place, path: Path) -> Counter[s
             states[entry.state] += 1
             about, known = entry.about, (number_of(entry, key) for key in ("iou", *PROBABILITIES))
             cells = ["" if value is None else f"{value:.4f}" for value in known]
-            made = ["" if (value := about.get(key)) is None else value for key in MADE]
+            made = ["" if (value := about.get(key)) is None else str(value) for key in MADE]
             row = [shown_name(entry), entry.state, entry.why, f"{entry.seconds:.2f}", *cells, *made]
-            table.write_row([*row, "; ".join(map(str, about.get("findings", ())))])
+            found = about.get("findings")
+            table.write_row([*row, "; ".join(map(str, found)) if isinstance(found, list) else ""])
     return states
 
 
