@@ -68,6 +68,7 @@ CALLS: dict[str, Sequence[str]] = {
     ],
     "evaluate": ["results --json new/out.json"],
     "report": ["results/small --mp4", "results --workers 1"],
+    "status": ["results"],
     "view": ["results"],
     **{f"figure {name}": ["results/small --out new/out.png"] for name in FIGURES},
     "export": [

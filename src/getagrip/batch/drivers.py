@@ -33,7 +33,9 @@ class Drivers:
 
     def __init__(self, db: sqlite3.Connection, path: Path) -> None:
         self.id = uuid4().hex
-        self._db, self._path = db, path
+        self._db = db
+        self._there = f"{path.absolute().as_uri()}?mode=rw"
+        """The file's address: it is made by nobody else, should it be gone or this process in another folder."""
         self._machine = _machine()
         self._seen: dict[str, tuple[int, float]] = {}
         self._leaving = threading.Event()
@@ -80,7 +82,7 @@ class Drivers:
         """Runs in a thread: count, until we leave."""
         while not self._leaving.wait(EVERY):
             try:
-                db = sqlite3.connect(self._path, timeout=EVERY, isolation_level=None)
+                db = sqlite3.connect(self._there, timeout=EVERY, isolation_level=None, uri=True)
                 try:
                     db.execute("UPDATE drivers SET beats = beats + 1 WHERE id = ?", (self.id,))
                 finally:
