@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.checks.check import Check, percent
 from getagrip.checks.evidence import Evidence
-from getagrip.checks.table import Check, percent
 from getagrip.geometry import se3
 from getagrip.geometry.depth import covered
 

@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip.checks.check import Check, millimetres, of_diameter
 from getagrip.checks.evidence import Evidence, Jumps
 from getagrip.checks.of_segment import SEGMENT_CHECKS, STATIC
-from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Check, examine, millimetres, of_diameter
+from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, examine
 from getagrip.clip import Clip, Masks, Segment
 from getagrip.clip.sampling import frame_indices
 from getagrip.finding import Finding

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
 
 import numpy as np
 
 from getagrip.checks import frame_order, held, mask_agreement, mesh_form, regrasp
+from getagrip.checks.check import Check, millimetres, of_diameter, percent
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.hand_side import bend
 from getagrip.clip import camera_of_image
@@ -28,65 +28,6 @@ GRAVER = {
 """What goes without saying where a graver check finds the same."""
 LEAST_IOU = 0.5
 """A result whose mean IOU is below this explains nothing, however well the minimisation ended."""
-
-
-@dataclass(frozen=True)
-class Check:
-    """A number about a clip or its result, and the range in which it is nearly always when all is right."""
-
-    name: str
-    measure: Callable[[Evidence], float]
-    """NaN where it cannot be known."""
-    fault: str | Callable[[Evidence], str]
-    """What is wrong beyond the limits, with the ``{value}`` as it is ``shown``; or in words for what was looked at."""
-    advice: str
-    low: float = -np.inf
-    high: float = np.inf
-    serious: bool = True
-    """Whether the result is probably worthless; else it may be right."""
-    shown: Callable[[float], str] = "{:.3g}".format
-    """A value, and a limit, as people read it."""
-
-    @property
-    def usual(self) -> str:
-        """The range in words."""
-        if np.isfinite(self.low) and np.isfinite(self.high):
-            return f"{self.shown(self.low)} to {self.shown(self.high)}"
-        return f"at least {self.shown(self.low)}" if np.isfinite(self.low) else f"at most {self.shown(self.high)}"
-
-    def is_usual(self, value: float) -> bool:
-        """Whether there is nothing to say about a value; nor is there about one that is not known, NaN."""
-        return bool(np.isnan(value) or self.low <= value <= self.high)
-
-    def verdict(self, value: float) -> str:
-        """What a measured value says, in a word or two."""
-        if np.isnan(value):
-            return "not applicable"
-        return "usual" if self.is_usual(value) else "serious" if self.serious else "note"
-
-    def finding(self, value: float, given: Evidence) -> Finding | None:
-        """What there is to say about a value that was measured."""
-        if self.is_usual(value):
-            return None
-        limit, least = (self.low, "least") if value < self.low else (self.high, "most")
-        fault = self.fault.format(value=self.shown(value)) if isinstance(self.fault, str) else self.fault(given)
-        usual = f" (usual: at {least} {self.shown(limit)})" if limit else ""  # that there is usually none is plain
-        return Finding(self.name, self.serious, value, limit, f"{fault}{usual}; {self.advice}")
-
-
-def percent(share: float) -> str:
-    """A share as people read it."""
-    return f"{100.0 * share:.3g} %"
-
-
-def millimetres(length: float) -> str:
-    """A length likewise."""
-    return f"{length:.3g} mm"
-
-
-def of_diameter(share: float) -> str:
-    """A length by the object's."""
-    return f"{percent(share)} of its diameter"
 
 
 def contradicting(it: Evidence) -> str:
