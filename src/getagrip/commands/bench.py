@@ -22,7 +22,6 @@ from getagrip.experiments.other_systems import system_variants
 from getagrip.experiments.settings import ABLATIONS, Ablation
 from getagrip.experiments.sources import ClipSource, samples
 from getagrip.experiments.stamp import stamp
-from getagrip.experiments.statistics import RESAMPLES
 from getagrip.experiments.tables import as_json, latex, markdown, terminal, write_clips_csv, write_csv
 from getagrip.experiments.trials import Scores, Trial, run
 from getagrip.experiments.variants import Variant, ablation_variants, method_variants
@@ -202,7 +201,7 @@ def _settings(plan: Plan, scores: Sequence[Scores]) -> list[str]:
         f"{_initial_poses(plan)}, {_frames(plan.options)}, seed {plan.options.seed}; the same frames, masks and "
         "evaluation for all",
         "per cent, means over clips, the best bold, the second best underlined; s: median seconds for a clip",
-        f"in brackets: 95 % intervals from {RESAMPLES} bootstrap resamples of {units}",
+        f"in brackets: 95 % intervals by Student's t over {units}",
         f"contact: {' and '.join(contact.description for contact in plan.contacts)}, unless the row says otherwise; a "
         "method that fails on a clip scores 0 there",
         versions,

@@ -13,7 +13,7 @@ from getagrip.datasets.tracks import subject_of
 from getagrip.errors import UsageError
 from getagrip.experiments.sources import samples
 from getagrip.experiments.stamp import stamp
-from getagrip.experiments.statistics import estimate, resamples
+from getagrip.experiments.statistics import estimate
 from getagrip.experiments.timeline_trials import ALL, LEVELS, TimelineScores, TimelineTrial, run_timeline
 from getagrip.io import files
 from getagrip.io.counts import counted
@@ -70,7 +70,7 @@ def _markdown(plan: Plan, scores: Sequence[TimelineScores], sequences: int) -> s
         "jump: median over links of how far the object moves from one segment to the next beyond its true motion",
         "SCA: mean over grasps, object vertices within 10 mm of the hand that was found",
         "s: median seconds of CPU for a timeline, reading not included",
-        "in brackets: 95 % intervals from bootstrap resamples of the subjects",
+        "in brackets: 95 % intervals by Student's t over the subjects",
         f"{plan.options.inits} initial poses, seed {plan.options.seed}; made {stamp()}",
     ]
     return "\n".join([*lines, "", *(f"- {line}" for line in about), ""])
@@ -98,6 +98,6 @@ def _share(found: Sequence[tuple[TimelineScores, dict[str, Any]]], kind: str, ke
         subjects += [subject_of(one.name)] * len(right)
     if not values:
         return "–"
-    value = estimate(np.array(values), resamples(subjects))
+    value = estimate(np.array(values), subjects)
     interval = "" if np.isnan(value.low) else f" [{100 * value.low:.0f}, {100 * value.high:.0f}]"
     return f"{100 * value.mean:.1f}{interval} (n = {value.clips})"

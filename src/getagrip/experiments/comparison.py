@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.evaluation.metric import ADD_SYM, METRICS, Metric
-from getagrip.experiments.statistics import Estimate, estimate, resamples
+from getagrip.experiments.statistics import Estimate, estimate
 from getagrip.experiments.trials import Score, Scores
 from getagrip.experiments.variants import Variant
 
@@ -85,23 +85,22 @@ def compare(scores: Sequence[Scores], variants: Sequence[Variant]) -> list[Table
     scores = [clip for clip in scores if clip.scores]
     if not scores:
         return []
-    weights = resamples(groups(scores))
-    tables = [_table("all", scores, variants, weights)]
+    of = groups(scores)
+    tables = [_table("all", scores, variants, of)]
     categories = sorted({clip.category for clip in scores})
     for category in categories if len(categories) > 1 else []:
-        own = np.array([clip.category == category for clip in scores])
-        theirs = [clip for clip in scores if clip.category == category]
-        tables.append(_table(category, theirs, variants, weights[:, own]))
+        own = [n for n, clip in enumerate(scores) if clip.category == category]
+        tables.append(_table(category, [scores[n] for n in own], variants, [of[n] for n in own]))
     return tables
 
 
 def groups(scores: Sequence[Scores]) -> list[str]:
-    """What the bootstrap draws: subjects where every clip has one and there are several, else clips."""
+    """The groups of clips that are independent: subjects where every clip has one and there are several, else clips."""
     subjects = [clip.subject for clip in scores]
     return subjects if all(subjects) and len(set(subjects)) > 1 else [clip.clip for clip in scores]
 
 
-def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], weights: Float[ndarray, "B n"]) -> Table:
+def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of: Sequence[str]) -> Table:
     means = (*COLUMNS, *FOLDED)
     cells = {v.label: {column.label: _values(scores, v, column) for column in means} for v in variants}
     there = tuple(c for c in COLUMNS if any(not np.isnan(values[c.label]).all() for values in cells.values()))
@@ -117,8 +116,8 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], we
         rows.append(
             Row(
                 variant,
-                values={c.label: estimate(own[c.label], weights) for c in (*there, *folded)},
-                differences={c.label: estimate(own[c.label] - other[c.label], weights) for c in (*there, *folded)}
+                values={c.label: estimate(own[c.label], of) for c in (*there, *folded)},
+                differences={c.label: estimate(own[c.label] - other[c.label], of) for c in (*there, *folded)}
                 if other is not None and compared
                 else {},
                 medians={label: _median(values) for label, values in errors.items()},

@@ -1,4 +1,4 @@
-"""Means over clips, their bootstrap intervals, and paired differences."""
+"""Means over clips with intervals by Student's t over groups of clips, and bootstrap resamples for other statistics."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from scipy.special import stdtrit
 
 RESAMPLES = 2000
 LEVEL = 0.95
@@ -37,21 +38,26 @@ def resamples(groups: Sequence[str], seed: int = 0) -> Float[ndarray, "B n"]:
     return drawn[:, member].astype(float)
 
 
-def estimate(values: Float[ndarray, "n"], weights: Float[ndarray, "B n"]) -> Estimate:
-    """The mean of the values that are there (not NaN), with the percentile interval of its resamples.
+def estimate(values: Float[ndarray, "n"], groups: Sequence[str]) -> Estimate:
+    """The mean of the values that are there (not NaN), with an interval that holds for few groups.
+
+    Clips of a group (subject) are no independent evidence: the interval is Student's t with one degree of freedom less
+    than there are groups, and the standard error that of a ratio, from the groups' sums of deviations from the mean.
 
     There is no interval for fewer than ``FEWEST`` values, where all are equal (100 % of ten clips is no certainty), nor
-    where all are drawn together.
+    where all are of one group.
     """
     known = ~np.isnan(values)
-    if not known.any():
+    n = int(known.sum())
+    if not n:
         return Estimate(float("nan"), float("nan"), float("nan"), 0)
-    mean = float(values[known].mean())
-    drawn = weights[:, known]
-    total = drawn.sum(axis=1)
-    # A resample may hold none of these clips.
-    means = (drawn @ values[known])[total > 0] / total[total > 0]
-    if known.sum() < FEWEST or not np.ptp(values[known]) or not np.ptp(drawn, axis=1).any():
-        return Estimate(mean, float("nan"), float("nan"), int(known.sum()))
-    low, high = np.quantile(means, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
-    return Estimate(mean, float(low), float(high), int(known.sum()))
+    x = values[known]
+    mean = float(x.mean())
+    names, member = np.unique(np.asarray(groups)[known], return_inverse=True)
+    G = len(names)
+    if n < FEWEST or not np.ptp(x) or G < 2:
+        return Estimate(mean, float("nan"), float("nan"), n)
+    deviations = np.bincount(member, x - mean)
+    error = float(np.sqrt(G / (G - 1) * np.sum(deviations**2))) / n
+    wide = float(stdtrit(G - 1, (1.0 + LEVEL) / 2.0)) * error
+    return Estimate(mean, mean - wide, mean + wide, n)

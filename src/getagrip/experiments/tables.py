@@ -49,7 +49,7 @@ LATEX = Style(r"\textbf{{{}}}", r"\underline{{{}}}", r" {{\tiny {}}}", LATEX_SYM
 SCREEN = Style("[bold]{}[/]", "[u]{}[/]", "\n[dim]{}[/]")
 
 SETTINGS = "How it was made, and how to read it"
-DIFFERENCES = "Differences, clip by clip; bold where the interval excludes zero"
+DIFFERENCES = "Differences, clip by clip; the intervals are of single cells, not corrected for their number"
 MEDIANS = (
     "Right in the camera (ADD sym.); medians over clips; results marked ambiguous, of all and of those whose pose is "
     "wrong (ADD sym.)"
@@ -100,7 +100,7 @@ def _headings(table: Table) -> list[str]:
 
 
 def _differences(table: Table, style: Style) -> list[list[str]]:
-    """Headings and rows of the differences in pairs; those whose interval excludes zero are marked as best."""
+    """Headings and rows of the differences in pairs, unmarked: intervals are not corrected for their number."""
     columns = [column for column in table.columns if column.ranked]
     rows = [["", *(column.label for column in columns)]]
     for row in table.rows:
@@ -108,8 +108,7 @@ def _differences(table: Table, style: Style) -> list[list[str]]:
             cells = [style.text(f"{row.variant.label} − {row.variant.against}")]
             for column in columns:
                 value = row.differences[column.label]
-                sure = value.low > 0.0 or value.high < 0.0
-                cells.append(style.cell(_difference(value.mean), int(sure), _differences_interval(value)))
+                cells.append(style.cell(_difference(value.mean), 0, _differences_interval(value)))
             rows.append(cells)
     return rows
 
