@@ -12,9 +12,10 @@ from numpy import ndarray
 
 from getagrip.fitting.energy import PosesInCamera, Quadratic
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion, Soft
-from getagrip.fitting.solve import FLOOR, Status, evaluate, in_camera, minimise
+from getagrip.fitting.solve import FLOOR, evaluate, in_camera, minimise
 from getagrip.geometry import se3
 from getagrip.least_squares import Rules
+from getagrip.result import Status
 
 N = 5
 STIFF = 1e6

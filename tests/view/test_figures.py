@@ -11,6 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from getagrip.clip import Clip, Masks, input_sha256, write_clip
+from getagrip.clip.provenance import assumed
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import evaluate
@@ -216,7 +217,7 @@ def test_hands_are_where_the_result_has_them(made: Path) -> None:
 def test_guesses_and_findings_are_named(made: Path) -> None:
     view = given(made, "true")[0].read()
     assert summary(view) == "1-DoF, ours  ·  mug in a right hand  ·  4 frames"
-    clip = replace(view.clip, scale="free", provenance={"camera": "a guess", "hands": "true"})
+    clip = replace(view.clip, scale="free", provenance={"camera": assumed("a guess"), "hands": "true"})
     findings = tuple(Finding("small", serious, 1.0, 2.0, "the object is small") for serious in (True, False))
     unsure = replace(view, clip=clip, result=replace(view.result, findings=findings))
     assert summary(unsure).endswith("  ·  guessed: scale, camera")

@@ -44,7 +44,7 @@ def run(out: Path) -> None:
             bar.update(steps, completed=1.0 + part, description=stage)
 
         result = reconstruct(clip, masks, progress=shown, threads=THREADS)
-        screen.print(f"found    in {result.seconds['total']:.2f} s; {result.status}")
+        screen.print(f"found    in {result.seconds['total']:.2f} s; {result.message}")
 
         bar.update(steps, completed=2.0, description="evaluate")
         evaluation = evaluate(result, clip, masks)

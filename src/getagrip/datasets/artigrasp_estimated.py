@@ -94,7 +94,7 @@ def _read(rsc: Path, file: Path, note: Note) -> Iterator[Track]:
         provenance = {
             "hands": "the generic hand, fitted to 21 joints that were estimated from images; placed by the object's "
             "true place, since the estimates hold the object still",
-            "truth": "the generic hand, fitted to the true 21 joints: " + track.provenance["hand_fit"],
+            "truth": f"the generic hand, fitted to the true 21 joints: {track.provenance['hand_fit']}",
             "hand_fit": describe_fit(given.residuals) + ", over the sequence",
         }
         yield replace(track, given_hand=given.track, provenance=track.provenance | provenance)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.clip.provenance import Source, assumed
 from getagrip.geometry import se3
 
 DISTANCE = 0.7
@@ -30,7 +31,7 @@ class PosedCamera:
     K: Float[ndarray, "3 3"]
     size: tuple[int, int]
     T_cam_world: Float[ndarray, "T 4 4"]
-    described: str
+    described: Source
     """What it is, for the provenance."""
 
 
@@ -56,7 +57,7 @@ def facing(R_cam_world: Float[ndarray, "3 3"], places: Float[ndarray, "T 3"], de
     T_cam_world = se3.rigid(R_cam_world, [0.0, 0.0, DISTANCE] - R_cam_world @ np.median(places, axis=0))
     K, size = pinhole()
     described += f", {DISTANCE:g} m from the object's median place, focal length {FOCAL:g} px"
-    return PosedCamera(K, size, np.tile(T_cam_world, (len(places), 1, 1)), described)
+    return PosedCamera(K, size, np.tile(T_cam_world, (len(places), 1, 1)), assumed(described))
 
 
 def pinhole() -> tuple[Float[ndarray, "3 3"], tuple[int, int]]:

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import HandTrack, Joint, World
+from getagrip.clip.provenance import Provenance
 from getagrip.datasets.assumed_camera import PosedCamera, assumed_camera
 from getagrip.datasets.fitted_hands import describe_fit, fit_hand
 from getagrip.datasets.tracks import Track
@@ -40,7 +41,7 @@ class Motion:
     T_world_obj: Float[ndarray, "T 4 4"]
     mesh: Mesh
     """The object; where it has a joint, at ``joint.angle``."""
-    provenance: dict[str, str]
+    provenance: Provenance
     """Where it all comes from."""
     joint: Joint | None = None
     """Of the object, where it has one."""

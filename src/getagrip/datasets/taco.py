@@ -28,6 +28,7 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import FINGERS, HandTrack
+from getagrip.clip.provenance import assumed
 from getagrip.datasets import assumed_camera
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
@@ -92,8 +93,8 @@ def _read(file: Path, note: Note) -> Iterator[Track]:
             "source": f"TACO, {file.stem}, in GeneOH Diffusion's copy",
             "licence": "made from TACO, CC BY 4.0",
             "hands": "TACO's MANO vertices (true)",
-            "camera": f"a guess: the poses are the camera's, its focal length {K[0, 0]:g} px is assumed",
-            "fps": f"a guess: {FPS:g}, not in the files",
+            "camera": assumed(f"a guess: the poses are the camera's, its focal length {K[0, 0]:g} px is assumed"),
+            "fps": assumed(f"a guess: {FPS:g}, not in the files"),
             "scale": f"TACO's mesh, true size; long edges halved: {len(mesh.vertices)} vertices",
         },
     )

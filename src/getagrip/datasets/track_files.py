@@ -33,6 +33,7 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import Joint
+from getagrip.clip.provenance import measured
 from getagrip.datasets.assumed_camera import PosedCamera
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
@@ -165,7 +166,9 @@ def _camera(file: Path, given: Arrays, T: int, rows: Int[ndarray, "n"]) -> Posed
     T_cam_world = arrays.floats(file, given, "T_cam_world", (4, 4) if given["T_cam_world"].ndim == 2 else (T, 4, 4))
     if not se3.is_rigid(T_cam_world).all():
         raise InputError(file, "T_cam_world", "what is no rigid motion", "rotations and translations [m]")
-    return PosedCamera(K, (int(width), int(height)), np.broadcast_to(T_cam_world, (T, 4, 4))[rows], "the file's own")
+    return PosedCamera(
+        K, (int(width), int(height)), np.broadcast_to(T_cam_world, (T, 4, 4))[rows], measured("the file's own")
+    )
 
 
 def _numbers(file: Path, given: Arrays, T: int) -> Int[ndarray, "T"]:

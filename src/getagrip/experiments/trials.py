@@ -183,7 +183,7 @@ def _score(variant: Variant, place: Path, record: dict[str, Any]) -> Score:
     known = [read_probability(place / "result.json", record[key], key) for key in keys]
     right, in_camera = (None if one is None else one.value for one in known)
     return Score(
-        variant.folder, metrics, seconds, energy, record["ambiguous"], record["status"], serious=serious, noted=noted,
+        variant.folder, metrics, seconds, energy, record["ambiguous"], record["message"], serious=serious, noted=noted,
         probability_right=right, probability_right_in_camera=in_camera,
     )  # fmt: skip
 

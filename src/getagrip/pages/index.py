@@ -88,11 +88,11 @@ def row_without_clip(
 
 def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> IndexRow:
     flags = {
-        "misfit": result.status.startswith("failed"),
+        "misfit": result.status.failed,
         "serious": any(finding.serious for finding in result.findings),
         "note": any(not finding.serious for finding in result.findings),
         "ambiguous": result.ambiguous,
-        "guess": result.warp is not None or any("guess" in str(note).lower() for note in result.notes),
+        "guess": bool(result.assumptions),
     }
     values = {name: metrics.get(metric.key(CONTACT), np.nan) for name, metric in COLUMNS.items()}
     probable = {f"probability right {where}": right.value for where, right in result.probabilities.items()}
@@ -100,7 +100,7 @@ def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> I
         folder=folder,
         clip=result.clip,
         method=method_of(result.method).label,
-        status=result.status,
+        status=result.message,
         flags=tuple(name for name, holds in flags.items() if holds),
         doubts=tuple(str(finding) for finding in result.findings),
         values={"IOU": result.mean_iou} | values | probable | {"time": float(result.seconds.get("total", np.nan))},

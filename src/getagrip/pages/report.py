@@ -20,7 +20,7 @@ from getagrip.pages import motion
 from getagrip.pages.document import document, pack
 from getagrip.pages.pictures import jpeg, mask_path, paths
 from getagrip.pages.tables import meanings, tables, unit_of
-from getagrip.probability import RIGHT, of_segment
+from getagrip.probability import RIGHT
 from getagrip.result import Reconstruction
 from getagrip.view.curves import angle_curve, seconds
 from getagrip.view.gap import coarse, gap
@@ -106,7 +106,7 @@ def _summary(view: View, record: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "name": clip.name,
         "facts": facts,
-        "status": result.status,
+        "status": result.message,
         "ambiguous": result.ambiguous,
         "findings": [{"serious": f.serious, "check": f.check, "message": f.message} for f in result.findings],
         "notes": [*_segments(result), *(str(note) for note in result.notes), *_in_short(result)],
@@ -119,13 +119,12 @@ def _segments(result: Reconstruction) -> list[str]:
     """What the object of a timeline does, and how well each segment meets its masks."""
     out = []
     for segment in result.segments:
-        iou = segment.get("iou")
-        met = f", IOU {iou:.2f}" if isinstance(iou, float) else ""
-        side = f" ({segment['side']} hand)" if segment.get("side") else ""
-        how = ", followed by the masks only" if segment.get("followed") else ""
-        if segment["state"] == "grasp":
-            how += f", probability right {of_segment(segment) or 'unknown'}"
-        out.append(f"{segment['state']}{side}: frames {segment['first']} to {segment['last']}{met}{how}")
+        met = "" if segment.iou is None else f", IOU {segment.iou:.2f}"
+        side = f" ({segment.side} hand)" if segment.side else ""
+        how = ", followed by the masks only" if segment.by_masks else ""
+        if segment.state == "grasp":
+            how += f", probability right {segment.probability_right or 'unknown'}"
+        out.append(f"{segment.state}{side}: frames {segment.first} to {segment.last}{met}{how}")
     return out
 
 

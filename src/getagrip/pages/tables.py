@@ -11,7 +11,6 @@ from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
 from getagrip.checks.of_timeline import JUMP
 from getagrip.evaluation.metric import METRICS, Metric
 from getagrip.metrics.contact import CONTACT_DEFINITIONS
-from getagrip.probability import of_segment
 from getagrip.result import Reconstruction
 from getagrip.view.shown import View
 
@@ -46,7 +45,7 @@ def tables(view: View, evaluation: Mapping[str, Any], record: Mapping[str, Any])
 
 def meanings(result: Reconstruction) -> dict[str, str]:
     """What its probabilities mean, at length, by where; of a timeline, that of its grasps."""
-    of_grasps = [right for right in map(of_segment, result.segments) if right is not None]
+    of_grasps = [segment.probability_right for segment in result.segments if segment.probability_right is not None]
     known = [*result.probabilities.items(), *(("in the hand", right) for right in of_grasps[:1])]
     return {f"right {where}": right.meaning for where, right in known}
 

@@ -16,8 +16,8 @@ from getagrip.fitting.motion import Fixed
 from getagrip.fitting.options import Departures, Options
 from getagrip.fitting.problem import Problem, prepare
 from getagrip.fitting.reconstruct import reconstruct
-from getagrip.fitting.solve import Status
 from getagrip.geometry.mesh import Mesh
+from getagrip.result import Status
 from helpers.clips import small_clip
 
 NAMES = [field.name for field in fields(Departures)]
