@@ -130,7 +130,7 @@ BROKEN: dict[str, tuple[dict[str, object], dict[str, object], str]] = {
         "result.npz: warp_coefficients",
     ),
     "no version": ({}, {"version": None}, "result.json: version"),
-    "other version": ({}, {"version": 2}, "result.json: version"),
+    "other version": ({}, {"version": 3}, "result.json: version"),
     "no method": ({}, {"method": None}, "result.json: method"),
     "clip a path": ({}, {"clip": "../x"}, "result.json: clip"),
     "seed a text": ({}, {"seed": "7"}, "result.json: seed"),

@@ -68,9 +68,9 @@ class Reconstruction(ArrayData):
         candidates: the best distinct solutions.
         energy: ``total`` and one entry per term, weighted [pixels squared of the 256-pixel crop].
         status: how the minimisation ended.
-        message: the same in a sentence, with what is known of this result.
         ambiguous: whether another, distinct candidate explains the masks almost as well.
         seconds: time spent [s], ``total`` and one entry per stage.
+        message: the status in a sentence, with what is known of this result.
         options: the options of the method.
         seed: seed of the initial poses.
         notes: frames left out and values that are guesses, in words.

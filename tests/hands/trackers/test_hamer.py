@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from getagrip.clip.provenance import is_assumed
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.model import MIRROR, Side
@@ -121,7 +122,9 @@ def test_several_hands_in_one_record(tmp_path: Path) -> None:
         hands = read([path], HaMeR(), request(side))  # type: ignore[arg-type]
         np.testing.assert_allclose(joints_of(hands), known.joints[:1], atol=1e-6)
     write_npz(path, both | {"right": np.ones(2)})
-    assert "several right hands in 1 of 1 frames" in read([path], HaMeR(), request("right")).provenance["hands_chosen"]
+    chosen = read([path], HaMeR(), request("right")).provenance["hands_chosen"]
+    assert "several right hands in 1 of 1 frames" in str(chosen)
+    assert is_assumed(chosen)
 
 
 def test_img_size_as_height_and_width(tmp_path: Path) -> None:
