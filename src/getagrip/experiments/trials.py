@@ -157,7 +157,7 @@ def _try(trial: Trial, variant: Variant, changed: tuple[Clip, Masks], masks: Mas
             result = replace(result_of(variant, *changed), options=options_of(variant, clip.name))
         else:
             result = reconstruct(*changed, variant.options)
-        metrics = evaluate(result, clip, masks, trial.contacts)["metrics"]
+        metrics = evaluate(result, clip, masks, trial.contacts).metrics
         write_result(result, place, checksum, metrics, clip.folder, overwrite=True, made_by=_made_by(variant))
     except Exception as error:
         if isinstance(error, InputError) and variant.system is None:

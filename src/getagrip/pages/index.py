@@ -16,11 +16,12 @@ import numpy as np
 from getagrip import __version__
 from getagrip.errors import legible
 from getagrip.evaluation.metric import METRICS, Metric
+from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import method_of
 from getagrip.io import files
 from getagrip.pages.document import document
 from getagrip.pages.pictures import jpeg
-from getagrip.pages.report import CONTACT, MAIN, headline
+from getagrip.pages.report import CONTACT, MAIN
 from getagrip.probability import LEAST
 from getagrip.result import Reconstruction
 from getagrip.view.shown import View
@@ -61,14 +62,14 @@ class IndexRow:
         return next((kind for kind in ("failed", "left") if kind in self.flags), "results")
 
 
-def row(folder: str, view: View, evaluation: Mapping[str, Any], page: bool) -> IndexRow:
+def row(folder: str, view: View, evaluation: Evaluation, page: bool) -> IndexRow:
     """A result's row; its thumbnail shows the frame of the lowest IOU."""
     result = view.result
     known = not np.isnan(result.iou).all()
     worst = int(np.nanargmin(result.iou)) if known else 0
     crops = input_windows([view], np.array([worst]), THUMBNAIL)
     pair = np.concatenate([overlay(view, worst, crops, 0), turned(view, worst, crops, 0)], axis=1)
-    plain = _row(folder, result, headline(evaluation))
+    plain = _row(folder, result, evaluation.headline)
     values = plain.values | {"worst frame": float(result.iou[worst]) if known else np.nan}
     return replace(plain, page=page, values=values, thumbnail=jpeg(pair, QUALITY))
 

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, ROTATION_SYM, SCA, Metric
+from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import method_of
 from getagrip.geometry.camera import Crops
 from getagrip.io import files
@@ -45,7 +46,7 @@ PLOTTED: Mapping[str, Metric] = {"ADD, symmetries allowed": ADD_SYM_MM}
 """Metrics of each frame that are plotted where they are known."""
 
 
-def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, Any], path: Path) -> Path:
+def write_page(view: View, evaluation: Evaluation, record: Mapping[str, Any], path: Path) -> Path:
     """Write the page of a result and return its path.
 
     ``evaluation`` is what ``evaluate`` gives for it, ``record`` the content of its ``result.json``. Raises
@@ -61,10 +62,10 @@ def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, A
         "main": [
             *_probably(view.result),
             *_met(view.result),
-            *_main(headline(evaluation), "metrics_of_grasps" in evaluation),
+            *_main(evaluation.headline, bool(evaluation.metrics_of_grasps)),
         ],
         "segments": _bar(view),
-        "plots": _plots(view, evaluation["per_frame"]),
+        "plots": _plots(view, evaluation.per_frame),
         "times": seconds(view),
         "shown": shown,
         "frames": [{"name": some.result.frames[k], "kind": some.result.frame_kind[k]} for k in range(len(shown))],
@@ -147,11 +148,6 @@ def _probably(result: Reconstruction) -> list[dict[str, str]]:
 def _in_short(result: Reconstruction) -> list[str]:
     """What that means, as a note."""
     return [f"probability: {RIGHT}"] * bool(meanings(result))
-
-
-def headline(evaluation: Mapping[str, Any]) -> dict[str, float]:
-    """The metrics of a result, of which the main ones are shown first; a timeline's stable contact is of its grasps."""
-    return {**evaluation["metrics"], **evaluation.get("metrics_of_grasps", {})}
 
 
 def _met(result: Reconstruction) -> list[dict[str, str]]:

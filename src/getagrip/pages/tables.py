@@ -10,6 +10,7 @@ import numpy as np
 from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
 from getagrip.checks.of_timeline import JUMP
 from getagrip.evaluation.metric import METRICS, Metric
+from getagrip.evaluation.results import Evaluation
 from getagrip.metrics.contact import CONTACT_DEFINITIONS
 from getagrip.result import Reconstruction
 from getagrip.view.shown import View
@@ -19,14 +20,14 @@ SAID = {"iou": "iou, in the crop", "iou_soft": "iou_soft, in the crop"}
 """Metrics whose keys could be taken for the IOU at the top of the page."""
 
 
-def tables(view: View, evaluation: Mapping[str, Any], record: Mapping[str, Any]) -> list[dict[str, Any]]:
+def tables(view: View, evaluation: Evaluation, record: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Tables as ``parts/report.js`` reads them: a title, names of columns or none, and rows of texts."""
     result = view.result
     known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
     values = [
         [f"{SAID.get(key, key)}{where}", f"{known[key].text(value)}{unit_of(known[key])}"]
-        for of, where in (("metrics", ""), ("metrics_of_grasps", ", in grasps"))
-        for key, value in evaluation.get(of, {}).items()
+        for metrics, where in ((evaluation.metrics, ""), (evaluation.metrics_of_grasps, ", in grasps"))
+        for key, value in metrics.items()
         if key in known
     ]
     content = {

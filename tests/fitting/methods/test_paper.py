@@ -96,7 +96,7 @@ def test_the_iou_by_which_is_chosen_is_the_metrics(monkeypatch: pytest.MonkeyPat
     T = result.T_hand_obj[0]
     motion = Fixed(T[None, :3, :3], (T[:3, :3] @ clip.mesh.centre + T[:3, 3])[None], np.zeros(1), len(clip))
     still = replace(result, T_hand_obj=np.tile(T, (len(clip), 1, 1)))
-    measured = evaluate(still, clip, masks, wanted=[IOU])["metrics"]["iou"]
+    measured = evaluate(still, clip, masks, wanted=[IOU]).metrics["iou"]
     assert paper.crop_iou(problem, motion)[0] == pytest.approx(measured, abs=0.01)
 
 
