@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+import shutil
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -24,6 +25,8 @@ from getagrip.evaluation.metric import METRICS
 from getagrip.experiments.stamp import stamp
 
 README = store.ROOT / "README.md"
+PICTURES = store.ROOT / "docs/images"
+"""Plots that a page shows; others stay where ``bench`` has drawn them."""
 MADE = re.compile(r"(?:; )?made (\d{4}-\d\d-\d\d)(?:, commit (\w+))?.*")
 SERIOUS = {check.name for check in (*INPUT_CHECKS, *RESULT_CHECKS) if check.serious}
 LABELLED = {metric.label: metric for metric in METRICS if metric.label}
@@ -35,6 +38,9 @@ def main(folders: Sequence[Path]) -> None:
     for folder in folders:
         for name, table in found(folder).items():
             print(store.write(name, table))
+        for picture in folder.glob("*.png"):
+            if (shown := PICTURES / f"results-{folder.resolve().name}-{picture.name}").exists():
+                shutil.copy(picture, shown)
     README.write_text(cite.fill_written(README.read_text(encoding="utf-8")), encoding="utf-8")
 
 
