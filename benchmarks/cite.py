@@ -1,7 +1,7 @@
 """Results on pages: each ``{{ ... }}`` is filled in from ``results/`` when the site is built.
 
     {{ TABLE.ROW.COLUMN }}                   a number; words behind it ask for more: "0" (decimals), "unit", "interval"
-    {{ TABLE.ROW.COLUMN difference }}        its difference from the row that it is compared with
+    {{ TABLE.ROW.COLUMN difference }}        its difference from the row that it is compared with; "absolute": unsigned
     {{ table TABLE columns=A,B rows=GLOB }}  a table of some columns (all), of the rows that a glob names (all); words
                                              behind it: "interval", "difference" (of pairs), "notes"
     {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera
@@ -95,7 +95,9 @@ def shown(column: Column, cell: Cell, words: Sequence[str] = ()) -> str:
     digits = next((int(word) for word in words if word.isdigit()), column.digits)
     value, low, high, *_ = [*cell, None, None] if isinstance(cell, list) else [cell, None, None]
     unit = (" " if column.unit[:1].isalpha() or column.unit == "%" else "") + column.unit if "unit" in words else ""
-    signed = "+" if "difference" in words else ""
+    assert value is not None
+    value = abs(value) if "absolute" in words else value
+    signed = "+" if "difference" in words and "absolute" not in words else ""
     text = f"{value:{signed},.{digits}f}{unit}"
     if "interval" in words and low is not None and high is not None:
         ends = digits - 1 if column.unit == "%" and digits and not signed else digits

@@ -14,14 +14,12 @@ import sys
 from pathlib import Path
 
 DEXYCB = "getagrip bench dexycb --root DEXYCB --meshes YCB --out out/dexycb"
-SYNTHETIC = "getagrip bench synthetic"
 BENCHES = {
     "dexycb-methods": DEXYCB,
     "dexycb-inputs": f"{DEXYCB} --ablation inputs",
     "dexycb-other-final": "getagrip bench dexycb --root OTHER --meshes YCB --split all --out out/dexycb-other "
     "--ablation final",
-    "synthetic-methods": f"{SYNTHETIC} --clips 66 --out out/synthetic",
-    "synthetic-wild-methods": f"{SYNTHETIC} --preset wild --clips 44 --out out/synthetic-wild",
+    "synthetic-methods": "getagrip bench synthetic --out out/synthetic",
     "dexycb-timelines-exact": "getagrip bench dexycb-timelines --root DEXYCB --meshes YCB --preset exact "
     "--out out/dexycb-timelines",
     "dexycb-segments-none": "getagrip bench dexycb-segments --root DEXYCB --meshes YCB --out out/dexycb-segments",
