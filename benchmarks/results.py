@@ -83,7 +83,7 @@ def bench(name: str, numbers: Path) -> Table:
         value = _estimate(line, "", column)
         if value is not None:
             columns[column.key], row[column.key] = column, value
-        if line["against"] and not by_category:
+        if line["against"] and column.best and not by_category:
             difference = differences.setdefault(label, {"label": label, "against": line["against"]})
             difference[column.key] = _estimate(line, "difference_", column)
     if not by_category:
@@ -91,7 +91,7 @@ def bench(name: str, numbers: Path) -> Table:
     versions = next((line for line in settings if line.startswith("python ")), "")
     notes = [MADE.sub("", line) for line in (*about, *settings) if line != versions]
     made = _made(name, "\n".join(about)) | {"versions": versions}
-    return Table(title, made, [*columns.values()], [*rows.values()], [*differences.values()], notes)
+    return Table(_title(name, title), made, [*columns.values()], [*rows.values()], [*differences.values()], notes)
 
 
 def _column(label: str) -> Column:
@@ -118,12 +118,13 @@ def _estimate(line: Mapping[str, str], prefix: str, column: Column) -> Cell:
 
 def _of_clips(rows: Mapping[str, dict[str, Cell]], path: Path) -> dict[str, Column]:
     """Counts of results: failed, ambiguous, wrong, doubted by the checks; added to the rows. Their columns."""
-    by_label = defaultdict(list)
+    by_setting = defaultdict(list)
     for line in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
-        same = line["setting"] == line["method"]
-        by_label[line["method"] if same else f"{line['method']}, {line['setting']}"].append(line)
+        by_setting[line["method"], line["setting"].removeprefix("'")].append(line)  # bars a spreadsheet's formula
     for label, row in rows.items():
-        lines = by_label.get(label, [])
+        lines = _lines_of(label, by_setting)
+        if not lines:
+            continue
         done = [line for line in lines if line["iou"]]
         right = [float(line.get("add_sym_success") or "nan") for line in done]
         ambiguous = [line["ambiguous"] == "True" for line in done]
@@ -148,6 +149,16 @@ def _of_clips(rows: Mapping[str, dict[str, Cell]], path: Path) -> dict[str, Colu
     return {key: Column(key, label) for key, label in labels.items()}
 
 
+def _lines_of(label: str, by_setting: Mapping[tuple[str, str], list[dict[str, str]]]) -> list[dict[str, str]]:
+    """The lines of a row: of its method and setting, or of its setting alone, where the method is another in each row.
+
+    None where several rows share their results, as by several definitions of contact.
+    """
+    whole = [lines for (method, setting), lines in by_setting.items() if label in {f"{method}, {setting}", setting}]
+    likely = [lines for (_, setting), lines in by_setting.items() if label.endswith(f", {setting}")]
+    return next((found[0] for found in (whole, likely) if len(found) == 1), [])
+
+
 def _page(path: Path) -> tuple[str, list[str], list[str]]:
     """Title, what was run, and settings, of a page of ``bench``."""
     title, *lines = path.read_text(encoding="utf-8").splitlines()
@@ -163,7 +174,14 @@ def printed(name: str, page: Path) -> Table:
     lines = [line for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
     header, _, *body = ([cell.strip() for cell in line[1:-1].split("|")] for line in lines)
     notes = [note for line in (*before, *after) if (note := MADE.sub("", line))]
-    return replace(store.of_cells(title, header, body, notes), made=_made(name, "\n".join((*before, *after))))
+    return replace(
+        store.of_cells(_title(name, title), header, body, notes), made=_made(name, "\n".join((*before, *after)))
+    )
+
+
+def _title(name: str, title: str) -> str:
+    """The title that a table has had, else its page's behind its name, since pages call all tables "Methods"."""
+    return store.read(name).title if name in store.names() else f"{name}: {title}"
 
 
 def _made(name: str, text: str) -> dict[str, str]:

@@ -13,7 +13,7 @@ from benchmarks.store import Column, Table
 from getagrip.experiments.comparison import compare
 from getagrip.experiments.tables import markdown, write_clips_csv, write_csv
 from getagrip.experiments.trials import Scores
-from getagrip.experiments.variants import method_variants
+from getagrip.experiments.variants import ablation_variants, method_variants
 from getagrip.fitting.options import Options
 from helpers.pages import PAGES
 from helpers.paths import ROOT
@@ -125,6 +125,20 @@ def test_the_output_of_a_bench_becomes_a_table(tmp_path: Path) -> None:
     assert table.made["versions"] == "python 3.11"
     assert table.made["command"] == BENCHES["dexycb-methods"]
     assert [*table.notes] == ["dexycb: 6 clips", "seed 0"]
+
+
+def test_counts_are_found_where_the_method_differs_from_row_to_row(tmp_path: Path) -> None:
+    variants = ablation_variants("departures", [], Options())
+    scores = [Scores(f"c{n}", "can", "", True, tuple(score(v.folder, n % 2) for v in variants)) for n in range(4)]
+    tables, folder = compare(scores, variants), tmp_path / "synthetic"
+    folder.mkdir()
+    write_csv(tables, folder / "departures.csv")
+    write_clips_csv(scores, variants, folder / "departures-clips.csv")
+    (folder / "departures.md").write_text(markdown(tables, "Departures", [], []))
+    table = results.found(folder)["synthetic-departures"]
+    assert [row["label"] for row in table.rows][::8] == ["paper, to the letter", "paper, + soft hinge"]
+    assert all((row["failed"], row["wrong"]) == (0, 2) for row in table.rows)
+    assert table.title == store.read("synthetic-departures").title
 
 
 def test_a_printed_table_becomes_data(tmp_path: Path) -> None:
