@@ -7,7 +7,6 @@
     {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera
     {{ methods COLUMN }}                     a column of all methods, by set of clips
     {{ made TABLE }}                         at which commit, when, by which command
-    {{ explorer }}                           the page that explores all tables
 
 Keys of rows are their labels in small letters, with "-" for what is neither letter nor digit. An unknown key is a
 ``KeyError``. README is not built: there it is ``<!-- {{ ... }} -->text<!-- end -->``, and ``python -m
@@ -21,7 +20,6 @@ from collections.abc import Callable, Sequence
 from fnmatch import fnmatch
 
 from benchmarks import store
-from benchmarks.explorer import explorer
 from benchmarks.store import Cell, Column, Row
 
 PLACE = re.compile(r"\{\{ (.+?) \}\}")
@@ -189,5 +187,4 @@ DIRECTIVES: dict[str, Callable[..., str]] = {
     "inputs": inputs,
     "methods": methods,
     "made": made,
-    "explorer": explorer,
 }

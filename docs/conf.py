@@ -15,6 +15,7 @@ from sphinx.application import Sphinx
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "src"), str(ROOT / "scripts")]
 
+import explorer  # noqa: E402
 import reference  # noqa: E402
 
 import getagrip  # noqa: E402
@@ -50,6 +51,8 @@ html_show_sphinx = False
 def complete(_: Sphinx, page: str, text: list[str]) -> None:
     """Fill in what is generated in the place of a page's marker, and the results that it cites."""
     text[0] = cite.fill(text[0])
+    if explorer.MARKER in text[0]:
+        text[0] = text[0].replace(explorer.MARKER, explorer.explorer())
     if page in reference.GENERATED:
         before, after = text[0].split(reference.MARKER)
         text[0] = before + reference.GENERATED[page]() + after

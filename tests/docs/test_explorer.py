@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,8 @@ from typing import Any
 import pytest
 
 from benchmarks import store
-from benchmarks.explorer import explorer
 from helpers.browser import IN_BROWSER
+from helpers.paths import ROOT
 
 pytestmark = IN_BROWSER
 
@@ -19,7 +20,9 @@ pytestmark = IN_BROWSER
 def page(browser: Any, tmp_path: Path) -> Iterator[Any]:
     """Showing one table; what goes wrong on it fails the test."""
     path = tmp_path / "explore.html"
-    html = "\n".join(explorer().splitlines()[1:-1])
+    explorer = runpy.run_path(str(ROOT / "scripts" / "explorer.py"))
+    assert explorer["MARKER"] in (ROOT / "docs" / "explore.md").read_text(encoding="utf-8")
+    html = "\n".join(explorer["explorer"]().splitlines()[1:-1])
     path.write_text(f"<!doctype html><meta charset='utf-8'><body>{html}</body>", encoding="utf-8")
     tab, faults = browser.new_page(), list[str]()
     tab.on("pageerror", lambda error: faults.append(str(error)))
