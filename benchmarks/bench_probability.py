@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import page
-from getagrip.experiments.reliability import auroc, calibration_error, least_error
+from benchmarks.reliability import auroc, calibration_error, least_error
 from getagrip.experiments.stamp import stamp
 
 RIGHT = (
