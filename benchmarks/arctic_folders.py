@@ -1,6 +1,6 @@
 """Folders of links to the sequences and clips that docs/arctic.md measures.
 
-    python -m benchmarks.arctic_folders ARTIGRASP DIR           DIR/study and DIR/test, for ``import artigrasp``
+    python -m benchmarks.arctic_folders ARTIGRASP DIR           DIR/study and DIR/test, for convert/artigrasp.py
     python -m benchmarks.arctic_folders --quarter WHOLE DIR     every fourth clip of WHOLE, sorted by name
 
 ARTIGRASP is ArtiGrasp's folder or its ``rsc``. What is there already is kept.
@@ -11,7 +11,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from getagrip.datasets.artigrasp import LETTERS, PARTS, SUBJECT, folder_rsc, sequence_of
+from scripts.convert.artigrasp import LETTERS, PARTS, folder_rsc, sequence_of
+from scripts.convert.artigrasp import sequences as all_sequences
 
 STUDIED = slice(None, None, 6)
 """Of all sequences, sorted by subject and name: every sixth."""
@@ -24,7 +25,7 @@ QUARTER = slice(None, None, 4)
 
 def sequences(rsc: Path) -> tuple[list[Path], list[Path]]:
     """The files of the objects of the study's sequences, and of the test's."""
-    everything = [f for f in rsc.glob("arctic/*/*/*.object.npy") if SUBJECT.fullmatch(f.parent.name)]
+    everything = all_sequences(rsc)
     tested = [f for f in everything if f.parent.name in TEST_SUBJECTS]
     return (
         sorted(everything, key=lambda f: (f.parent.name, sequence_of(f)))[STUDIED],
@@ -33,7 +34,7 @@ def sequences(rsc: Path) -> tuple[list[Path], list[Path]]:
 
 
 def link_sequences(rsc: Path, chosen: list[Path], folder: Path) -> None:
-    """A folder that ``import artigrasp`` reads: links to the files of some sequences, and to the objects' meshes."""
+    """A folder as ArtiGrasp's: links to the files of some sequences, and to the objects' meshes."""
     for poses in chosen:
         hands = rsc / "mano_double" / "ee" / poses.parent.name
         joints = [hands / f"{sequence_of(poses)}_{letter}.npy" for letter in LETTERS.values()]

@@ -1,13 +1,13 @@
 """Within which distance do fitted hands touch an object where the true ones do?
 
-    python -m benchmarks.contact_threshold ARTIGRASP DEXMACHINA
+    python -m benchmarks.contact_threshold TRACKS DEXMACHINA
 
 writes the table into docs/arctic.md.
 
-ARTIGRASP is ArtiGrasp's folder, whose joints the generic hand is fitted to. DEXMACHINA is DexMachina's
-(https://github.com/MandiZhao/dexmachina), which holds, in ``assets/arctic/processed/<subject>/<sequence>.npy``, the
-vertices of the object that lie within 10 mm of the true MANO surface in each frame. Files that cannot be read are left
-out; so are scissors, which ArtiGrasp has no poses of.
+TRACKS is ArtiGrasp's motion as ``scripts/convert/artigrasp.py`` writes it; the generic hand is fitted to its joints.
+DEXMACHINA is DexMachina's (https://github.com/MandiZhao/dexmachina), which holds, in
+``assets/arctic/processed/<subject>/<sequence>.npy``, the vertices of the object that lie within 10 mm of the true
+MANO surface in each frame. Files that cannot be read are left out; so are scissors, which ArtiGrasp has no poses of.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from benchmarks import page
-from getagrip.datasets.artigrasp import ArtiGrasp
 from getagrip.datasets.cutting import known_clip
+from getagrip.datasets.track_files import Tracks
 from getagrip.datasets.tracks import Track
 from getagrip.experiments.stamp import stamp
 from getagrip.geometry import se3
@@ -35,10 +35,10 @@ THRESHOLDS = (0.0, 0.0025, 0.005, 0.0075, 0.010, 0.0125, 0.015)
 SECTION = "contact-threshold"
 
 
-def main(artigrasp: Path, dexmachina: Path) -> None:
+def main(converted: Path, dexmachina: Path) -> None:
     """Write the table."""
     agreement, weights = [], []
-    for track, touched in pairs(artigrasp, dexmachina):
+    for track, touched in pairs(converted, dexmachina):
         distance = nearest(track)
         true = touched[track.numbers]
         agreement.append([np.mean((distance <= threshold) == true) for threshold in THRESHOLDS])
@@ -50,11 +50,11 @@ def main(artigrasp: Path, dexmachina: Path) -> None:
     page.write(SECTION, f"*{len(weights)} hands, {sum(weights):,} frames; made {stamp()}.*\n\n{table}")
 
 
-def pairs(artigrasp: Path, dexmachina: Path) -> Iterator[tuple[Track, Bool[ndarray, "T"]]]:
+def pairs(converted: Path, dexmachina: Path) -> Iterator[tuple[Track, Bool[ndarray, "T"]]]:
     """Each hand of each sequence that both have, and whether the true one touches, in all frames of the sequence."""
-    sources = {source.name: source for source in ArtiGrasp(root=artigrasp).sources()}
+    sources = {source.name: source for source in Tracks(root=converted).sources()}
     for file in sorted(dexmachina.rglob("s[0-9][0-9]/*.npy")):
-        source = sources.get(f"s{int(file.parent.name[1:])}/{file.stem}")
+        source = sources.get(f"s{int(file.parent.name[1:])}-{file.stem}")
         if source is not None and file.stat().st_size:
             world: Any = pickles.read_file(file, "a sequence of ARCTIC")["world_coord"]
             for track in source.read(print):

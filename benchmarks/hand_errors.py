@@ -1,10 +1,11 @@
 """Measure how far hands that were estimated from images are off, for the noise level ``estimated``.
 
-    getagrip import artigrasp-estimated ROOT --shortest 20 --out CLIPS
-    python -m benchmarks.hand_errors measure ROOT CLIPS/grasps.json
+    python scripts/convert/artigrasp.py ARTIGRASP TRACKS --estimated
+    getagrip import tracks TRACKS --shortest 20 --out CLIPS
+    python -m benchmarks.hand_errors measure TRACKS CLIPS/grasps.json
     python -m benchmarks.hand_errors table
 
-The first reads true and estimated joints of ARCTIC's s05 (``datasets/artigrasp_estimated``) in the frames in which both
+The first reads true and estimated joints of ARCTIC's s05 (``scripts/convert/artigrasp.py``) in the frames in which both
 hands are in a grasp. It writes numbers over all of them to ``datasets/synthetic/estimated_hands.py``: the measures, and
 the ``Noise`` whose errors, drawn for clips of the same lengths, have the same measures. The second puts a table of the
 measures of all noise levels into docs/datasets.md.
@@ -27,10 +28,10 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from benchmarks import page
-from getagrip.datasets import artigrasp_estimated
 from getagrip.datasets.arctic import FPS
 from getagrip.datasets.synthetic.error_curves import ERROR_MEASURES, SHARES, ErrorCurves, draw, measure
 from getagrip.datasets.synthetic.noise import NOISE, Noise
+from getagrip.datasets.track_files import read_motion
 from getagrip.experiments.stamp import stamp
 from getagrip.geometry import se3
 from getagrip.grasps import lists
@@ -80,14 +81,15 @@ class HandErrors:
 
 def hands(root: Path, grasps: GraspList) -> Iterator[HandErrors]:
     """The errors of each hand while both hold the object."""
-    rsc, files = artigrasp_estimated.files(root)
-    for file in files:
-        estimates = artigrasp_estimated.read_estimates(rsc, file, print)
-        if estimates is None:
+    for file in sorted(root.glob("*.npz")):
+        of = read_motion(file, print)
+        if of is None or of.camera is None:
             continue
-        of = estimates.true
-        true = {side: se3.transform(estimates.T_cam_world, joints) for side, joints in of.joints.items()}
-        off = {side: (estimates.joints[side] - true[side]).mean(axis=1) for side in true}
+        true, estimated = (
+            {side: se3.transform(of.camera.T_cam_world, joints) for side, joints in hands.items()}
+            for hands in (of.joints, of.estimated)
+        )
+        off = {side: (estimated[side] - true[side]).mean(axis=1) for side in true}
         apart = (off["left"] - off["right"]) / np.sqrt(2.0)
         held = {side: _held(of.subject, of.sequence, of.category, side, of.numbers, grasps) for side in true}
         for first in held["left"]:
@@ -95,7 +97,7 @@ def hands(root: Path, grasps: GraspList) -> Iterator[HandErrors]:
                 rows = np.intersect1d(first, second)
                 if len(rows) >= SHORTEST:
                     for side in true:
-                        joints, given = true[side][rows], estimates.joints[side][rows]
+                        joints, given = true[side][rows], estimated[side][rows]
                         yield HandErrors(_curves(joints, given, apart[rows]), aligned_error(joints, given))
 
 
@@ -209,7 +211,7 @@ def write(root: Path, grasps: Path) -> None:
 
 Measured {made}:
 ARCTIC's s05, {len(found)} hands in grasps of both hands, {sum(lengths)} frames.
-The estimates are of images of fixed cameras, in ArtiGrasp's repository (``datasets/artigrasp_estimated``).
+The estimates are of images of fixed cameras, in ArtiGrasp's repository (``scripts/convert/artigrasp.py``).
 """
 
 ESTIMATED = {pformat(values, sort_dicts=False)}

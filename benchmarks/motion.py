@@ -2,7 +2,8 @@
 
     getagrip import dexycb DEXYCB --meshes YCB --whole --out whole-dexycb
     python -m benchmarks.arctic_folders ARTIGRASP folders
-    getagrip import artigrasp folders/study --whole --out whole-arctic
+    python scripts/convert/artigrasp.py folders/study tracks
+    getagrip import tracks tracks --whole --out whole-arctic
     python -m benchmarks.motion measure dexycb=whole-dexycb arctic=whole-arctic
     python -m benchmarks.motion table
 

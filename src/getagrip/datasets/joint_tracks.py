@@ -7,7 +7,7 @@ is off by a few millimetres, so contacts at 0 mm depend on it more than on the g
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from getagrip.clip import HandTrack, Joint, World
 from getagrip.datasets.assumed_camera import PosedCamera, assumed_camera
-from getagrip.datasets.fitted_hands import describe_fit, fit_hand
+from getagrip.datasets.fitted_hands import FittedHand, describe_fit, fit_hand
 from getagrip.datasets.tracks import Track
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
@@ -48,6 +48,8 @@ class Motion:
     """Angle of the joint [rad]."""
     camera: PosedCamera | None = None
     """One is assumed where it is not known; then z is up in the world frame."""
+    estimated: dict[Side, Float[ndarray, "T 21 3"]] = field(default_factory=dict)
+    """The joints as an estimator found them: clips are given hands that are fitted to these."""
 
 
 def tracks(motion: Motion) -> Iterator[Track]:
@@ -60,6 +62,15 @@ def tracks(motion: Motion) -> Iterator[Track]:
         camera = assumed_camera(places, motion.joints.values())
     hands = {side: seen(hand.track, camera.T_cam_world) for side, hand in fitted.items()}
     for side, hand in hands.items():
+        described = "the generic hand, fitted to the true 21 joints over all frames: not the true surface"
+        provenance = motion.provenance | {"hands": described, "hand_fit": _fit(fitted[side])}
+        given_hand = None
+        if side in motion.estimated:
+            given = fit_hand(motion.file, f"estimated {side} joints", side, motion.estimated[side])
+            given_hand = seen(given.track, camera.T_cam_world)
+            provenance["truth"] = f"{described}; {_fit(fitted[side])}"
+            provenance["hands"] = "the generic hand, fitted to 21 joints that were estimated"
+            provenance["hand_fit"] = _fit(given)
         yield Track(
             file=motion.file,
             subject=motion.subject,
@@ -78,13 +89,14 @@ def tracks(motion: Motion) -> Iterator[Track]:
             articulation=motion.articulation,
             other_hand=next((other for of, other in hands.items() if of != side), None),
             world=World(se3.inverse(camera.T_cam_world), up),
-            provenance={
-                **motion.provenance,
-                "hands": "the generic hand, fitted to the true 21 joints over all frames: not the true surface",
-                "hand_fit": describe_fit(fitted[side].residuals) + ", over the sequence",
-                "camera": camera.described,
-            },
+            given_hand=given_hand,
+            provenance=provenance | {"camera": camera.described},
         )
+
+
+def _fit(hand: FittedHand) -> str:
+    """How well a hand fits, in words."""
+    return describe_fit(hand.residuals) + ", over the sequence"
 
 
 def seen(hand: HandTrack, T_cam_world: Float[ndarray, "T 4 4"]) -> HandTrack:

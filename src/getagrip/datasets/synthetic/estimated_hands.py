@@ -2,7 +2,7 @@
 
 Measured 2026-11-22, commit 71a6ebc:
 ARCTIC's s05, 152 hands in grasps of both hands, 4482 frames.
-The estimates are of images of fixed cameras, in ArtiGrasp's repository (``datasets/artigrasp_estimated``).
+The estimates are of images of fixed cameras, in ArtiGrasp's repository (``scripts/convert/artigrasp.py``).
 """
 
 ESTIMATED = {
