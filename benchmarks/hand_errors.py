@@ -6,9 +6,9 @@
     python -m benchmarks.hand_errors table
 
 The first reads true and estimated joints of ARCTIC's s05 (``scripts/convert/artigrasp.py``) in the frames in which both
-hands are in a grasp. It writes numbers over all of them to ``datasets/synthetic/estimated_hands.py``: the measures, and
-the ``Noise`` whose errors, drawn for clips of the same lengths, have the same measures. The second puts a table of the
-measures of all noise levels into docs/datasets.md.
+hands are in a grasp. It writes numbers over all of them to ``datasets/synthetic/estimated_hands.json``: the measures,
+and the ``Noise`` whose errors, drawn for clips of the same lengths, have the same measures. The second puts a table of
+the measures of all noise levels into docs/datasets.md.
 
 The object's place is not among the estimates, so hands are compared with each other: where a hand is off is taken to be
 the difference of both hands' errors over the square root of two, as it is where they err independently.
@@ -16,12 +16,11 @@ the difference of both hands' errors over the square root of two, as it is where
 
 from __future__ import annotations
 
-import subprocess
+import json
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from pprint import pformat
 
 import numpy as np
 from jaxtyping import Float
@@ -30,7 +29,7 @@ from numpy import ndarray
 from benchmarks import page
 from getagrip.datasets.arctic import FPS
 from getagrip.datasets.synthetic.error_curves import ERROR_MEASURES, SHARES, ErrorCurves, draw, measure
-from getagrip.datasets.synthetic.noise import NOISE, Noise
+from getagrip.datasets.synthetic.noise import NOISE, TABLE, Noise
 from getagrip.datasets.track_files import read_motion
 from getagrip.experiments.stamp import stamp
 from getagrip.geometry import se3
@@ -46,7 +45,6 @@ SHORTEST = 20
 PALM = [0, 5, 9, 13, 17]
 """Joints that move with the hand: the wrist and the knuckles."""
 INDEX, PINKY = 5, 17
-SOURCE = Path(__file__).resolve().parents[1] / "src/getagrip/datasets/synthetic/estimated_hands.py"
 SECTION = "noise-levels"
 FITTED = {
     "turn_bias": "hand_bias_deg",
@@ -198,7 +196,7 @@ def fitted(wanted: dict[str, float], lengths: Sequence[int]) -> Noise:
 
 
 def write(root: Path, grasps: Path) -> None:
-    """Measure, fit, and write both into the source."""
+    """Measure, fit, and write both into the table."""
     made = stamp()
     found = list(hands(root, lists.read(grasps)))
     lengths = [len(hand.aligned) for hand in found]
@@ -207,30 +205,22 @@ def write(root: Path, grasps: Path) -> None:
     noise = fitted(wanted, lengths)
     values = {field.name: value for field in fields(Noise) if (value := getattr(noise, field.name)) != field.default}
     measures = {name: float(f"{value:.3g}") for name, value in wanted.items()}
-    text = f'''"""How far hands estimated from images are off; written by ``python -m benchmarks.hand_errors measure``.
-
-Measured {made}:
-ARCTIC's s05, {len(found)} hands in grasps of both hands, {sum(lengths)} frames.
-The estimates are of images of fixed cameras, in ArtiGrasp's repository (``scripts/convert/artigrasp.py``).
-"""
-
-ESTIMATED = {pformat(values, sort_dicts=False)}
-"""Fields of ``Noise``: errors drawn for clips of the same lengths have these measures (fingers: joints as far off)."""
-MEASURED = {pformat(measures, sort_dicts=False)}
-"""``error_curves.measure`` of the estimates, and their joints' error after the best similarity; SI units."""
-LENGTHS = {[int(n) for n in np.percentile(lengths, np.arange(5, 100, 10))]}
-"""Frames of these grasps: 5, 15, ..., 95 % are shorter."""
-'''
-    SOURCE.write_text(text, encoding="utf-8")
-    subprocess.run([sys.executable, "-m", "ruff", "format", "-q", SOURCE], check=True)
+    content = {
+        "made": made,
+        "of": f"ARCTIC's s05, {len(found)} hands in grasps of both hands, {sum(lengths)} frames",
+        "noise": values,
+        "measured": measures,
+        "lengths": [int(n) for n in np.percentile(lengths, np.arange(5, 100, 10))],
+    }
+    TABLE.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def table() -> None:
     """Put the measures of the estimates and of all noise levels beside each other into the page."""
-    from getagrip.datasets.synthetic.estimated_hands import LENGTHS, MEASURED
-
-    columns = {"measured": MEASURED} | {
-        f"`{name}`": drawn(NOISE[name], LENGTHS) | {"aligned": drawn_aligned(NOISE[name], LENGTHS)}
+    content = json.loads(TABLE.read_text(encoding="utf-8"))
+    lengths = content["lengths"]
+    columns = {"measured": content["measured"]} | {
+        f"`{name}`": drawn(NOISE[name], lengths) | {"aligned": drawn_aligned(NOISE[name], lengths)}
         for name in ("estimated", "moderate", "strong")
     }
     rows = []

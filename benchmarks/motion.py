@@ -8,17 +8,16 @@
     python -m benchmarks.motion table
 
 The first finds the stable grasps of the training subjects, contact within 10 mm, and writes numbers over all of them,
-of no single one, to ``datasets/synthetic/measured.py``. The second measures the motions of the synthetic test split in
-the same way, and puts a table of both into docs/datasets.md.
+of no single one, to ``datasets/synthetic/measured_motion.json``. The second measures the motions of the synthetic test
+split in the same way, and puts a table of both into docs/datasets.md.
 """
 
 from __future__ import annotations
 
-import subprocess
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from pprint import pformat
 
 import numpy as np
 from jaxtyping import Bool
@@ -26,6 +25,7 @@ from numpy import ndarray
 
 from benchmarks import page
 from getagrip.clip import Clip, read_clip
+from getagrip.datasets.synthetic.in_hand import MEASURED, TABLE
 from getagrip.experiments.stamp import stamp
 from getagrip.geometry import se3
 from getagrip.grasps.definition import Definition
@@ -40,7 +40,6 @@ TRAINING = {
 }
 """Subjects on which no method is compared: of every three, sorted by name, the first (docs/results-protocol.md)."""
 DEFINITION = Definition(contact=0.010)
-SOURCE = Path(__file__).resolve().parents[1] / "src/getagrip/datasets/synthetic/measured.py"
 SECTION = "in-hand-motion"
 COMPARED = ("clean", "measured")
 """Presets whose motions stand in the table."""
@@ -76,27 +75,15 @@ def grasps(folder: Path, subjects: tuple[str, ...]) -> list[Measured]:
 
 
 def write(given: dict[str, Path]) -> None:
-    """Write the statistics of each dataset into the source."""
+    """Write the statistics of each dataset into the table."""
     made = stamp()
     rows = {name: MotionStatistics.of(grasps(folder, TRAINING[name])) for name, folder in given.items()}
-    people = "\n".join(f"- {name}: {', '.join(TRAINING[name])}" for name in rows)
-    content = ",\n".join(f'    "{name}": {pformat(row, width=110)}' for name, row in rows.items())
-    text = f'''"""How objects move in the hand in stable grasps; written by ``python -m benchmarks.motion measure``.
-
-Measured {made}, contact within 10 mm, of the subjects
-
-{people}
-"""
-
-from getagrip.grasps.motion import MotionStatistics
-
-MEASURED = {{
-{content},
-}}
-"""By dataset; SI units."""
-'''
-    SOURCE.write_text(text, encoding="utf-8")
-    subprocess.run([sys.executable, "-m", "ruff", "format", "-q", SOURCE], check=True)
+    content = {
+        "made": f"{made}, contact within {1e3 * DEFINITION.contact:g} mm",
+        "subjects": {name: TRAINING[name] for name in rows},
+        "statistics": {name: vars(row) for name, row in rows.items()},
+    }
+    TABLE.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def synthetic(preset: str) -> MotionStatistics:
@@ -113,8 +100,6 @@ def synthetic(preset: str) -> MotionStatistics:
 
 def table() -> None:
     """Put the measured and the drawn motions beside each other into the page."""
-    from getagrip.datasets.synthetic.measured import MEASURED
-
     columns = {f"{name}, {s.grasps} grasps": s for name, s in MEASURED.items()}
     for preset in COMPARED:
         drawn = synthetic(preset)
