@@ -31,7 +31,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.datasets.arctic import FPS, MM, Template, in_neutral_frame
-from getagrip.datasets.assumed_camera import facing
+from getagrip.datasets.joint_tracks import facing
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.mesh_files import read_mesh

@@ -25,8 +25,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.datasets import assumed_camera
-from getagrip.datasets.pickled import numbers
+from getagrip.datasets import joint_tracks
+from getagrip.datasets.mano_tracks import numbers
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands import generic, mano
@@ -59,7 +59,7 @@ def main(source_data: Path, out: Path) -> None:
 
 def convert(file: Path, out: Path) -> None:
     """A sequence, as a file of tracks and the object's mesh."""
-    K, size = assumed_camera.pinhole()
+    K, size = joint_tracks.pinhole()
     T_cam_hand, vertices, pose, given = read(file)
     found = flat_hand(vertices, generic.load("left").joints[0], pose)
     if found is None:

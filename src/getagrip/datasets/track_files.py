@@ -17,7 +17,7 @@ A file is one sequence of one object with one or two hands:
                                                  its direction, in the object's frame
                      K, size, T_cam_world        (3, 3), (2,) [px], (4, 4) or (T, 4, 4): the camera; all three or none
 
-Without a camera, one is assumed (``assumed_camera``), and z must be up in the world. Meshes are made fine enough for
+Without a camera, one is assumed (``joint_tracks``), and z must be up in the world. Meshes are made fine enough for
 contact to be counted by their vertices.
 """
 
@@ -35,10 +35,9 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import Joint
-from getagrip.datasets.assumed_camera import PosedCamera
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
-from getagrip.datasets.joint_tracks import Motion, tracks
+from getagrip.datasets.joint_tracks import Motion, PosedCamera, tracks
 from getagrip.datasets.tracks import Source, Track, check_length
 from getagrip.errors import InputError
 from getagrip.geometry import se3

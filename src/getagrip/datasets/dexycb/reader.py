@@ -18,12 +18,12 @@ from numpy import ndarray
 from tyro.conf import Positional, arg
 
 from getagrip.clip import FINGERS, FrameMasks, HandTrack, World
-from getagrip.datasets import fitted_hands, ycb
+from getagrip.datasets import joint_tracks, ycb
 from getagrip.datasets.cutting import CutSource, TrackedDataset
 from getagrip.datasets.dataset import Note, Part
 from getagrip.datasets.dexycb import timelines
 from getagrip.datasets.dexycb.recording import SIZE, Recording, Sequence, find
-from getagrip.datasets.fitted_hands import describe_fit
+from getagrip.datasets.joint_tracks import describe_fit
 from getagrip.datasets.tracks import Piece, Source, Track
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
@@ -194,5 +194,5 @@ def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> FrameMasks
 def fit_hand(recording: Recording) -> Hand:
     """The generic hand in every frame that has joints, of one shape. Raises ``InputError`` where they are no hand's."""
     joints = recording.joints[recording.hand_known]
-    fitted = fitted_hands.fit_hand(recording.file, recording.sequence, recording.side, joints)
+    fitted = joint_tracks.fit_hand(recording.file, recording.sequence, recording.side, joints)
     return Hand(fitted.track, np.flatnonzero(recording.hand_known), fitted.residuals)
