@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterator
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -28,7 +27,7 @@ SPECK = 0.002
 Polygon = Float[ndarray, "_n 2"]
 
 
-def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, dict[str, Any]]:
+def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, dict[str, object]]:
     """By frame: joints and silhouette of the fitted hand [px], and which clicks do not fit the others.
 
     Raises ``UsageError`` as ``hands_from_clicks`` does.
@@ -38,7 +37,7 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
     assert track.joints is not None
     zoom = min(1.0, HAND_SIDE / max(labels.size))
     small = (round(zoom * labels.size[0]), round(zoom * labels.size[1]))
-    out: dict[int, dict[str, Any]] = {}
+    out: dict[int, dict[str, object]] = {}
     for n, (T, vertices, joints) in enumerate(zip(track.T_cam_hand, track.vertices, track.joints, strict=True)):
         mask = covered(se3.transform(T, vertices), track.faces, np.diag([zoom, zoom, 1.0]) @ K, small)
         out[labels.first + n] = {
@@ -51,7 +50,7 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
     return out
 
 
-def masks(labels: Labels, image: Images, known: Container[int] = ()) -> Iterator[tuple[int, dict[str, Any]]]:
+def masks(labels: Labels, image: Images, known: Container[int] = ()) -> Iterator[tuple[int, dict[str, object]]]:
     """Each frame with polygons around the object and what is in front of it [px], and how sure they are (0 to 1).
 
     Stretches between key frames of which all frames are ``known`` are left out. Raises ``UsageError`` as ``propagate``

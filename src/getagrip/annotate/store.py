@@ -13,7 +13,6 @@ import sqlite3
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from getagrip.annotate import keyframes, marks
 from getagrip.annotate.keyframes import KeyFrame
@@ -50,13 +49,13 @@ class Drafts:
 
     database: Database
 
-    def put(self, grasp: str, kind: str, basis: str, frames: Mapping[int, Mapping[str, Any]]) -> None:
+    def put(self, grasp: str, kind: str, basis: str, frames: Mapping[int, Mapping[str, object]]) -> None:
         """Keep drafts of some frames, of the "masks" or the "hand", in the place of older ones."""
         rows = [(grasp, kind, n, basis, json.dumps(content, allow_nan=False)) for n, content in frames.items()]
         with self.database.transaction() as db:
             db.executemany("INSERT INTO drafts (grasp, kind, frame, basis, content) VALUES (?, ?, ?, ?, ?)", rows)
 
-    def since(self, grasp: str, seq: int) -> list[dict[str, Any]]:
+    def since(self, grasp: str, seq: int) -> list[dict[str, object]]:
         """Drafts of a grasp that are newer than ``seq``, the oldest ``MOST_AT_ONCE`` of them."""
         query = "SELECT seq, kind, frame, basis, content FROM drafts WHERE grasp = ? AND seq > ? ORDER BY seq LIMIT ?"
         rows = self.database.rows(query, (grasp, seq, MOST_AT_ONCE))

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence, Set
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.engine import Engine
@@ -51,7 +50,7 @@ class Imported:
     clips: Sequence[Outcome]
     notes: Sequence[str] = ()
     """What was skipped, in words."""
-    made: Sequence[Mapping[str, Any]] = ()
+    made: Sequence[Mapping[str, object]] = ()
     """Provenance of the clips that were made."""
     handless: int = 0
     """Clips, made or kept, that lack their hands."""
@@ -72,7 +71,7 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
     cut = dataset.cut_record()
     claim_folder(out, cut)
     leftovers.sweep(out)
-    counts, made, handless, doubted = Counter[str](), list[Mapping[str, Any]](), 0, 0
+    counts, made, handless, doubted = Counter[str](), list[Mapping[str, object]](), 0, 0
     engine = Engine(work=import_part, lost=_lost, entry=_entry, options=repr(dataset))
     with closing(share.ended(engine, jobs, out, dataset.parts_are)) as parts:
         for imported in parts:
@@ -115,7 +114,7 @@ def _entry(imported: Imported) -> Entry:
 
 def import_part(job: ImportJob) -> Imported:
     """Write the clips of one part. Raises nothing."""
-    outcomes, notes, made, doubted = list[Outcome](), list[str](), list[Mapping[str, Any]](), 0
+    outcomes, notes, made, doubted = list[Outcome](), list[str](), list[Mapping[str, object]](), 0
 
     def missing(name: str, with_hands: bool = False) -> bool:
         folder = job.out / name
@@ -157,7 +156,7 @@ def _write(draft: Draft, folder: Path) -> Clip | None:
     return clip
 
 
-def claim_folder(out: Path, cut: Mapping[str, Any] | None) -> None:
+def claim_folder(out: Path, cut: Mapping[str, object] | None) -> None:
     """Note in the folder how its clips are cut (None: they are not), before there are any.
 
     Raises ``UsageError`` where it holds clips that were cut in another way, ``InputError`` for a damaged list.
@@ -176,7 +175,7 @@ def claim_folder(out: Path, cut: Mapping[str, Any] | None) -> None:
         lists.write(path, [], cut)
 
 
-def write_list(out: Path, cut: Mapping[str, Any], note: Callable[[str], None]) -> int:
+def write_list(out: Path, cut: Mapping[str, object], note: Callable[[str], None]) -> int:
     """Write the list of the grasps that a folder's clips are, from the clips alone; returns how many there are."""
     grasps = []
     for folder in sorted(path.parent for path in out.glob("*/clip.json")):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -18,7 +18,7 @@ from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
-from getagrip.io.files import inside, shown
+from getagrip.io.files import Json, inside, shown
 from getagrip.io.packed_masks import PackedMask, PackedMasks
 
 
@@ -163,7 +163,7 @@ class Clip(ArrayData):
     other_hand: OtherHand | None = None
     truth: Truth | None = None
     folder: Path | None = None
-    provenance: dict[str, Any] = field(default_factory=dict)
+    provenance: Json = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ from getagrip.clip.camera_of_image import doubt
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.clip.numbering import renumbered
 from getagrip.clip.plausible import check_in_view
-from getagrip.clip.reading import OTHER_HAND, ClipHeader, frames_with_hand, read_header
+from getagrip.clip.reading import OTHER_HAND, ClipFields, ClipHeader, frames_with_hand, read_header
 from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
@@ -201,7 +201,7 @@ def _request(
     return Request(side, renumbered(frames, first, "--first"), K, size, mano, ask_first="")
 
 
-def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
+def _fields(header: ClipHeader, hands: Hands) -> ClipFields:
     """What ``clip.json`` says with the hands: where they come from, and which frames have none."""
     old = (WITHOUT_HAND, HELD, CHOSEN)
     known = {key: text for key, text in header.fields["provenance"].items() if key not in old}

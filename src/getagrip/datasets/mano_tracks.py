@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -82,7 +81,7 @@ def numbers(
     name = f"{of}.{key}" if of else key
     if key not in given:
         raise InputError(path, name, "no such key", "the key")
-    value: Any = given[key]
+    value: object = given[key]
     if isinstance(value, list | tuple):
         value = arrays.from_lists(value)
     if not isinstance(value, ndarray):

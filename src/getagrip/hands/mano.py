@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -27,6 +27,7 @@ from getagrip.hands.model import KNUCKLES, PARENTS, HandModel, Side
 from getagrip.hands.regions import contact_regions, position_on_palm
 from getagrip.io import arrays, files, pickles
 from getagrip.io.choices import check_word
+from getagrip.io.files import Json
 from getagrip.io.pickles import Instance
 
 ARRAYS = {
@@ -242,9 +243,9 @@ def _array(value: object) -> Shaped[ndarray, "..."]:
     return value
 
 
-def _dense(kind: str, state: dict[str, Any]) -> Float[ndarray, "R C"]:
+def _dense(kind: str, state: Json) -> Float[ndarray, "R C"]:
     """A compressed sparse matrix in full."""
-    rows, cols = (int(n) for n in state.get("_shape", state.get("shape", ())))
+    rows, cols = (int(n) for n in (state["_shape"] if "_shape" in state else state.get("shape", ())))
     starts, inner, data = (_array(state[key]) for key in ("indptr", "indices", "data"))
     outer_size, inner_size = (cols, rows) if kind == "csc" else (rows, cols)
     if min(rows, cols) < 0 or rows * cols > LARGEST_MATRIX or starts.shape != (outer_size + 1,):

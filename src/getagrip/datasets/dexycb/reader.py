@@ -10,7 +10,7 @@ from collections.abc import Sequence as AnyOf
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -75,7 +75,7 @@ class DexYcb(TrackedDataset):
         of = partial(timelines.pieces, definition=definition)
         return [CutSource(source, of, definition.shortest) for source in self.sources()]
 
-    def cut_record(self) -> dict[str, Any] | None:
+    def cut_record(self) -> dict[str, object] | None:
         """How its clips are cut; None where they are whole."""
         return None if self.timelines else super().cut_record()
 
@@ -109,7 +109,7 @@ class FittedTrack(Track):
         """The track at some of its frames."""
         return replace(super().take(index), residuals=self.residuals[index])
 
-    def describe(self, piece: Piece) -> dict[str, Any]:
+    def describe(self, piece: Piece) -> dict[str, object]:
         """The provenance of the clip that a piece becomes, with what is to be known before trusting its hand."""
         first, last = piece.track.numbers[[0, -1]]
         depth = self.hand_depth()

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -219,7 +218,7 @@ def _provenance(
     hands: HandFile | None,
     has_mapping: bool,
     segments: Sequence[Segment],
-) -> dict[str, Any]:
+) -> dict[str, str]:
     dense = sum(frame.dense for frame in frames)
     provenance = {
         "source": f"EPIC-Grasps {grasp.example}: {grasp.video}, frames {grasp.start} to {grasp.end}",

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
@@ -114,7 +114,7 @@ class EpicGrasps(Dataset):
         if self.focal is not None and not 0.05 * width <= self.focal <= 100 * width:
             raise UsageError(f"--focal: got {self.focal:g}, expected pixels of images {width} wide")
 
-    def advice(self, made: Sequence[Mapping[str, Any]], handless: int) -> Iterator[str]:
+    def advice(self, made: Sequence[Mapping[str, object]], handless: int) -> Iterator[str]:
         """How to come by what is guessed or missing."""
         guess = clips.pinhole().source
         guessed = sum(provenance["camera"] == guess for provenance in made)
