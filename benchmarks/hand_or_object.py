@@ -70,7 +70,7 @@ def case(place: Path, folder: Path, variant: Variant) -> Case:
     clip = read_clip(folder)
     clip, _ = variant.change(clip, read_masks(clip), variant.options.seed)
     assert clip.truth is not None
-    metrics = evaluate(result, clip, wanted=(ADD_SYM, ADD_SYM_CAM))["metrics"]
+    metrics = evaluate(result, clip, wanted=(ADD_SYM, ADD_SYM_CAM)).metrics
     clip = clip.take(clip.index_of(result.frames)).with_hand_at(result.T_cam_hand)
     assert clip.truth is not None
     error = se3.inverse(clip.truth.T_cam_hand) @ clip.hand.T_cam_hand

@@ -132,7 +132,7 @@ def run(case: Case) -> list[Row]:
             continue
         seconds = time.process_time() - start
         given = changed[0]
-        metrics = evaluate(result, given, None, wanted=(ADD_SYM, ADD_SYM_CAM, ADD_SYM_MM))["metrics"]
+        metrics = evaluate(result, given, None, wanted=(ADD_SYM, ADD_SYM_CAM, ADD_SYM_MM)).metrics
         assert given.truth is not None
         off = 1e-3 * metrics[ADD_SYM_MM.name] / (given.mesh.diameter * given.truth.scale)
         right = [f"{metrics[metric.name]:.0f}" for metric in (ADD_SYM, ADD_SYM_CAM)]

@@ -25,7 +25,7 @@ if result.ambiguous:
     print("another pose explains the masks almost as well; see result.candidates")
 
 # All metrics, in the units that their names end in. The synthetic clip has ground truth, so pose errors are among them.
-metrics = getagrip.evaluate(result, clip, masks)["metrics"]
+metrics = getagrip.evaluate(result, clip, masks).metrics
 for name in ("iou", "add_mm", "rotation_deg", "translation_mm", "penetration_object_mm"):
     print(f"{name:>24} {metrics[name]:7.2f}")
 

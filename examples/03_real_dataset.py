@@ -28,7 +28,7 @@ else:
 print(f"{clip.name}: a {clip.category} in a {clip.side} hand, {len(clip)} frames")
 
 result = getagrip.reconstruct(clip, masks)
-metrics = getagrip.evaluate(result, clip, masks)["metrics"]
+metrics = getagrip.evaluate(result, clip, masks).metrics
 print(f"mask IOU {metrics['iou']:.3f}")
 if clip.truth is not None:
     print(f"ADD {metrics['add_mm']:.1f} mm, with the object's symmetries {metrics['add_sym_mm']:.1f} mm")

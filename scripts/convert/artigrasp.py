@@ -117,7 +117,12 @@ def _estimates(
     origin = template.joint.point[None]  # the template's: what an estimate of the object places
     displaced = se3.transform(camera.T_cam_world @ T_world_obj, origin) - se3.transform(T_estimate_obj, origin)
     estimated = _joints(rsc / "mano_double/ee_recon" / subject, sequence_of(file), T)
-    return {"K": camera.K, "size": camera.size, "T_cam_world": camera.T_cam_world[0], "camera": camera.described} | {
+    return {
+        "K": camera.K,
+        "size": camera.size,
+        "T_cam_world": camera.T_cam_world[0],
+        "assumed_camera": str(camera.described),
+    } | {
         f"estimated_{side}": se3.transform(se3.inverse(camera.T_cam_world), joints[rows] + displaced)
         for side, joints in estimated.items()
     }

@@ -77,7 +77,7 @@ def convert(file: Path, out: Path) -> None:
         category="object", subject="unknown", sequence=file.stem, K=K, size=size, T_cam_world=np.eye(4),
         source=f"TACO, {file.stem}, in GeneOH Diffusion's copy; {FPS:g} frames per second are assumed",
         licence="made from TACO, CC BY 4.0",
-        camera=f"a guess: the poses are the camera's, its focal length {K[0, 0]:g} px is assumed",
+        assumed_camera=f"a guess: the poses are the camera's, its focal length {K[0, 0]:g} px is assumed",
     )  # fmt: skip
 
 

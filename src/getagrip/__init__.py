@@ -6,7 +6,7 @@
 
     clip, masks = getagrip.synthesise("mug")         # or read_clip(folder) and read_masks(clip)
     result = getagrip.reconstruct(clip, masks)
-    print(getagrip.evaluate(result, clip, masks)["metrics"])
+    print(getagrip.evaluate(result, clip, masks).metrics)
 
 The public names and their modules are listed in ``__init__.pyi``. Each is loaded when it is first used, so that
 ``import getagrip`` takes no time.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +30,6 @@ class Finding:
 
     def __str__(self) -> str:
         return cleaned(f"{'serious' if self.serious else 'note'}: {self.check}: {self.message}")
-
-    def fields(self) -> dict[str, Any]:
-        """As ``result.json`` holds it."""
-        return asdict(self)
 
 
 KINDS: dict[str, tuple[type, ...]] = {

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +33,6 @@ class Probability:
     def __str__(self) -> str:
         return f"{percent(self.value)}{' (extrapolated)' if self.beyond else ''}"
 
-    def fields(self) -> dict[str, Any]:
-        """As ``result.json`` holds it."""
-        return asdict(self)
-
 
 def percent(value: float) -> str:
     """A probability, 0 to 1, in words: it is never so sure as 0 or 100 %."""
@@ -47,18 +42,6 @@ def percent(value: float) -> str:
 
 
 KINDS: dict[str, tuple[type, ...]] = {"value": (int, float), "meaning": (str,), "beyond": (list,)}
-
-
-def of_segment(segment: Mapping[str, Any]) -> Probability | None:
-    """That of a timeline's grasp, as a result's ``segments`` hold it; None where there is none."""
-    given = segment.get("probability_right")
-    return None if given is None else Probability(given["value"], given["meaning"], tuple(given["beyond"]))
-
-
-def of_grasps(segments: Sequence[Mapping[str, Any]]) -> str:
-    """How probable it is that each grasp of a timeline is right, in words; empty where there is no grasp."""
-    each = [str(of_segment(segment) or "unknown") for segment in segments if segment["state"] == "grasp"]
-    return f"probability that its grasps are right: {', '.join(each)}" if each else ""
 
 
 def read_probability(path: Path, given: Any, key: str = "probability_right") -> Probability | None:

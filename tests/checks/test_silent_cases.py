@@ -13,6 +13,7 @@ from getagrip.checks.evidence import Jumps
 from getagrip.checks.frame_order import Lateness, lateness
 from getagrip.checks.hand_side import bend
 from getagrip.clip import Clip, Masks, write_clip
+from getagrip.clip.provenance import assumed
 from getagrip.errors import GetagripError
 from getagrip.experiments.changes import Wrong
 from getagrip.experiments.wrong_inputs import MISTAKES
@@ -98,7 +99,7 @@ def test_a_right_result_raises_no_finding() -> None:
 @pytest.mark.slow
 def test_a_guessed_focal_length_leaves_no_probability_in_the_camera() -> None:
     clip, masks = mug()
-    guessed = replace(clip, provenance={**clip.provenance, "camera": "a guess: the longer side of the image"})
+    guessed = replace(clip, provenance={**clip.provenance, "camera": assumed("the longer side of the image")})
     known, result = reconstruct(clip, masks), reconstruct(guessed, masks)
     assert known.probability_right_in_camera is not None
     assert result.probability_right_in_camera is None
@@ -109,7 +110,7 @@ def test_a_guessed_focal_length_leaves_no_probability_in_the_camera() -> None:
 def test_nothing_that_misses_the_masks_is_called_converged() -> None:
     result = reconstruct(*Wrong("noise masks")(*mug(), seed=0), QUICK)
     assert result.iou.mean() < 0.5
-    assert result.status.startswith("failed: the best pose meets the masks with a mean IOU of")
+    assert result.message.startswith("failed: the best pose meets the masks with a mean IOU of")
 
 
 @pytest.mark.slow

@@ -84,7 +84,7 @@ def test_a_result_of_some_frames_is_evaluated_against_the_whole_clip() -> None:
     assert clip.take(index).frames == result.frames
     whole = evaluate(result, clip, masks)
     assert whole == evaluate(result, clip.take(index), masks.take(index))
-    assert whole["frames"] == list(result.frames)
+    assert whole.frames == list(result.frames)
 
 
 @pytest.mark.slow

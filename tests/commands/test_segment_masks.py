@@ -118,5 +118,5 @@ def test_grasps_and_the_whole_are_reconstructed_and_named(
     result, _ = read_result(out / "from-table")
     assert result.frames == clip.frames
     assert [one["state"] for one in result.segments] == ["static", "grasp"]
-    assert result.segments[1]["first"] == cut.frames[0]
+    assert result.segments[1].first == cut.frames[0]
     assert (out / "clips" / "from-table" / "frames" / f"{clip.frames[0]}.jpg").is_file()

@@ -52,7 +52,7 @@ def test_wrong_frames_are_left_out_and_hands_are_where_they_are(root: Path) -> N
     of = recording()
     for track in (left, right):
         np.testing.assert_array_equal(track.numbers, np.arange(3, 64))
-        assert "guess" in track.provenance["camera"]
+        assert "guess" in str(track.provenance["camera"])
         assert track.other_hand is not None
     T_hand_obj = se3.inverse(right.hand.T_cam_hand) @ right.T_cam_obj @ template(root).T_neutral_template
     expected = (se3.inverse(of.T_world_hand) @ of.T_world_obj)[right.numbers]
@@ -87,7 +87,7 @@ def test_a_grasp_ends_where_the_joint_turns(root: Path) -> None:
     provenance = found[0].track.describe(found[0])
     assert found[0].name == f"s1--{SEQUENCE}--box--right"
     assert "non-commercial" in provenance["licence"]
-    assert "guess" in provenance["camera"]
+    assert "guess" in str(provenance["camera"])
 
 
 def test_broken_files_are_skipped_by_name(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -132,7 +132,7 @@ def test_estimated_hands_stand_by_the_true_object_as_by_the_estimated_one(estima
         T_cam_template = track.T_cam_obj @ template(estimated).T_neutral_template
         expected = ESTIMATE_WORLD @ recording().T_world_obj[track.numbers]
         assert np.degrees(se3.angle_between(T_cam_template[:, :3, :3], expected[:, :3, :3]).max()) < 1.0
-        assert "estimated" in track.provenance["hands"]
+        assert "estimated" in str(track.provenance["hands"])
 
 
 def test_estimates_of_too_few_frames_are_skipped(estimated: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -48,6 +48,6 @@ def test_clips_and_results(tmp_path: Path) -> None:
         assert segment(found[POT], Definition(contact=0.005, points=points))[1] == [(0, 33)]
     quick = ("--workers", "1", "--frames", "12", "--inits", "25", "--sampled-only")
     assert main(["reconstruct", str(clips / POT), "--out", str(tmp_path / "out"), *quick]) == 0
-    metrics = evaluate_result(tmp_path / "out" / POT, clips)["metrics"]
+    metrics = evaluate_result(tmp_path / "out" / POT, clips).metrics
     assert metrics["add_success"] == 1.0, metrics["add_mm"]
     assert metrics["iou_full"] > 0.95

@@ -60,7 +60,7 @@ def test_an_assumed_camera_sees_hand_and_object_upright_and_is_called_a_guess(tm
     uv = track.T_cam_obj[:, :3, 3] @ track.K.T
     uv = uv[:, :2] / uv[:, 2:]
     assert np.all((uv > 0) & (uv < track.size))
-    assert "a guess" in track.provenance["camera"]
+    assert "a guess" in str(track.provenance["camera"])
 
 
 @pytest.mark.slow
@@ -70,7 +70,7 @@ def test_a_camera_that_is_given_is_taken(tmp_path: Path) -> None:
     np.testing.assert_array_equal(track.K, K)
     np.testing.assert_array_equal(track.T_cam_obj, recording().T_world_obj)
     assert track.size == (640, 480)
-    assert "guess" not in track.provenance["camera"]
+    assert "guess" not in str(track.provenance["camera"])
 
 
 @pytest.mark.slow
@@ -81,7 +81,7 @@ def test_clips_are_given_the_estimated_hand_where_there_is_one(tmp_path: Path) -
     assert clip.truth is not None
     up = (track.T_cam_obj @ se3.inverse(recording().T_world_obj))[:, :3, 1]
     np.testing.assert_allclose(clip.hand.T_cam_hand[:, :3, 3] - clip.truth.T_cam_hand[:, :3, 3], 0.02 * up, atol=1e-4)
-    assert "estimated" in track.provenance["hands"]
+    assert "estimated" in str(track.provenance["hands"])
 
 
 @pytest.mark.slow

@@ -45,7 +45,7 @@ def test_the_python_of_the_pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
             exec(compile(code, page, "exec"), names)
     assert names["result"].frames == clip.frames
     assert len(names["matrix"]) == len(clip)
-    assert names["evaluations"][0]["metrics"]["add_mm"] < 1e-6
+    assert names["evaluations"][0].metrics["add_mm"] < 1e-6
 
 
 def test_all_that_is_marked_is_run() -> None:

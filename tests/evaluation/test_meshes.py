@@ -57,15 +57,15 @@ def test_the_true_mesh_in_every_frame_scores_as_the_truth(scene: tuple[Clip, Mas
     clip, masks = scene
     ours = evaluate(perfect(clip), clip, masks)
     theirs = evaluate_meshes(true_meshes(clip), clip, masks, "theirs")
-    shared = [key for key in ours["metrics"] if key in theirs["metrics"]]
+    shared = [key for key in ours.metrics if key in theirs.metrics]
     assert {"iou", "iou_full", "sca_object_0mm", "sca_area_5mm", "sca_iou_80_hand_10mm"} <= {*shared}
-    same({key: theirs["metrics"][key] for key in shared}, {key: ours["metrics"][key] for key in shared})
-    for key, value in theirs["metrics"].items():
+    same({key: theirs.metrics[key] for key in shared}, {key: ours.metrics[key] for key in shared})
+    for key, value in theirs.metrics.items():
         if key.startswith("truth_"):
-            assert theirs["metrics"][key.removeprefix("truth_")] == pytest.approx(value, abs=1e-6)
-    assert theirs["metrics"]["frames_without_mesh"] == 0.0
-    assert theirs["metrics"]["closed"] == 1.0
-    assert not any("add" in key for key in theirs["metrics"])
+            assert theirs.metrics[key.removeprefix("truth_")] == pytest.approx(value, abs=1e-6)
+    assert theirs.metrics["frames_without_mesh"] == 0.0
+    assert theirs.metrics["closed"] == 1.0
+    assert not any("add" in key for key in theirs.metrics)
 
 
 @pytest.mark.parametrize("frame", ["camera", "hand"])
@@ -78,14 +78,14 @@ def test_files_in_either_frame_say_the_same(
     folder = write(true_meshes(clip, frame), clip, tmp_path / "meshes", suffix)
     meshes, errors = read_meshes(folder, clip, frame)
     assert errors == []
-    expected = evaluate_meshes(true_meshes(clip), clip, masks, "")["metrics"]
-    same(evaluate_meshes(meshes, clip, masks, "")["metrics"], expected, 1e-3)
+    expected = evaluate_meshes(true_meshes(clip), clip, masks, "").metrics
+    same(evaluate_meshes(meshes, clip, masks, "").metrics, expected, 1e-3)
 
 
 @pytest.mark.slow
 def test_new_meshes_in_every_frame_are_compared_by_the_hand_s_points_only(scene: tuple[Clip, Masks]) -> None:
     clip, masks = scene
-    metrics = evaluate_meshes(anew(true_meshes(clip)), clip, masks, "")["metrics"]
+    metrics = evaluate_meshes(anew(true_meshes(clip)), clip, masks, "").metrics
     for mm in (0, 5, 10):
         assert metrics[f"sca_hand_{mm}mm"] == pytest.approx(metrics[f"truth_sca_hand_{mm}mm"], abs=1e-9)
         assert f"sca_iou_60_hand_{mm}mm" in metrics
@@ -122,17 +122,17 @@ def test_a_frame_without_a_mesh_shows_nothing_and_touches_nothing(scene: tuple[C
     whole = evaluate_meshes(meshes, clip, masks, "")
     meshes[2] = None
     out = evaluate_meshes(meshes, clip, masks, "")
-    assert out["metrics"]["frames_without_mesh"] == 1.0
-    assert out["per_frame"]["iou_full"] == [1.0, 1.0, 0.0, 1.0, 1.0]
-    assert out["metrics"]["iou_full"] == pytest.approx(0.8)
+    assert out.metrics["frames_without_mesh"] == 1.0
+    assert out.per_frame["iou_full"] == [1.0, 1.0, 0.0, 1.0, 1.0]
+    assert out.metrics["iou_full"] == pytest.approx(0.8)
     distances, _ = mesh_distances(true_meshes(clip), clip.hand.vertices, clip.hand.faces)
     contact = distances.contact("hand", 0.005)
     contact[2] = False
-    assert out["metrics"]["sca_hand_5mm"] == pytest.approx(stable_contact_area(pairwise_iou(contact)))
-    depths = np.array(whole["per_frame"]["penetration_hand_mm"])
-    assert np.isnan(out["per_frame"]["penetration_hand_mm"][2])
-    assert out["metrics"]["penetration_hand_mm"] == pytest.approx(np.delete(depths, 2).mean())
-    nothing = evaluate_meshes([None] * len(clip), clip, masks, "")["metrics"]
+    assert out.metrics["sca_hand_5mm"] == pytest.approx(stable_contact_area(pairwise_iou(contact)))
+    depths = np.array(whole.per_frame["penetration_hand_mm"])
+    assert np.isnan(out.per_frame["penetration_hand_mm"][2])
+    assert out.metrics["penetration_hand_mm"] == pytest.approx(np.delete(depths, 2).mean())
+    nothing = evaluate_meshes([None] * len(clip), clip, masks, "").metrics
     assert (nothing["iou"], nothing["sca_hand_10mm"], nothing["frames_without_mesh"]) == (0.0, 0.0, len(clip))
     assert "penetration_hand_mm" not in nothing
 

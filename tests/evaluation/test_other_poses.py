@@ -89,7 +89,7 @@ def test_every_file_gives_the_same_metrics(tmp_path: Path, moved: Any, kind: str
     found = poses_of(of_file(kind, tmp_path, clip, result), "theirs", clip, masks)
     np.testing.assert_allclose(found.T_hand_obj, result.T_hand_obj, atol=1e-7)
     assert found.frame_kind == ("sampled",) * 4
-    ours, theirs = (evaluate(each, clip, masks)["metrics"] for each in (result, found))
+    ours, theirs = (evaluate(each, clip, masks).metrics for each in (result, found))
     assert theirs.keys() == ours.keys()
     for key, value in ours.items():
         assert theirs[key] == pytest.approx(value, abs=1e-3, nan_ok=True), key
@@ -103,7 +103,7 @@ def test_frames_without_a_pose_are_held_still_in_the_hand_and_said(tmp_path: Pat
     assert found.frame_kind == ("interpolated", "sampled", "interpolated", "sampled")
     np.testing.assert_allclose(found.T_hand_obj, result.T_hand_obj[[1, 1, 1, 3]], atol=1e-12)
     assert any("no pose in 2 of 4 frames" in note for note in found.notes)
-    assert "metrics_of_fitted" in evaluate(found, clip, masks)
+    assert evaluate(found, clip, masks).metrics_of_fitted
     free = poses_of(tmp_path / "some.npz", "theirs", replace(clip, scale="free"), masks)
     assert any("scale 1 is a guess" in note for note in free.notes)
 

@@ -214,7 +214,7 @@ def test_contact_is_measured_within_any_distance(can_and_box: Path, tmp_path: Pa
     metrics = read_result(result)[1]["metrics"]
     for row, mm in zip(rows, ("0", "2.5", "20"), strict=True):
         assert row["values"]["SCA"]["mean"] == metrics[f"sca_object_{mm}mm"]
-    shares = evaluate_result(result)["per_frame"]
+    shares = evaluate_result(result).per_frame
     assert np.mean(shares["contact_share_object_0mm"]) <= np.mean(shares["contact_share_object_10mm"])
     assert "0 done, 1 already" in run(*call, "--contact", "2.5")[1]
     assert "contact: object vertices within 2.5 mm" in (out / "methods.tex").read_text()

@@ -13,8 +13,9 @@ from getagrip.fitting import solve
 from getagrip.fitting.adam import descend, gradient
 from getagrip.fitting.energy import PosesInCamera, Quadratic
 from getagrip.fitting.motion import Fixed, Free, Hinge, Motion
-from getagrip.fitting.solve import Status, evaluate
+from getagrip.fitting.solve import evaluate
 from getagrip.geometry import se3
+from getagrip.result import Status
 
 B, N = 2, 4
 T_CAM_HAND = se3.rigid(se3.exp_so3(np.random.default_rng(5).normal(size=(N, 3))), np.zeros((N, 3)))

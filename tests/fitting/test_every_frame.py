@@ -65,11 +65,11 @@ def test_the_other_frames_are_as_good(method: str) -> None:
     assert len(sampled) == 5
     assert whole.iou[fitted].mean() > whole.iou[sampled].mean() - 0.01
     evaluation = evaluate(whole, clip, masks, wanted=[ADD_MM])
-    add = np.array(evaluation["per_frame"]["add_mm"])
+    add = np.array(evaluation.per_frame["add_mm"])
     assert add[fitted].max() < add[sampled].max() + 3.0
     assert add[list(HIDDEN)].max() < add[sampled].max() + 3.0
     both = np.concatenate([sampled, fitted])
-    assert evaluation["metrics_of_fitted"]["add_mm"] == pytest.approx(add[both].mean())
+    assert evaluation.metrics_of_fitted["add_mm"] == pytest.approx(add[both].mean())
     assert evaluation["frame_kind"] == list(whole.frame_kind)
 
 

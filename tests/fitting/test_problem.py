@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import Clip, FrameMasks, Masks, read_clip, read_masks, write_clip
+from getagrip.clip.provenance import assumed
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare
@@ -96,7 +97,7 @@ def test_every_mask_is_checked_also_those_that_are_not_used(tmp_path: Path) -> N
 
 
 def test_frames_left_out_are_reported_once(tmp_path: Path) -> None:
-    clip = replace(written(tmp_path / "small", [4], []), provenance={"scale": "a guess"})
+    clip = replace(written(tmp_path / "small", [4], []), provenance={"scale": assumed("a guess")})
     problem = prepared(clip, Options(frames=3), sampled=True)
     assert not isinstance(problem, str)
     assert [note for note in problem.notes if "left out" in note] == [

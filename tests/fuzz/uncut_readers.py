@@ -6,7 +6,6 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from getagrip.experiments.hand_sources import HandSource, WithHands
 from getagrip.fitting.options import Options
 from getagrip.io import arrays
 from getagrip.pages.report import write_page
-from getagrip.result import read_record, write_result
+from getagrip.result import SegmentResult, read_record, write_result
 from getagrip.segmentation.found import find_segments
 from getagrip.timelines.reconstruct import reconstruct
 from getagrip.view.shown import View
@@ -87,10 +86,10 @@ def report(folder: Path) -> None:
     clip, masks = uncut()
     write_clip(clip, masks, folder / "clip")
     names = [(clip.frames[s.first], clip.frames[s.last]) for s in clip.segments]
-    rows: list[dict[str, Any]] = [
-        {"state": s.state, "first": a, "last": b, "iou": 0.9} for s, (a, b) in zip(clip.segments, names, strict=True)
+    rows = [
+        SegmentResult(state=s.state, first=a, last=b, iou=0.9) for s, (a, b) in zip(clip.segments, names, strict=True)
     ]
-    rows[0]["T_world_obj"] = np.eye(4).tolist()
+    rows[0] = replace(rows[0], T_world_obj=np.eye(4))
     result = replace(true_result(clip, None), segments=tuple(rows), T_cam_hand=clip.hand.T_cam_hand)
     write_result(result, folder / "result", input_sha256(folder / "clip"))
 

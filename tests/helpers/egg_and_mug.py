@@ -12,7 +12,7 @@ from getagrip.clip import FINGERS, Clip, HandTrack, Masks, Truth, input_sha256, 
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry import se3
 from getagrip.geometry.depth import covered
-from getagrip.result import Candidates, Reconstruction, write_result
+from getagrip.result import Candidates, Reconstruction, Status, write_result
 
 FRAMES = 5
 
@@ -58,7 +58,7 @@ def perfect(clip: Clip, name: str = "egg-and-mug") -> Reconstruction:
         axis=None,
         candidates=Candidates(T[None], np.array([clip.truth.scale]), np.zeros(1)),
         energy={"total": 0.0},
-        status="done",
+        status=Status.FINISHED,
         ambiguous=False,
         seconds={"total": 0.0},
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from getagrip.clip import Clip, World
 from getagrip.geometry import se3
-from getagrip.result import Axis, Candidates, Reconstruction
+from getagrip.result import Axis, Candidates, Reconstruction, Status
 from helpers.clips import small_clip
 
 TURN = np.array([[0.0, 0.1, 3.0], [0.0, 0.2, 3.1], [0.0, 0.3, 3.2]])
@@ -32,7 +32,7 @@ def result_and_clip() -> tuple[Reconstruction, Clip]:
         axis=Axis(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.1, 0.2])),
         candidates=Candidates(T[None], np.array([1.25]), np.array([2.0])),
         energy={"total": 2.0},
-        status="converged: so",
+        status=Status.CONVERGED,
         ambiguous=False,
         seconds={"total": 0.1},
         notes=("the scale is a guess",),

@@ -6,7 +6,7 @@ import numpy as np
 
 from getagrip.clip import Clip
 from getagrip.geometry import se3
-from getagrip.result import Axis, Candidates, Reconstruction
+from getagrip.result import Axis, Candidates, Reconstruction, Status
 
 
 def true_result(clip: Clip, axis: Axis | None) -> Reconstruction:
@@ -23,7 +23,7 @@ def true_result(clip: Clip, axis: Axis | None) -> Reconstruction:
         axis=axis,
         candidates=Candidates(T[None], np.ones(1), np.ones(1)),
         energy={"total": 1.0},
-        status="converged",
+        status=Status.CONVERGED,
         ambiguous=True,
         seconds={"total": 0.5},
     )

@@ -16,6 +16,7 @@ import getagrip
 from getagrip import Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, UsageError, Warp, World
 from getagrip.hands.model import HandModel, PosedHand, ShapedHand
 from getagrip.io.array_data import ArrayData, same
+from getagrip.result import Status
 from helpers.clips import small_clip
 
 DATACLASSES = [kind for name in getagrip.__all__ if is_dataclass(kind := getattr(getagrip, name))]
@@ -28,7 +29,7 @@ def one_of(kind: type[ArrayData]) -> Any:
     candidates = Candidates(clip.hand.T_cam_hand[None], np.ones(1), np.array([5.0]))
     result = Reconstruction(
         clip="small", method="one-dof", frames=clip.frames, T_hand_obj=clip.hand.T_cam_hand, scale=1.0, iou=np.ones(3),
-        axis=axis, candidates=candidates, energy={"total": 5.0}, status="converged", ambiguous=False, seconds={},
+        axis=axis, candidates=candidates, energy={"total": 5.0}, status=Status.CONVERGED, ambiguous=False, seconds={},
     )  # fmt: skip
     world, warp = World(clip.hand.T_cam_hand), Warp.by(np.zeros(3), 1.0, np.zeros((9, 3)))
     made = [clip, clip.hand, clip.truth, clip.mesh, masks, axis, candidates, result, world, warp]

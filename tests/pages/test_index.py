@@ -19,7 +19,7 @@ def test_the_worst_frame_is_never_above_the_mean() -> None:
     iou = np.array([0.999, 1.0, np.nan, 0.999, 1.0])  # as of the whole image; a crop's are lower
     result = replace(perfect(clip), iou=iou)
     evaluation = evaluate(result, clip, masks)
-    assert evaluation["metrics"]["iou"] < 0.995
+    assert evaluation.metrics["iou"] < 0.995
     rows = (
         row("one", View.of(result, clip, masks), evaluation, False),
         row_without_clip("one", result, {"iou_full": 0.9}, ""),

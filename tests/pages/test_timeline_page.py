@@ -10,6 +10,7 @@ import pytest
 
 from getagrip.evaluation import evaluate
 from getagrip.pages import write_page
+from getagrip.result import SegmentResult
 from getagrip.view.shown import View
 from helpers.browser import IN_BROWSER
 from helpers.egg_and_mug import perfect
@@ -21,7 +22,7 @@ pytestmark = [*IN_BROWSER, pytest.mark.slow]
 def test_segments_are_a_bar_that_jumps_and_divide_the_curves(browser: Any, tmp_path: Path) -> None:
     clip, masks = timeline()
     records = tuple(
-        {"state": s.state, "first": clip.frames[s.first], "last": clip.frames[s.last]} for s in clip.segments
+        SegmentResult(state=s.state, first=clip.frames[s.first], last=clip.frames[s.last]) for s in clip.segments
     )
     result = replace(perfect(clip), segments=records)
     path = write_page(View.of(result, clip, masks), evaluate(result, clip, masks), {}, tmp_path / "report.html")

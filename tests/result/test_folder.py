@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.probability import Probability
-from getagrip.result import Axis, Candidates, Reconstruction, is_result, read_result, write_result
+from getagrip.result import Axis, Candidates, Reconstruction, Status, is_result, read_result, write_result
 
 Refused = Callable[..., str]
 
@@ -40,7 +40,7 @@ def small_result(frames: int = 3, candidates: int = 2, hinged: bool = True, seed
         axis=Axis(rng.standard_normal(3), direction, rng.standard_normal(frames)) if hinged else None,
         candidates=Candidates(T, rng.uniform(0.5, 2.0, candidates), np.sort(rng.uniform(size=candidates))),
         energy={"total": 3.0, "mask": 2.0, "push": 1.0},
-        status="converged",
+        status=Status.CONVERGED,
         ambiguous=True,
         seconds={"total": 0.5},
         options={"inits": 50},
@@ -65,6 +65,8 @@ def test_what_is_written_is_read(tmp_path_factory: Any, frames: int, candidates:
         "scale",
         "energy",
         "status",
+        "message",
+        "assumptions",
         "ambiguous",
         "seconds",
         "options",
@@ -99,8 +101,8 @@ def test_only_results_are_overwritten_and_only_on_request(tmp_path: Path) -> Non
     folder = write_result(small_result(), tmp_path / "r", "sum")
     with pytest.raises(UsageError, match="exists already"):
         write_result(small_result(), folder, "other")
-    write_result(replace(small_result(), status="again"), folder, "other", overwrite=True)
-    assert read_result(folder)[0].status == "again"
+    write_result(replace(small_result(), message="again"), folder, "other", overwrite=True)
+    assert read_result(folder)[0].message == "again"
     foreign = tmp_path / "mine"
     foreign.mkdir()
     (foreign / "letter.txt").write_text("dear")
@@ -128,7 +130,7 @@ BROKEN: dict[str, tuple[dict[str, object], dict[str, object], str]] = {
         "result.npz: warp_coefficients",
     ),
     "no version": ({}, {"version": None}, "result.json: version"),
-    "other version": ({}, {"version": 2}, "result.json: version"),
+    "other version": ({}, {"version": 3}, "result.json: version"),
     "no method": ({}, {"method": None}, "result.json: method"),
     "clip a path": ({}, {"clip": "../x"}, "result.json: clip"),
     "seed a text": ({}, {"seed": "7"}, "result.json: seed"),

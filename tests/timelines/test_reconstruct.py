@@ -16,8 +16,8 @@ from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.pages.report import _segments
-from getagrip.probability import of_grasps, of_segment
 from getagrip.result import Reconstruction, read_result, write_result
+from getagrip.result.segments import probabilities_of_grasps
 from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import scene
 from helpers.timelines import LIES, by_other_hand, timeline
@@ -45,19 +45,17 @@ def test_all_frames_are_answered(found: Reconstruction) -> None:
     assert np.linalg.norm(off, axis=-1).mean(axis=-1).max() < 0.1 * clip.mesh.diameter
     lying = clip.world.T_world_cam[:LIES] @ T_cam_obj[:LIES]
     np.testing.assert_allclose(lying, np.tile(lying[0], (LIES, 1, 1)), atol=1e-9)
-    assert [(s["state"], s["first"], s["last"]) for s in found.segments] == [
+    assert [(s.state, s.first, s.last) for s in found.segments] == [
         (s.state, clip.frames[s.first], clip.frames[s.last]) for s in clip.segments
     ]
-    np.testing.assert_allclose(found.segments[0]["T_world_obj"], lying[0], atol=1e-9)
-    assert np.linalg.norm(found.segments[2]["axis_direction"]) == pytest.approx(1.0)
-    assert ["signs" in segment for segment in found.segments] == [False, False, True]
-    assert ["probability_right" in segment for segment in found.segments] == [False, False, True]
-    assert found.segments[2]["probability_right"] is None  # the search was shorter than those that were calibrated
-    assert of_grasps(found.segments) == "probability that its grasps are right: unknown"
-    signs, known = found.segments[2]["signs"], CALIBRATIONS["soft-hinge", "hand"]
-    right = {**found.segments[2], "probability_right": known.probability(signs).fields()}
-    assert of_segment(right) == known.probability(signs)
-    assert of_grasps([right]).endswith("%")
+    np.testing.assert_allclose(found.segments[0].T_world_obj, lying[0], atol=1e-9)
+    assert np.linalg.norm(found.segments[2].axis_direction) == pytest.approx(1.0)
+    assert [bool(segment.signs) for segment in found.segments] == [False, False, True]
+    assert found.segments[2].probability_right is None  # the search was shorter than those that were calibrated
+    assert probabilities_of_grasps(found.segments) == "probability that its grasps are right: unknown"
+    signs, known = found.segments[2].signs, CALIBRATIONS["soft-hinge", "hand"]
+    right = replace(found.segments[2], probability_right=known.probability(signs))
+    assert probabilities_of_grasps([right]).endswith("%")
 
 
 @pytest.mark.slow
@@ -113,14 +111,14 @@ def test_a_grasp_of_the_other_hand_is_solved_with_that_hand(tmp_path: Path) -> N
     found, true = (se3.transform(T, clip.mesh.vertices[None]) for T in (hand @ result.T_hand_obj, clip.truth.T_cam_obj))
     off = np.linalg.norm(found - true, axis=-1).mean(axis=-1)[clip.other_hand.known]
     assert off.max() < 0.1 * clip.mesh.diameter
-    assert "axis_point" in result.segments[2]
+    assert result.segments[2].axis_point is not None
     assert (
         result.frame_kind == ("sampled",) * LIES + ("fitted",) * 2 + ("sampled",) * 5 + ("fitted",) + ("sampled",) * 2
     )
-    assert {"contact-gap", "hand-side"} < {*result.segments[2]["checks"]}
+    assert {"contact-gap", "hand-side"} < {*result.segments[2].checks}
 
     alone = reconstruct(replace(clip, other_hand=None), masks, FEW)
-    assert alone.segments[2]["followed"] is True
+    assert alone.segments[2].by_masks
     assert any(note.startswith("grasp from 000007 (right hand): the clip has no right hand") for note in alone.notes)
 
 

@@ -11,6 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from getagrip.clip import Clip, Masks, input_sha256, write_clip
+from getagrip.clip.provenance import assumed
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import evaluate
@@ -98,7 +99,7 @@ def test_contact_is_red_where_hand_and_object_touch(made: Path) -> None:
     shares = tiles[6:10]
     assert red(shares[0]) > red(shares[1])  # the object, where most contact is and from the other side
     view = source[0].read()
-    sca = evaluate(view.result, view.clip, wanted=[SCA])["metrics"]["sca_object_10mm"]
+    sca = evaluate(view.result, view.clip, wanted=[SCA]).metrics["sca_object_10mm"]
     assert any(f"(SCA) {100 * sca:.1f} %" in words for words in texts(figure))
     words = {"on the object", "on the hand", "frame 000000", "frame 000003", "object vertices within 10 mm"}
     assert words <= texts(figure)
@@ -189,7 +190,7 @@ def test_methods_stand_under_one_another_with_their_numbers(made: Path) -> None:
             assert (pixels_of(side, AXIS) > 5) == (row == 0)
     for one in source:
         view = one.read()
-        known = evaluate(view.result, view.clip, view.masks, wanted=[IOU, SCA, ADD_MM])["metrics"]
+        known = evaluate(view.result, view.clip, view.masks, wanted=[IOU, SCA, ADD_MM]).metrics
         shares = f"crop IOU {100 * known['iou']:.1f} %\nSCA {100 * known['sca_object_10mm']:.1f} %"
         assert any(words.startswith(f"{shares}\nADD {known['add_mm']:.1f} mm") for words in texts(figure))
 
@@ -216,7 +217,7 @@ def test_hands_are_where_the_result_has_them(made: Path) -> None:
 def test_guesses_and_findings_are_named(made: Path) -> None:
     view = given(made, "true")[0].read()
     assert summary(view) == "1-DoF, ours  ·  mug in a right hand  ·  4 frames"
-    clip = replace(view.clip, scale="free", provenance={"camera": "a guess", "hands": "true"})
+    clip = replace(view.clip, scale="free", provenance={"camera": assumed("a guess"), "hands": "true"})
     findings = tuple(Finding("small", serious, 1.0, 2.0, "the object is small") for serious in (True, False))
     unsure = replace(view, clip=clip, result=replace(view.result, findings=findings))
     assert summary(unsure).endswith("  ·  guessed: scale, camera")
@@ -271,7 +272,7 @@ def test_galleries_begin_with_the_worst(made: Path) -> None:
     assert [("Dynamic" in words, "1-DoF" in words) for words in headings] == [(True, False), (False, True)]
     assert all(pixels_of(tile, FOUND) > 20 for tile in drawn(figure)[:4:2])
     moved = source[1].read()
-    add = evaluate(moved.result, moved.clip, wanted=[ADD_MM])["per_frame"]["add_mm"]
+    add = evaluate(moved.result, moved.clip, wanted=[ADD_MM]).per_frame["add_mm"]
     assert headings[0].endswith(f"frame {moved.result.frames[int(np.argmax(add))]}")
     best = Gallery(dpi=DPI, by="add", show="best", n=1).draw(source[:2], never)
     assert [words.get_text() for words in best.texts if words.get_text().startswith("ADD ")] == headings[1:]

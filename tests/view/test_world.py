@@ -8,6 +8,7 @@ import numpy as np
 
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
+from getagrip.result import SegmentResult
 from getagrip.view.film import SIDE, STRIP, _timeline
 from getagrip.view.shown import View
 from getagrip.view.style import INK, STATE
@@ -68,7 +69,8 @@ def test_the_bar_has_each_segment_and_a_mark() -> None:
 
 def test_the_bar_says_which_grasp_was_followed_by_its_masks_only() -> None:
     view = given()
-    records = ({"state": "grasp", "first": view.clip.frames[view.clip.segments[2].first], "followed": True},)
+    first = view.clip.frames[view.clip.segments[2].first]
+    records = (SegmentResult(state="grasp", first=first, last=first, by_masks=True),)
     followed = replace(view, result=replace(view.result, segments=records))
     plain, marked = (segment_bar(one, 0, (900, 30)) for one in (view, followed))
     half = 450

@@ -16,6 +16,7 @@ from getagrip.annotate.labels import FRONT, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
 from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.clip.provenance import Source, as_arrays, assumed, estimated
 from getagrip.clip.writing import write_hand
 from getagrip.geometry import se3
 from getagrip.geometry.depth import covered
@@ -99,15 +100,17 @@ def clip_words(labels: Labels, out: Path, video: str, segments: Path | None = No
     ]
 
 
-def _extra(labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera: str) -> dict[str, ndarray]:
+def _extra(labels: Labels, hands: ClickedHands, K: Float[ndarray, "3 3"], camera: Source) -> dict[str, ndarray]:
     """What a hand file says of its frames, its camera and where it comes from."""
     off = float(np.sqrt(np.nanmean(hands.residuals**2)))
     provenance = {
-        "hands": f"joints clicked on {len(hands.keys)} frames, the generic hand fitted ({off:.1f} px off, root mean "
-        "square), in between moved with the footage",
-        "hands_scale": SCALE,
+        "hands": estimated(
+            f"joints clicked on {len(hands.keys)} frames, the generic hand fitted ({off:.1f} px off, root mean "
+            "square), in between moved with the footage"
+        ),
+        "hands_scale": assumed(SCALE),
         "camera": camera,
     }
     numbers = np.arange(labels.first + 1, labels.last + 2)
     extra = {"frames": numbers, "K": K, "side": np.array(labels.side)}
-    return extra | {f"provenance_{key}": np.array(text) for key, text in provenance.items()}
+    return extra | as_arrays(provenance)

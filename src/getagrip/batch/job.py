@@ -14,8 +14,9 @@ from getagrip.clip import input_sha256, read_clip
 from getagrip.errors import GetagripError, InputError, cleaned
 from getagrip.finding import Finding
 from getagrip.io.own_code import place
-from getagrip.probability import Probability, of_grasps
+from getagrip.probability import Probability
 from getagrip.result import Reconstruction, write_result
+from getagrip.result.segments import probabilities_of_grasps
 
 if TYPE_CHECKING:
     from getagrip.fitting.options import Options
@@ -114,13 +115,13 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
 
     known = ", ".join(f"{right} {where}" for where, right in result.probabilities.items())
     probably = f", right with a probability of {known}" if known else ""
-    if grasps := of_grasps(result.segments):
+    if grasps := probabilities_of_grasps(result.segments):
         probably = f", {grasps}"
     if not known and (none := uncalibrated(job.options, result.findings)):
         probably = f"{probably or ', no probability that it is right'} ({none})"
     about = f"{probably}{', ambiguous' if result.ambiguous else ''}"
     again = f"done again, since {why}: " if why else ""
-    summary = f"{again}IOU {result.mean_iou:.2f}{about}, {result.seconds['total']:.1f} s, {job.out}; {result.status}"
+    summary = f"{again}IOU {result.mean_iou:.2f}{about}, {result.seconds['total']:.1f} s, {job.out}; {result.message}"
     return _outcome(job, "done", summary, result, checksum)
 
 
@@ -155,6 +156,6 @@ def _outcome(job: Job, state: Literal["done", "kept"], message: str, result: Rec
     return Outcome(
         job.name, state, message, findings=result.findings, probability_right=result.probability_right,
         probability_right_in_camera=result.probability_right_in_camera,
-        inputs=checksum, status=result.status, iou=result.mean_iou, ambiguous=result.ambiguous,
+        inputs=checksum, status=result.message, iou=result.mean_iou, ambiguous=result.ambiguous,
         seconds=float(result.seconds.get("total", 0.0)),
     )  # fmt: skip

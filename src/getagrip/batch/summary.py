@@ -187,5 +187,5 @@ def _of_result(entry: Entry, folder: Path) -> Entry:
         "findings": found,
     }
     return replace(
-        entry, state="done", why=record["status"], seconds=record["seconds"].get("total") or 0.0, about=about
+        entry, state="done", why=record["message"], seconds=record["seconds"].get("total") or 0.0, about=about
     )

@@ -12,13 +12,14 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip.hand_track import HandTrack, OtherHand
+from getagrip.clip.provenance import Provenance
 from getagrip.clip.timeline import Segment, Side, at_frames, check_segments
 from getagrip.clip.truth import Truth
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
-from getagrip.io.files import Json, inside, shown
+from getagrip.io.files import inside, shown
 from getagrip.io.packed_masks import PackedMask, PackedMasks
 
 
@@ -142,7 +143,7 @@ class Clip(ArrayData):
         other_hand: of a timeline, the hand of the other side, which may hold the object, too; None: not known.
         truth: the ground truth; None where it is not known.
         folder: folder of the clip, with its masks and images; None for a clip that is only in memory.
-        provenance: where the data comes from, as JSON values; what is a guess is kept in the result's notes.
+        provenance: where the data comes from, by topic; guesses among the sources are kept in the result's notes.
         left_out: names of frames that are gone because the object is not visible in them, or their mask is not known
             (``observed_frames``).
     """
@@ -163,7 +164,7 @@ class Clip(ArrayData):
     other_hand: OtherHand | None = None
     truth: Truth | None = None
     folder: Path | None = None
-    provenance: Json = field(default_factory=dict)
+    provenance: Provenance = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

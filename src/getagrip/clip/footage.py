@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
+from getagrip.clip.provenance import Source, assumed
 from getagrip.clip.reading import LARGEST_SIDE
 from getagrip.clip.video import frame_times, video_frames, video_info
 from getagrip.errors import InputError, UsageError
@@ -35,7 +36,7 @@ class Stretch:
         times: when each is shown, from the beginning of the footage [s].
         fps: frames per second.
         size: width and height as shown [px].
-        rate: where ``fps`` comes from, in words, where that is a guess; else empty.
+        rate: where ``fps`` comes from, where that is a guess.
     """
 
     path: Path
@@ -44,7 +45,7 @@ class Stretch:
     times: Float[ndarray, "T"]
     fps: float
     size: tuple[int, int]
-    rate: str = ""
+    rate: Source | None = None
 
     def images(self) -> Iterator[UInt8[ndarray, "H W 3"]]:
         """RGB, one by one. Raises ``InputError`` where one has another size."""
@@ -82,7 +83,7 @@ def stretch(path: Path, numbers: Int[ndarray, "T"], size: tuple[int, int], fps: 
         if len(paths) < last:
             raise InputError(path, "", f"{len(paths)} images", f"at least {last}, for the interval {first} to {last}")
         names = tuple(each.stem for each in paths[first - 1 : last])
-        rate = "" if stated else f"a guess: {fps:g} frames per second; --fps states it"
+        rate = None if stated else assumed(f"a guess: {fps:g} frames per second; --fps states it")
         return Stretch(path, first, names, (numbers - 1) / fps, fps, size, rate)
     times = frame_times(path)
     shown = (numbers - 1) / fps if times is None or len(times) < last else times[first - 1 : last]

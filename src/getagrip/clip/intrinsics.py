@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from getagrip.clip.camera_of_image import WIDE, field_of_view, in_pixels
 from getagrip.clip.plausible import check_intrinsics
+from getagrip.clip.provenance import Source, assumed, measured
 from getagrip.errors import InputError, UsageError
 
 
@@ -34,7 +35,7 @@ class Lens:
         return self.K is not None or self.focal is not None or self.guess_focal
 
 
-def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], str]:
+def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
     """The pinhole of images of some size [px], and where it comes from. Raises ``UsageError``."""
     given = [lens.K is not None, lens.focal is not None, lens.guess_focal]
     if sum(given) != 1:
@@ -42,13 +43,15 @@ def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"]
     width, height = size
     if lens.K is not None:
         fx, fy, cx, cy = lens.K
-        source = "given as fx, fy, cx, cy"
+        source = measured("given as fx, fy, cx, cy")
     else:
         fx = fy = float(max(size)) if lens.focal is None else lens.focal
         cx, cy = width / 2.0, height / 2.0
-        source = "the focal length as given, the principal point in the middle"
+        source = measured("the focal length as given, the principal point in the middle")
         if lens.focal is None:
-            source = "a guess: the focal length is the longer side of the image, the principal point in the middle"
+            source = assumed(
+                "a guess: the focal length is the longer side of the image, the principal point in the middle"
+            )
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     if lens.focal is not None and lens.focal > 0.0 and field_of_view(K[None], size) > WIDE:
         raise UsageError(f"--focal: got {lens.focal:g}, expected pixels; {in_pixels(lens.focal, size)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypedDict, cast
@@ -16,18 +17,19 @@ from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
 from getagrip.clip.masks import has_mask
 from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
 from getagrip.clip.plausible import FASTEST, SLOWEST, check_hand, check_in_view
+from getagrip.clip.provenance import Provenance, parse
 from getagrip.clip.reading_truth import read_truth
 from getagrip.clip.timeline import Side, at_frames, read_segments
 from getagrip.errors import InputError
 from getagrip.geometry.mesh_files import read_mesh
 from getagrip.io import arrays, files
 
-VERSION = 3
+VERSION = 4
 """Of clips that are written; older ones are read, too."""
 REQUIRED = ("version", "name", "category", "side", "fps", "frames", "size", "camera", "mesh", "scale")
-OPTIONAL = {1: ("provenance",), 2: ("provenance", "times"), 3: ("provenance", "times", "segments")}
+OPTIONAL = {1: ("provenance",), 2: ("provenance", "times")} | dict.fromkeys((3, 4), ("provenance", "times", "segments"))
 """Further keys of ``clip.json`` by its version."""
-CAMERA_KEYS = {1: CAMERA[:1], 2: CAMERA[:3], 3: CAMERA}
+CAMERA_KEYS = {1: CAMERA[:1], 2: CAMERA[:3], 3: CAMERA, 4: CAMERA}
 """Keys of ``camera`` by the version; only the first must be there."""
 HANDS = "the hands of a clip, as getagrip import hands writes them"
 OTHER_HAND = "other_hand.npz"
@@ -51,7 +53,7 @@ class ClipFields(TypedDict, total=False):
     camera: dict[str, object]
     mesh: str
     scale: Literal["known", "free"]
-    provenance: files.Json
+    provenance: Provenance
     times: object
     segments: object
 
@@ -111,6 +113,10 @@ class ClipHeader:
     frames: tuple[str, ...]
     size: tuple[int, int]
     K: Float[ndarray, "T 3 3"]
+
+    def changed(self, new: Mapping[str, object]) -> dict[str, object]:
+        """What to write as the ``clip.json``, in today's version, where some fields are new."""
+        return {**self.fields, **new, "version": VERSION}
 
 
 def read_header(folder: str | Path) -> ClipHeader:
@@ -194,7 +200,7 @@ def _fields(folder: Path) -> ClipFields:
     require("provenance", isinstance(fields.setdefault("provenance", {}), dict), "an object")
     require("camera", isinstance(camera, dict) and "K" in camera, '{"K": 3x3} or {"K": [3x3, ...]}')
     _known(path, "camera.", camera, CAMERA_KEYS[version], version)
-    return cast(ClipFields, fields)
+    return cast(ClipFields, fields | {"provenance": parse(path, fields["provenance"], version)})
 
 
 def _known(path: Path, where: str, given: dict[str, object], known: tuple[str, ...], version: int) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from getagrip.clip.data import Clip, World
-from getagrip.clip.reading import VERSION, ClipHeader
+from getagrip.clip.reading import ClipHeader
 from getagrip.clip.timeline import Segment, read_segments, segment_fields
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
@@ -121,9 +121,10 @@ def into_clip(header: ClipHeader, given: SegmentList) -> tuple[Segment, ...]:
     still = None if has_world else given.still_camera
     segments = given.at(header.frames, still is not None or "T_world_cam" in camera)
     pose = {} if still is None else {"T_world_cam": np.eye(4)}
-    new = {"version": VERSION, "camera": {**camera, **pose}, "segments": segment_fields(segments, header.frames)}
+    new = {"camera": {**camera, **pose}, "segments": segment_fields(segments, header.frames)}
+    known = fields["provenance"] | _provenance(given.source, still)
     with files.new_file(header.folder / "clip.json") as part:
-        files.write_json(part, fields | new | {"provenance": fields["provenance"] | _provenance(given.source, still)})
+        files.write_json(part, header.changed({**new, "provenance": known}))
     return segments
 
 

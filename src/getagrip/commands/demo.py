@@ -44,16 +44,16 @@ def run(out: Path) -> None:
             bar.update(steps, completed=1.0 + part, description=stage)
 
         result = reconstruct(clip, masks, progress=shown, threads=THREADS)
-        screen.print(f"found    in {result.seconds['total']:.2f} s; {result.status}")
+        screen.print(f"found    in {result.seconds['total']:.2f} s; {result.message}")
 
         bar.update(steps, completed=2.0, description="evaluate")
         evaluation = evaluate(result, clip, masks)
         folder = out / clip.name
-        write_result(result, folder, input_sha256(clip.origin), evaluation["metrics"], clip.origin, overwrite=True)
+        write_result(result, folder, input_sha256(clip.origin), evaluation.metrics, clip.origin, overwrite=True)
         screen.print(f"result   {folder}")
 
         bar.update(steps, completed=3.0, description="draw the report")
-        report = write_report(result, clip, masks, out / "report.png", evaluation["metrics"])
+        report = write_report(result, clip, masks, out / "report.png", evaluation.metrics)
         page = write_page(View.of(result, clip, masks), evaluation, read_record(folder), out / "report.html")
         screen.print(f"report   {report} and, to be opened in a browser, {page}\n")
     screen.print(results_table([evaluation]))

@@ -203,6 +203,6 @@ def _try_out() -> None:
             outcome = reconstruct_one(Job("can", clip, out, Options(), overwrite=False))
             if outcome.state != "done":
                 raise RuntimeError(outcome.message)
-            add = evaluate_result(out, clip)["metrics"]["add_sym_mm"]
+            add = evaluate_result(out, clip).metrics["add_sym_mm"]
             print(f"ok       a can in 6 frames, {add:.1f} mm off, {perf_counter() - began:.1f} s, {words}")
     compile_once()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.entries import FILE as LEDGER
@@ -17,12 +17,13 @@ from getagrip.commands.evaluate_meshes import Meshes, MeshJob, evaluate_clip_mes
 from getagrip.commands.evaluate_poses import OtherPoses, PoseJob, evaluate_clip_poses, pose_jobs
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import contact_tables, evaluate_result, results_table, summary
+from getagrip.evaluation.results import Evaluation
 from getagrip.io import files
 from getagrip.io.terminal import console, progress_bar, report
 
 BATCH_FILES = (LEDGER, TABLE, PAGE)
 
-Evaluated = tuple[dict[str, Any] | None, list[Outcome]]
+Evaluated = tuple[Evaluation | None, list[Outcome]]
 """All metrics, and what could not be read."""
 
 
@@ -58,13 +59,13 @@ def evaluate_results(
             jobs += [ResultJob(folder, clips) for folder in results_in(path)]
         except (InputError, OSError) as error:
             problems.append(failure("", error))
-    evaluations: list[dict[str, Any]] = []
+    evaluations: list[Evaluation] = []
     with progress_bar() as bar:
         task = bar.add_task("results", total=len(jobs), visible=bool(jobs))
         for made, failed in _in_order(evaluate_one, jobs, lambda: bar.advance(task)):
             evaluations += [] if made is None else [made]
             problems += failed
-        frames = {made["clip"]: tuple(made["frames"]) for made in evaluations}
+        frames = {made.clip: tuple(made.frames) for made in evaluations}
         others: list[MeshJob | PoseJob] = [] if meshes is None else [*mesh_jobs(meshes, frames)]
         others += [] if poses is None else pose_jobs(poses, frames)
         of_others = bar.add_task("of other systems", total=len(others), visible=bool(others))
@@ -83,13 +84,13 @@ def evaluate_results(
     return 1 if problems else 0
 
 
-def _print_doubts(made: dict[str, Any]) -> None:
+def _print_doubts(made: Evaluation) -> None:
     """What speaks against an evaluated result, and what is to be known about its metrics, on stderr."""
-    doubts = [*made.get("findings", ()), *made.get("notes", ())]
-    if missing := int(made["metrics"].get("frames_without_mesh", 0)):
-        doubts.append(f"no mesh of {missing} of {len(made['frames'])} frames: IOU 0, no contact")
+    doubts = [*made.findings, *made.notes]
+    if missing := int(made.metrics.get("frames_without_mesh", 0)):
+        doubts.append(f"no mesh of {missing} of {len(made.frames)} frames: IOU 0, no contact")
     for doubt in doubts:
-        report(f"{made['method']}, {made['clip']}: {doubt}")
+        report(f"{made.method}, {made.clip}: {doubt}")
 
 
 J = TypeVar("J", ResultJob, MeshJob | PoseJob)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from getagrip.clip.naming import number_of
 from getagrip.errors import InputError
 from getagrip.evaluation import evaluate_meshes
 from getagrip.evaluation.meshes import MeshFrame, read_meshes
+from getagrip.evaluation.results import Evaluation
 from getagrip.geometry.mesh_files import SUFFIXES
 
 
@@ -65,7 +65,7 @@ def mesh_jobs(meshes: Meshes, frames: Mapping[str, tuple[str, ...]]) -> list[Mes
     ]
 
 
-def evaluate_clip_meshes(job: MeshJob) -> tuple[dict[str, Any] | None, list[Outcome]]:
+def evaluate_clip_meshes(job: MeshJob) -> tuple[Evaluation | None, list[Outcome]]:
     """All metrics of the meshes of a clip, and what could not be read. Raises nothing."""
     try:
         clip, first = read_clip(job.clip), job.first

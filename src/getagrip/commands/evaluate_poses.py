@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from getagrip.batch.job import Outcome, failure
 from getagrip.clip import find_masks, read_clip
@@ -14,6 +13,7 @@ from getagrip.errors import InputError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.other_poses import OtherSystem, poses_of
 from getagrip.evaluation.pose_files import SUFFIXES
+from getagrip.evaluation.results import Evaluation
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def pose_jobs(poses: OtherPoses, frames: Mapping[str, tuple[str, ...]]) -> list[
     return [PoseJob(path, clip, method, frames, poses.first) for path, clip in zip(places, clips, strict=True)]
 
 
-def evaluate_clip_poses(job: PoseJob) -> tuple[dict[str, Any] | None, list[Outcome]]:
+def evaluate_clip_poses(job: PoseJob) -> tuple[Evaluation | None, list[Outcome]]:
     """All metrics of the poses of a clip, or why there are none. Raises nothing."""
     try:
         clip = read_clip(job.clip)
@@ -73,6 +73,6 @@ def evaluate_clip_poses(job: PoseJob) -> tuple[dict[str, Any] | None, list[Outco
             index = clip.index_of(job.frames[clip.name])
             result, clip, masks = result.take(index), clip.take(index), masks and masks.take(index)
         made = evaluate(result, clip, masks)
-        return made | {"findings": [*made["findings"], *result.notes[1:]]}, []
+        return replace(made, findings=(*made.findings, *result.notes[1:])), []
     except Exception as error:  # one clip's trouble must not end the others
         return None, [failure("" if isinstance(error, InputError) else str(job.folder), error)]

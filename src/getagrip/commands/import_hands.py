@@ -14,7 +14,8 @@ from getagrip.clip.camera_of_image import doubt
 from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.clip.numbering import renumbered
 from getagrip.clip.plausible import check_in_view
-from getagrip.clip.reading import OTHER_HAND, ClipFields, ClipHeader, frames_with_hand, read_header
+from getagrip.clip.provenance import as_arrays, warn_of
+from getagrip.clip.reading import OTHER_HAND, ClipHeader, frames_with_hand, read_header
 from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.model import Side
@@ -134,9 +135,9 @@ def other_into_clip(
     provenance = {PREFIX + key: text for key, text in hands.provenance.items()}
     with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
         write_hand_at(hands.track, header.frames, hands.found, hand)
-        files.write_json(fields, header.fields | {"provenance": known | provenance})
+        files.write_json(fields, header.changed({"provenance": known | provenance}))
     for key, text in provenance.items():
-        report(f"{'warning: ' if 'guess' in text else ''}{key}: {text}")
+        report(warn_of(key, text))
     say(f"{target}: the {side} hand in {len(hands.found)} of {len(header.frames)} frames")
     if alone:
         some = _some(header.frames[row] for row in alone)
@@ -179,7 +180,7 @@ def into_file(
     hands = hands.held_at_ends(names) if hold_ends else hands
     provenance = hands.provenance | {"camera": camera}
     extra = {"frames": numbers[list(hands.found)], "K": K, "side": np.array(new.side)}
-    extra |= {f"provenance_{key}": np.array(text) for key, text in provenance.items()}
+    extra |= as_arrays(provenance)
     with files.new_file(out) as part:
         write_hand(hands.track, part, extra)
     _report(replace(hands, provenance=provenance), names)
@@ -201,18 +202,17 @@ def _request(
     return Request(side, renumbered(frames, first, "--first"), K, size, mano, ask_first="")
 
 
-def _fields(header: ClipHeader, hands: Hands) -> ClipFields:
+def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:
     """What ``clip.json`` says with the hands: where they come from, and which frames have none."""
     old = (WITHOUT_HAND, HELD, CHOSEN)
     known = {key: text for key, text in header.fields["provenance"].items() if key not in old}
-    return header.fields | {"provenance": known | hands.provenance | without_hand(header.frames, hands.found)}
+    return header.changed({"provenance": known | hands.provenance | without_hand(header.frames, hands.found)})
 
 
 def _report(hands: Hands, frames: Sequence[str]) -> None:
     """Print where the hands come from, with a warning for what is guessed or missing."""
     for key, text in hands.provenance.items():
-        mark = "warning: " if "guess" in text else ""
-        report(f"{mark}{key}: {text}")
+        report(warn_of(key, text))
     missing = [name for n, name in enumerate(frames) if n not in hands.found]
     if missing:
         report(f"warning: no hand in {len(missing)} of {len(frames)} frames, skipped: {_some(missing)}")

@@ -46,7 +46,7 @@ def into_clip(
     with files.new_folder(target, ("object",) if overwrite else ()) as new:
         visible = write_masks(reader, header.frames, new)
         with files.new_file(header.folder / "clip.json") as part:
-            files.write_json(part, header.fields | {"provenance": whence})
+            files.write_json(part, header.changed({"provenance": whence}))
     say(f"{target}: the object is visible in {visible} of {len(names)} frames")
     return report_masks(reader, header.frames, visible)
 

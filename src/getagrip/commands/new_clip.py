@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.naming import number_of
 from getagrip.clip.numbering import check_numbers, renumbered
 from getagrip.clip.plausible import check_in_view, check_intrinsics
+from getagrip.clip.provenance import Provenance, Source, from_arrays, is_assumed, measured, of_provenance, warn_of
 from getagrip.clip.reading import read_hand
 from getagrip.clip.segment_files import SegmentList, read, with_segments
 from getagrip.clip.writing import fill_folder, without_hand, write_hand_at
@@ -125,7 +126,7 @@ def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
     K, camera = _camera(given.lens, hands, size)
     found = own_mesh.own_mesh(given.mesh)
     found_hands = None if hands is None else hands.at(names, given.side, given.hand_of_first)
-    of_hands = {"hands": "none yet"}
+    of_hands: Provenance = {"hands": "none yet"}
     if hands is not None and found_hands is not None:
         check_in_view(hands.path, found_hands.track, np.tile(K, (len(found_hands.rows), 1, 1)), size)
         of_hands = found_hands.provenance | without_hand(names, found_hands.rows)
@@ -174,12 +175,13 @@ def _numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
     return np.arange(first, last + 1)
 
 
-def _camera(lens: Lens, hands: _HandFile | None, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], str]:
+def _camera(lens: Lens, hands: _HandFile | None, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
     """The command's camera or, without one, the hand file's."""
     if lens.given or hands is None or hands.K is None:
         return intrinsics(lens, size)
     check_intrinsics(hands.path, hands.K[None], size)
-    return hands.K, f"the hand file's: {hands.provenance.get('camera', 'it does not say from where')}"
+    known = hands.provenance.get("camera", measured("it does not say from where"))
+    return hands.K, replace(known, text=f"the hand file's: {known}")
 
 
 @dataclass(frozen=True)
@@ -189,7 +191,7 @@ class _Hands:
     track: HandTrack
     rows: tuple[int, ...]
     """Which of the frames these are."""
-    provenance: dict[str, str]
+    provenance: Provenance
 
 
 @dataclass(frozen=True)
@@ -200,17 +202,16 @@ class _HandFile:
     numbers: tuple[int, ...] | None
     K: Float[ndarray, "3 3"] | None
     side: str | None
-    provenance: dict[str, str]
+    provenance: Provenance
     """Where its hands come from."""
 
     @staticmethod
     def of(path: Path) -> _HandFile:
         """Raises ``InputError``."""
-        given = arrays.read(path, lambda key: key in {"frames", "K", "side"} or key.startswith("provenance_"))
-        texts = {key: str(value) for key, value in given.items() if value.dtype.kind == "U" and value.shape == ()}
-        sources = {key.removeprefix("provenance_"): text for key, text in texts.items() if key != "side"}
+        given = arrays.read(path, lambda key: key in {"frames", "K", "side"} or of_provenance(key))
+        side = str(given["side"]) if "side" in given and given["side"].dtype.kind == "U" else None
         K = arrays.floats(path, given, "K", (3, 3)) if "K" in given else None
-        return _HandFile(path, arrays.frame_numbers(path, given), K, texts.get("side"), sources)
+        return _HandFile(path, arrays.frame_numbers(path, given), K, side, from_arrays(path, given))
 
     def at(self, frames: tuple[str, ...], side: Side, first: int | None) -> _Hands:
         """The hands in those of the frames that have one; ``first`` is the number of the first frame's, where hands are
@@ -304,8 +305,8 @@ def _summary(clip: Clip, given: Ingredients, hands: _Hands | None, out: Path) ->
             file=sys.stderr,
         )
     for key, text in clip.provenance.items():
-        if "guess" in text:
-            report(f"warning: {key}: {text}")
+        if is_assumed(text):
+            report(warn_of(key, text))
     if doubted := doubt(clip.K, clip.size):
         report(f"warning: camera: {doubted}")
     missing = [key for key, there in (("masks", given.masks), ("hands", given.hands)) if there is None]

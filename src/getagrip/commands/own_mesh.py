@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip.clip.provenance import Source, assumed, measured
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh import Mesh, diameter
@@ -51,7 +52,7 @@ class OwnMesh:
     mesh: Mesh
     sized: bool
     """Whether it has the object's size; else that is to be found with its pose."""
-    provenance: dict[str, str]
+    provenance: dict[str, Source]
     """Where it and its size come from."""
 
 
@@ -65,35 +66,35 @@ def own_mesh(request: MeshRequest) -> OwnMesh:
         raise UsageError(f"--known-scale: got it with this package's own {request.kind}, expected {expected}")
     if request.kind is not None and request.unit is not None:
         raise UsageError(f"--unit: got {request.unit}, expected none: this package's own {request.kind} is in metres")
-    vertices, faces, provenance = _shape(request)
+    vertices, faces, shape = _shape(request)
+    words = shape.text
     kept = with_area(vertices, faces)  # generated meshes are full of slivers
     if len(kept) < len(faces):
-        provenance["mesh"] += f", {counted(len(faces) - len(kept), 'face')} without area left out"
+        words += f", {counted(len(faces) - len(kept), 'face')} without area left out"
     vertices, scale = _rescaled(vertices, kept, request)
-    if scale:
-        provenance["scale"] = scale
     if request.unit is not None:
-        provenance["mesh"] += f", in {request.unit}"
+        words += f", in {request.unit}"
+    provenance = {"mesh": replace(shape, text=words)} | ({} if scale is None else {"scale": scale})
     sized = request.known_scale or request.side_mm is not None or request.diameter_mm is not None
     return OwnMesh(checked_mesh(request.path, vertices, kept), sized, provenance)
 
 
-def _shape(request: MeshRequest) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], dict[str, str]]:
+def _shape(request: MeshRequest) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], Source]:
     """Vertices, faces, and where they come from."""
     if request.kind is not None:
         made = CATEGORIES[request.kind].make()
-        return made.vertices, made.faces, {"mesh": f"this package's own {request.kind}: a guess of the object's shape"}
+        return made.vertices, made.faces, assumed(f"this package's own {request.kind}: a guess of the object's shape")
     if not request.path.is_file():
         kinds = ", ".join(sorted(CATEGORIES))
         expected = f"a triangle mesh ({', '.join(SUFFIXES)}), or the name of one of this package's shapes: {kinds}"
         raise InputError(request.path, "mesh", "no such file", expected)
-    return *parse_mesh(request.path), {"mesh": request.path.name}
+    return *parse_mesh(request.path), measured(request.path.name)
 
 
 def _rescaled(
     vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."], request: MeshRequest
-) -> tuple[Float[ndarray, "..."], str]:
-    """Vertices at the size that is stated, and how they got it in words; "" where none is stated.
+) -> tuple[Float[ndarray, "..."], Source | None]:
+    """Vertices at the size that is stated, and where it comes from; None where none is stated.
 
     The size is that of the surface: files hold points that no face uses.
     """
@@ -108,17 +109,18 @@ def _rescaled(
     extent = float(np.ptp(used, axis=0).max()) if used.ndim == 2 and used.size and np.isfinite(used).all() else 0.0
     plausible = SMALLEST <= known_unit * extent <= LARGEST or extent == 0
     if not stated and plausible:
-        return known_unit * vertices, ""
+        return known_unit * vertices, None
     if not stated and request.known_scale:
         given = f"the object {known_unit * extent:.4g} m large"
         expected = f"{SMALLEST:g} to {LARGEST:g} m; if the file is in another unit than the metre, --unit mm, cm or in"
         raise InputError(request.path, "vertices", given, f"{expected}, or --size-mm or --diameter-mm")
     if not stated:
         factor = FREE_SIZE / extent
-        return factor * vertices, f"the mesh, {extent:.4g} units large, rescaled by {factor:.6g}: its size is a guess"
+        text = f"the mesh, {extent:.4g} units large, rescaled by {factor:.6g}: its size is a guess"
+        return factor * vertices, assumed(text)
     option, value = stated[0]
     if not 1e3 * SMALLEST <= value <= 1e3 * LARGEST:
         raise UsageError(f"{option}: got {value:g}, expected {1e3 * SMALLEST:g} to {1e3 * LARGEST:g} millimetres")
     now = (diameter(used) if option == "--diameter-mm" else extent) if extent else 0.0
     factor = value / 1e3 / now if now > 0 else 1.0  # checked_mesh reports what is wrong with the others
-    return vertices * factor, f"the mesh rescaled by {factor:.6g}, to {option} {value:g}"
+    return vertices * factor, measured(f"the mesh rescaled by {factor:.6g}, to {option} {value:g}")

@@ -113,7 +113,7 @@ def _written(job: ReportJob) -> IndexRow:
     if job.root is None or not request.index_only:
         write_page(view, evaluation, read_record(folder), folder / PAGE)
     if job.root is None:
-        write_report(result, clip, masks, folder / PICTURE, evaluation["metrics"])
+        write_report(result, clip, masks, folder / PICTURE, evaluation.metrics)
     if request.film:
         write_film(view, folder / FILM)
     return row(job.name, view, evaluation, (folder / PAGE).is_file())

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import HandTrack, Joint, World
+from getagrip.clip.provenance import Provenance, Source, assumed, estimated
 from getagrip.datasets.tracks import Track
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
@@ -53,7 +54,7 @@ class Motion:
     T_world_obj: Float[ndarray, "T 4 4"]
     mesh: Mesh
     """The object; where it has a joint, at ``joint.angle``."""
-    provenance: dict[str, str]
+    provenance: Provenance
     """Where it all comes from."""
     joint: Joint | None = None
     """Of the object, where it has one."""
@@ -82,7 +83,7 @@ def tracks(motion: Motion) -> Iterator[Track]:
             given = fit_hand(motion.file, f"estimated {side} joints", side, motion.estimated[side])
             given_hand = seen(given.track, camera.T_cam_world)
             provenance["truth"] = f"{described}; {_fit(fitted[side])}"
-            provenance["hands"] = "the generic hand, fitted to 21 joints that were estimated"
+            provenance["hands"] = estimated("the generic hand, fitted to 21 joints that were estimated")
             provenance["hand_fit"] = _fit(given)
         yield Track(
             file=motion.file,
@@ -124,7 +125,7 @@ class PosedCamera:
     K: Float[ndarray, "3 3"]
     size: tuple[int, int]
     T_cam_world: Float[ndarray, "T 4 4"]
-    described: str
+    described: Source
     """What it is, for the provenance."""
 
 
@@ -150,7 +151,7 @@ def facing(R_cam_world: Float[ndarray, "3 3"], places: Float[ndarray, "T 3"], de
     T_cam_world = se3.rigid(R_cam_world, [0.0, 0.0, DISTANCE] - R_cam_world @ np.median(places, axis=0))
     K, size = pinhole()
     described += f", {DISTANCE:g} m from the object's median place, focal length {FOCAL:g} px"
-    return PosedCamera(K, size, np.tile(T_cam_world, (len(places), 1, 1)), described)
+    return PosedCamera(K, size, np.tile(T_cam_world, (len(places), 1, 1)), assumed(described))
 
 
 def pinhole() -> tuple[Float[ndarray, "3 3"], tuple[int, int]]:

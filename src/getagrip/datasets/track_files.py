@@ -11,11 +11,12 @@ A file is one sequence of one object with one or two hands:
     optional         estimated_left, _right      (T, 21, 3): the joints as an estimator found them, of the same sides:
                                                  clips are given these hands, the true ones are their truth
                      frames                      (T,): numbers of the frames, rising; by default from 0
-                     source, licence, camera     texts, for the provenance
+                     source, licence             texts, for the provenance
                      articulation                (T,): angle of the object's joint [rad]
                      mesh_top, joint             text: the mesh of the part that turns; (2, 3): a point of the axis [m],
                                                  its direction, in the object's frame
                      K, size, T_cam_world        (3, 3), (2,) [px], (4, 4) or (T, 4, 4): the camera; all three or none
+                     assumed_camera              text: what that camera is, where it is no true one
 
 Without a camera, one is assumed (``joint_tracks``), and z must be up in the world. Meshes are made fine enough for
 contact to be counted by their vertices.
@@ -35,6 +36,7 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import Joint
+from getagrip.clip.provenance import assumed, measured
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.joint_tracks import Motion, PosedCamera, tracks
@@ -55,7 +57,7 @@ SIDES: tuple[Side, ...] = ("left", "right")
 NAMES = ("category", "subject", "sequence")
 CAMERA = ("K", "size", "T_cam_world")
 JOINT = ("articulation", "mesh_top", "joint")
-TEXTS = ("source", "licence", "camera")
+TEXTS = ("source", "licence", "assumed_camera")
 JOINTS = tuple(f"{kind}_{side}" for kind in ("joints", "estimated") for side in SIDES)
 KEYS = {*JOINTS, "order", "T_world_obj", "mesh", "fps", "frames", *NAMES, *CAMERA, *JOINT, *TEXTS}
 WITHIN_10_MM = GraspOptions(contact_mm=10.0, shortest=FEWEST)
@@ -176,7 +178,9 @@ def _camera(file: Path, given: Arrays, T: int, rows: Int[ndarray, "n"]) -> Posed
     T_cam_world = arrays.floats(file, given, "T_cam_world", (4, 4) if given["T_cam_world"].ndim == 2 else (T, 4, 4))
     if not se3.is_rigid(T_cam_world).all():
         raise InputError(file, "T_cam_world", "what is no rigid motion", "rotations and translations [m]")
-    described = _text(file, given, "camera") if "camera" in given else "the file's own"
+    described = (
+        assumed(_text(file, given, "assumed_camera")) if "assumed_camera" in given else measured("the file's own")
+    )
     return PosedCamera(K, (int(width), int(height)), np.broadcast_to(T_cam_world, (T, 4, 4))[rows], described)
 
 

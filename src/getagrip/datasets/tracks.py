@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import FrameMasks, HandTrack, Joint, Segment, World
+from getagrip.clip.provenance import Provenance
 from getagrip.datasets.dataset import Note
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
@@ -61,7 +62,7 @@ class Track:
     T_cam_obj: Float[ndarray, "T 4 4"]
     mesh: Mesh
     """The object; where it has a joint, at ``joint.angle``."""
-    provenance: dict[str, str]
+    provenance: Provenance
     """Where hands, masks, camera and scale come from."""
     joint: Joint | None = None
     """Of the object, where it has one."""

@@ -6,10 +6,11 @@
 """
 
 from getagrip.evaluation.meshes import evaluate_meshes
-from getagrip.evaluation.results import clip_of, evaluate, evaluate_result, read_evaluated
+from getagrip.evaluation.results import Evaluation, clip_of, evaluate, evaluate_result, read_evaluated
 from getagrip.evaluation.tables import contact_tables, results_table, summary
 
 __all__ = [
+    "Evaluation",
     "clip_of",
     "contact_tables",
     "evaluate",

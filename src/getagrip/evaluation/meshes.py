@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -23,7 +23,7 @@ from getagrip.clip.numbering import check_numbers, renumbered
 from getagrip.clip.plausible import FARTHEST, NEAREST
 from getagrip.errors import InputError
 from getagrip.evaluation.comparison import Comparison
-from getagrip.evaluation.results import evaluation
+from getagrip.evaluation.results import Evaluation, evaluation
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import SUFFIXES, checked_mesh, parse_mesh, with_area
@@ -39,8 +39,8 @@ MOST_FACES = 20_000_000
 """Of all meshes of a clip."""
 
 
-def evaluate_meshes(meshes: Sequence[Mesh | None], clip: Clip, masks: Masks | None, method: str) -> dict[str, Any]:
-    """IOU, SCA and penetration of a mesh for each of the clip's frames, in the hand frame; in the form of ``evaluate``.
+def evaluate_meshes(meshes: Sequence[Mesh | None], clip: Clip, masks: Masks | None, method: str) -> Evaluation:
+    """IOU, SCA and penetration of a mesh for each of the clip's frames, in the hand frame.
 
     Besides, ``frames_without_mesh`` counts these, and ``closed`` is the share of meshes without holes: only of these is
     it certain what is inside.

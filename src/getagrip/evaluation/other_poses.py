@@ -18,7 +18,7 @@ from getagrip.evaluation.pose_files import SUFFIXES, PoseFile, read_pose_file, r
 from getagrip.geometry import se3
 from getagrip.io import files
 from getagrip.metrics.mask import iou_of_poses
-from getagrip.result import Candidates, FrameKind, Reconstruction, is_result, read_result
+from getagrip.result import Candidates, FrameKind, Reconstruction, Status, is_result, read_result
 
 FIRST = "--first"
 """The option of ``evaluate`` that states the number of the first frame's pose."""
@@ -93,7 +93,7 @@ def poses_of(place: Path, name: str, clip: Clip, masks: Masks | None, first: int
         axis=None,
         candidates=Candidates(T_hand_obj[None], np.array([scale]), np.zeros(1)),
         energy={"total": float("nan")},
-        status="another system's",
+        status=Status.GIVEN,
         ambiguous=False,
         seconds={"total": float("nan")},
         notes=tuple(notes),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,52 @@ OF_TIMELINE = (
 """What is to be known about the metrics of one."""
 
 
-def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """Every number about a reconstruction (docs/metrics.md). Names of metrics end in their units.
+
+    Attributes:
+        clip: name of the clip.
+        category: what the object is.
+        method: name of the method.
+        frames: names of the T frames.
+        symmetry: the object's symmetries, in words; None without ground truth.
+        metrics: a number for each metric.
+        per_frame: T numbers for each metric that has one in each frame.
+        metrics_of_fitted: the metrics without the frames whose pose is interpolated; empty where none is.
+        metrics_of_grasps: of a timeline, the stable contact area in its grasps alone; else empty.
+        frame_kind: how the pose of each frame was found; empty for meshes.
+        findings: what is unusual about the inputs and the result, in words.
+        notes: what is to be known about the metrics, in words.
+        result: the folder of the result; None for one that is only in memory.
+    """
+
+    clip: str
+    category: str
+    method: str
+    frames: list[str]
+    symmetry: str | None
+    metrics: dict[str, float]
+    per_frame: dict[str, list[float]]
+    metrics_of_fitted: dict[str, float] = field(default_factory=dict)
+    metrics_of_grasps: dict[str, float] = field(default_factory=dict)
+    frame_kind: tuple[str, ...] = ()
+    findings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    result: str | None = None
+
+    @property
+    def headline(self) -> dict[str, float]:
+        """The metrics, of which the main ones are shown first; a timeline's stable contact is of its grasps."""
+        return self.metrics | self.metrics_of_grasps
+
+    def fields(self) -> dict[str, object]:
+        """As ``evaluate --json`` writes it: what is empty is left out."""
+        given = {key: value for key, value in asdict(self).items() if value or key in ("symmetry", "metrics")}
+        return {"result": given.pop("result"), **given} if "result" in given else given
+
+
+def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> Evaluation:
     """All metrics of one result folder against its clip.
 
     ``clips`` is the folder of the clip or one that holds it under its name; without it the clip is looked for where
@@ -41,7 +86,7 @@ def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> dict
     longer the one that was reconstructed, and where a frame of the result is unknown to it.
     """
     result, clip, masks = read_evaluated(Path(folder), clips)
-    return {"result": str(folder), **evaluate(result, clip, masks)}
+    return replace(evaluate(result, clip, masks), result=str(folder))
 
 
 def read_evaluated(folder: Path, clips: str | Path | None = None) -> tuple[Reconstruction, Clip, Masks | None]:
@@ -56,18 +101,25 @@ def evaluate(
     result: Reconstruction,
     clip: Clip,
     masks: Masks | None = None,
-    contacts: Sequence[ContactDefinition] = CONTACT_DEFINITIONS,
-    wanted: Sequence[Metric] = METRICS,
-) -> dict[str, Any]:
-    """All metrics of a reconstruction (docs/metrics.md), at the result's frames of the clip and its masks.
+    contacts: Sequence[ContactDefinition] | None = None,
+    wanted: Sequence[Metric] | None = None,
+) -> Evaluation:
+    """Measure a reconstruction (docs/metrics.md) at the result's frames of its clip.
 
-    ``metrics`` has one number each, ``per_frame`` a list each; names end in their units. Where poses of some frames are
-    interpolated, ``metrics_of_fitted`` leaves these out; of a timeline, ``metrics_of_grasps`` has the stable contact
-    area of its grasps alone (``contact_in_grasps``). What needs masks or ground truth is left out without them.
-    ``contacts`` are the definitions of contact by which it is measured; of the table of metrics only those ``wanted``
-    are computed. Of a very large mesh ``notes`` say with how many faces it was measured (``Mesh.light``). Raises
-    ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for masks of another clip.
+    Args:
+        result: the reconstruction, as ``reconstruct`` or ``read_result`` gives it.
+        clip: its clip. Without ground truth (``clip.truth``) only IOU, contact and penetration are measured.
+        masks: the masks of all of the clip's frames; without them there is no IOU.
+        contacts: definitions of contact by which stable contact is measured; None for all nine.
+        wanted: the metrics to compute; None for all. Of a very large mesh ``notes`` say with how many faces it was
+            measured (``Mesh.light``).
+
+    Raises:
+        InputError: a frame of the result is none of the clip's.
+        UsageError: the masks are another clip's.
     """
+    contacts = CONTACT_DEFINITIONS if contacts is None else contacts
+    wanted = METRICS if wanted is None else wanted
     if masks is not None:
         check_masks(clip, masks)
     index, whole_mesh, clip = clip.index_of(result.frames), clip.mesh, clip.light()
@@ -76,32 +128,29 @@ def evaluate(
     it = _ResultComparison(clip, masks, track, found, contacts=tuple(contacts))
     symmetry = None if clip.truth is None else it.symmetries.describe()
     made = evaluation(it, result.method, symmetry, wanted)
-    made |= {"frame_kind": list(result.frame_kind), "findings": [str(finding) for finding in result.findings]}
-    notes = [*clip.mesh.stands_for(whole_mesh, "measured"), *([OF_TIMELINE] if result.segments else [])]
-    if notes:
-        made["notes"] = notes
-    if SCA in wanted:
-        hands = clip.with_hand_at(None, result.T_cam_other_hand)
-        if in_grasps := contact_in_grasps(hands, found, track, it.contacts, it.reach):
-            made["metrics_of_grasps"] = in_grasps
-    fitted = result.frames_of("sampled", "fitted")
-    if 0 < len(fitted) < len(clip):
-        made["metrics_of_fitted"] = measure(it.take(fitted), wanted)[0]
-    return made
+    hands, fitted = clip.with_hand_at(None, result.T_cam_other_hand), result.frames_of("sampled", "fitted")
+    return replace(
+        made,
+        metrics_of_grasps=contact_in_grasps(hands, found, track, it.contacts, it.reach) if SCA in wanted else {},
+        metrics_of_fitted=measure(it.take(fitted), wanted)[0] if 0 < len(fitted) < len(clip) else {},
+        frame_kind=result.frame_kind,
+        findings=tuple(map(str, result.findings)),
+        notes=(*clip.mesh.stands_for(whole_mesh, "measured"), *([OF_TIMELINE] if result.segments else [])),
+    )
 
 
-def evaluation(it: Comparison, method: str, symmetry: str | None, wanted: Sequence[Metric] = METRICS) -> dict[str, Any]:
-    """What is written of a comparison."""
+def evaluation(it: Comparison, method: str, symmetry: str | None, wanted: Sequence[Metric] = METRICS) -> Evaluation:
+    """Measure a comparison."""
     metrics, per_frame = measure(it, wanted)
-    return {
-        "clip": it.clip.name,
-        "category": it.clip.category,
-        "method": method,
-        "frames": list(it.clip.frames),
-        "symmetry": symmetry,
-        "metrics": metrics,
-        "per_frame": per_frame,
-    }
+    return Evaluation(
+        clip=it.clip.name,
+        category=it.clip.category,
+        method=method,
+        frames=list(it.clip.frames),
+        symmetry=symmetry,
+        metrics=metrics,
+        per_frame=per_frame,
+    )
 
 
 @dataclass(frozen=True, eq=False)

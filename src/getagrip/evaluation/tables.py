@@ -10,6 +10,7 @@ import numpy as np
 
 from getagrip.errors import cleaned
 from getagrip.evaluation.metric import METRICS, SCA, TRUE_SCA, mean_of
+from getagrip.evaluation.results import Evaluation
 from getagrip.io.terminal import plain_table
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 
@@ -20,31 +21,31 @@ _OF_OBJECT, _OF_HAND = ContactDefinition("object", 0.010), ContactDefinition("ha
 """Definitions of contact in the table of results: that of reports and benchmarks, and the one that any mesh has."""
 
 
-def summary(evaluations: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def summary(evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     """The evaluations; for each metric, its mean over the clips that have it and their number; the same by method."""
     return {
-        "samples": list(evaluations),
+        "samples": [evaluation.fields() for evaluation in evaluations],
         **_means(evaluations),
         "methods": {method: _means(group) for method, group in by_method(evaluations).items()},
     }
 
 
-def by_method(evaluations: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+def by_method(evaluations: Sequence[Evaluation]) -> dict[str, list[Evaluation]]:
     """The evaluations of each method."""
-    methods = dict.fromkeys(e["method"] for e in evaluations)
-    return {method: [e for e in evaluations if e["method"] == method] for method in methods}
+    methods = dict.fromkeys(e.method for e in evaluations)
+    return {method: [e for e in evaluations if e.method == method] for method in methods}
 
 
-def _means(evaluations: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    keys = list(dict.fromkeys(key for evaluation in evaluations for key in evaluation["metrics"]))
-    columns = {key: np.array([e["metrics"].get(key, np.nan) for e in evaluations], dtype=float) for key in keys}
+def _means(evaluations: Sequence[Evaluation]) -> dict[str, dict[str, Any]]:
+    keys = list(dict.fromkeys(key for evaluation in evaluations for key in evaluation.metrics))
+    columns = {key: np.array([e.metrics.get(key, np.nan) for e in evaluations], dtype=float) for key in keys}
     return {
         "mean": {key: mean_of(values) for key, values in columns.items()},
         "clips": {key: int(np.count_nonzero(~np.isnan(values))) for key, values in columns.items()},
     }
 
 
-def results_table(evaluations: Sequence[dict[str, Any]]) -> Table:
+def results_table(evaluations: Sequence[Evaluation]) -> Table:
     """One row per result and the mean of each method.
 
     Columns without any value (there is no ground truth, the scale is known) are left out.
@@ -60,7 +61,7 @@ def results_table(evaluations: Sequence[dict[str, Any]]) -> Table:
         ("true\nSCA\n%", TRUE_SCA, TRUE_SCA.key(_OF_OBJECT)),
     ]
     columns = [column for column in columns if not np.isnan(there.get(column[2], np.nan))]
-    if any(SCA.key(_OF_OBJECT) not in e["metrics"] for e in evaluations):  # a mesh that is another one in each frame
+    if any(SCA.key(_OF_OBJECT) not in e.metrics for e in evaluations):  # a mesh that is another one in each frame
         columns.append(("hand\nSCA\n%", SCA, SCA.key(_OF_HAND)))
 
     def cells(metrics: Mapping[str, float]) -> list[str]:
@@ -70,8 +71,8 @@ def results_table(evaluations: Sequence[dict[str, Any]]) -> Table:
     results.caption = "; ".join(dict.fromkeys(metric.meaning for _, metric, _ in columns if metric.meaning))
     results.caption_justify = "left"
     for e in evaluations:
-        name = f"{e['clip']}\n{e['method']}" if len(groups) > 1 else e["clip"]
-        results.add_row(Text(cleaned(name, "\n")), *cells(e["metrics"]))
+        name = f"{e.clip}\n{e.method}" if len(groups) > 1 else e.clip
+        results.add_row(Text(cleaned(name, "\n")), *cells(e.metrics))
     if len(evaluations) > len(groups):
         results.add_section()
         for method, group in groups.items():
@@ -80,7 +81,7 @@ def results_table(evaluations: Sequence[dict[str, Any]]) -> Table:
     return results
 
 
-def contact_tables(evaluations: Sequence[dict[str, Any]]) -> list[Table]:
+def contact_tables(evaluations: Sequence[Evaluation]) -> list[Table]:
     """Method by method, the metrics of stable contact by each definition of contact."""
     groups = by_method(evaluations)
     return [_contact(method if len(groups) > 1 else "", _means(group)["mean"]) for method, group in groups.items()]

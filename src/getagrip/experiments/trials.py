@@ -157,7 +157,7 @@ def _try(trial: Trial, variant: Variant, changed: tuple[Clip, Masks], masks: Mas
             result = replace(result_of(variant, *changed), options=options_of(variant, clip.name))
         else:
             result = reconstruct(*changed, variant.options)
-        metrics = evaluate(result, clip, masks, trial.contacts)["metrics"]
+        metrics = evaluate(result, clip, masks, trial.contacts).metrics
         write_result(result, place, checksum, metrics, clip.folder, overwrite=True, made_by=_made_by(variant))
     except Exception as error:
         if isinstance(error, InputError) and variant.system is None:
@@ -183,7 +183,7 @@ def _score(variant: Variant, place: Path, record: dict[str, Any]) -> Score:
     known = [read_probability(place / "result.json", record[key], key) for key in keys]
     right, in_camera = (None if one is None else one.value for one in known)
     return Score(
-        variant.folder, metrics, seconds, energy, record["ambiguous"], record["status"], serious=serious, noted=noted,
+        variant.folder, metrics, seconds, energy, record["ambiguous"], record["message"], serious=serious, noted=noted,
         probability_right=right, probability_right_in_camera=in_camera,
     )  # fmt: skip
 

@@ -21,7 +21,8 @@ from numpy import ndarray
 
 from getagrip.fitting.energy import Quadratic, Term
 from getagrip.fitting.motion import Motion
-from getagrip.fitting.solve import Solution, Status, evaluate
+from getagrip.fitting.solve import Solution, evaluate
+from getagrip.result import Status
 
 M = TypeVar("M", bound=Motion)
 

@@ -16,6 +16,7 @@ from getagrip.fitting.observation import signed_distance
 from getagrip.geometry import se3
 from getagrip.geometry.camera import crops_of_boxes, project
 from getagrip.geometry.mesh import edge_table
+from getagrip.io.packed_masks import PackedMasks
 from getagrip.kernels.contour import DISTANCE, NX, NY, WEIGHT, U, V, Z
 from getagrip.kernels.hand import contours
 from getagrip.kernels.silhouette import pack, unpack
@@ -64,9 +65,10 @@ class HandMask:
         crops = crops_of_boxes(np.concatenate([uv.min(axis=1), uv.max(axis=1)], axis=1), EXPAND, SIZE)
         K = crops.intrinsics(clip.K)
         # The border of the object's mask is the object's or the hand's: nobody knows to a pixel.
-        objects = np.stack([cv2.dilate(m.view(np.uint8), np.ones((3, 3), np.uint8)) for m in masks.object]).view(bool)
-        hand = crops.resample((masks.ignore if masks.hand is None else masks.hand) & ~objects, outside=False)
-        valid = ~crops.resample(objects, outside=True)
+        grown = (cv2.dilate(m.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool) for m in masks.object)
+        objects = crops.resample(PackedMasks.of(grown, clip.size).as_array(), outside=True)
+        hand = crops.resample(masks.ignore if masks.hand is None else masks.hand, outside=False) & ~objects
+        valid = ~objects
         fxfycxcy = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], axis=1)
         if masks.hand is None:
             valid &= ~hand | _near(_given_bits(clip.hand, fxfycxcy))

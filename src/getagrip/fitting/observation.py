@@ -113,8 +113,8 @@ def _sampled(masks: Masks, crops: Crops, use_ignore: bool) -> tuple[Bool[ndarray
     a finer level's pixels would have ties, and objects half a pixel too large or too small are as much too near or far.
     """
     observed = crops.resample(masks.object, outside=False)
-    valid = crops.resample(~masks.ignore if use_ignore else np.ones_like(masks.object), outside=False)
-    return observed, valid | observed
+    hidden = masks.ignore if use_ignore else np.broadcast_to(False, masks.object.shape)
+    return observed, ~crops.resample(hidden, outside=True) | observed
 
 
 def _coarser(pixels: Bool[ndarray, "N s s"], size: int) -> Bool[ndarray, "N n n"]:

@@ -12,6 +12,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, observed_frames, read_masks, read_observed
 from getagrip.clip.occlusion import occluded_by_hand
+from getagrip.clip.provenance import assumptions
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting import pose_priors
 from getagrip.fitting.contact import MARGIN
@@ -25,7 +26,7 @@ from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry.warp import Warp
 from getagrip.io.counts import counted
-from getagrip.result import Axis
+from getagrip.result import Axis, Status
 
 CONTACT_IF_FITTED = 4.0
 """Contact counts so many times as much where the mesh is fitted. The masks then tell size and distance less well, and
@@ -124,7 +125,7 @@ class MethodResult:
     poses: PosesInHand
     energy: Float[ndarray, "K"]
     terms: dict[str, float]
-    status: str
+    status: Status
     axis: Axis | None = None
     motion: Motion | None = None
     energy_of: EnergyOf | None = None
@@ -172,7 +173,7 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
         notes.append("no ignore masks: what the drawn hand covers outside the object's mask counts as hidden")
     poses, of_poses = pose_priors.poses_for(clip, options)
     notes += of_poses
-    notes += [f"{key}: {text}" for key, text in clip.provenance.items() if "guess" in str(text).lower()]
+    notes += [f"{topic}: {text}" for topic, text in assumptions(clip.provenance).items()]
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and what hides it: what lies in them does not count")
     corrected = correction is not None

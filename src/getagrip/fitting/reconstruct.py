@@ -13,6 +13,7 @@ from getagrip.checks import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, Evidence, So
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Where
 from getagrip.clip import Clip, Masks, check_clip, check_masks
+from getagrip.clip.provenance import assumptions, is_assumed
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.doubted_masks import fitted_to_believed
@@ -25,7 +26,7 @@ from getagrip.fitting.other_size import other_size
 from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem, prepare
 from getagrip.probability import Probability
-from getagrip.result import Candidates, Reconstruction
+from getagrip.result import Candidates, Reconstruction, Status
 
 AMBIGUOUS = 1.05
 """A distinct candidate within this factor of the best energy makes a result ambiguous."""
@@ -33,11 +34,12 @@ AMBIGUOUS = 1.05
 CHOICES = ("method", "inits", "init", "priors", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
 
+SCALE_GUESSED = "the scale {:.3f} is a guess from the masks and the hand's size, not a measurement"
 SHAPE_GUESSED = "the object's shape is a guess from the masks: the mesh leaves contours that no pose explains"
 """A note where the mesh was not taken as it is given."""
 
 UNEXPLAINED = "failed: the best pose meets the masks with a mean IOU of {:.2f} only; nothing is known of the object"
-"""The status of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
+"""The message of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
 
 
 def reconstruct(
@@ -101,7 +103,7 @@ def reconstruct(
     moved = problem.hand_corrected or bool(jumps and jumps.frames)
     result = _reconstruction(problem, options, found, whole, moved, clock.seconds())
     # No pixel tells a wrong focal length from another distance.
-    camera_guessed = "guess" in str(clip.provenance.get("camera", "")).lower()
+    camera_guessed = is_assumed(clip.provenance.get("camera"))
     return replace(
         result,
         notes=(*result.notes, *light.mesh.stands_for(whole_mesh, "fitted")),
@@ -180,11 +182,12 @@ def _reconstruction(
     scale = float(found.poses.scale[0])
     shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.doubted)
     mean_iou = float(np.nansum(track.iou)) / shown  # a doubted mask is one that is not explained
-    guesses = []
+    explained = mean_iou >= LEAST_IOU
+    guesses = {}
     if clip.scale == "free":
-        guesses.append(f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement")
+        guesses["scale"] = SCALE_GUESSED.format(scale)
     if found.warp is not None:
-        guesses.append(SHAPE_GUESSED)
+        guesses["shape"] = SHAPE_GUESSED
     axis = None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle)
     return Reconstruction(
         clip=clip.name,
@@ -197,14 +200,16 @@ def _reconstruction(
         axis=axis,
         candidates=Candidates(track.T_hand_obj, found.poses.scale, energy),
         energy={"total": float(energy[0]), **found.terms},
-        status=found.status if mean_iou >= LEAST_IOU else UNEXPLAINED.format(mean_iou),
+        status=found.status if explained else Status.MISFIT,
+        message=found.status.sentence if explained else UNEXPLAINED.format(mean_iou),
         ambiguous=bool(len(energy) > 1 and energy[1] < AMBIGUOUS * energy[0]),
         seconds=seconds,
         options=asdict(options),
         seed=options.seed,
         T_cam_hand=track.T_cam_hand if hand_moved else None,
         warp=found.warp,
-        notes=(*problem.notes, *guesses),
+        notes=(*problem.notes, *guesses.values()),
+        assumptions=assumptions(clip.provenance) | guesses,
     )
 
 

@@ -27,9 +27,10 @@ from getagrip.errors import GetagripError
 from getagrip.fitting.energy import Energy, Term
 from getagrip.fitting.motion import Fixed, Motion, PosesInHand, Soft
 from getagrip.fitting.schedule import Rotations, Schedule, Stage
-from getagrip.fitting.solve import Solution, Status, minimise
+from getagrip.fitting.solve import Solution, minimise
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry import se3
+from getagrip.result import Status
 
 M = TypeVar("M", bound=Motion)
 
@@ -112,7 +113,7 @@ class Search:
             poses, energies = solution.motion.poses(), solution.energy
             best = suppress_duplicates(poses, energies, self.surface, stage.keep, stage.half_turns)
             if not len(best):
-                raise GetagripError(str(Status.INVISIBLE))
+                raise GetagripError(Status.INVISIBLE.sentence)
             solution = solution.take(best[near(solution.energy[best], stage.within)])
             motion = solution.motion
             self.on_stage(stage.name)

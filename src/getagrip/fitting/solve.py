@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from functools import reduce
 from typing import Generic, TypeVar
 
@@ -22,6 +21,7 @@ from getagrip import least_squares
 from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
 from getagrip.fitting.motion import Motion, moved
 from getagrip.least_squares import DEFAULT, Ending, Rules, arrow_step, damped
+from getagrip.result.status import Status
 
 M = TypeVar("M", bound=Motion)
 
@@ -29,16 +29,6 @@ FLOOR = 1e2
 """Curvature assumed in directions that the energy does not see [px^2 per m^2 or rad^2]."""
 LONGEST = 0.6
 """Longest step of a frame's rotation [rad]; translations scale with it at 10 cm a radian."""
-
-
-class Status(StrEnum):
-    """How a minimisation ended, as a sentence that says what to do about it."""
-
-    CONVERGED = "converged: further steps gain less than 0.1 % of the energy"
-    STUCK = "stopped: no step lowers the energy any more"
-    LIMIT = "stopped at the iteration limit while the energy was still falling a little; --thorough goes on longer"
-    FINISHED = "stopped: all iterations of the fixed number were made"
-    INVISIBLE = "failed: the object is behind the camera or too near to it in every hypothesis tried"
 
 
 STATUS = {

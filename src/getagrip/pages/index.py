@@ -16,11 +16,12 @@ import numpy as np
 from getagrip import __version__
 from getagrip.errors import legible
 from getagrip.evaluation.metric import METRICS, Metric
+from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import method_of
 from getagrip.io import files
 from getagrip.pages.document import document
 from getagrip.pages.pictures import jpeg
-from getagrip.pages.report import CONTACT, MAIN, headline
+from getagrip.pages.report import CONTACT, MAIN
 from getagrip.probability import LEAST
 from getagrip.result import Reconstruction
 from getagrip.view.shown import View
@@ -61,14 +62,14 @@ class IndexRow:
         return next((kind for kind in ("failed", "left") if kind in self.flags), "results")
 
 
-def row(folder: str, view: View, evaluation: Mapping[str, Any], page: bool) -> IndexRow:
+def row(folder: str, view: View, evaluation: Evaluation, page: bool) -> IndexRow:
     """A result's row; its thumbnail shows the frame of the lowest IOU."""
     result = view.result
     known = not np.isnan(result.iou).all()
     worst = int(np.nanargmin(result.iou)) if known else 0
     crops = input_windows([view], np.array([worst]), THUMBNAIL)
     pair = np.concatenate([overlay(view, worst, crops, 0), turned(view, worst, crops, 0)], axis=1)
-    plain = _row(folder, result, headline(evaluation))
+    plain = _row(folder, result, evaluation.headline)
     values = plain.values | {"worst frame": float(result.iou[worst]) if known else np.nan}
     return replace(plain, page=page, values=values, thumbnail=jpeg(pair, QUALITY))
 
@@ -88,11 +89,11 @@ def row_without_clip(
 
 def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> IndexRow:
     flags = {
-        "misfit": result.status.startswith("failed"),
+        "misfit": result.status.failed,
         "serious": any(finding.serious for finding in result.findings),
         "note": any(not finding.serious for finding in result.findings),
         "ambiguous": result.ambiguous,
-        "guess": result.warp is not None or any("guess" in str(note).lower() for note in result.notes),
+        "guess": bool(result.assumptions),
     }
     values = {name: metrics.get(metric.key(CONTACT), np.nan) for name, metric in COLUMNS.items()}
     probable = {f"probability right {where}": right.value for where, right in result.probabilities.items()}
@@ -100,7 +101,7 @@ def _row(folder: str, result: Reconstruction, metrics: Mapping[str, float]) -> I
         folder=folder,
         clip=result.clip,
         method=method_of(result.method).label,
-        status=result.status,
+        status=result.message,
         flags=tuple(name for name, holds in flags.items() if holds),
         doubts=tuple(str(finding) for finding in result.findings),
         values={"IOU": result.mean_iou} | values | probable | {"time": float(result.seconds.get("total", np.nan))},

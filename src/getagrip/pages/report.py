@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, ROTATION_SYM, SCA, Metric
+from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import method_of
 from getagrip.geometry.camera import Crops
 from getagrip.io import files
@@ -20,7 +21,7 @@ from getagrip.pages import motion
 from getagrip.pages.document import document, pack
 from getagrip.pages.pictures import jpeg, mask_path, paths
 from getagrip.pages.tables import meanings, tables, unit_of
-from getagrip.probability import RIGHT, of_segment
+from getagrip.probability import RIGHT
 from getagrip.result import Reconstruction
 from getagrip.view.curves import angle_curve, seconds
 from getagrip.view.gap import coarse, gap
@@ -45,7 +46,7 @@ PLOTTED: Mapping[str, Metric] = {"ADD, symmetries allowed": ADD_SYM_MM}
 """Metrics of each frame that are plotted where they are known."""
 
 
-def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, Any], path: Path) -> Path:
+def write_page(view: View, evaluation: Evaluation, record: Mapping[str, Any], path: Path) -> Path:
     """Write the page of a result and return its path.
 
     ``evaluation`` is what ``evaluate`` gives for it, ``record`` the content of its ``result.json``. Raises
@@ -61,10 +62,10 @@ def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, A
         "main": [
             *_probably(view.result),
             *_met(view.result),
-            *_main(headline(evaluation), "metrics_of_grasps" in evaluation),
+            *_main(evaluation.headline, bool(evaluation.metrics_of_grasps)),
         ],
         "segments": _bar(view),
-        "plots": _plots(view, evaluation["per_frame"]),
+        "plots": _plots(view, evaluation.per_frame),
         "times": seconds(view),
         "shown": shown,
         "frames": [{"name": some.result.frames[k], "kind": some.result.frame_kind[k]} for k in range(len(shown))],
@@ -106,7 +107,7 @@ def _summary(view: View, record: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "name": clip.name,
         "facts": facts,
-        "status": result.status,
+        "status": result.message,
         "ambiguous": result.ambiguous,
         "findings": [{"serious": f.serious, "check": f.check, "message": f.message} for f in result.findings],
         "notes": [*_segments(result), *(str(note) for note in result.notes), *_in_short(result)],
@@ -119,13 +120,12 @@ def _segments(result: Reconstruction) -> list[str]:
     """What the object of a timeline does, and how well each segment meets its masks."""
     out = []
     for segment in result.segments:
-        iou = segment.get("iou")
-        met = f", IOU {iou:.2f}" if isinstance(iou, float) else ""
-        side = f" ({segment['side']} hand)" if segment.get("side") else ""
-        how = ", followed by the masks only" if segment.get("followed") else ""
-        if segment["state"] == "grasp":
-            how += f", probability right {of_segment(segment) or 'unknown'}"
-        out.append(f"{segment['state']}{side}: frames {segment['first']} to {segment['last']}{met}{how}")
+        met = "" if segment.iou is None else f", IOU {segment.iou:.2f}"
+        side = f" ({segment.side} hand)" if segment.side else ""
+        how = ", followed by the masks only" if segment.by_masks else ""
+        if segment.state == "grasp":
+            how += f", probability right {segment.probability_right or 'unknown'}"
+        out.append(f"{segment.state}{side}: frames {segment.first} to {segment.last}{met}{how}")
     return out
 
 
@@ -148,11 +148,6 @@ def _probably(result: Reconstruction) -> list[dict[str, str]]:
 def _in_short(result: Reconstruction) -> list[str]:
     """What that means, as a note."""
     return [f"probability: {RIGHT}"] * bool(meanings(result))
-
-
-def headline(evaluation: Mapping[str, Any]) -> dict[str, float]:
-    """The metrics of a result, of which the main ones are shown first; a timeline's stable contact is of its grasps."""
-    return {**evaluation["metrics"], **evaluation.get("metrics_of_grasps", {})}
 
 
 def _met(result: Reconstruction) -> list[dict[str, str]]:

@@ -10,8 +10,8 @@ import numpy as np
 from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
 from getagrip.checks.of_timeline import JUMP
 from getagrip.evaluation.metric import METRICS, Metric
+from getagrip.evaluation.results import Evaluation
 from getagrip.metrics.contact import CONTACT_DEFINITIONS
-from getagrip.probability import of_segment
 from getagrip.result import Reconstruction
 from getagrip.view.shown import View
 
@@ -20,14 +20,14 @@ SAID = {"iou": "iou, in the crop", "iou_soft": "iou_soft, in the crop"}
 """Metrics whose keys could be taken for the IOU at the top of the page."""
 
 
-def tables(view: View, evaluation: Mapping[str, Any], record: Mapping[str, Any]) -> list[dict[str, Any]]:
+def tables(view: View, evaluation: Evaluation, record: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Tables as ``parts/report.js`` reads them: a title, names of columns or none, and rows of texts."""
     result = view.result
     known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
     values = [
         [f"{SAID.get(key, key)}{where}", f"{known[key].text(value)}{unit_of(known[key])}"]
-        for of, where in (("metrics", ""), ("metrics_of_grasps", ", in grasps"))
-        for key, value in evaluation.get(of, {}).items()
+        for metrics, where in ((evaluation.metrics, ""), (evaluation.metrics_of_grasps, ", in grasps"))
+        for key, value in metrics.items()
         if key in known
     ]
     content = {
@@ -46,7 +46,7 @@ def tables(view: View, evaluation: Mapping[str, Any], record: Mapping[str, Any])
 
 def meanings(result: Reconstruction) -> dict[str, str]:
     """What its probabilities mean, at length, by where; of a timeline, that of its grasps."""
-    of_grasps = [right for right in map(of_segment, result.segments) if right is not None]
+    of_grasps = [segment.probability_right for segment in result.segments if segment.probability_right is not None]
     known = [*result.probabilities.items(), *(("in the hand", right) for right in of_grasps[:1])]
     return {f"right {where}": right.meaning for where, right in known}
 

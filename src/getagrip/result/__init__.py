@@ -3,6 +3,8 @@
 from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction
 from getagrip.result.folder import FILES, is_result, software, write_result
 from getagrip.result.reading import read_record, read_result
+from getagrip.result.segments import SegmentResult
+from getagrip.result.status import Status
 
 __all__ = [
     "FILES",
@@ -10,6 +12,8 @@ __all__ = [
     "Candidates",
     "FrameKind",
     "Reconstruction",
+    "SegmentResult",
+    "Status",
     "is_result",
     "read_record",
     "read_result",

@@ -14,6 +14,8 @@ from getagrip.finding import Finding
 from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
 from getagrip.probability import Probability
+from getagrip.result.segments import SegmentResult
+from getagrip.result.status import Status
 
 FrameKind = Literal["sampled", "fitted", "interpolated"]
 """How the pose of a frame was found: together with the other sampled ones; by its own mask, what frames share held
@@ -65,12 +67,14 @@ class Reconstruction(ArrayData):
         axis: the axis in the hand that the object turns about; None for methods without one.
         candidates: the best distinct solutions.
         energy: ``total`` and one entry per term, weighted [pixels squared of the 256-pixel crop].
-        status: how the minimisation ended, in words.
+        status: how the minimisation ended.
         ambiguous: whether another, distinct candidate explains the masks almost as well.
         seconds: time spent [s], ``total`` and one entry per stage.
+        message: the status in a sentence, with what is known of this result.
         options: the options of the method.
         seed: seed of the initial poses.
-        notes: frames left out and values that are guesses (scale, focal length), in words.
+        notes: frames left out and values that are guesses, in words.
+        assumptions: what is a guess (scale, shape, or a topic of the clip's provenance), and where it comes from.
         findings: what is unusual about the inputs and the result, the inputs first.
         checks: what each check has measured, by its name; NaN where it could not.
         signs: what is known about whether it is right, by name (``checks.signs``).
@@ -84,7 +88,7 @@ class Reconstruction(ArrayData):
         warp: what the clip's mesh was made into, where it is not the object's own, before it is scaled and posed; None
             where it is as the clip gives it.
         frame_kind: how the pose of each frame was found; by default, all frames were sampled.
-        segments: of a timeline, what the object does and what was found, as JSON values (docs/formats.md); else none.
+        segments: of a timeline, what the object does and what was found; else none.
     """
 
     clip: str
@@ -96,12 +100,14 @@ class Reconstruction(ArrayData):
     axis: Axis | None
     candidates: Candidates
     energy: dict[str, float]
-    status: str
+    status: Status
     ambiguous: bool
     seconds: dict[str, float]
+    message: str = ""
     options: dict[str, Any] = field(default_factory=dict)
     seed: int = 0
     notes: tuple[str, ...] = ()
+    assumptions: dict[str, str] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     checks: dict[str, float] = field(default_factory=dict)
     signs: dict[str, float] = field(default_factory=dict)
@@ -111,10 +117,12 @@ class Reconstruction(ArrayData):
     T_cam_other_hand: Float[ndarray, "T 4 4"] | None = None
     warp: Warp | None = None
     frame_kind: tuple[FrameKind, ...] = ()
-    segments: tuple[dict[str, Any], ...] = ()
+    segments: tuple[SegmentResult, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not self.message:
+            object.__setattr__(self, "message", self.status.sentence)
         if len(self.frames) != len(self.T_hand_obj):
             given = f"got {len(self.frames)} names"
             raise UsageError(f"Reconstruction.frames: {given}, expected {len(self.T_hand_obj)}, as many as T_hand_obj")

@@ -16,7 +16,8 @@ from getagrip.errors import legible
 from getagrip.io import arrays, code, files
 from getagrip.result.data import Reconstruction
 
-VERSION = 1
+VERSION = 2
+"""Of results that are written; older ones are read, too."""
 FILES = ("result.json", "result.npz")
 """Of a result's folder."""
 AXIS = ("axis_point", "axis_direction", "angle")
@@ -92,19 +93,20 @@ def _fields(
         "method": result.method,
         "options": result.options,
         "seed": result.seed,
-        "status": result.status,
+        "status": result.status.value,
+        "message": result.message,
         "ambiguous": result.ambiguous,
         "notes": result.notes,
-        "findings": [finding.fields() for finding in result.findings],
+        "assumptions": result.assumptions,
+        "findings": result.findings,
         "checks": result.checks,
         "signs": result.signs,
-        "probability_right": result.probability_right and result.probability_right.fields(),
-        "probability_right_in_camera": result.probability_right_in_camera
-        and result.probability_right_in_camera.fields(),
+        "probability_right": result.probability_right,
+        "probability_right_in_camera": result.probability_right_in_camera,
         "energy": result.energy,
         "metrics": metrics or {},
         "seconds": result.seconds,
-        **({"segments": result.segments} if result.segments else {}),
+        **({"segments": [segment.fields() for segment in result.segments]} if result.segments else {}),
         "software": made_by,
         "input_sha256": input_sha256,
     }

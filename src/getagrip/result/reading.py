@@ -17,9 +17,9 @@ from getagrip.io import arrays, files
 from getagrip.probability import read_probability
 from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction
 from getagrip.result.folder import AXIS, VERSION, WARP
+from getagrip.result.segments import FARTHEST, read_segments
+from getagrip.result.status import Status
 
-FARTHEST = 1e4
-"""No object is farther than this from its hand, and no hand from the camera [m]."""
 SMALLEST, LARGEST = 1e-15, 1e4
 """Scales of meshes lie between these: meshes are checked when they are read, in metres. A free scale may end near 0."""
 MOST_WARPED = 10.0
@@ -29,14 +29,21 @@ ARRAYS = (
     "candidate_T_hand_obj", "candidate_scale", "candidate_energy", *WARP,
 )  # fmt: skip
 """What ``result.npz`` holds."""
+OPTIONAL: dict[str, Any] = {
+    "ambiguous": False, "message": "", "notes": [], "assumptions": {}, "findings": [], "checks": {}, "signs": {},
+    "probability_right": None, "probability_right_in_camera": None, "segments": [],
+}  # fmt: skip
+"""Keys that ``result.json`` may lack, and what stands for them."""
 FIELDS: dict[str, tuple[type, str]] = {
     "clip": (str, "the clip's name"),
     "method": (str, "the method's name"),
     "options": (dict, "an object"),
     "seed": (int, "a whole number"),
-    "status": (str, "a text"),
+    "status": (str, "a word"),
+    "message": (str, "a text"),
     "ambiguous": (bool, "true or false"),
     "notes": (list, "a list of texts"),
+    "assumptions": (dict, "texts by topic"),
     "findings": (list, "a list of findings"),
     "checks": (dict, "numbers by name"),
     "signs": (dict, "numbers by name"),
@@ -85,12 +92,14 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
             energy=arrays.floats(path, given, "candidate_energy", (K,)),
         ),
         energy=read_checks(folder / "result.json", fields["energy"], "energy"),
-        status=fields["status"],
+        status=Status(fields["status"]),
+        message=fields["message"],
         ambiguous=fields["ambiguous"],
         seconds=read_checks(folder / "result.json", fields["seconds"], "seconds"),
         options=fields["options"],
         seed=fields["seed"],
         notes=tuple(fields["notes"]),
+        assumptions=fields["assumptions"],
         findings=read_findings(folder / "result.json", fields["findings"]),
         checks=read_checks(folder / "result.json", fields["checks"]),
         signs=read_checks(folder / "result.json", fields["signs"], "signs"),
@@ -101,7 +110,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
         T_cam_hand=_rigid(path, given, "T_cam_hand", (T, 4, 4)) if "T_cam_hand" in given else None,
         T_cam_other_hand=_rigid(path, given, "T_cam_other_hand", (T, 4, 4)) if "T_cam_other_hand" in given else None,
         warp=_warp(path, given) if any(key in given for key in WARP) else None,
-        segments=_segments(folder / "result.json", fields["segments"]),
+        segments=read_segments(folder / "result.json", fields["segments"]),
     )
     return result, fields
 
@@ -113,24 +122,21 @@ def read_record(folder: str | Path) -> dict[str, Any]:
         raise InputError(folder, "", "no such folder", "the folder of a result")
     path = files.inside(folder, "result.json", "", "the record of a result")
     fields = files.read_json(path)
-    if fields.get("version") != VERSION:
-        raise InputError(path, "version", files.shown(fields.get("version")), str(VERSION))
-    fields.setdefault("ambiguous", False)
-    fields.setdefault("notes", [])
-    fields.setdefault("findings", [])
-    fields.setdefault("checks", {})
-    fields.setdefault("signs", {})
-    fields.setdefault("probability_right", None)
-    fields.setdefault("probability_right_in_camera", None)
-    fields.setdefault("segments", [])
+    version = fields.get("version")
+    if type(version) is not int or not 1 <= version <= VERSION:
+        raise InputError(path, "version", files.shown(version), f"1 to {VERSION}")
+    fields = OPTIONAL | fields
     for key, (kind, expected) in FIELDS.items():
         if key not in fields:
             raise InputError(path, key, "no such key", expected)
         if not isinstance(fields[key], kind):
             raise InputError(path, key, files.shown(fields[key]), expected)
-    for n, note in enumerate(fields["notes"]):
-        if not isinstance(note, str):
-            raise InputError(path, f"notes[{n}]", files.shown(note), "a text")
+    _check_texts(path, {f"notes[{n}]": note for n, note in enumerate(fields["notes"])})
+    if version == 1:
+        fields |= _of_version_1(fields)
+    if fields["status"] not in (status.value for status in Status):
+        raise InputError(path, "status", files.shown(fields["status"]), ", ".join(status.value for status in Status))
+    _check_texts(path, {f"assumptions.{files.plain(topic)}": text for topic, text in fields["assumptions"].items()})
     for key in ("energy", "metrics", "seconds"):
         read_checks(path, fields[key], key)
     if not files.is_plain_name(fields["clip"]):
@@ -138,41 +144,18 @@ def read_record(folder: str | Path) -> dict[str, Any]:
     return fields
 
 
-def _segments(path: Path, given: list[Any]) -> tuple[dict[str, Any], ...]:
-    """What a timeline's result says of its segments: each an object with a state and its frames."""
-    for n, segment in enumerate(given):
-        key = f"segments[{n}]"
-        if not isinstance(segment, dict) or not all(
-            isinstance(segment.get(k), str) for k in ("state", "first", "last")
-        ):
-            raise InputError(path, key, files.shown(segment), "an object with state, first and last")
-        if segment.get("side") not in (None, "left", "right"):
-            raise InputError(path, f"{key}.side", files.shown(segment["side"]), "left or right")
-        read_checks(path, {"iou": segment.get("iou")}, key)
-        for of_numbers in ("checks", "signs"):
-            read_checks(path, _object(path, f"{key}.{of_numbers}", segment.get(of_numbers)), f"{key}.{of_numbers}")
-        if "T_world_obj" in segment:
-            _pose(path, f"{key}.T_world_obj", segment["T_world_obj"])
-        read_probability(path, segment.get("probability_right"), f"{key}.probability_right")
-    return tuple(given)
+def _check_texts(path: Path, given: dict[str, object]) -> None:
+    """Raise ``InputError`` for a value that is no text, by its key."""
+    for key, value in given.items():
+        if not isinstance(value, str):
+            raise InputError(path, key, files.shown(value), "a text")
 
 
-def _object(path: Path, key: str, given: Any) -> dict[str, Any]:
-    """An object, empty where there is none."""
-    if given is not None and not isinstance(given, dict):
-        raise InputError(path, key, files.shown(given), "an object")
-    return given or {}
-
-
-def _pose(path: Path, key: str, given: Any) -> None:
-    """Four rows of four numbers: a rigid motion that takes nothing too far."""
-    expected = "4 rows of 4 numbers: a rotation and a translation [m]"
-    rows = [row for row in given if isinstance(row, list)] if isinstance(given, list) else []
-    numbers = [x for row in rows for x in row if isinstance(x, int | float) and not isinstance(x, bool)]
-    if [len(row) for row in rows] != [4] * 4 or len(numbers) != 16 or max(map(abs, numbers)) > FARTHEST:
-        raise InputError(path, key, files.shown(given), expected)
-    if not se3.is_rigid(np.array(numbers, dtype=float).reshape(4, 4)).all():
-        raise InputError(path, key, "a matrix that is no rigid motion", expected)
+def _of_version_1(fields: dict[str, Any]) -> dict[str, Any]:
+    """What version 1 said otherwise: a sentence for a status, and guesses among the notes."""
+    guesses = {f"note {n}": note for n, note in enumerate(fields["notes"], start=1) if "guess" in note.lower()}
+    status = Status.of_sentence(fields["status"])
+    return {"status": status.value, "message": fields["status"], "assumptions": guesses}
 
 
 def _texts(path: Path, given: dict[str, ndarray], key: str) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
+from getagrip.clip.provenance import assumed
 from getagrip.clip.segment_files import SegmentList, with_segments
 from getagrip.clip.writing import fill_folder
 from getagrip.grasps.cut import as_listed
@@ -59,7 +60,7 @@ def _write_grasp(clip: Clip, masks: Masks, found: FoundSegments, one: FoundSegme
         **clip.provenance,
         "grasp": as_listed(by, segment.first, segment.last).row(),
         "found": f"in the masks of {clip.name}, {one.margin:.0f} nats before the next best",
-        **{f"assumed {n}": note for n, note in enumerate(found.notes, start=1)},
+        **{f"assumed {n}": assumed(note) for n, note in enumerate(found.notes, start=1)},
     }
     alone = replace(by, name=folder.name, segments=(), other_hand=None, provenance=provenance)
     return _write(alone.take(rows), masks.take(rows), clip, rows, folder)

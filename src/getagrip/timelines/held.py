@@ -21,9 +21,9 @@ from getagrip.fitting.methods.all_frames import result_of, soft_energy, soft_hin
 from getagrip.fitting.motion import Hinge, Soft
 from getagrip.fitting.objective import NOTHING, plus
 from getagrip.fitting.problem import MethodResult, Problem, prepare
-from getagrip.fitting.solve import Solution, Status, evaluate, minimise
+from getagrip.fitting.solve import Solution, evaluate, minimise
 from getagrip.geometry import se3
-from getagrip.result import Axis, FrameKind
+from getagrip.result import Axis, FrameKind, Status
 from getagrip.timelines.following import Paths
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.hypotheses import Hypotheses, in_world

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from getagrip.checks import INPUT_CHECKS, LEAST_IOU, Evidence, calibration, examine
 from getagrip.checks.of_timeline import WITH_HAND, examine_timeline, name_of
 from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_masks
+from getagrip.clip.provenance import assumptions
 from getagrip.errors import GetagripError, UsageError
 from getagrip.finding import Finding
 from getagrip.fitting import reconstruct as grasp
@@ -24,7 +24,8 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.result import Candidates, Reconstruction
+from getagrip.probability import Probability
+from getagrip.result import Candidates, Reconstruction, SegmentResult, Status
 from getagrip.timelines.footage import Footage, held
 from getagrip.timelines.joint import joint
 from getagrip.timelines.motion import Motion
@@ -34,9 +35,8 @@ METHOD = "soft-hinge"
 """How objects move in the grasps of a timeline."""
 MEANING = f"{calibration.MEANING.format('hand')}; calibrated on grasps by themselves, of timelines a rough guide only"
 """Of a grasp's probability (docs/checks.md)."""
-CHOSEN = "all segments were fitted together"
 UNEXPLAINED = "failed in part: masks are hardly met (mean IOU) in the segments {}"
-"""The status of a result some of whose segments are below ``LEAST_IOU``."""
+"""The message of a result some of whose segments are below ``LEAST_IOU``."""
 
 
 def reconstruct(
@@ -97,13 +97,15 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
     moved = not np.array_equal(motion.T_cam_hand, clip.hand.T_cam_hand)
     energy, other = motion.energy
     notes = [*motion.notes, *followed(clip, footage), *footage.some.notes]
-    guess = f"the scale {scale:.3f} is a guess from the masks and the hand's size, not a measurement"
+    guesses = {"scale": grasp.SCALE_GUESSED.format(scale)} if clip.scale == "free" else {}
     mean_iou = float(np.nanmean(iou))
     hands = motion.T_cam_hand, motion.T_cam_obj, scale, iou, other_hand
     examined = examine_timeline(clip.light(), footage.masks, *hands, footage.jumps)
-    status = UNEXPLAINED.format(examined.failed) if examined.failed else CHOSEN
+    status, message = Status.JOINT, Status.JOINT.sentence
+    if examined.failed:
+        status, message = Status.PARTLY_FAILED, UNEXPLAINED.format(examined.failed)
     if mean_iou < LEAST_IOU:
-        status = grasp.UNEXPLAINED.format(mean_iou)
+        status, message = Status.MISFIT, grasp.UNEXPLAINED.format(mean_iou)
     return Reconstruction(
         clip=clip.name,
         method=METHOD,
@@ -116,20 +118,21 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
         candidates=Candidates(T_hand_obj[None], np.array([scale]), np.array([energy])),
         energy={"total": energy},
         status=status,
+        message=message,
         ambiguous=other < grasp.AMBIGUOUS * energy,
         seconds=seconds,
         options=asdict(footage.options),
         seed=footage.options.seed,
         T_cam_hand=motion.T_cam_hand if moved else None,
         T_cam_other_hand=other_hand,
-        notes=(*notes, *([guess] if clip.scale == "free" else [])),
+        notes=(*notes, *guesses.values()),
+        assumptions=assumptions(clip.provenance) | guesses,
         findings=examined.findings,
         checks=examined.checks,
         segments=tuple(
-            segment_record(clip, segment, motion, iou)
-            | evidence(clip, segment, motion, footage, examined.findings)
-            | {"checks": {name: None if np.isnan(value) else value for name, value in checks.items()}}
+            replace(segment_result(clip, segment, motion, iou), checks=checks, signs=signs, probability_right=right)
             for segment, checks in zip(clip.segments, examined.of_segments, strict=True)
+            for signs, right in [probability_of(clip, segment, motion, footage, examined.findings)]
         ),
     )
 
@@ -146,39 +149,34 @@ def followed(clip: Clip, footage: Footage) -> list[str]:
     return out
 
 
-def evidence(
+def probability_of(
     clip: Clip, segment: Segment, motion: Motion, footage: Footage, findings: Sequence[Finding]
-) -> dict[str, Any]:
-    """How probable it is that a grasp is right, None where that is not known; nothing of other segments."""
-    if segment.state != "grasp":
-        return {}
+) -> tuple[dict[str, float], Probability | None]:
+    """The signs of a grasp, and how probable it is that it is right; nothing of other segments."""
     track = motion.held.get(segment.first)
-    if track is None:
-        return {"probability_right": None}
+    if segment.state != "grasp" or track is None:
+        return {}, None
     signs, names = signs_of(footage, track), {check.name for check in INPUT_CHECKS}
     others = tuple(f"{name_of(clip, one)}: " for one in clip.segments if one is not segment)
     of_input = [one for one in findings if one.check in names and not one.message.startswith(others)]
     right = grasp.probability_right(footage.options, signs, of_input)
-    return {"signs": signs, "probability_right": right and replace(right, meaning=MEANING).fields()}
+    return dict(signs), right and replace(right, meaning=MEANING)
 
 
-def segment_record(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> dict[str, Any]:
-    """What a result says of a segment."""
-    rows = segment.rows
+def segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> SegmentResult:
+    """What was found in a segment."""
+    rows, is_grasp = segment.rows, segment.state == "grasp"
     seen = iou[rows][~np.isnan(iou[rows])]
-    out: dict[str, Any] = {
-        "state": segment.state,
-        "first": clip.frames[segment.first],
-        "last": clip.frames[segment.last],
-        "iou": float(seen.mean()) if len(seen) else None,
-    }
-    if segment.side is not None:
-        out["side"] = segment.side
-    if segment.state == "static" and clip.world is not None:
-        out["T_world_obj"] = (clip.world.T_world_cam[rows[0]] @ motion.T_cam_obj[rows[0]]).tolist()
-    axis = motion.axes.get(segment.first)
-    if segment.state == "grasp" and segment.first not in motion.held:
-        out["followed"] = True
-    if segment.state == "grasp" and axis is not None:
-        out |= {"axis_point": axis.point.tolist(), "axis_direction": axis.direction.tolist()}
-    return out
+    axis = motion.axes.get(segment.first) if is_grasp else None
+    lying = segment.state == "static" and clip.world is not None
+    return SegmentResult(
+        state=segment.state,
+        first=clip.frames[segment.first],
+        last=clip.frames[segment.last],
+        side=segment.side,
+        iou=float(seen.mean()) if len(seen) else None,
+        by_masks=is_grasp and segment.first not in motion.held,
+        T_world_obj=clip.world.T_world_cam[rows[0]] @ motion.T_cam_obj[rows[0]] if lying and clip.world else None,
+        axis_point=None if axis is None else axis.point,
+        axis_direction=None if axis is None else axis.direction,
+    )

@@ -115,7 +115,7 @@ def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y
         *view.size_in_words,
     ]
     line = figure.text(x, y - 1.25 * step, "  ·  ".join(facts), color=FAINT, fontsize=9.5, va="top")
-    figure.text(x, y - 2.0 * step, result.status, color=INK, fontsize=9.5, va="top")
+    figure.text(x, y - 2.0 * step, result.message, color=INK, fontsize=9.5, va="top")
 
     numbers = [("IOU", f"{100 * result.mean_iou:.1f} %")]
     if known := result.probabilities:

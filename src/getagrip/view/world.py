@@ -202,7 +202,7 @@ def segment_bar(view: View, n: int, size: tuple[int, int]) -> UInt8[ndarray, "H 
 def called(view: View, segment: Segment) -> tuple[str, ...]:
     """What a segment is called, and what else where there is less room."""
     words = segment.state if segment.side is None else f"{segment.state}, {segment.side} hand"
-    followed = {record["first"] for record in view.result.segments if record.get("followed")}
+    followed = {segment.first for segment in view.result.segments if segment.by_masks}
     by_masks = view.clip.frames[segment.first] in followed
     return (f"{words}, by masks only",) if by_masks else (words, segment.state)
 

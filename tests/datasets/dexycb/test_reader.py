@@ -50,7 +50,7 @@ def test_a_stable_grasp_becomes_a_clip(own):
     assert np.degrees(turn).max() < 2.0
     assert clip.provenance["subject"] == SUBJECT
     assert "CC BY-NC 4.0" in clip.provenance["licence"]
-    assert "fitted" in clip.provenance["hands"]
+    assert "fitted" in str(clip.provenance["hands"])
     assert clip.provenance["camera"] == SERIALS[0]
     np.testing.assert_allclose(clip.times, np.arange(TAKEN, LOST) / 30.0)
     assert clip.world is None  # no extrinsics are there

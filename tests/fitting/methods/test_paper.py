@@ -16,8 +16,8 @@ from getagrip.fitting.motion import Fixed
 from getagrip.fitting.options import Departures, Options
 from getagrip.fitting.problem import Problem, prepare
 from getagrip.fitting.reconstruct import reconstruct
-from getagrip.fitting.solve import Status
 from getagrip.geometry.mesh import Mesh
+from getagrip.result import Status
 from helpers.clips import small_clip
 
 NAMES = [field.name for field in fields(Departures)]
@@ -96,7 +96,7 @@ def test_the_iou_by_which_is_chosen_is_the_metrics(monkeypatch: pytest.MonkeyPat
     T = result.T_hand_obj[0]
     motion = Fixed(T[None, :3, :3], (T[:3, :3] @ clip.mesh.centre + T[:3, 3])[None], np.zeros(1), len(clip))
     still = replace(result, T_hand_obj=np.tile(T, (len(clip), 1, 1)))
-    measured = evaluate(still, clip, masks, wanted=[IOU])["metrics"]["iou"]
+    measured = evaluate(still, clip, masks, wanted=[IOU]).metrics["iou"]
     assert paper.crop_iou(problem, motion)[0] == pytest.approx(measured, abs=0.01)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
+from getagrip.clip.provenance import estimated
 from getagrip.hands.trackers.choosing import one_each
 from getagrip.hands.trackers.estimates import Estimate, Parameters, Request
 from helpers.estimator_files import SIZE, K
@@ -19,7 +20,7 @@ HELD, OTHER = [np.stack([x + 0.01 * np.arange(6), np.zeros(6), np.full(6, z)], 1
 
 
 def hand(frame: int, at: ndarray) -> Estimate:
-    return Estimate(Path("x"), frame, "", None, SHAPE + at)
+    return Estimate(Path("x"), frame, estimated(""), None, SHAPE + at)
 
 
 def request(masks: tuple[Path | None, ...] = ()) -> Request:
@@ -30,7 +31,9 @@ def chosen(hands: list[Estimate], masks: tuple[Path | None, ...] = ()) -> tuple[
     """Where the chosen hands are, and how they were."""
     found, how = one_each(hands, request(masks))
     assert [each.frame for each in found] == sorted({each.frame for each in hands})
-    return np.array([each.joints.mean(axis=0) - SHAPE.mean(axis=0) for each in found if each.joints is not None]), how
+    return np.array([each.joints.mean(axis=0) - SHAPE.mean(axis=0) for each in found if each.joints is not None]), str(
+        how or ""
+    )
 
 
 def test_one_hand_in_each_frame_is_no_choice() -> None:
@@ -76,7 +79,7 @@ def test_the_hands_mask_tells_first(tmp_path: Path) -> None:
 
 def test_hands_without_joints_are_placed_by_their_pose() -> None:
     def of_mano(frame: int, at: ndarray) -> Estimate:
-        return Estimate(Path("x"), frame, "", Parameters(np.eye(3), np.zeros(45), np.zeros(10), at))
+        return Estimate(Path("x"), frame, estimated(""), Parameters(np.eye(3), np.zeros(45), np.zeros(10), at))
 
     hands = [of_mano(0, HELD[0]), of_mano(1, OTHER[1]), of_mano(1, HELD[1])]
     found, _ = one_each(hands, request())

@@ -23,7 +23,7 @@ def test_quoted_texts_hold_no_tags_and_no_markup(text: str) -> None:
 
 def test_the_summary_says_what_is_known_and_quotes_it() -> None:
     it = column()
-    result = replace(it.view.result, status="<img src=x onerror=alert(1)>", notes=("the *scale* is a guess",))
+    result = replace(it.view.result, message="<img src=x onerror=alert(1)>", notes=("the *scale* is a guess",))
     result = replace(result, probability_right=Probability(0.93, "within <10> %"))
     result = replace(result, probability_right_in_camera=Probability(0.97, "camera"))
     it = replace(it, view=replace(it.view, result=result))

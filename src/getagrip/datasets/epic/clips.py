@@ -15,6 +15,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Segment, World
 from getagrip.clip.plausible import check_intrinsics
+from getagrip.clip.provenance import Provenance, Source, assumed, estimated, from_arrays, measured, of_provenance
 from getagrip.clip.reading import read_hand
 from getagrip.clip.timeline import at_frames
 from getagrip.clip.writing import without_hand
@@ -57,6 +58,8 @@ class HandFile:
     """EPIC's frame numbers, where the file has them (``frames``); else its hands are those of the clip's frames."""
     K: Float[ndarray, "3 3"] | None
     """The camera that the estimator took, in pixels of 854 x 480, where the file has it (``K``)."""
+    camera: Source
+    """Where ``K`` comes from."""
 
     def has(self, number: int) -> bool:
         """Whether a frame has a hand."""
@@ -78,8 +81,8 @@ class EpicCamera:
 
     K: Float[ndarray, "3 3"]
     """In pixels of 854 x 480."""
-    source: str
-    """Where it comes from, in words."""
+    source: Source
+    """Where it comes from."""
     T_world_cam: Mapping[int, Float[ndarray, "4 4"]] | None = None
     """Where it was, by EPIC's frame numbers, in a world in metres whose z points up; None where nobody knows."""
 
@@ -164,7 +167,7 @@ def clip(
     spans = [(s.first, s.last) for s in segments] or [(grasp.start, grasp.end)]
     chosen = sorted({number for span in spans for number in _chosen(valid, masked, span)})
     if hands is not None and hands.K is not None:
-        camera = replace(camera, K=hands.K, source="the hand file's")
+        camera = replace(camera, K=hands.K, source=hands.camera)
     names = tuple(f"{number:010d}" for number in chosen)
     at_chosen = [span for s in segments for span in at_frames([s], np.array(chosen))]
     made = Clip(
@@ -218,9 +221,9 @@ def _provenance(
     hands: HandFile | None,
     has_mapping: bool,
     segments: Sequence[Segment],
-) -> dict[str, str]:
+) -> Provenance:
     dense = sum(frame.dense for frame in frames)
-    provenance = {
+    provenance: Provenance = {
         "source": f"EPIC-Grasps {grasp.example}: {grasp.video}, frames {grasp.start} to {grasp.end}",
         "subject": subject_of(grasp.video),
         "entity": grasp.entity,
@@ -242,20 +245,22 @@ def _provenance(
 
 def hand_file(path: Path) -> HandFile:
     """A hand file: a ``hand.npz`` that may have ``frames`` (N,) and ``K`` (3, 3) as well. Raises ``InputError``."""
-    given = arrays.read(path, {"frames", "K"}.__contains__)
+    given = arrays.read(path, lambda key: key in {"frames", "K"} or of_provenance(key))
     K = None
     if "K" in given:
         K = arrays.floats(path, given, "K", (3, 3))
         check_intrinsics(path, K[None], SIZE)
-    return HandFile(path, arrays.frame_numbers(path, given), K)
+    known = from_arrays(path, given).get("camera", measured("it does not say from where"))
+    camera = replace(known, text=f"the hand file's: {known}")
+    return HandFile(path, arrays.frame_numbers(path, given), K, camera)
 
 
 def pinhole(focal: float | None = None) -> EpicCamera:
     """A pinhole, its principal point in the middle; the focal length [px of 854 x 480] is guessed for want of one."""
     f = GUESSED_FOCAL * SIZE[0] if focal is None else focal
     K = np.array([[f, 0.0, SIZE[0] / 2], [0.0, f, SIZE[1] / 2], [0.0, 0.0, 1.0]])
-    guess = f"a guess: the focal length {f:g} px, which HOMan takes for EPIC-KITCHENS"
-    return EpicCamera(K, guess) if focal is None else EpicCamera(K, "focal length as given")
+    guess = assumed(f"a guess: the focal length {f:g} px, which HOMan takes for EPIC-KITCHENS")
+    return EpicCamera(K, guess if focal is None else measured("focal length as given"))
 
 
 def read_camera(path: Path) -> EpicCamera:
@@ -276,7 +281,7 @@ def read_camera(path: Path) -> EpicCamera:
     K = np.diag([focal[0] * SIZE[0] / size[0], focal[1] * SIZE[1] / size[1], 1.0])
     K[:2, 2] = np.array(SIZE) / 2
     check_intrinsics(path, K[None], SIZE)
-    return EpicCamera(K, "EPIC-Fields, its distortion left out")
+    return EpicCamera(K, estimated("EPIC-Fields, its distortion left out"))
 
 
 def category_mesh(category: str, folder: Path | None) -> tuple[Mesh, str]:

@@ -15,6 +15,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from getagrip.clip import Clip, Masks, Segment
+from getagrip.clip.provenance import is_assumed
 from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
 from getagrip.datasets.epic import clips, fields, visor
 from getagrip.datasets.epic.images import Frames, Images, Video
@@ -116,10 +117,9 @@ class EpicGrasps(Dataset):
 
     def advice(self, made: Sequence[Mapping[str, object]], handless: int) -> Iterator[str]:
         """How to come by what is guessed or missing."""
-        guess = clips.pinhole().source
-        guessed = sum(provenance["camera"] == guess for provenance in made)
+        guessed = [provenance["camera"] for provenance in made if is_assumed(provenance["camera"])]
         if guessed:
-            yield f"the camera of {counted(guessed, 'clip')} is {guess}; name --cameras or --focal"
+            yield f"the camera of {counted(len(guessed), 'clip')} is {guessed[0]}; name --cameras or --focal"
         if handless:
             lacking = counted(handless, "clip lacks its", "clips lack their")
             yield (
@@ -181,7 +181,8 @@ class VideoGrasps:
             return camera
         scale, T_metric_world = fields.metric(self.options.metric / f"{self.name}.json")
         T_world_cam = fields.cameras(path, scale, T_metric_world, wanted)
-        return replace(camera, source=f"{camera.source}; its world made metric", T_world_cam=T_world_cam)
+        source = replace(camera.source, text=f"{camera.source}; its world made metric")
+        return replace(camera, source=source, T_world_cam=T_world_cam)
 
 
 @dataclass(frozen=True)

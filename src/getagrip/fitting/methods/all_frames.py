@@ -184,4 +184,4 @@ def result_of(found: Solution[M], hinge: Hinge | None = None, energy_of: EnergyO
         motion = replace(motion, core=best) if isinstance(motion, Soft) else best
     terms = {name: float(value[0]) for name, value in found.terms.items()}
     own = motion if energy_of else None
-    return MethodResult(found.motion.poses(), found.energy, terms, found.status[0].value, axis, own, energy_of)
+    return MethodResult(found.motion.poses(), found.energy, terms, found.status[0], axis, own, energy_of)

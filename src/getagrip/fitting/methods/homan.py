@@ -21,8 +21,9 @@ from getagrip.fitting.motion import Fixed, Free, PosesInHand
 from getagrip.fitting.objective import mask_of
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.search import suppress_duplicates
-from getagrip.fitting.solve import Status, minimise
+from getagrip.fitting.solve import minimise
 from getagrip.geometry import camera
+from getagrip.result import Status
 
 LEVEL = 64
 """Resolution of the object's fit alone [px]."""
@@ -42,17 +43,17 @@ def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
     tracks, loss = object_tracks(problem)
     chosen = suppress_duplicates(tracks.poses(), loss, problem.surface, TRACKS)
     if not len(chosen):
-        raise GetagripError(str(Status.INVISIBLE))
+        raise GetagripError(Status.INVISIBLE.sentence)
     on_stage("coarse")
     refined = [homan_refine.refine(problem, tracks.take(chosen[k : k + 1])) for k in range(len(chosen))]
     energy = np.array([r.energy for r in refined])
     poses = reduce(PosesInHand.concatenate, [r.bodies.in_hand() for r in refined])
     best = suppress_duplicates(poses, energy, problem.surface, TRACKS)
     if not len(best):
-        raise GetagripError(str(Status.INVISIBLE))
+        raise GetagripError(Status.INVISIBLE.sentence)
     on_stage("finest")
     first = refined[best[0]]
-    return MethodResult(poses.take(best), energy[best], first.terms, first.status.value)
+    return MethodResult(poses.take(best), energy[best], first.terms, first.status)
 
 
 def object_tracks(problem: Problem) -> tuple[Free, Float[ndarray, "B"]]:

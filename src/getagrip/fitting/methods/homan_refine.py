@@ -22,9 +22,10 @@ from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.fitting.motion import Free, PosesInHand
 from getagrip.fitting.objective import contact_of, mask_of
 from getagrip.fitting.problem import Problem
-from getagrip.fitting.solve import FLOOR, STATUS, Status
+from getagrip.fitting.solve import FLOOR, STATUS
 from getagrip.geometry import camera, se3
 from getagrip.least_squares import arrow_step, damped
+from getagrip.result import Status
 
 STAGES = ((128, 15), (256, 15))
 """Resolution [px] and iterations of each stage."""

@@ -39,8 +39,9 @@ from getagrip.fitting.objective import CONTACTS, contact_weights, mask_of, plus,
 from getagrip.fitting.observation import CROP
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.search import suppress_duplicates
-from getagrip.fitting.solve import Solution, Status, in_camera
+from getagrip.fitting.solve import Solution, in_camera
 from getagrip.kernels.silhouette import silhouettes
+from getagrip.result import Status
 
 M = TypeVar("M", bound=Motion)
 
@@ -159,7 +160,7 @@ def chosen(problem: Problem, found: Solution[M]) -> Solution[M]:
         score = np.where(np.isfinite(score), -crop_iou(problem, found.motion), np.inf)
     best = suppress_duplicates(found.motion.poses(), score, problem.surface, KEEP)
     if not len(best):
-        raise GetagripError(str(Status.INVISIBLE))
+        raise GetagripError(Status.INVISIBLE.sentence)
     return found.take(best)
 
 

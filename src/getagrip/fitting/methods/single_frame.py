@@ -18,8 +18,9 @@ from getagrip.fitting.objective import energy_of
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.schedule import ALL, Schedule, Stage
 from getagrip.fitting.search import Search
-from getagrip.fitting.solve import Solution, Status, minimise
+from getagrip.fitting.solve import Solution, minimise
 from getagrip.geometry import se3
+from getagrip.result import Status
 
 SCHEDULE = Schedule(
     static_iterations=8,
@@ -57,7 +58,7 @@ def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
         poses=PosesInHand(R[None], centre[None], held[0].scale[:1]),
         energy=np.array([sum(found.energy[0] for found in best)]),
         terms={name: float(sum(found.terms[name][0] for found in best)) for name in best[0].terms},
-        status=next(s for s in WORST if s in status).value,
+        status=next(s for s in WORST if s in status),
     )
 
 
@@ -93,6 +94,6 @@ def _at_one_scale(problem: Problem, best: list[Solution[Fixed]], energy: Energy)
         again.append(minimise(start, energy(REFIT_LEVEL, np.array([n])), T[None], REFIT_ITERATIONS))
         if again[-1].status[0] == Status.INVISIBLE:
             raise GetagripError(
-                f"frame {problem.clip.frames[n]}, at the median of all frames' scales: {Status.INVISIBLE}"
+                f"frame {problem.clip.frames[n]}, at the median of all frames' scales: {Status.INVISIBLE.sentence}"
             )
     return again

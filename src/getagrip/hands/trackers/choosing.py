@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.clip.provenance import Source, assumed
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
@@ -26,15 +27,15 @@ COVERED = 0.1
 """So much more of a hand [its points] is in the mask than of any other, where the mask tells which it is."""
 
 
-def one_each(hands: Sequence[Estimate], request: Request) -> tuple[list[Estimate], str]:
-    """One hand in each frame, in the order of frames; and in words how it was chosen, empty where nothing was."""
+def one_each(hands: Sequence[Estimate], request: Request) -> tuple[list[Estimate], Source | None]:
+    """One hand in each frame, in the order of frames; and how it was chosen, None where nothing was."""
     found: dict[int, list[Estimate]] = {}
     for hand in hands:
         found.setdefault(hand.frame, []).append(hand)
     frames = sorted(found)
     several = [frame for frame in frames if len(found[frame]) > 1]
     if not several:
-        return [found[frame][0] for frame in frames], ""
+        return [found[frame][0] for frame in frames], None
     seen = {frame: [_seen(hand, request) for hand in found[frame]] for frame in frames}
     known = {frame: 0 for frame in frames if len(found[frame]) == 1}
     by_mask = {frame: row for frame in several if (row := _in_mask(seen[frame], frame, request)) is not None}
@@ -49,7 +50,7 @@ def one_each(hands: Sequence[Estimate], request: Request) -> tuple[list[Estimate
         known = _followed(seen, known)
         ways.append(f"{near} in {len(several) - len(by_mask)}")
     chosen = f"several {request.side} hands in {len(several)} of {len(frames)} frames, one taken as a guess"
-    return [found[frame][known[frame]] for frame in frames], f"{chosen}: {', '.join(ways)}"
+    return [found[frame][known[frame]] for frame in frames], assumed(f"{chosen}: {', '.join(ways)}")
 
 
 def _followed(seen: dict[int, list[Float[ndarray, "N 2"]]], known: dict[int, int]) -> dict[int, int]:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.numbering import check_numbers
+from getagrip.clip.provenance import Source
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import MIRROR, Side
@@ -86,7 +87,7 @@ class Estimate(NamedTuple):
     Attributes:
         path: the file that holds it.
         frame: index of the frame among those of the ``Request``.
-        depth: where its depth comes from, in words.
+        depth: where its depth comes from.
         mano: MANO's parameters; None where the tracker gives joints only.
         joints: (21, 3) the 21 joints, where the estimator gives them, before the clip's camera [m]; this package's
             order.
@@ -96,7 +97,7 @@ class Estimate(NamedTuple):
 
     path: Path
     frame: int
-    depth: str
+    depth: Source
     mano: Parameters | None
     joints: Float[ndarray, "21 3"] | None = None
     vertices: Float[ndarray, "778 3"] | None = None

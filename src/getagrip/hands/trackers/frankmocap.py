@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from getagrip.clip.provenance import estimated
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side, mirrored_pose
@@ -97,4 +98,4 @@ def estimate(path: Path, frame: int, record: Record, camera: Camera, mean: Float
     t = weak.before(camera)
     parameters = Parameters(se3.exp_so3(pose[:3]), pose[3:] + mean, np.zeros(10), t)
     depth = "weak perspective (pred_camera, bbox_top_left, bbox_scale_ratio) and the clip's focal length"
-    return Estimate(path, frame, depth, parameters, vertices=vertices + t)
+    return Estimate(path, frame, estimated(depth), parameters, vertices=vertices + t)

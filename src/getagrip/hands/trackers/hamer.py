@@ -32,6 +32,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import arg
 
+from getagrip.clip.provenance import Basis, Source
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import MIRROR, Side
@@ -149,23 +150,24 @@ def estimate(path: Path, frame: int, record: Record, request: Request) -> Estima
     return Estimate(path, frame, depth, Parameters(R, pose, betas, t), None if joints is None else joints + t)
 
 
-def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakPerspective, str]:
-    """What the network saw, in the pixels of the clip's images, and where its depth comes from, in words."""
+def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakPerspective, Source]:
+    """What the network saw, in the pixels of the clip's images, and where its depth comes from."""
     size, swapped = _size(path, record, camera)
+    basis: Basis = "assumed" if swapped else "estimated"
     zoom = np.array(camera.size) / size
     if "pred_cam_t_full" in record:
         t = numbers(path, record, "pred_cam_t_full", (3,))
         if not t[2] > 0:
             raise InputError(path, "pred_cam_t_full", f"the depth {t[2]:g}", "above 0")
         focal = hamer_focal((int(size[0]), int(size[1])))
-        assumed = "5000 / 256 times the larger side, as the demo assumes, to be divided out again: no focal in the file"
+        known = "5000 / 256 times the larger side, as the demo assumes, to be divided out again: no focal in the file"
         if "scaled_focal_length" in record:
             focal = float(numbers(path, record, "scaled_focal_length", ()))
-            assumed = f"the file's focal length, {focal:.6g} px, divided out"
+            known = f"the file's focal length, {focal:.6g} px, divided out"
         if not focal > 0:
             raise InputError(path, "scaled_focal_length", f"{focal:g}", "above 0")
         weak = WeakPerspective.of_translation(t, focal, size / 2.0)
-        return weak.resized(zoom), f"pred_cam_t_full, {assumed}, and the clip's put in{swapped}"
+        return weak.resized(zoom), Source(f"pred_cam_t_full, {known}, and the clip's put in{swapped}", basis)
     cam = numbers(path, record, "pred_cam", (3,))
     if "box_center" in record:
         centre, side = numbers(path, record, "box_center", (2,)), float(numbers(path, record, "box_size", ()))
@@ -177,7 +179,8 @@ def _weak_perspective(path: Path, record: Record, camera: Camera) -> tuple[WeakP
     if not side > 0:
         raise InputError(path, source, f"a box {side:g} px large", "a box with an area")
     weak = WeakPerspective.of_crop(centre, side, cam)
-    return weak.resized(zoom), f"weak perspective (pred_cam, {source}) and the clip's focal length{swapped}"
+    depth = f"weak perspective (pred_cam, {source}) and the clip's focal length{swapped}"
+    return weak.resized(zoom), Source(depth, basis)
 
 
 def _size(path: Path, record: Record, camera: Camera) -> tuple[Float[ndarray, "2"], str]:

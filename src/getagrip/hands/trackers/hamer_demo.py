@@ -20,6 +20,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.naming import frame_of
+from getagrip.clip.provenance import estimated
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.obj import parse_obj
 from getagrip.hands.model import MIRROR, Side
@@ -38,7 +39,9 @@ WRIST_FACE = (92, 38, 234)
 ROOT = np.array([0.0957, 0.0064, 0.0062])
 """MANO's wrist joint in the mean right hand [m]."""
 MOST_BYTES = 4 * 2**20
-DEPTH = "the demo's mesh or joints, its focal length (5000 / 256 times the larger side) divided out, the clip's put in"
+DEPTH = estimated(
+    "the demo's mesh or joints, its focal length (5000 / 256 times the larger side) divided out, the clip's put in"
+)
 
 
 @dataclass

@@ -19,6 +19,7 @@ from tyro.conf import arg
 
 from getagrip.clip.naming import frame_of
 from getagrip.clip.numbering import counted_elsewhere
+from getagrip.clip.provenance import estimated
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.trackers import records
@@ -95,4 +96,4 @@ def estimate(path: Path, frame: int, record: Record, camera: Camera, focal: floa
     weak = WeakPerspective.of_translation(t, focal, np.array(camera.size) / 2.0)
     depth = f"HaWoR's translation, its focal length {focal:.6g} px divided out and the clip's put in"
     betas = numbers(path, record, "init_betas", (10,))
-    return Estimate(path, frame, depth, Parameters(R, pose, betas, weak.before(camera)))
+    return Estimate(path, frame, estimated(depth), Parameters(R, pose, betas, weak.before(camera)))

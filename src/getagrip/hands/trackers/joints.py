@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
+from getagrip.clip.provenance import assumed
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.trackers import records
@@ -20,7 +21,7 @@ from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
 from getagrip.io import files
 from getagrip.io.arguments import one_of
 
-DEPTH = "joints before the camera, as the file has them; that it was the clip's camera is a guess"
+DEPTH = assumed("joints before the camera, as the file has them; that it was the clip's camera is a guess")
 
 
 @dataclass(frozen=True)

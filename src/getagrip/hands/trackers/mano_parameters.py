@@ -17,6 +17,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import arg
 
+from getagrip.clip.provenance import assumed
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.hands.mano import Mano
@@ -29,7 +30,7 @@ from getagrip.io.arguments import one_of
 
 Encoding = Literal["axis-angle", "pca", "matrix"]
 Mean = Literal["flat", "mean"]
-DEPTH = "transl, as the file has it; that the file was made with the clip's focal length is a guess"
+DEPTH = assumed("transl, as the file has it; that the file was made with the clip's focal length is a guess")
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 
 from getagrip.clip import HandTrack
 from getagrip.clip.plausible import check_in_hand, check_poses
+from getagrip.clip.provenance import Provenance, assumed, estimated, joined
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.trackers.choosing import one_each
@@ -32,7 +33,7 @@ class Hands:
     track: HandTrack
     found: tuple[int, ...]
     """These frames, rising, as indices into those of the ``Request``."""
-    provenance: dict[str, str]
+    provenance: Provenance
     doubts: tuple[str, ...] = ()
     """What may be wrong with it, in words."""
 
@@ -49,9 +50,8 @@ class Hands:
         nearest = np.searchsorted(self.found, np.clip(rows, first, last))
         where = " and ".join(f"{frames[end[0]]} to {frames[end[-1]]}" for end in ends)
         guess = f"a guess in the frames {where}, which have none: the hand of the nearest frame that has one"
-        return replace(
-            self, track=self.track.take(nearest), found=tuple(rows), provenance=self.provenance | {HELD: guess}
-        )
+        known = self.provenance | {HELD: assumed(guess)}
+        return replace(self, track=self.track.take(nearest), found=tuple(rows), provenance=known)
 
 
 def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
@@ -67,7 +67,7 @@ def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
         given = f"no {request.side} hand in the clip's frames, in {len(paths)} files"
         raise InputError(paths[0], "", given, f"one; or is it the {other} hand that holds the object?")
     hands, chosen = one_each(estimates.hands, request)
-    depths = "; ".join(dict.fromkeys(hand.depth for hand in hands))
+    depths = joined(hand.depth for hand in hands)
     estimates = replace(estimates, hands=tuple(hands))
     made, what = track(estimates, request.mano)
     first = estimates.hands[0]
@@ -75,10 +75,10 @@ def read(paths: Sequence[Path], tracker: Tracker, request: Request) -> Hands:
         check_in_hand(first.path, "betas", made.vertices, "a hand")
         check_poses(first.path, "T_cam_hand", made.T_cam_hand, made.vertices.mean(axis=1), "the hand")
     size = "MANO's shape parameters, as estimated" if request.mano else "the estimator's joints, or the mean hand"
-    provenance = {
-        "hands": f"{tracker.name}: {what}",
+    provenance: Provenance = {
+        "hands": estimated(f"{tracker.name}: {what}"),
         "hands_focal": depths,
-        "hands_scale": estimates.scale or f"{size}; {ONE_CAMERA}",
+        "hands_scale": estimated(estimates.scale or f"{size}; {ONE_CAMERA}"),
     }
     if chosen:
         provenance[CHOSEN] = chosen

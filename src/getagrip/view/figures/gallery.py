@@ -116,11 +116,11 @@ class Gallery(Kind):
         if metric is IOU and view.masks is None:
             raise InputError(view.clip.origin / "masks", "", "no masks", f"some, for --by {self.by}")
         made, key = evaluate(view.result, view.clip, view.masks, [CONTACT], [metric]), metric.key(CONTACT)
-        value = float(made["metrics"].get(key, np.nan))
+        value = float(made.metrics.get(key, np.nan))
         if np.isnan(value):
             raise InputError(given.folder, "", f"a result without {self.by}", "one that has it: two frames or more")
-        errors = np.array(made["per_frame"].get(key, view.result.iou), dtype=float)
-        if key not in made["per_frame"] or metric.unit == "%":  # more is better
+        errors = np.array(made.per_frame.get(key, view.result.iou), dtype=float)
+        if key not in made.per_frame or metric.unit == "%":  # more is better
             errors = -errors
         return _Scored(given, value, int(np.nanargmax(errors)) if not np.isnan(errors).all() else 0)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 from tyro.conf import arg
 
+from getagrip.clip.provenance import assumptions
 from getagrip.errors import GetagripError, UsageError
 from getagrip.evaluation import read_evaluated
 from getagrip.fitting.methods import method_of
@@ -109,7 +110,7 @@ def about(view: View) -> list[str]:
 
 def guesses(view: View) -> list[str]:
     """What is a guess, in words; nothing where nothing is."""
-    keys = [key for key, text in view.clip.provenance.items() if "guess" in str(text).lower()]
+    keys = list(assumptions(view.clip.provenance))
     known = ["scale"] * (view.clip.scale == "free") + ["shape"] * (view.result.warp is not None) + keys
     return [f"guessed: {', '.join(known)}"] if known else []
 

@@ -41,7 +41,7 @@ class Row:
 def numbers(view: View, contact: ContactDefinition) -> list[str]:
     """Crop IOU and stable contact area; where ground truth is known, ADD, also up to symmetries; how many findings."""
     shown = {"crop IOU": IOU, "SCA": SCA, "ADD": ADD_MM, "ADD sym.": ADD_SYM_MM}
-    known = evaluate(view.result, view.clip, view.masks, [contact], tuple(shown.values()))["metrics"]
+    known = evaluate(view.result, view.clip, view.masks, [contact], tuple(shown.values())).metrics
     texts = []
     for name, metric in shown.items():
         if (key := metric.key(contact)) in known:

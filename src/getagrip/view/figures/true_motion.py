@@ -12,7 +12,7 @@ from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.grasps.approximation import pose_hinge
 from getagrip.grasps.study import object_in_hand
-from getagrip.result import Axis, Candidates, Reconstruction
+from getagrip.result import Axis, Candidates, Reconstruction, Status
 from getagrip.view.shown import View
 
 
@@ -38,7 +38,7 @@ def true_view(folder: Path) -> View:
         axis=Axis(hinge.point, hinge.direction, np.unwrap(hinge.angles(R, centre))),
         candidates=Candidates(T_hand_obj[None], np.array([truth.scale]), np.zeros(1)),
         energy={},
-        status="",
+        status=Status.GIVEN,
         ambiguous=False,
         seconds={},
     )

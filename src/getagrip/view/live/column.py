@@ -13,7 +13,7 @@ from getagrip.fitting.methods import METHODS
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import diameter
 from getagrip.grasps.approximation import pose_hinge
-from getagrip.result import Axis, Candidates, Reconstruction
+from getagrip.result import Axis, Candidates, Reconstruction, Status
 from getagrip.view.shown import View
 from getagrip.view.tiles import axis_points
 
@@ -44,7 +44,7 @@ class Column:
         one = Candidates(T_hand_obj=still[None], scale=np.ones(1), energy=np.zeros(1))
         nothing = Reconstruction(
             clip=clip.name, method="", frames=clip.frames, T_hand_obj=still, scale=1.0, iou=np.full(T, np.nan),
-            axis=None, candidates=one, energy={}, status="", ambiguous=False, seconds={},
+            axis=None, candidates=one, energy={}, status=Status.GIVEN, ambiguous=False, seconds={},
         )  # fmt: skip
         view = View(clip.light(), masks, nothing)
         true = view.true()

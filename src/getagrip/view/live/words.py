@@ -34,7 +34,7 @@ def about_result(column: Column) -> str:
     if not column.is_result:
         return quoted(column.name) if column.posed else ""
     overlap = "" if np.isnan(result.mean_iou) else f", mean IOU {100 * result.mean_iou:.1f} %"
-    lines = [f"**{quoted(column.name)}**{overlap}", quoted(result.status)]
+    lines = [f"**{quoted(column.name)}**{overlap}", quoted(result.message)]
     lines += [f"probability right {where}: {right}" for where, right in result.probabilities.items()]
     lines += [RIGHT] * bool(result.probabilities)
     if result.ambiguous:

@@ -1,0 +1,121 @@
+"""Where the data of a clip comes from, and how far it can be relied on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.io import files
+
+Basis = Literal["measured", "estimated", "assumed"]
+"""Taken from a sensor or the ground truth, or stated by the user; found by an algorithm; a guess for want of either."""
+TYPED = 4
+"""The version of ``clip.json`` from which on sources have a basis; before, a guess said so in its text."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where something comes from, in words, and its basis."""
+
+    text: str
+    basis: Basis = "measured"
+
+    def __str__(self) -> str:
+        return self.text
+
+
+TEXT, BASIS = "provenance_", "basis_"
+"""Names of arrays in a hand file begin with these."""
+
+Provenance = dict[str, Any]
+"""By topic (``camera``, ``scale``, ``hands``): ``Source``, or what else is known of it, as a JSON value."""
+
+
+def measured(text: str) -> Source:
+    """The source of what a sensor, the ground truth or the user says."""
+    return Source(text)
+
+
+def assumed(text: str) -> Source:
+    """The source of a guess."""
+    return Source(text, "assumed")
+
+
+def estimated(text: str) -> Source:
+    """The source of what an algorithm has found."""
+    return Source(text, "estimated")
+
+
+def is_assumed(source: object) -> bool:
+    """Whether a value of a provenance is a guess."""
+    return isinstance(source, Source) and source.basis == "assumed"
+
+
+def assumptions(provenance: Mapping[str, object]) -> dict[str, str]:
+    """The guesses in a provenance: their texts by topic."""
+    return {topic: str(source) for topic, source in provenance.items() if is_assumed(source)}
+
+
+def joined(sources: Iterable[Source]) -> Source:
+    """Several sources as one, as weak as the weakest of them."""
+    each = tuple(dict.fromkeys(sources))
+    weakest = max((source.basis for source in each), key=get_args(Basis).index)
+    return Source("; ".join(dict.fromkeys(source.text for source in each)), weakest)
+
+
+def warn_of(topic: str, source: object) -> str:
+    """A line that says where something comes from, marked as a warning where it is a guess."""
+    return f"{'warning: ' if is_assumed(source) else ''}{topic}: {source}"
+
+
+def as_arrays(provenance: Mapping[str, object]) -> dict[str, ndarray]:
+    """The sources, for a hand file: the text of each, and the basis of those that are not measured."""
+    texts = {f"{TEXT}{topic}": np.array(str(source)) for topic, source in provenance.items()}
+    sources = {topic: source for topic, source in provenance.items() if isinstance(source, Source)}
+    return texts | {f"{BASIS}{topic}": np.array(source.basis) for topic, source in sources.items()}
+
+
+def of_provenance(key: str) -> bool:
+    """Whether an array of a hand file is one of ``as_arrays``."""
+    return key.startswith((TEXT, BASIS))
+
+
+def from_arrays(path: Path, given: Mapping[str, ndarray]) -> dict[str, Source]:
+    """The sources in a hand file; one without a basis is an older file's. Raises ``InputError``."""
+    texts = {key: str(value) for key, value in given.items() if value.dtype.kind == "U" and value.shape == ()}
+    out = {}
+    for key, text in texts.items():
+        if not key.startswith(TEXT):
+            continue
+        topic = key.removeprefix(TEXT)
+        basis = texts.get(f"{BASIS}{topic}")
+        found = _of_old(text) if basis is None else _parsed(path, topic, {"text": text, "basis": basis}, TYPED)
+        out[topic] = found if isinstance(found, Source) else Source(text)
+    return out
+
+
+def parse(path: Path, given: Mapping[str, Any], version: int) -> Provenance:
+    """The provenance in a ``clip.json``. Raises ``InputError`` for a basis that there is not."""
+    return {topic: _parsed(path, topic, value, version) for topic, value in given.items()}
+
+
+def _parsed(path: Path, topic: str, value: Any, version: int) -> Any:
+    if version < TYPED:
+        return _of_old(value)
+    if not isinstance(value, dict) or value.keys() != {"text", "basis"}:
+        return value
+    if value["basis"] not in get_args(Basis) or not isinstance(value["text"], str):
+        expected = f'{{"text": ..., "basis": one of {", ".join(get_args(Basis))}}}'
+        raise InputError(path, f"provenance.{files.plain(topic)}", files.shown(value), expected)
+    return Source(value["text"], value["basis"])
+
+
+def _of_old(value: Any) -> Any:
+    """What an older file says: guesses were marked as such by a word."""
+    return assumed(value) if isinstance(value, str) and "guess" in value.lower() else value

@@ -1,0 +1,130 @@
+"""What a result says of one segment of a timeline."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.errors import InputError
+from getagrip.finding import read_checks
+from getagrip.geometry import se3
+from getagrip.io.array_data import ArrayData
+from getagrip.io.files import shown
+from getagrip.probability import Probability, read_probability
+
+FARTHEST = 1e4
+"""No object is farther than this from its hand, and no hand from the camera [m]."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SegmentResult(ArrayData):
+    """One segment of a timeline.
+
+    Attributes:
+        state: what the object does: ``static``, ``contact``, ``grasp`` or ``free``.
+        first: name of its first frame.
+        last: name of its last frame.
+        side: the hand that holds or touches the object; None where none does.
+        iou: mean IOU of its frames whose mask shows the object; None where there is none.
+        by_masks: whether it is a grasp that could not be solved as one, and follows the masks without an axis.
+        T_world_obj: (4, 4) the object's pose in the world frame, of a static segment [m].
+        axis_point: (3,) a point on the latent axis of a grasp, in the hand frame [m].
+        axis_direction: (3,) the axis' direction in the hand frame, of length 1.
+        signs: what is known about whether a grasp is right, by name (``checks.signs``).
+        checks: what each check has measured, by name; NaN where it could not.
+        probability_right: how probable it is that a grasp is right in the hand; None where that is not known.
+    """
+
+    state: str
+    first: str
+    last: str
+    side: str | None = None
+    iou: float | None = None
+    by_masks: bool = False
+    T_world_obj: Float[ndarray, "4 4"] | None = None
+    axis_point: Float[ndarray, "3"] | None = None
+    axis_direction: Float[ndarray, "3"] | None = None
+    signs: dict[str, float] = field(default_factory=dict)
+    checks: dict[str, float] = field(default_factory=dict)
+    probability_right: Probability | None = None
+
+    def fields(self) -> dict[str, Any]:
+        """As ``result.json`` holds it."""
+        known: dict[str, Any] = {"side": self.side, "T_world_obj": self.T_world_obj, "followed": self.by_masks or None}
+        known |= {"axis_point": self.axis_point, "axis_direction": self.axis_direction}
+        out: dict[str, Any] = {"state": self.state, "first": self.first, "last": self.last, "iou": self.iou}
+        out |= {key: value for key, value in known.items() if value is not None}
+        if self.state == "grasp":
+            out |= {"signs": self.signs, "probability_right": self.probability_right}
+        return out | {"checks": self.checks}
+
+
+def probabilities_of_grasps(segments: Sequence[SegmentResult]) -> str:
+    """How probable it is that each grasp of a timeline is right, in words; empty where there is no grasp."""
+    each = [str(segment.probability_right or "unknown") for segment in segments if segment.state == "grasp"]
+    return f"probability that its grasps are right: {', '.join(each)}" if each else ""
+
+
+def read_segments(path: Path, given: list[Any]) -> tuple[SegmentResult, ...]:
+    """The segments in a ``result.json``. Raises ``InputError``."""
+    return tuple(_read(path, f"segments[{n}]", segment) for n, segment in enumerate(given))
+
+
+def _read(path: Path, key: str, given: Any) -> SegmentResult:
+    if not isinstance(given, dict) or not all(isinstance(given.get(k), str) for k in ("state", "first", "last")):
+        raise InputError(path, key, shown(given), "an object with state, first and last")
+    if given.get("side") not in (None, "left", "right"):
+        raise InputError(path, f"{key}.side", shown(given["side"]), "left or right")
+    iou = read_checks(path, {"iou": given.get("iou")}, key)["iou"]
+    return SegmentResult(
+        state=given["state"],
+        first=given["first"],
+        last=given["last"],
+        side=given.get("side"),
+        iou=None if np.isnan(iou) else iou,
+        by_masks=given.get("followed") is True,
+        T_world_obj=_pose(path, f"{key}.T_world_obj", given["T_world_obj"]) if "T_world_obj" in given else None,
+        axis_point=_vector(path, f"{key}.axis_point", given.get("axis_point")),
+        axis_direction=_vector(path, f"{key}.axis_direction", given.get("axis_direction")),
+        signs=_numbers(path, f"{key}.signs", given.get("signs")),
+        checks=_numbers(path, f"{key}.checks", given.get("checks")),
+        probability_right=read_probability(path, given.get("probability_right"), f"{key}.probability_right"),
+    )
+
+
+def _numbers(path: Path, key: str, given: object) -> dict[str, float]:
+    """Numbers by name; none where there is no object."""
+    if given is not None and not isinstance(given, dict):
+        raise InputError(path, key, shown(given), "an object")
+    return read_checks(path, given or {}, key)
+
+
+def _floats(given: object) -> list[float]:
+    """The numbers in a list; none where it is no list."""
+    values = given if isinstance(given, list) else []
+    return [float(x) for x in values if isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= FARTHEST]
+
+
+def _vector(path: Path, key: str, given: object) -> Float[ndarray, "3"] | None:
+    """Three numbers; None for null."""
+    numbers = _floats(given)
+    if given is not None and (len(numbers) != 3 or numbers != given):
+        raise InputError(path, key, shown(given), f"3 numbers, at most {FARTHEST:g} [m]")
+    return None if given is None else np.array(numbers)
+
+
+def _pose(path: Path, key: str, given: object) -> Float[ndarray, "4 4"]:
+    """Four rows of four numbers: a rigid motion that takes nothing too far."""
+    expected = "4 rows of 4 numbers: a rotation and a translation [m]"
+    rows = [_floats(row) for row in given] if isinstance(given, list) else []
+    if [len(row) for row in rows] != [4] * 4:
+        raise InputError(path, key, shown(given), expected)
+    if not se3.is_rigid(np.array(rows)).all():
+        raise InputError(path, key, "a matrix that is no rigid motion", expected)
+    return np.array(rows)
