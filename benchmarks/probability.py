@@ -23,13 +23,13 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from benchmarks import store
+from benchmarks.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
 from benchmarks.signed_results import Row, cases, collect
 from benchmarks.store import Table
 from benchmarks.timing import circumstances
 from getagrip.batch.pool import cores
 from getagrip.checks.calibration import Calibration, Where
 from getagrip.checks.signs import SIGNS
-from getagrip.experiments.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
 from getagrip.experiments.stamp import stamp
 from getagrip.experiments.statistics import resamples
 from getagrip.fitting.options import Options

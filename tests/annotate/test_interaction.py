@@ -11,7 +11,7 @@ from uuid import uuid4
 
 import pytest
 
-from getagrip.annotate import drafts, keyframes, marks
+from getagrip.annotate import keyframes, marks, store
 from getagrip.annotate.labelled import clip_words
 from getagrip.annotate.project import Project
 from getagrip.annotate.store import APPLICATION, Store
@@ -106,7 +106,7 @@ def test_stable_grasps_alone_are_no_interaction(project: Project) -> None:
 
 def test_projects_of_older_versions_are_read(tmp_path: Path, video: Path) -> None:
     with sqlite3.connect(tmp_path / DATABASE) as old:
-        old.executescript(marks.SCHEMA + keyframes.SCHEMA + drafts.SCHEMA)
+        old.executescript(marks.SCHEMA + keyframes.SCHEMA + store.DRAFTS)
         old.execute(
             "INSERT INTO versions (change, tab, at, mark, task, annotator, start, end, side, deleted) "
             "VALUES ('a-change-', 'tab-one-', '2026', 'a-mark--', 'cup', 'ann', 3, 9, 'left', 0)"

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.annotate.tracing import traced
+from getagrip.annotate.drafting import traced
 from helpers.clicking import filled, iou
 from helpers.labelled_scene import HEIGHT, WIDTH
 

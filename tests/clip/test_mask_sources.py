@@ -17,7 +17,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from getagrip.clip.label_images import read_labels
+from getagrip.clip.label_choice import read_labels
 from getagrip.clip.mask_request import MaskRequest
 from getagrip.clip.mask_sources import open_masks
 from getagrip.commands.import_masks import write_masks

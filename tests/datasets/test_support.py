@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from getagrip.datasets.support import support_plane, world_of_plane
+from getagrip.datasets.dexycb.timelines import support_plane, world_of_plane
 from getagrip.geometry import se3
 from helpers.clips import box
 

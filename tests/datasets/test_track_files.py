@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from getagrip.datasets import cutting
 from getagrip.datasets.dataset import clips
 from getagrip.datasets.track_files import Tracks
 from getagrip.datasets.tracks import Track
@@ -73,6 +74,17 @@ def test_a_camera_that_is_given_is_taken(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_clips_are_given_the_estimated_hand_where_there_is_one(tmp_path: Path) -> None:
+    true = recording().joints["right"]
+    (track,) = read(write(tmp_path, estimated_right=true + np.array([0.0, 0.02, 0.0])))
+    clip = cutting.known_clip(track)
+    assert clip.truth is not None
+    up = (track.T_cam_obj @ se3.inverse(recording().T_world_obj))[:, :3, 1]
+    np.testing.assert_allclose(clip.hand.T_cam_hand[:, :3, 3] - clip.truth.T_cam_hand[:, :3, 3], 0.02 * up, atol=1e-4)
+    assert "estimated" in str(track.provenance["hands"])
+
+
+@pytest.mark.slow
 def test_unknown_frames_are_gaps(tmp_path: Path) -> None:
     joints, poses = recording().joints["right"].copy(), recording().T_world_obj.copy()
     joints[[3, 4]], poses[20] = np.nan, np.nan
@@ -111,6 +123,7 @@ def test_a_clip_of_the_grasp_with_masks(tmp_path: Path) -> None:
         ({"order": "mano"}, "openpose, ho3d"),
         ({"joints_right": None}, "joints"),
         ({"joints_right": np.zeros((FRAMES, 20, 3))}, "shape"),
+        ({"estimated_left": recording().joints["left"]}, "the same sides"),
         ({"joints_right": 1e3 * recording().joints["right"]}, "metre"),
         ({"joints_right": np.where(np.arange(21)[:, None] == 4, np.nan, recording().joints["right"])}, "NaN"),
         ({"T_world_obj": 2.0 * recording().T_world_obj}, "rigid"),

@@ -16,8 +16,6 @@ from fuzz.reader import Reader, mano_folder
 from getagrip.annotate import tasks
 from getagrip.clip.video import video_frames, video_info
 from getagrip.datasets.arctic import Arctic
-from getagrip.datasets.artigrasp import ArtiGrasp
-from getagrip.datasets.artigrasp_estimated import EstimatedArtiGrasp
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Dataset
 from getagrip.datasets.dexycb.reader import DexYcb
@@ -28,16 +26,13 @@ from getagrip.datasets.epic.tables import read_actions
 from getagrip.datasets.ho3d import Ho3d
 from getagrip.datasets.hoi4d import Hoi4d
 from getagrip.datasets.hot3d.reader import Hot3d
-from getagrip.datasets.taco import Taco
 from getagrip.datasets.track_files import Tracks
 from getagrip.io import arrays
 from helpers import dexycb_files, epic_files, tracks_files, visor_files
 from helpers.arctic_files import write_arctic
-from helpers.artigrasp_files import write_artigrasp, write_estimates
 from helpers.ho3d_files import write_ho3d
 from helpers.hoi4d_files import write_hoi4d, write_labels
 from helpers.hot3d_files import write_hot3d
-from helpers.taco_files import write_taco
 
 
 def tracks(dataset: Callable[[Path], TrackedDataset], write: Callable[[Path], object]) -> Reader:
@@ -168,12 +163,7 @@ def hoi4d(folder: Path, mano_files: Path) -> None:
 
 READERS: dict[str, Reader] = {
     "tracks": tracks(lambda folder: Tracks(root=folder / "one.npz"), tracks_files.write),
-    "taco": tracks(lambda folder: Taco(root=folder), write_taco),
     "arctic": tracks(lambda folder: Arctic(root=folder / "data", mano=mano_folder()), in_mano(write_arctic)),
-    "artigrasp": tracks(lambda folder: ArtiGrasp(root=folder), write_artigrasp),
-    "artigrasp estimated": tracks(
-        lambda folder: EstimatedArtiGrasp(root=folder), lambda folder: write_estimates(write_artigrasp(folder))
-    ),
     "dexycb": tracks(lambda folder: DexYcb(root=folder), dexycb_files.write_dexycb),
     "dexycb packed": tracks(lambda folder: DexYcb(root=folder / "packed", meshes=folder / "ycb"), packed_dexycb),
     "ho3d": tracks(lambda folder: Ho3d(root=folder / "HO3D", mano=mano_folder()), in_mano(write_ho3d)),

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from getagrip.geometry.rows import same_rows
+from getagrip.geometry.mesh import same_rows
 
 few = st.sampled_from([-1.5, -0.0, 0.0, 2.0])
 

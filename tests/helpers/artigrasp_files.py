@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from getagrip.datasets import artigrasp
 from getagrip.geometry import se3
 from getagrip.hands.fit import ORDERS
 from helpers.recorded_joints import FRAMES, recording, write_parts
@@ -43,7 +42,7 @@ def write_estimates(root: Path) -> Path:
     """The same with estimates: in a camera's axes, the object held still and turned by jitter, hands 10 mm nearer."""
     rsc = root / "rsc"
     poses = np.load(rsc / "arctic" / "box" / "s1" / f"{SEQUENCE}.object.npy").astype(float)
-    T = ESTIMATE_WORLD @ artigrasp.rigid(poses)
+    T = ESTIMATE_WORLD @ se3.rigid(se3.exp_so3(poses[:, 1:4]), 1e-3 * poses[:, 4:])
     turned = se3.exp_so3(np.random.default_rng(0).normal(size=(FRAMES, 3)) * 0.02) @ T[:, :3, :3]
     held = np.concatenate([poses[:, :1], se3.log_so3(turned), np.tile([0.0, 0.0, 2000.0], (FRAMES, 1))], axis=1)
     (rsc / "arctic" / "box" / "s1_recon").mkdir()

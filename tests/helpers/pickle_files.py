@@ -52,7 +52,7 @@ import json, pickle, sys
 from pathlib import Path
 import numpy as np
 from getagrip.errors import InputError
-from getagrip.hands.mano_pickle import read_pickle
+from getagrip.hands.mano import read_pickle
 
 def touch(value):
     repr(value)

@@ -172,7 +172,8 @@ def test_a_clip_needs_little() -> None:
 
 @pytest.mark.parametrize("kind", [*DATACLASSES, HandModel, PosedHand, ShapedHand])
 def test_help_shows_every_field_and_the_shape_of_every_array(kind: type) -> None:
-    described = dict(re.findall(r"^    (\w+): (.+)$", inspect.getdoc(kind) or "", re.MULTILINE))
+    classes = [one for one in kind.__mro__[::-1] if is_dataclass(one) and "__doc__" in vars(one)]
+    described = dict(re.findall(r"^    (\w+): (.+)$", "\n".join(map(inspect.getdoc, classes)), re.MULTILINE))
     assert list(described) == [field.name for field in fields(kind)]
     for name, hint in get_type_hints(kind).items():
         array = next((h for h in (hint, *getattr(hint, "__args__", ())) if hasattr(h, "dim_str")), None)

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from getagrip.clip.label_images import read_labels
+from getagrip.clip.label_choice import read_labels
 from getagrip.errors import InputError
 from getagrip.io.png import read_colour_png, read_png
 

@@ -10,8 +10,8 @@ from numpy import ndarray
 
 from getagrip.datasets.synthetic import shapes
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels import reference
 from getagrip.kernels.closest import SLACK, FaceGrid, screen, signed_distance
+from helpers import reference_kernels as reference
 from helpers.posed_meshes import MESHES, SEEDS, pose
 
 

@@ -8,11 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy import ndarray
 
-from getagrip.kernels import contour, reference
+from getagrip.kernels import contour
 from getagrip.kernels.silhouette import (
     pack,
     unpack,
 )
+from helpers import reference_kernels as reference
 from helpers.posed_meshes import MESHES, SEEDS, SIZE, WHICH, blobs, outlined
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 
 from getagrip.fitting import observation
 from getagrip.fitting.observation import _boundary
-from getagrip.kernels import reference
+from helpers import reference_kernels as reference
 from helpers.posed_meshes import SEEDS, blobs
 
 

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy import ndarray
 
-from getagrip.kernels import reference
 from getagrip.kernels.silhouette import (
     NEAR,
     mismatch,
@@ -18,6 +17,7 @@ from getagrip.kernels.silhouette import (
     silhouettes,
     unpack,
 )
+from helpers import reference_kernels as reference
 from helpers.clips import box
 from helpers.posed_meshes import MESHES, SEEDS, SIZE, WHICH, outlined, pose, soup, tables
 

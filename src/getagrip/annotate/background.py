@@ -6,7 +6,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from threading import Event, Lock
-from typing import Any
 
 from getagrip.errors import GetagripError
 
@@ -35,7 +34,7 @@ class BackgroundJob:
         if self.stop.is_set():
             raise CancelledError
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> dict[str, object]:
         """What the page shows."""
         return {key: getattr(self, key) for key in ("what", "state", "done", "total", "message")}
 

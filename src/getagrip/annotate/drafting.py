@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterator
-from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.annotate.carried_masks import Images
@@ -14,16 +13,21 @@ from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labels import FRONT, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
-from getagrip.annotate.tracing import traced
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
 
 HAND_SIDE = 640
 """The hand's silhouette is drawn in an image whose longer side is so long [px]."""
+COARSE = 1 / 1280
+"""Largest distance of a polygon from the mask's border, as a share of the image's longer side."""
+SPECK = 0.002
+"""Parts smaller than this share of the largest one are left out, as are holes."""
+
+Polygon = Float[ndarray, "_n 2"]
 
 
-def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, dict[str, Any]]:
+def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, dict[str, object]]:
     """By frame: joints and silhouette of the fitted hand [px], and which clicks do not fit the others.
 
     Raises ``UsageError`` as ``hands_from_clicks`` does.
@@ -33,7 +37,7 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
     assert track.joints is not None
     zoom = min(1.0, HAND_SIDE / max(labels.size))
     small = (round(zoom * labels.size[0]), round(zoom * labels.size[1]))
-    out: dict[int, dict[str, Any]] = {}
+    out: dict[int, dict[str, object]] = {}
     for n, (T, vertices, joints) in enumerate(zip(track.T_cam_hand, track.vertices, track.joints, strict=True)):
         mask = covered(se3.transform(T, vertices), track.faces, np.diag([zoom, zoom, 1.0]) @ K, small)
         out[labels.first + n] = {
@@ -46,7 +50,7 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
     return out
 
 
-def masks(labels: Labels, image: Images, known: Container[int] = ()) -> Iterator[tuple[int, dict[str, Any]]]:
+def masks(labels: Labels, image: Images, known: Container[int] = ()) -> Iterator[tuple[int, dict[str, object]]]:
     """Each frame with polygons around the object and what is in front of it [px], and how sure they are (0 to 1).
 
     Stretches between key frames of which all frames are ``known`` are left out. Raises ``UsageError`` as ``propagate``
@@ -69,3 +73,35 @@ def _polygons(mask: Bool[ndarray, "H W"], zoom: float = 1.0) -> list[list[list[f
 
 def _rounded(points: Float[ndarray, "n 2"]) -> list[list[float]]:
     return [[round(float(x), 2) for x in point] for point in np.nan_to_num(points, posinf=-1.0, neginf=-1.0)]
+
+
+def traced(mask: Bool[ndarray, "H W"]) -> list[Polygon]:
+    """Polygons around the parts of a mask [px]; filled (``clip.segments.polygons``) they give it again, nearly.
+
+    A part with a hole has a polygon with a slit: along its border, in to the hole, around it and back out.
+    """
+    import cv2
+
+    contours, tree = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    if not contours:
+        return []
+    least = SPECK * max(float(cv2.contourArea(one)) for one in contours)
+    coarse = COARSE * max(mask.shape)
+    kept = {
+        n: np.asarray(cv2.approxPolyDP(one, coarse, True)[:, 0], np.int64)
+        for n, one in enumerate(contours)
+        if cv2.contourArea(one) >= max(least, 1.0)
+    }
+    shapes = {n: corners for n, corners in kept.items() if tree[0][n][3] < 0 and len(corners) >= 3}
+    for n, hole in kept.items():
+        if (outside := int(tree[0][n][3])) in shapes and len(hole) >= 3:
+            shapes[outside] = _with_hole(shapes[outside], hole)
+    return [corners + 0.5 for corners in shapes.values()]
+
+
+def _with_hole(outside: Int[ndarray, "n 2"], hole: Int[ndarray, "m 2"]) -> Int[ndarray, "k 2"]:
+    """One polygon around both, slit where they are nearest to each other."""
+    distance = np.linalg.norm(outside[:, None] - hole[None], axis=-1)
+    i, j = np.unravel_index(int(distance.argmin()), distance.shape)
+    around = np.concatenate([hole[j:], hole[: j + 1]])
+    return np.concatenate([outside[: i + 1], around, outside[i:]])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from getagrip.annotate.marks import Mark
 from getagrip.annotate.tasks import Task
@@ -21,12 +20,12 @@ def grasps(marks: Sequence[Mark]) -> list[Mark]:
     return [mark for mark in marks if mark.grasp and mark.side and mark.category]
 
 
-def epic_rows(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[dict[str, Any]]:
+def epic_rows(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
     """Rows of EPIC-Grasps' table. What annotation cannot know stays empty: the counts of masks, sets and rounds.
 
     A task without rough bounds has the grasp's own.
     """
-    rows: dict[str, dict[str, Any]] = {}
+    rows: dict[str, Mapping[str, object]] = {}
     for mark in grasps(marks):
         task = tasks[mark.task]
         st, ed = mark.start_number, mark.end_number
@@ -53,7 +52,7 @@ def epic_csv(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> str:
     return stream.getvalue()
 
 
-def intervals(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[dict[str, Any]]:
+def intervals(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
     """The grasps under the names that ``segment`` gives them; frames count from 0, both included, seconds."""
     rows = [
         {
@@ -69,7 +68,7 @@ def intervals(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[dict[str
     return [row for n, row in enumerate(rows) if row not in rows[:n]]
 
 
-def discards(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[dict[str, Any]]:
+def discards(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
     """The tasks that were discarded, and why."""
     return [
         {"task": mark.task, "clip": tasks[mark.task].video, "annotator": mark.annotator, "reason": mark.reason}

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 from uuid import NAMESPACE_OID, uuid5
 
 from getagrip.annotate.footage import Footage, Names, seconds
@@ -125,7 +125,7 @@ class Interaction:
         assert path is not None  # its footage is open
         return SegmentList(path, self.task.key, segment_fields(segments, names), f"marked by {who}", still)
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> dict[str, object]:
         """What the page shows of it."""
         own = [mark for _, mark in self.finished]
         mark = self.mark if own else None

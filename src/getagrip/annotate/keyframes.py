@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -23,8 +21,8 @@ from numpy import ndarray
 
 from getagrip.annotate.footage import LARGEST_SIDE
 from getagrip.annotate.labels import MOST_CORNERS, MOST_POLYGONS, FrameLabels, Polygons
-from getagrip.annotate.versions import TOKEN, Database, RefusedError, Versions
-from getagrip.io.files import shown
+from getagrip.annotate.versions import TOKEN, Database, RefusedError, Row, Versions
+from getagrip.io.files import Json, shown
 
 SETTABLE = frozenset({"joints", "outlines", "hidden", "deleted"})
 """What the page may change."""
@@ -62,9 +60,9 @@ class KeyFrame:
     grasp: str
     """The mark that it belongs to."""
     frame: int
-    joints: dict[str, Any] = field(default_factory=dict)
+    joints: Json = field(default_factory=dict)
     """By number, "0" to "20": a point, or ``UNSEEN``."""
-    outlines: dict[str, Any] = field(default_factory=dict)
+    outlines: Json = field(default_factory=dict)
     """Polygons by a name that the page chooses: ``of``, ``closed`` and ``points``."""
     hidden: bool = False
     """The object is not visible."""
@@ -102,7 +100,7 @@ def blank(task: str, annotator: str, grasp: str, frame: int) -> KeyFrame:
     return KeyFrame(f"{grasp}:{frame}", task, annotator, grasp, frame)
 
 
-def from_labels(frame: FrameLabels) -> dict[str, Any]:
+def from_labels(frame: FrameLabels) -> Json:
     """The change that gives a blank key frame the labels of a file."""
     joints = {} if frame.joints is None else {
         str(n): UNSEEN if np.isnan(point).any() else point.tolist() for n, point in enumerate(frame.joints)
@@ -115,7 +113,7 @@ def from_labels(frame: FrameLabels) -> dict[str, Any]:
     return {"joints": joints, "outlines": outlines, "hidden": frame.object == ()}
 
 
-def changed(keyframe: KeyFrame, sets: Mapping[str, Any], size: tuple[int, int]) -> KeyFrame:
+def changed(keyframe: KeyFrame, sets: Json, size: tuple[int, int]) -> KeyFrame:
     """A key frame after a change, on an image of some width and height. Raises ``RefusedError``."""
     for key in ("hidden", "deleted"):
         if not isinstance(sets.get(key, False), bool):
@@ -136,7 +134,7 @@ def changed(keyframe: KeyFrame, sets: Mapping[str, Any], size: tuple[int, int]) 
     return new if new.joints or new.outlines or new.hidden else replace(new, deleted=True)
 
 
-def _object(sets: Mapping[str, Any], key: str) -> dict[str, Any]:
+def _object(sets: Json, key: str) -> Json:
     value = sets.get(key, {})
     if not isinstance(value, dict):
         raise RefusedError(f"{key}: got {shown(value)}, expected an object")
@@ -151,7 +149,7 @@ def _joint(key: str, value: object, size: tuple[int, int]) -> Point | str | None
     return _point(value, size)
 
 
-def _outline(key: str, value: object, size: tuple[int, int]) -> dict[str, Any] | None:
+def _outline(key: str, value: object, size: tuple[int, int]) -> Json | None:
     if not TOKEN.fullmatch(key):
         raise RefusedError(f"outlines: got {shown(key)}, expected 8 to 64 letters, digits or hyphens")
     if value is None:
@@ -176,15 +174,15 @@ def _point(value: object, size: tuple[int, int]) -> Point:
     return [round(float(x), 2) for x in value]
 
 
-def _without_nothing(values: dict[str, Any]) -> dict[str, Any]:
+def _without_nothing(values: Json) -> Json:
     return {key: value for key, value in values.items() if value is not None}
 
 
-def _row(keyframe: KeyFrame) -> tuple[Any, ...]:
+def _row(keyframe: KeyFrame) -> Row:
     return tuple(json.dumps(value) if isinstance(value, dict) else value for value in asdict(keyframe).values())
 
 
-def _keyframe(row: tuple[Any, ...]) -> KeyFrame:
+def _keyframe(row: Row) -> KeyFrame:
     values = dict(zip(COLUMNS, row, strict=True))
     parsed = {key: json.loads(values[key]) for key in ("joints", "outlines")}
     for key, value in parsed["joints"].items():

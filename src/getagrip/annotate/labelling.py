@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 from uuid import uuid4
 
 import numpy as np
@@ -33,7 +33,7 @@ from getagrip.clip.intrinsics import Lens, intrinsics
 from getagrip.errors import UsageError
 from getagrip.hands.model import Side
 from getagrip.io import files
-from getagrip.io.files import shown
+from getagrip.io.files import Json, shown
 
 Basis = dict[str, list[tuple[int, int, str]]]
 """Of the "masks" and the "hand": first and last frame, and what drafts of these are made of, in a word."""
@@ -84,7 +84,7 @@ class Labelling:
         self.lens = lens if lens.given else Lens(guess_focal=True)
         self.background = Background()
 
-    def state(self, grasp: Grasp) -> dict[str, Any]:
+    def state(self, grasp: Grasp) -> dict[str, object]:
         """The labels of a grasp's frames, what drafts would be made of now, and the progress of the work on it."""
         newest = self.store.keyframes.newest(grasp.mark.mark, grasp.mark.annotator)  # before the frames, as with marks
         own = self._own(grasp)
@@ -105,7 +105,7 @@ class Labelling:
             "job": None if job is None else job.status(),
         }
 
-    def change(self, grasp: Grasp, content: Mapping[str, Any]) -> None:
+    def change(self, grasp: Grasp, content: Json) -> None:
         """Make a change of a key frame. Raises ``RefusedError``."""
         frame, size = content.get("frame"), grasp.footage.size
         if type(frame) is not int or not 0 <= frame < grasp.footage.frames:
@@ -114,7 +114,7 @@ class Labelling:
         blank = keyframes.blank(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, frame)
         self.store.keyframes.apply(change, blank, lambda old, sets: keyframes.changed(old, sets, size))
 
-    def undo(self, grasp: Grasp, tab: str, change: str) -> dict[str, Any]:
+    def undo(self, grasp: Grasp, tab: str, change: str) -> dict[str, object]:
         """Take back a tab's last change of a grasp's key frames, and say of which frame. Raises ``RefusedError``."""
         undone = self.store.keyframes.undo(grasp.mark.mark, grasp.mark.annotator, tab, change)
         return {"undone": undone is not None, "frame": None if undone is None else undone.frame}
@@ -136,7 +136,7 @@ class Labelling:
         if given.size != (width, height):
             raise RefusedError(f"labels of {given.size[0]} x {given.size[1]} pixels, footage of {width} x {height}")
 
-        def replaced(old: KeyFrame, sets: Mapping[str, Any]) -> KeyFrame:
+        def replaced(old: KeyFrame, sets: Json) -> KeyFrame:
             blank = keyframes.blank(old.task, old.annotator, old.grasp, old.frame)
             return keyframes.changed(blank, sets, given.size)
 
@@ -161,7 +161,7 @@ class Labelling:
             raise RefusedError("a clip needs joints on one frame at least, and a polygon around the object on one")
         self._start(grasp, "files", lambda job: self.write(grasp, given, job))
 
-    def reconstruct(self, grasp: Grasp, content: Mapping[str, Any]) -> None:
+    def reconstruct(self, grasp: Grasp, content: Json) -> None:
         """Begin to write the files, make a clip of them and reconstruct it. Raises ``RefusedError``."""
         from getagrip.annotate.labelled import clip_words
 
@@ -288,5 +288,5 @@ def _path(grasp: Grasp) -> Path:
     return grasp.task.path
 
 
-def _word(*content: Any) -> str:
+def _word(*content: object) -> str:
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

@@ -22,7 +22,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -99,7 +99,7 @@ def write(labels: Labels, path: str | Path) -> None:
     files.write_bytes(Path(path), f'{json.dumps(fields)[:-1]}, "frames": {{\n{frames}\n}}}}\n'.encode())
 
 
-def to_json(labels: Labels) -> dict[str, Any]:
+def to_json(labels: Labels) -> files.Json:
     """Labels as the file has them."""
     fields = {key: getattr(labels, key) for key in ("video", "side", "fps", "first", "last")}
     frames = {str(n): _frame_json(frame) for n, frame in sorted(labels.frames.items())}
@@ -107,8 +107,8 @@ def to_json(labels: Labels) -> dict[str, Any]:
     return fields | whole | {"size": list(labels.size), "frames": frames}
 
 
-def _frame_json(frame: FrameLabels) -> dict[str, Any]:
-    out: dict[str, Any] = {}
+def _frame_json(frame: FrameLabels) -> dict[str, object]:
+    out: dict[str, object] = {}
     if frame.joints is not None:
         out["joints"] = [None if np.isnan(point).any() else _rounded(point) for point in frame.joints]
     for key in ("object", "front"):
@@ -123,7 +123,7 @@ def _rounded(point: Float[ndarray, "2"]) -> list[float]:
     return [round(float(x), 2) for x in point]
 
 
-def parse(content: Mapping[str, Any], source: str | Path) -> Labels:
+def parse(content: files.Json, source: str | Path) -> Labels:
     """Labels from JSON, everything checked. Raises ``InputError`` in the name of ``source``."""
     checked = _Checked(Path(source), content)
     size = checked.size()
@@ -146,7 +146,7 @@ class _Checked:
     """A reader of one JSON object."""
 
     path: Path
-    content: Mapping[str, Any]
+    content: files.Json
 
     def __post_init__(self) -> None:
         needed = {"video", "size", "side", "fps", "first", "last", "frames"}
@@ -212,7 +212,7 @@ class _Checked:
         return dict(sorted(out.items()))
 
 
-def _only(path: Path, where: str, given: Mapping[str, Any], known: set[str], needed: set[str]) -> None:
+def _only(path: Path, where: str, given: Mapping[str, object], known: set[str], needed: set[str]) -> None:
     """Raise ``InputError`` for unknown and missing keys."""
     for key in [key for key in given if key not in known][:1]:
         expected = f"one of {', '.join(sorted(known))}"

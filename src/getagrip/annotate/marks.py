@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields, replace
-from typing import Any
 
 from getagrip.annotate.footage import Footage, seconds
-from getagrip.annotate.versions import Database, RefusedError, Versions
+from getagrip.annotate.versions import Database, RefusedError, Row, Versions
 from getagrip.clip.timeline import STATES
-from getagrip.io.files import shown
+from getagrip.io.files import Json, shown
 
 REASONS = ("no stable grasp", "out of view", "other CAD")
 """Why a task is discarded: nothing is held stably, hand and object are not visible, the thing is unlike its mesh."""
@@ -89,14 +88,14 @@ def versions(database: Database) -> Versions[Mark]:
     return Versions(database, "versions", "marks", "mark", "task", order, COLUMNS, astuple, _mark)
 
 
-def _mark(row: tuple[Any, ...]) -> Mark:
+def _mark(row: Row) -> Mark:
     values = dict(zip(COLUMNS, row, strict=True))
     if (values["state"] or GRASP) not in STATES:
         raise ValueError(f"state: {shown(values['state'])}")
     return Mark(**values | {"deleted": bool(values["deleted"]), "state": values["state"] or GRASP})
 
 
-def _check(sets: Mapping[str, Any]) -> None:
+def _check(sets: Mapping[str, object]) -> None:
     """Raise ``RefusedError`` for values that no mark can have."""
     for key, value in sets.items():
         if key == "deleted":
@@ -119,7 +118,7 @@ def _check(sets: Mapping[str, Any]) -> None:
             raise RefusedError(f"{key}: got {shown(value)}, expected {expected}")
 
 
-def changed(mark: Mark, sets: Mapping[str, Any], footage: Footage) -> Mark:
+def changed(mark: Mark, sets: Json, footage: Footage) -> Mark:
     """A mark after a change, complete with what the footage says of its frames. Raises ``RefusedError``."""
     _check(sets)
     new = replace(mark, **sets)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
 from threading import Lock
-from typing import Any
 from uuid import uuid4
 
 from getagrip.annotate import agreement, export, labels, marks, versions
@@ -24,6 +23,7 @@ from getagrip.annotate.versions import Change, RefusedError, token
 from getagrip.clip.intrinsics import Lens
 from getagrip.datasets.epic.tables import CATEGORIES
 from getagrip.io import files
+from getagrip.io.files import Json
 
 MOST_OPEN = 4
 """Footage that is kept open at once."""
@@ -50,7 +50,7 @@ class Project:
                 self._open.popitem()[1].close()
         self.store.close()
 
-    def overview(self, annotator: object) -> dict[str, Any]:
+    def overview(self, annotator: object) -> dict[str, object]:
         """All tasks, and how far an annotator is with each: "", started, marked, discarded."""
         own: dict[str, list[Mark]] = {}
         for mark in self.store.marks.standing(annotator=versions.annotator(annotator)):
@@ -61,7 +61,7 @@ class Project:
         ]
         return {"project": self.name, "tasks": tasks, "categories": CATEGORIES, "reasons": marks.REASONS}
 
-    def task(self, key: object) -> dict[str, Any]:
+    def task(self, key: object) -> dict[str, object]:
         """The frames of a task. Raises ``RefusedError`` for an unknown one, ``InputError`` where it does not open."""
         task = self._task(key)
         footage = self.footage(task)
@@ -76,7 +76,7 @@ class Project:
             raise RefusedError(f"frame {index}: the footage has frames 0 to {footage.frames - 1}")
         return footage.jpeg(index, whole), footage.time(index), footage.number(index)
 
-    def marks(self, key: object, annotator: object) -> dict[str, Any]:
+    def marks(self, key: object, annotator: object) -> dict[str, object]:
         """Somebody's marks of a task, and the number of the change that made them what they are."""
         task, name = self._task(key), versions.annotator(annotator)
         newest = self.store.marks.newest(task.key, name)  # before the marks: what changes in between is asked for again
@@ -84,7 +84,7 @@ class Project:
         state = interaction(task, self.footage(task), own).state() if is_whole(own) else None
         return {"newest": newest, "marks": [asdict(mark) for mark in own], "interaction": state}
 
-    def change(self, content: Mapping[str, Any]) -> dict[str, Any]:
+    def change(self, content: Json) -> dict[str, object]:
         """Make a change. Raises ``RefusedError``."""
         change = versions.read_change(content, marks.SETTABLE)
         blank = Mark(token(content, "mark"), str(content.get("task")), versions.annotator(content.get("annotator")))
@@ -92,29 +92,29 @@ class Project:
         self.store.marks.apply(change, blank, lambda mark, sets: marks.changed(mark, sets, footage))
         return self.marks(blank.task, blank.annotator)
 
-    def undo(self, content: Mapping[str, Any]) -> dict[str, Any]:
+    def undo(self, content: Json) -> dict[str, object]:
         """Take back a tab's last change of a task's marks. Raises ``RefusedError``."""
         task, name = self._task(content.get("task")), versions.annotator(content.get("annotator"))
         undone = self.store.marks.undo(task.key, name, token(content, "tab"), token(content, "change"))
         return self.marks(task.key, name) | {"undone": undone is not None}
 
-    def labels(self, content: Mapping[str, Any]) -> dict[str, Any]:
+    def labels(self, content: Json) -> dict[str, object]:
         """The labels of a grasp. Raises ``RefusedError``."""
         return self.labelling.state(self._grasp(content))
 
-    def label(self, content: Mapping[str, Any]) -> dict[str, Any]:
+    def label(self, content: Json) -> dict[str, object]:
         """Make a change of one of its frames. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         self.labelling.change(grasp, content)
         return self.labelling.state(grasp)
 
-    def unlabel(self, content: Mapping[str, Any]) -> dict[str, Any]:
+    def unlabel(self, content: Json) -> dict[str, object]:
         """Take back a tab's last change of its frames. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         undone = self.labelling.undo(grasp, token(content, "tab"), token(content, "change"))
         return self.labelling.state(grasp) | undone
 
-    def work(self, content: Mapping[str, Any]) -> dict[str, Any]:
+    def work(self, content: Json) -> dict[str, object]:
         """Begin to "propagate", write "files" or "reconstruct" a grasp, or "cancel" that. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         known = {
@@ -128,17 +128,17 @@ class Project:
         known[what]()
         return self.labelling.state(grasp)
 
-    def drafts(self, content: Mapping[str, Any], since: int) -> dict[str, Any]:
+    def drafts(self, content: Json, since: int) -> dict[str, object]:
         """Some drafts of a grasp's frames that are newer than what was given before. Raises ``RefusedError``."""
         return {"drafts": self.store.drafts.since(self._grasp(content).mark.mark, since)}
 
-    def labels_file(self, content: Mapping[str, Any]) -> tuple[str, str]:
+    def labels_file(self, content: Json) -> tuple[str, str]:
         """The labels of a grasp as JSON, and what to call the file. Raises ``RefusedError``."""
         grasp = self._grasp(content)
         text = files.to_json(labels.to_json(self.labelling.whole_labels(grasp))) + "\n"
         return text, f"labels-{grasp.name}.json"
 
-    def result_file(self, content: Mapping[str, Any], name: str) -> bytes:
+    def result_file(self, content: Json, name: str) -> bytes:
         """The picture or the page of a grasp's result. Raises ``RefusedError``."""
         return self.labelling.result_file(self._grasp(content), name)
 
@@ -186,7 +186,7 @@ class Project:
                 count += 1
         return count
 
-    def _mark(self, task: Task, name: str, tab: str, sets: dict[str, Any]) -> Mark:
+    def _mark(self, task: Task, name: str, tab: str, sets: Json) -> Mark:
         """A new mark, of the object that the task is about."""
         footage = self.footage(task)
         blank, about = Mark(str(uuid4()), task.key, name), {"category": task.category, "entity": task.entity}
@@ -203,7 +203,7 @@ class Project:
         """The marks of these tasks; those of other tasks in the same file are left out."""
         return [mark for mark in self.store.marks.standing(annotator=annotator) if mark.task in self.tasks]
 
-    def agreement(self) -> dict[str, Any]:
+    def agreement(self) -> dict[str, object]:
         """How far people agree."""
         return {"pairs": [asdict(one) for one in agreement.agreements(self.known())]}
 
@@ -231,7 +231,7 @@ class Project:
                 self._open.popitem(last=False)[1].close()
             return self._open[name]
 
-    def _grasp(self, content: Mapping[str, Any]) -> Grasp:
+    def _grasp(self, content: Json) -> Grasp:
         """The grasp that a request is about, and who asks. Raises ``RefusedError``."""
         task, name = self._task(content.get("task")), versions.annotator(content.get("annotator"))
         own = self._grasps(task, name)

@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from getagrip.annotate.background import BackgroundJob, CancelledError
 from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError
 from getagrip.io import files
-from getagrip.io.files import shown
+from getagrip.io.files import Json, shown
 
 CLIPS, RESULTS = "clips", "results"
 """Folders beside the marks."""
@@ -42,7 +41,7 @@ class Shape:
         return ["--mesh", self.mesh, *([] if self.size_mm is None else ["--size-mm", f"{self.size_mm:g}"])]
 
 
-def shape_of(content: Mapping[str, Any]) -> Shape:
+def shape_of(content: Json) -> Shape:
     """What a request says of the mesh. Raises ``RefusedError``."""
     mesh, size = content.get("mesh"), content.get("size_mm")
     if not isinstance(mesh, str) or not mesh.strip() or len(mesh) > LONGEST or not mesh.isprintable():

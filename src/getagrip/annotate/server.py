@@ -21,7 +21,6 @@ from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files as package_files
 from pathlib import Path
-from typing import Any
 from urllib.parse import parse_qs, quote, urlsplit
 
 from getagrip.annotate.project import Project
@@ -52,7 +51,7 @@ PAGE = {
     **{f"/{name}.css": (f"{name}.css", "text/css") for name in STYLES},
     **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in SCRIPTS},
 }
-DATA: dict[str, Callable[[Project, dict[str, str]], dict[str, Any]]] = {
+DATA: dict[str, Callable[[Project, dict[str, str]], dict[str, object]]] = {
     "/api/tasks": lambda project, asked: project.overview(asked.get("annotator")),
     "/api/task": lambda project, asked: project.task(asked.get("task")),
     "/api/marks": lambda project, asked: project.marks(asked.get("task"), asked.get("annotator")),
@@ -116,7 +115,7 @@ class Server(ThreadingHTTPServer):
         self.closed = True
         super().server_close()
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
+    def handle_error(self, request: object, client_address: object) -> None:
         """Say nothing of connections that end early."""
 
 
@@ -164,7 +163,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Make a change."""
         self._answer(self._post)
 
-    def _answer(self, act: Any) -> None:
+    def _answer(self, act: Callable[[], None]) -> None:
         """Do what is asked; errors become one line of JSON, never a traceback."""
         if self.server.closed:
             self.close_connection = True
@@ -272,7 +271,7 @@ class _Handler(BaseHTTPRequestHandler):
         head = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(name)}"}
         self._send(text.encode(), f"text/{kind}; charset=utf-8", head)
 
-    def _send_json(self, content: dict[str, Any], status: HTTPStatus = HTTPStatus.OK) -> None:
+    def _send_json(self, content: dict[str, object], status: HTTPStatus = HTTPStatus.OK) -> None:
         self._send(json.dumps(content, allow_nan=False).encode(), "application/json", status=status)
 
     def _send(
@@ -285,7 +284,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(content)
 
-    def log_message(self, format: str, *args: Any) -> None:
+    def log_message(self, format: str, *args: object) -> None:
         """Print nothing for each request."""
 
 

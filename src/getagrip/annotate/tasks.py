@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from getagrip.annotate.footage import Footage, ImageFolder
 from getagrip.annotate.video import SUFFIXES, Video
@@ -87,7 +87,7 @@ def read_tasks(source: Path, videos: Path | None = None) -> list[Task]:
     return [Task(name, name, source)]
 
 
-def _task(source: Path, videos: Path, where: str, named: Sequence[str], row: Mapping[str, Any]) -> Task:
+def _task(source: Path, videos: Path, where: str, named: Sequence[str], row: Mapping[str, object]) -> Task:
     """A row of a list, checked."""
 
     def text(key: str, expected: str) -> str:
@@ -144,7 +144,7 @@ def _find(root: Path, video: str) -> Path | None:
     return next((path for path in files if path.is_file()), next((path for path in folders if path.is_dir()), None))
 
 
-def _rows(path: Path) -> Iterator[tuple[str, Sequence[str], Mapping[str, Any]]]:
+def _rows(path: Path) -> Iterator[tuple[str, Sequence[str], Mapping[str, object]]]:
     """Each row of a list: where it stands, how its columns are named, and its cells. Raises ``InputError``."""
     content = read_bytes(path, LARGEST_LIST)
     rows = _json_rows(path, content) if path.suffix.lower() == ".json" else _csv_rows(path, content)
@@ -158,7 +158,7 @@ def _rows(path: Path) -> Iterator[tuple[str, Sequence[str], Mapping[str, Any]]]:
         yield where, named, row
 
 
-def _json_rows(path: Path, content: bytes) -> list[tuple[str, dict[str, Any]]]:
+def _json_rows(path: Path, content: bytes) -> list[tuple[str, dict[str, object]]]:
     try:
         rows = json.loads(content)
     except (ValueError, RecursionError) as error:  # RecursionError: nested thousands deep
@@ -168,10 +168,10 @@ def _json_rows(path: Path, content: bytes) -> list[tuple[str, dict[str, Any]]]:
     for row in rows:  # `epic candidates` lists all its contacts: the first is as good as any
         if isinstance(contacts := row.get("contacts"), list) and contacts:
             row["contact"] = contacts[0]
-    return [(f"[{n}].", cast(dict[str, Any], row)) for n, row in enumerate(rows)]
+    return [(f"[{n}].", cast(dict[str, object], row)) for n, row in enumerate(rows)]
 
 
-def _csv_rows(path: Path, content: bytes) -> Sequence[tuple[str, dict[str, Any]]]:
+def _csv_rows(path: Path, content: bytes) -> Sequence[tuple[str, Mapping[str, object]]]:
     heads, rows = csv_rows(path, content, "a list of candidates in UTF-8")
     if len(set(heads)) < len(heads):
         raise InputError(path, "line 1", "a column twice", "each once")

@@ -11,7 +11,7 @@ import re
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import Field, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Lock
@@ -19,10 +19,14 @@ from types import UnionType
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, get_origin, get_type_hints
 
 from getagrip.errors import GetagripError, InputError
-from getagrip.io.files import is_plain_name, shown
+from getagrip.io.files import Json, is_plain_name, shown
 
 TOKEN = re.compile(r"[A-Za-z0-9-]{8,64}")
 """What the page calls its marks, changes and tabs."""
+
+
+Row = tuple[Any, ...]
+"""Of a database: SQLite keeps any kind of value in any column."""
 
 
 class RefusedError(GetagripError):
@@ -32,7 +36,7 @@ class RefusedError(GetagripError):
 class State(Protocol):
     """Somebody's, of a task; a frozen dataclass."""
 
-    __dataclass_fields__: ClassVar[dict[str, Any]]
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     @property
     def task(self) -> str:
@@ -57,7 +61,7 @@ class Change:
     change: str
     """Unlike any other: the page sends a change again where it saw no answer."""
     tab: str
-    sets: Mapping[str, Any]
+    sets: Json
 
 
 class Database:
@@ -67,7 +71,7 @@ class Database:
         self.path, self.connection = path, connection
         self.lock = Lock()
 
-    def rows(self, query: str, values: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+    def rows(self, query: str, values: Sequence[object] = ()) -> list[Row]:
         """What a query gives. Raises ``InputError`` where the file is damaged."""
         try:
             with self.lock:
@@ -107,9 +111,9 @@ class Versions(Generic[Kind]):
     order: str
     """Columns that states are sorted by."""
     columns: tuple[str, ...]
-    row: Callable[[Kind], tuple[Any, ...]]
+    row: Callable[[Kind], Row]
     """The columns of a state."""
-    state: Callable[[tuple[Any, ...]], Kind]
+    state: Callable[[Row], Kind]
     """The state of a row."""
 
     def standing(self, scope: str | None = None, annotator: str | None = None) -> list[Kind]:
@@ -131,7 +135,7 @@ class Versions(Generic[Kind]):
         query = f"SELECT {', '.join(self.columns)} FROM {self.table} WHERE {self.key} = ? ORDER BY seq"
         return [self._state(row) for row in self.database.rows(query, (key,))]
 
-    def apply(self, change: Change, blank: Kind, complete: Callable[[Kind, Mapping[str, Any]], Kind]) -> Kind:
+    def apply(self, change: Change, blank: Kind, complete: Callable[[Kind, Json], Kind]) -> Kind:
         """Make a change, once, however often it is sent: of the newest version, or of ``blank`` where there is none.
 
         Raises ``RefusedError``, as ``complete`` may, and then nothing is changed.
@@ -186,7 +190,7 @@ class Versions(Generic[Kind]):
         ).fetchone()
         return None if row is None else self._state(row)
 
-    def _state(self, row: tuple[Any, ...]) -> Kind:
+    def _state(self, row: Row) -> Kind:
         """The state of a row. Raises ``InputError`` for values that no state has: SQLite keeps any in any column."""
         try:
             state = self.state(row)
@@ -208,7 +212,7 @@ class Versions(Generic[Kind]):
         )
 
 
-def read_change(content: Mapping[str, Any], settable: frozenset[str]) -> Change:
+def read_change(content: Mapping[str, object], settable: frozenset[str]) -> Change:
     """A change as the page sends it; its values are yet to be checked. Raises ``RefusedError``."""
     sets = content.get("set")
     if not isinstance(sets, dict) or not sets or not sets.keys() <= settable:
@@ -216,7 +220,7 @@ def read_change(content: Mapping[str, Any], settable: frozenset[str]) -> Change:
     return Change(token(content, "change"), token(content, "tab"), sets)
 
 
-def token(content: Mapping[str, Any], key: str) -> str:
+def token(content: Mapping[str, object], key: str) -> str:
     """What the page calls something. Raises ``RefusedError``."""
     value = content.get(key)
     if not isinstance(value, str) or not TOKEN.fullmatch(value):

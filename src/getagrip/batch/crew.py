@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from getagrip.batch.limits import Limits
 from getagrip.errors import GetagripError
@@ -73,5 +73,5 @@ def check_code(expected: str) -> None:
         raise GetagripError(f"{here}: got {given}, expected the same on every machine ({expected})")
 
 
-Start = Callable[[Callable[[J], R], Limits, Callable[[], Any] | None], Crew[J, R]]
+Start = Callable[[Callable[[J], R], Limits, Callable[[], object] | None], Crew[J, R]]
 """From the work, the limits of a job and what each process calls first to a crew."""

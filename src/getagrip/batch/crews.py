@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 from getagrip.batch.crew import Start
 from getagrip.batch.pool import cores
@@ -12,18 +11,18 @@ from getagrip.batch.processes import Processes
 from getagrip.errors import UsageError
 
 
-def _local(workers: int | None, address: str | None) -> Start[Any, Any]:
+def _local(workers: int | None, address: str | None) -> Start[object, object]:
     _without(address)
     return partial(Processes, workers or cores())
 
 
-def _ray(workers: int | None, address: str | None) -> Start[Any, Any]:
+def _ray(workers: int | None, address: str | None) -> Start[object, object]:
     from getagrip.batch.on_ray import RayCrew
 
     return partial(RayCrew, workers, address)
 
 
-def _slurm(workers: int | None, address: str | None) -> Start[Any, Any]:
+def _slurm(workers: int | None, address: str | None) -> Start[object, object]:
     from getagrip.batch.on_slurm import SlurmCrew
 
     _without(address)
@@ -35,7 +34,7 @@ def _without(address: str | None) -> None:
         raise UsageError(f"--address: got {address}, expected none without --engine ray")
 
 
-ENGINES: dict[str, Callable[[int | None, str | None], Start[Any, Any]]] = {
+ENGINES: dict[str, Callable[[int | None, str | None], Start[object, object]]] = {
     "local": _local, "ray": _ray, "slurm": _slurm,
 }  # fmt: skip
 """By name: from the number of workers and the cluster's address, each None if not said, to the start of a crew."""

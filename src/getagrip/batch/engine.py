@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from getagrip.batch.crew import Ended, Start
 from getagrip.batch.entries import Entry
@@ -43,13 +43,13 @@ class Engine(Generic[J, R]):
     """What becomes of a task that no process could do, and why."""
     entry: Callable[[R], Entry]
     """What the ledger is to say: state, why, inputs and about."""
-    options: Any
+    options: object
     """What the work depends on besides its inputs and the code: anything that JSON can hold."""
     crew: Start[J, R] | None = None
     """Who does it; None: this process."""
     limits: Limits = NONE
     """For a crew."""
-    prepare: Callable[[], Any] | None = None
+    prepare: Callable[[], object] | None = None
     """Called by each process of a crew before it does anything."""
     in_this: Callable[[J], R] | None = None
     """The work as it is done in this process, where that differs."""

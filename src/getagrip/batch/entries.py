@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from getagrip.batch import drivers
 from getagrip.errors import GetagripError, InputError
@@ -53,7 +53,7 @@ class Entry:
     """Checksum of the options."""
     code: str = ""
     """Version and fingerprint of the code."""
-    about: Mapping[str, Any] = field(default_factory=dict)
+    about: Mapping[str, object] = field(default_factory=dict)
     """What else a summary says of it."""
 
 
@@ -80,7 +80,7 @@ class Entries:
         with self._named():
             return self._db.execute("SELECT 1 FROM tasks WHERE name = ?", (name,)).fetchone() is not None
 
-    def _entry(self, row: tuple[Any, ...]) -> Entry:
+    def _entry(self, row: sqlite3.Row) -> Entry:
         """A row as an entry. Raises ``InputError`` where it is none."""
         values = dict(zip(COLUMNS, row, strict=True))
         texts = [value for column, value in values.items() if column not in ("attempts", "seconds")]

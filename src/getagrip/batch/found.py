@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from getagrip.batch.entries import Entry
 from getagrip.batch.job import Outcome, Progress, failure
@@ -38,7 +38,7 @@ class FindJob:
         """What says from what the clips were made, and which they are."""
         return self.to / f"{self.name}.{'grasps' if self.alone else 'timeline'}.json"
 
-    def made_from(self, checksum: str) -> dict[str, Any]:
+    def made_from(self, checksum: str) -> dict[str, object]:
         """All that decides what is found; ``checksum`` is that of the clip."""
         from getagrip.segmentation.held import METHOD
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from getagrip.batch import grasp_list
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.engine import Engine
 from getagrip.batch.entries import Entry, State
@@ -17,9 +15,11 @@ from getagrip.batch.job import Outcome, failure
 from getagrip.batch.share import ALONE, Share
 from getagrip.clip import Clip, write_clip
 from getagrip.clip.camera_of_image import doubt
+from getagrip.clip.reading import read_header
 from getagrip.datasets.dataset import Dataset, Draft, Part
+from getagrip.errors import InputError, UsageError
 from getagrip.grasps import lists
-from getagrip.io import leftovers
+from getagrip.io import files, leftovers
 from getagrip.io.counts import counted
 from getagrip.io.terminal import report
 
@@ -50,7 +50,7 @@ class Imported:
     clips: Sequence[Outcome]
     notes: Sequence[str] = ()
     """What was skipped, in words."""
-    made: Sequence[Mapping[str, Any]] = ()
+    made: Sequence[Mapping[str, object]] = ()
     """Provenance of the clips that were made."""
     handless: int = 0
     """Clips, made or kept, that lack their hands."""
@@ -63,15 +63,15 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
     camera seems to be of other images, else 0.
 
     Clips that are there already are kept, unless they lack hands that are known now. What killed processes have left
-    is removed. Beside clips that are cut to grasps stands the list of them (``grasp_list``). Several calls may share a
+    is removed. Beside clips that are cut to grasps stands the list of them (``write_list``). Several calls may share a
     folder: its ledger says who reads which part. Raises as ``Dataset.parts`` does, ``UsageError`` where clips in the
     folder were cut in another way, and ``GetagripError`` where the ledger cannot be written.
     """
     jobs = [ImportJob(part, out, only) for part in dataset.parts(report) if part.name in share.shard]
     cut = dataset.cut_record()
-    grasp_list.claim(out, cut)
+    claim_folder(out, cut)
     leftovers.sweep(out)
-    counts, made, handless, doubted = Counter[str](), list[Mapping[str, Any]](), 0, 0
+    counts, made, handless, doubted = Counter[str](), list[Mapping[str, object]](), 0, 0
     engine = Engine(work=import_part, lost=_lost, entry=_entry, options=repr(dataset))
     with closing(share.ended(engine, jobs, out, dataset.parts_are)) as parts:
         for imported in parts:
@@ -91,7 +91,7 @@ def import_clips(dataset: Dataset, out: Path, debug: bool, share: Share = ALONE,
                 report(f"--fail-fast: no other of the {dataset.parts_are} is begun")
                 break
     if cut is not None:
-        print(f"{out / lists.FILE}: {counted(grasp_list.write(out, cut, report), 'grasp')}")
+        print(f"{out / lists.FILE}: {counted(write_list(out, cut, report), 'grasp')}")
     failed = f"{counts['failed']} of {len(jobs)} {dataset.parts_are} failed"
     print(f"{counted(counts['done'], 'clip')}, {counts['kept']} already there, {failed}")
     for advice in dataset.advice(made, handless):
@@ -114,7 +114,7 @@ def _entry(imported: Imported) -> Entry:
 
 def import_part(job: ImportJob) -> Imported:
     """Write the clips of one part. Raises nothing."""
-    outcomes, notes, made, doubted = list[Outcome](), list[str](), list[Mapping[str, Any]](), 0
+    outcomes, notes, made, doubted = list[Outcome](), list[str](), list[Mapping[str, object]](), 0
 
     def missing(name: str, with_hands: bool = False) -> bool:
         folder = job.out / name
@@ -154,3 +154,38 @@ def _write(draft: Draft, folder: Path) -> Clip | None:
     hand = None if draft.hand is None else draft.hand(clip)
     write_clip(clip, masks, folder, images, (folder / "clip.json").is_file(), hand)
     return clip
+
+
+def claim_folder(out: Path, cut: Mapping[str, object] | None) -> None:
+    """Note in the folder how its clips are cut (None: they are not), before there are any.
+
+    Raises ``UsageError`` where it holds clips that were cut in another way, ``InputError`` for a damaged list.
+    """
+    path = out / lists.FILE
+    if path.exists():
+        if cut is None or lists.read_cut(path) != cut:
+            here = "no grasps" if cut is None else files.shown(dict(cut))
+            given = f"{out}, which holds clips cut as {path.name} there says, not {here}"
+            raise UsageError(f"--out: got {given}, expected another folder")
+    elif cut is not None:
+        if next(out.glob("*/clip.json"), None) is not None:
+            given = f"{out}, which holds clips and no {path.name} that says how they were cut"
+            raise UsageError(f"--out: got {given}, expected another folder")
+        out.mkdir(parents=True, exist_ok=True)
+        lists.write(path, [], cut)
+
+
+def write_list(out: Path, cut: Mapping[str, object], note: Callable[[str], None]) -> int:
+    """Write the list of the grasps that a folder's clips are, from the clips alone; returns how many there are."""
+    grasps = []
+    for folder in sorted(path.parent for path in out.glob("*/clip.json")):
+        try:
+            path = folder / "clip.json"
+            row = read_header(folder).fields["provenance"].get("grasp")
+            if not isinstance(row, dict):
+                raise InputError(path, "provenance.grasp", files.shown(row), "the grasp that the clip is")
+            grasps.append(lists.grasp_of(path, "provenance.grasp.", row))
+        except InputError as error:
+            note(f"not in {lists.FILE}: {error}")
+    lists.write(out / lists.FILE, grasps, cut)
+    return len(grasps)

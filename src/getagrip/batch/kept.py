@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from getagrip.batch.made_by import KEY, UNKNOWN
 from getagrip.errors import InputError, UsageError
@@ -25,8 +24,8 @@ OTHER = {
 
 
 def good_result(
-    folder: Path, checksum: str, method: str, options: Mapping[str, Any], made_by: Mapping[str, str], overwrite: bool
-) -> tuple[tuple[Reconstruction, dict[str, Any]] | None, str]:
+    folder: Path, checksum: str, method: str, options: Mapping[str, object], made_by: Mapping[str, str], overwrite: bool
+) -> tuple[tuple[Reconstruction, dict[str, object]] | None, str]:
     """The result in a folder with its record, if it is good, else None and why not; the reason is empty for no result.
 
     ``checksum`` is that of the clip, ``made_by`` the software that would make it now. With ``overwrite`` none is good,
@@ -50,7 +49,7 @@ def good_result(
     return (None, why) if why else ((result, record), "")
 
 
-def difference(there: Mapping[str, Any], now: Mapping[str, Any], called: Mapping[str, str]) -> str:
+def difference(there: Mapping[str, object], now: Mapping[str, object], called: Mapping[str, str]) -> str:
     """In what a record differs from that of what would be made now, as a reason; empty where it does not.
 
     ``called`` are the entries that count, and how each is called.

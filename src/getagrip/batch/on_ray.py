@@ -53,7 +53,7 @@ class RayCrew(Generic[J, R]):
         address: str | None,
         work: Callable[[J], R],
         limits: Limits,
-        prepare: Callable[[], Any] | None,
+        prepare: Callable[[], object] | None,
     ) -> None:
         """``workers`` None: as many as the cluster has CPUs, now and later.
 
@@ -67,8 +67,8 @@ class RayCrew(Generic[J, R]):
         self._workers = workers
         task = self._ray.remote(num_cpus=1, max_retries=0)(_do)
         how = self._ray.put((work, limits, prepare, code.fingerprint(), os.getcwd()))
-        self._start: Callable[[J], Any] = lambda job: task.remote(how, job)
-        self._at_work: dict[Any, _Given[J]] = {}
+        self._start: Callable[[J], object] = lambda job: task.remote(how, job)
+        self._at_work: dict[object, _Given[J]] = {}
         self._cpus, self._looked = 0, -LOOK_EVERY
 
     @property
@@ -110,7 +110,7 @@ class RayCrew(Generic[J, R]):
         if self._ours:
             self._ray.shutdown()
 
-    def _ended(self, ref: Any, given: _Given[J]) -> Ended[J, R] | None:
+    def _ended(self, ref: object, given: _Given[J]) -> Ended[J, R] | None:
         """What has become of a job; None where its worker was lost and it has been sent again."""
         try:
             ended = self._ray.get(ref)
@@ -156,7 +156,7 @@ def check_answer(address: str) -> None:
         socket.create_connection((host, int(port)), PATIENCE).close()
 
 
-def _do(how: tuple[Callable[[J], R], Limits, Callable[[], Any] | None, str, str], job: J) -> Ended[J, R] | Exception:
+def _do(how: tuple[Callable[[J], R], Limits, Callable[[], object] | None, str, str], job: J) -> Ended[J, R] | Exception:
     """Runs in a Ray worker: do a job; an exception is to be raised by the driver."""
     work, limits, prepare, expected, folder = how
     try:
@@ -172,7 +172,7 @@ def _do(how: tuple[Callable[[J], R], Limits, Callable[[], Any] | None, str, str]
 
 
 @lru_cache(maxsize=1)  # what comes later is of another call: the process of the one before ends when it is forgotten
-def _crew(work: Callable[[J], R], limits: Limits, prepare: Callable[[], Any] | None, folder: str) -> Processes[J, R]:
+def _crew(work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None, folder: str) -> Processes[J, R]:
     """This Ray worker's one process, which works in the driver's ``folder``; kept for its next job."""
     return Processes(1, work, limits, prepare)
 

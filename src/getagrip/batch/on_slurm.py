@@ -52,7 +52,7 @@ class SlurmCrew(Generic[J, R]):
     """Tasks of array jobs, so many at once; new ones are submitted when half of them have ended."""
 
     def __init__(
-        self, workers: int | None, work: Callable[[J], R], limits: Limits, prepare: Callable[[], Any] | None
+        self, workers: int | None, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None
     ) -> None:
         """``workers``: tasks at once. Raises ``UsageError`` where submitit or Slurm is not there."""
         submitit = extras.load("submitit", "slurm", "--engine slurm")
@@ -147,7 +147,7 @@ class SlurmCrew(Generic[J, R]):
 
 
 def _do(
-    how: tuple[Callable[[J], R], Limits, Callable[[], Any] | None, str], jobs: list[J]
+    how: tuple[Callable[[J], R], Limits, Callable[[], object] | None, str], jobs: list[J]
 ) -> list[Ended[J, R]] | Exception:
     """Runs in a task of an array: do its jobs; an exception is to be raised by the driver."""
     work, limits, prepare, expected = how

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from getagrip.batch.crew import DIES, Crew, Ended
 from getagrip.batch.limits import NONE, Limits
@@ -20,8 +20,6 @@ DIED = "its process died twice; out of memory?"
 """The message for a job for which ``in_processes`` gives None."""
 ATTEMPTS = 2
 """Of a job whose process dies."""
-END: Any = object()
-"""Of the jobs."""
 NAP = 0.5
 """Seconds after which we ask again for jobs, where there were none for the moment."""
 
@@ -62,10 +60,12 @@ def shared_out(crew: Crew[J, R], jobs: Iterable[J | None], limits: Limits = NONE
         while more or crew.busy or again:
             nap = None
             while more and not nap and crew.room > 0:
-                job = next(source, END)
-                if job is END:
+                try:
+                    job = next(source)
+                except StopIteration:
                     more = False
-                elif job is None:
+                    break
+                if job is None:
                     nap = NAP
                 else:
                     crew.give(job, 1)

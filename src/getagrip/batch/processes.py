@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 from getagrip.batch.crew import DIES, Ended
 from getagrip.batch.limits import Limits
@@ -26,7 +26,9 @@ JOBS_EACH = 500
 class Processes(Generic[J, R]):
     """A crew of processes on this machine: each starts when there is a job for it."""
 
-    def __init__(self, workers: int, work: Callable[[J], R], limits: Limits, prepare: Callable[[], Any] | None) -> None:
+    def __init__(
+        self, workers: int, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None
+    ) -> None:
         """Of at most so many ``workers``. Each calls ``prepare`` first; that counts for no limit."""
         self.workers = workers
         self._start: Callable[[], _Process[J, R]] = lambda: _Process(work, limits, prepare)
@@ -72,7 +74,7 @@ class Processes(Generic[J, R]):
 class _Process(Generic[J, R]):
     """A process that does one job after the other."""
 
-    def __init__(self, work: Callable[[J], R], limits: Limits, prepare: Callable[[], Any] | None) -> None:
+    def __init__(self, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None) -> None:
         spawn = get_context("spawn")  # forked threads and locks of numerical libraries hang
         self.pipe, theirs = spawn.Pipe()
         self.process = spawn.Process(target=_serve, args=(theirs, work, limits, prepare))
@@ -113,15 +115,15 @@ class _Process(Generic[J, R]):
             return self._lost(self.limits.too_long)
         return None
 
-    def _answered(self, good: bool, value: Any) -> Ended[J, R]:
+    def _answered(self, result: R | None, error: Exception | None) -> Ended[J, R]:
         """The job's end, as the process has said it."""
         self.busy, self.done = False, self.done + 1
-        if not good:
-            raise value
+        if error is not None:
+            raise error
         if self.done == JOBS_EACH:
             self.close()
         took = time.monotonic() - self.since
-        return Ended(self.job, value, "", took, self.attempt, self.pid)
+        return Ended(self.job, result, "", took, self.attempt, self.pid)
 
     def _lost(self, why: str) -> Ended[J, R]:
         """The job's end, where the process is gone."""
@@ -141,7 +143,7 @@ class _Process(Generic[J, R]):
         self.gone = True
 
 
-def _serve(pipe: Connection, work: Callable[[J], R], limits: Limits, prepare: Callable[[], Any] | None) -> None:
+def _serve(pipe: Connection, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None) -> None:
     """Runs in the process: do the jobs that come through the pipe, until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is left to the parent, which hands out no more jobs
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -153,9 +155,9 @@ def _serve(pipe: Connection, work: Callable[[J], R], limits: Limits, prepare: Ca
         while True:
             job = pipe.recv()
             try:
-                answer: tuple[bool, Any] = True, work(job)
+                answer: tuple[R | None, Exception | None] = work(job), None
             except Exception as error:
-                answer = False, error
+                answer = None, error
             pipe.send(answer)
     except (EOFError, ConnectionError):  # the parent has closed it
         return

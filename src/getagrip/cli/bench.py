@@ -68,11 +68,9 @@ class Bench(Command):
     have exact, moderate or strong (noise of hands), ragged (strong, and noise of masks), and all (the default: each of
     these). Other datasets have none."""
     root: OptionalFolder = None
-    """dexycb..., hot3d-timelines, artigrasp...: the dataset's folder, as for import."""
+    """dexycb..., hot3d-timelines: the dataset's folder, as for import."""
     meshes: OptionalFolder = None
     """dexycb: the folder of the YCB models."""
-    shortest: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2)")] = None
-    """artigrasp...: frames of the shortest grasp, as for import."""
     init: Init = "uniform"
     """Initial poses, as for reconstruct."""
     priors: OptionalFile = None
@@ -106,7 +104,7 @@ class Bench(Command):
 
         source = source_of(
             self.dataset, split=self.split, preset=self.preset, root=self.root, meshes=self.meshes,
-            shortest=self.shortest, only=None if self.only is None else names_in(self.only),
+            only=None if self.only is None else names_in(self.only),
         )  # fmt: skip
         options = Options(
             inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 from getagrip.clip.mask_request import MaskReader, MaskRequest
 from getagrip.clip.region_masks import Region, region_masks
@@ -15,7 +14,7 @@ THING_KEYS = ("track_id", "instance_id", "object_id")
 """By which trackers and annotators tell things of one category apart."""
 
 
-def coco(path: Path, content: Mapping[str, Any], request: MaskRequest) -> MaskReader:
+def coco(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
     """COCO's annotations; an image without any of the object shows nothing of it. Raises ``InputError``."""
     images, names = objects(path, content, "images"), []
     for k, image in enumerate(images):
@@ -38,10 +37,10 @@ def coco(path: Path, content: Mapping[str, Any], request: MaskRequest) -> MaskRe
     return region_masks(path, request, regions)
 
 
-def youtube_vis(path: Path, content: Mapping[str, Any], request: MaskRequest) -> MaskReader:
+def youtube_vis(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
     """YouTube-VIS's annotations: a region of each thing for each frame of its video, or null."""
     names: list[str] = []
-    where: list[tuple[Any, int]] = []
+    where: list[tuple[object, int]] = []
     for k, video in enumerate(objects(path, content, "videos")):
         of_video = video.get("file_names")
         if not isinstance(video.get("id"), int | str) or not isinstance(of_video, list):
@@ -69,7 +68,7 @@ def check_size(path: Path, key: str, width: object, height: object, request: Mas
         raise InputError(path, key, f"{files.shown(width)} x {files.shown(height)}", "{} x {}".format(*request.size))
 
 
-def objects(path: Path, content: Mapping[str, Any], key: str, needed: bool = True) -> list[dict[str, Any]]:
+def objects(path: Path, content: Mapping[str, object], key: str, needed: bool = True) -> list[files.Json]:
     """A list of JSON objects. Raises ``InputError``."""
     value = content.get(key, None if needed else [])
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
@@ -79,8 +78,8 @@ def objects(path: Path, content: Mapping[str, Any], key: str, needed: bool = Tru
 
 
 def _annotations(
-    path: Path, content: Mapping[str, Any], of: str
-) -> Iterator[tuple[str, dict[str, Any], tuple[str, ...]]]:
+    path: Path, content: Mapping[str, object], of: str
+) -> Iterator[tuple[str, files.Json, tuple[str, ...]]]:
     """Each annotation with its place and its labels: its category's name and id."""
     categories = objects(path, content, "categories", needed=False)
     names = {str(item.get("id")): str(item.get("name")) for item in categories}
@@ -93,7 +92,7 @@ def _annotations(
         yield f"annotations[{k}]", item, (names[label], label) if label in names else (label,)
 
 
-def _thing(item: Mapping[str, Any]) -> str:
+def _thing(item: Mapping[str, object]) -> str:
     """Which thing of its category an annotation is of; empty where it does not say."""
     attributes = item.get("attributes")
     for given in (item, attributes if isinstance(attributes, dict) else {}):

@@ -1,7 +1,12 @@
-"""The object, and what hides it, by the labels of images."""
+"""The object, and what hides it, by the labels of images.
+
+Images are PNG: grey (1 to 16 bit), with a palette as SAM 2 and VOS benchmarks write them, or colour-coded. With alpha,
+what is transparent is background.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +14,13 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
-from getagrip.clip.label_images import label_value
 from getagrip.clip.mask_request import MOST_NAMED, MaskRequest, without_object
-from getagrip.errors import InputError
+from getagrip.errors import InputError, UsageError
+from getagrip.io.png import open_png
+
+ALPHA = "the alpha channel was taken for the mask, in images"
+MOST_COLOURS = 64
+"""Of labels; an image of more is a photograph, cut out."""
 
 
 class LabelChoice:
@@ -46,3 +55,49 @@ class LabelChoice:
 def _label_name(label: int) -> str:
     """A label as it can be given."""
     return str(label) if label < 2**16 else f"#{label:06x}"
+
+
+def read_labels(path: Path, size: tuple[int, int], notes: Counter[str] | None = None) -> Int[ndarray, "H W"]:
+    """The label of each pixel: a grey value, an index into the palette, or a colour as 0xRRGGBB.
+
+    Where alpha varies, what is transparent has the label 0, and what is not has its colour's; its alpha counts alone
+    where that is one colour, or too many for labels. ``notes`` counts the images in which it does. Sizes are checked
+    before memory is taken. Raises ``InputError``.
+    """
+    image, colours, bits = open_png(path, size)
+    if (colours == "grey and alpha" or colours.startswith("RGB")) and bits > 8:
+        raise InputError(path, "channels", f"{bits} bit {colours}", "grey, a palette, or colours of 8 bit")
+    values = np.asarray(image).astype(np.int64)
+    labels = values
+    if values.ndim == 3:
+        red, green, blue = np.moveaxis(values[..., :3], -1, 0) if values.shape[2] > 2 else (0, 0, values[..., 0])
+        labels = np.asarray(red << 16 | green << 8 | blue)
+    if colours.endswith("alpha"):
+        return _opaque(labels, values[..., -1], Counter() if notes is None else notes)
+    spread = 255 // (2**bits - 1) if colours == "grey" and bits in (2, 4) else 1  # Pillow spreads these over 0 to 255
+    return labels // spread
+
+
+def _opaque(labels: Int[ndarray, "H W"], alpha: Int[ndarray, "H W"], notes: Counter[str]) -> Int[ndarray, "H W"]:
+    """The labels of what is opaque, by half of the largest alpha or more; 0 elsewhere."""
+    there = np.unique(labels)
+    if alpha.min() == alpha.max():
+        hidden = alpha.max() == 0 and (there.size == 1 or there.size > MOST_COLOURS)
+        return np.zeros_like(labels) if hidden else labels
+    opaque = 2 * alpha >= alpha.max()
+    there = np.unique(labels[opaque])
+    if 1 < there.size <= MOST_COLOURS:
+        return np.where(opaque, labels, 0)
+    notes[ALPHA] += 1
+    return np.where(opaque, 255, 0)
+
+
+def label_value(text: str, option: str) -> int:
+    """A label from a command line: a whole number, or a colour as #rrggbb. Raises ``UsageError``."""
+    try:
+        value = int(text[1:], 16) if text.startswith("#") and len(text) == 7 else int(text)
+    except ValueError:
+        value = -1
+    if not 0 <= value < 2**24:
+        raise UsageError(f"{option}: got {text!r}, expected a label as 3, or a colour as #ff0000")
+    return value

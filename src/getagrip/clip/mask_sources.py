@@ -2,7 +2,7 @@
 
 - a folder of folders, one for each thing (``object/`` and perhaps ``ignore/`` and ``hand/``, or any others, chosen by
   their names): one PNG for each frame, non-zero where the mask is set;
-- a folder of PNG: the labels of an image each (``label_images``), or a mask each where there is one label only; or of
+- a folder of PNG: the labels of an image each (``label_choice``), or a mask each where there is one label only; or of
   ``.npy`` or ``.npz`` (``array_masks``), or of LabelMe's ``.json`` (``shape_masks``);
 - ``.json``: COCO's ``images``, ``annotations`` (polygons or run lengths) and ``categories``, YouTube-VIS's ``videos``
   (``coco_masks``), SA-V's ``masklet`` (``shape_masks``);
@@ -26,8 +26,7 @@ from numpy import ndarray
 from getagrip.clip.array_masks import npy, npy_folder, npz
 from getagrip.clip.coco_masks import coco, youtube_vis
 from getagrip.clip.data import FrameMasks
-from getagrip.clip.label_choice import LabelChoice
-from getagrip.clip.label_images import read_labels
+from getagrip.clip.label_choice import LabelChoice, read_labels
 from getagrip.clip.mask_request import MOST_NAMED, MaskReader, MaskRequest, without_object
 from getagrip.clip.segments import union
 from getagrip.clip.shape_masks import label_me, masklets

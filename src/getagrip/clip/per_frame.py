@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -32,14 +31,14 @@ def frame_names(path: Path, names: object) -> tuple[str, ...]:
     return tuple(names)
 
 
-def intrinsics(path: Path, camera: dict[str, Any], frames: int, size: tuple[int, int]) -> Float[ndarray, "T 3 3"]:
+def intrinsics(path: Path, camera: dict[str, object], frames: int, size: tuple[int, int]) -> Float[ndarray, "T 3 3"]:
     """Pinhole intrinsics of each frame [px]."""
     K = _matrices(path, "camera.K", camera["K"], 3, frames)
     check_intrinsics(path, K, size)
     return K
 
 
-def world(path: Path, camera: dict[str, Any], frames: tuple[str, ...]) -> World | None:
+def world(path: Path, camera: dict[str, object], frames: tuple[str, ...]) -> World | None:
     """Where the camera was, in a frame that stands still; None where it is not known."""
     up = None if "world_up" not in camera else _numbers(camera["world_up"])
     if up is not None and not (up.shape == (3,) and abs(np.linalg.norm(up) - 1.0) < 1e-3):

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Literal, TypedDict, cast
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,9 +17,9 @@ from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
 from getagrip.clip.masks import has_mask
 from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
 from getagrip.clip.plausible import FASTEST, SLOWEST, check_hand, check_in_view
-from getagrip.clip.provenance import parse
+from getagrip.clip.provenance import Provenance, parse
 from getagrip.clip.reading_truth import read_truth
-from getagrip.clip.timeline import at_frames, read_segments
+from getagrip.clip.timeline import Side, at_frames, read_segments
 from getagrip.errors import InputError
 from getagrip.geometry.mesh_files import read_mesh
 from getagrip.io import arrays, files
@@ -38,6 +38,24 @@ MOST_PALM_REGIONS, REGIONS_PER_VERTEX = 100, 8
 """Of a hand: areas of the palm, and how often a vertex may be in regions, mean over all."""
 LARGEST_SIDE, LARGEST_IMAGE = 16384, 40_000_000
 """Plausible side [px] and number of pixels of an image; of video, 8K has the most."""
+
+
+class ClipFields(TypedDict, total=False):
+    """The keys of ``clip.json``."""
+
+    version: int
+    name: str
+    category: str
+    side: Side
+    fps: float
+    frames: object
+    size: object
+    camera: dict[str, object]
+    mesh: str
+    scale: Literal["known", "free"]
+    provenance: Provenance
+    times: object
+    segments: object
 
 
 def read_clip(folder: str | Path) -> Clip:
@@ -90,7 +108,7 @@ class ClipHeader:
     """The content of ``clip.json``, frames without a hand included; hands, mesh and masks are not read."""
 
     folder: Path
-    fields: dict[str, Any]
+    fields: ClipFields
     """All of it, checked."""
     frames: tuple[str, ...]
     size: tuple[int, int]
@@ -115,8 +133,7 @@ def read_header(folder: str | Path) -> ClipHeader:
 
 def read_name(folder: str | Path) -> str:
     """The name of a clip, its ``clip.json`` checked and nothing else read. Raises ``InputError``."""
-    name: str = _fields(_folder(folder))["name"]
-    return name
+    return _fields(_folder(folder))["name"]
 
 
 def input_sha256(folder: str | Path) -> str:
@@ -145,12 +162,12 @@ def _folder(path: str | Path) -> Path:
     return path.parent if path.name == "clip.json" else path
 
 
-def _mesh(folder: Path, fields: dict[str, Any]) -> Path:
+def _mesh(folder: Path, fields: ClipFields) -> Path:
     """The path of the mesh, checked."""
     return files.inside(folder, fields["mesh"], "mesh", "a triangle mesh", given_in=folder / "clip.json")
 
 
-def _fields(folder: Path) -> dict[str, Any]:
+def _fields(folder: Path) -> ClipFields:
     """The fields of ``clip.json``, none missing or unknown, those of one text or number checked."""
     if not folder.is_dir():
         raise InputError(folder, "", "no such folder", "the folder of a clip")
@@ -183,10 +200,10 @@ def _fields(folder: Path) -> dict[str, Any]:
     require("provenance", isinstance(fields.setdefault("provenance", {}), dict), "an object")
     require("camera", isinstance(camera, dict) and "K" in camera, '{"K": 3x3} or {"K": [3x3, ...]}')
     _known(path, "camera.", camera, CAMERA_KEYS[version], version)
-    return fields | {"provenance": parse(path, fields["provenance"], version)}
+    return cast(ClipFields, fields | {"provenance": parse(path, fields["provenance"], version)})
 
 
-def _known(path: Path, where: str, given: dict[str, Any], known: tuple[str, ...], version: int) -> None:
+def _known(path: Path, where: str, given: dict[str, object], known: tuple[str, ...], version: int) -> None:
     """Raise ``InputError`` for a key that a version does not have."""
     unknown = next((key for key in given if key not in known), None)
     if unknown is not None:

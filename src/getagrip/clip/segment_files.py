@@ -9,10 +9,9 @@ the camera did not move, and who says so. Other keys (``margins``, ``notes``) ar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -44,7 +43,7 @@ class SegmentList:
 
     path: Path
     key: str
-    rows: list[dict[str, Any]]
+    rows: Sequence[Mapping[str, object]]
     source: str | None
     still_camera: str | None = None
 
@@ -54,10 +53,10 @@ class SegmentList:
         return SegmentList(clip.origin, "segments", segment_fields(segments, clip.frames), source, still_camera)
 
     @property
-    def fields(self) -> dict[str, Any]:
+    def fields(self) -> dict[str, object]:
         """What a file says of them."""
         about = {"source": self.source, "still_camera": self.still_camera}
-        return {"segments": self.rows} | {key: text for key, text in about.items() if text is not None}
+        return {"segments": self.rows, **{key: text for key, text in about.items() if text is not None}}
 
     def at(self, frames: Sequence[str], has_world: bool) -> tuple[Segment, ...]:
         """The segments in a clip with these frames, cut at its ends. Raises ``InputError`` where none is in it.
@@ -143,7 +142,7 @@ def _text(path: Path, key: str, value: object) -> str | None:
     return value
 
 
-def _at(row: dict[str, Any], frames: Sequence[str]) -> dict[str, Any] | None:
+def _at(row: Mapping[str, object], frames: Sequence[str]) -> Mapping[str, object] | None:
     """A segment in the frames of a clip, cut at its ends; None outside. Frames without a number stay as they are."""
     ends = [row.get("first"), row.get("last")]
     if not all(_is_number(name) for name in (*ends, *frames)):
@@ -152,7 +151,7 @@ def _at(row: dict[str, Any], frames: Sequence[str]) -> dict[str, Any] | None:
     within = [name for name in frames if first <= int(name) <= last]
     if first > last or not within:
         return row if first > last else None
-    return row | {"first": within[0], "last": within[-1]}
+    return {**row, "first": within[0], "last": within[-1]}
 
 
 def _is_number(name: object) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from getagrip.clip.coco_masks import check_size, objects
 from getagrip.clip.mask_request import MaskReader, MaskRequest
@@ -26,7 +25,7 @@ def label_me(source: Path, paths: Sequence[Path], request: MaskRequest) -> MaskR
     return region_masks(source, request, regions)
 
 
-def _shape(path: Path, key: str, item: Mapping[str, Any]) -> Region:
+def _shape(path: Path, key: str, item: Mapping[str, object]) -> Region:
     label, group, kind = item.get("label"), item.get("group_id"), item.get("shape_type", "polygon")
     points = arrays.from_lists(item.get("points"))
     if not isinstance(label, str) or kind not in ("polygon", "rectangle"):
@@ -42,7 +41,7 @@ def _shape(path: Path, key: str, item: Mapping[str, Any]) -> Region:
     return Region(f"{key}.points", (label,), "" if group is None else str(group), [corners], path)
 
 
-def masklets(path: Path, content: Mapping[str, Any], request: MaskRequest) -> MaskReader:
+def masklets(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
     """SA-V's masklets: for each annotated frame of a video the run lengths of each object, chosen by its number.
 
     Frames count from 0; every fourth is annotated, as the number of the video's frames says. Raises ``InputError``.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Int
@@ -115,7 +115,7 @@ def read_segments(path: Path, given: object, frames: Sequence[str], has_world: b
     return tuple(out)
 
 
-def _read_segment(path: Path, key: str, fields: dict[str, Any], row_of: dict[str, int]) -> Segment:
+def _read_segment(path: Path, key: str, fields: files.Json, row_of: dict[str, int]) -> Segment:
     """One of them."""
     unknown = next((name for name in fields if name not in KEYS), None)
     if unknown is not None:

@@ -7,25 +7,19 @@ from __future__ import annotations
 
 from getagrip.commands.import_epic import ImportEpic
 from getagrip.datasets.arctic import Arctic
-from getagrip.datasets.artigrasp import ArtiGrasp
-from getagrip.datasets.artigrasp_estimated import EstimatedArtiGrasp
 from getagrip.datasets.dataset import Dataset
 from getagrip.datasets.dexycb.reader import DexYcb
 from getagrip.datasets.ho3d import Ho3d
 from getagrip.datasets.hoi4d import Hoi4d
 from getagrip.datasets.hot3d.reader import Hot3d
-from getagrip.datasets.taco import Taco
 from getagrip.datasets.track_files import Tracks
 
 DATASETS: dict[str, type[Dataset]] = {
     "hot3d": Hot3d,
     "dexycb": DexYcb,
     "arctic": Arctic,
-    "artigrasp": ArtiGrasp,
-    "artigrasp-estimated": EstimatedArtiGrasp,
     "hoi4d": Hoi4d,
     "ho3d": Ho3d,
-    "taco": Taco,
     "tracks": Tracks,
     "epic": ImportEpic,
 }

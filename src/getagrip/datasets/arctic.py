@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -32,7 +32,7 @@ from getagrip.datasets import mano_tracks
 from getagrip.datasets.arctic_parts import is_top
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
-from getagrip.datasets.pickled import numbers
+from getagrip.datasets.mano_tracks import numbers
 from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
@@ -178,7 +178,7 @@ def _hands(file: Path, mano: Path, T_cam_world: Float[ndarray, "T 4 4"], T: int)
     return hands
 
 
-def _view(file: Path, misc: dict[str, Any], subject: str, number: int, egocam: Path, T: int) -> View:
+def _view(file: Path, misc: dict[str, object], subject: str, number: int, egocam: Path, T: int) -> View:
     """The camera of a view, that on the head from its own file."""
     of = {key: np.array(misc[key]) for key in ("image_size", "world2cam", "intris_mat") if _is_table(misc.get(key))}
     sizes = numbers(file, of, "image_size", (VIEWS, 2), subject)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -66,7 +66,7 @@ class TrackedDataset(Dataset):
             raise UsageError("--list and --whole: name one of them")
         return self.grasps.cut(note)
 
-    def cut_record(self) -> dict[str, Any] | None:
+    def cut_record(self) -> dict[str, object] | None:
         """How its clips are cut; None where they are whole."""
         return None if self.whole else self.grasps.cut(lambda _: None).record()
 
@@ -170,7 +170,7 @@ def ahead(track: Track) -> Bool[ndarray, "T"]:
 
 
 def known_clip(
-    track: Track, name: str = "", provenance: dict[str, Any] | None = None, segments: tuple[Segment, ...] = ()
+    track: Track, name: str = "", provenance: dict[str, object] | None = None, segments: tuple[Segment, ...] = ()
 ) -> Clip:
     """What is known of a track, as a clip without masks. Raises ``InputError`` for an object that none can have.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from jaxtyping import UInt8
@@ -63,14 +63,14 @@ class Dataset:
         """Its parts, yet to be read. Raises ``UsageError`` for wrong options, ``InputError`` where no part is found."""
         raise NotImplementedError
 
-    def cut_record(self) -> dict[str, Any] | None:
+    def cut_record(self) -> dict[str, object] | None:
         """How its clips are cut to stable grasps, as the list beside them says; None where they are no cut sequences.
 
         Raises as ``parts`` does.
         """
         return None
 
-    def advice(self, made: Sequence[Mapping[str, Any]], handless: int) -> Iterator[str]:
+    def advice(self, made: Sequence[Mapping[str, object]], handless: int) -> Iterator[str]:
         """What to say at the end, given the provenance of the clips made and the number of clips that lack hands."""
         return iter(())
 

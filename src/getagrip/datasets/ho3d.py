@@ -27,7 +27,7 @@ from getagrip.clip import HandTrack
 from getagrip.datasets import mano_tracks, ycb
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
-from getagrip.datasets.pickled import numbers
+from getagrip.datasets.mano_tracks import numbers
 from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3

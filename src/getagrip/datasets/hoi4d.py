@@ -30,7 +30,7 @@ from getagrip.clip import FrameMasks, HandTrack
 from getagrip.datasets import mano_tracks
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
-from getagrip.datasets.pickled import numbers
+from getagrip.datasets.mano_tracks import numbers
 from getagrip.datasets.tracks import Source, Track, check_length, in_pixels
 from getagrip.errors import InputError
 from getagrip.geometry import se3

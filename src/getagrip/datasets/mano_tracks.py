@@ -1,18 +1,22 @@
-"""Hands of datasets that hold MANO's parameters, by the user's own MANO files."""
+"""Hands of datasets that hold MANO's parameters, most of them pickled, by the user's own MANO files."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import HandTrack
-from getagrip.errors import UsageError
+from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands import mano
 from getagrip.hands.model import MIRROR, Side, hand_track, root_transform
+from getagrip.io import arrays
+from getagrip.io.files import shown
 
 FILES: dict[Side, str] = {"left": "MANO_LEFT.pkl", "right": "MANO_RIGHT.pkl"}
 
@@ -65,3 +69,25 @@ def track(
     shaped = hand.model.with_shape(shape)
     posed = shaped.with_pose(hand.pose(pose, "axis_angle", flat_hand_mean))
     return hand_track(posed, T_cam @ root_transform(se3.exp_so3(rotation), translation, shaped.joints[0]))
+
+
+def numbers(
+    path: Path, given: Mapping[str, object], key: str, shape: tuple[int, ...], of: str = ""
+) -> Float[ndarray, "..."]:
+    """A finite array of the given shape, -1 standing for any length above 0; axes of length 1 in front are let be.
+
+    ``of`` names the dictionary that ``given`` is, where it stands in another. Raises ``InputError``.
+    """
+    name = f"{of}.{key}" if of else key
+    if key not in given:
+        raise InputError(path, name, "no such key", "the key")
+    value: object = given[key]
+    if isinstance(value, list | tuple):
+        value = arrays.from_lists(value)
+    if not isinstance(value, ndarray):
+        raise InputError(path, name, shown(given[key]), f"numbers of shape {shape}")
+    if value.dtype.kind not in "fiu":
+        raise InputError(path, name, f"an array of {value.dtype}", f"numbers of shape {shape}")
+    if value.size == abs(int(np.prod(shape))) and -1 not in shape:
+        value = value.reshape(shape)
+    return arrays.floats(path, {name: value}, name, shape, kinds="fiu")

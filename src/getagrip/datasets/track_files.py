@@ -8,14 +8,17 @@ A file is one sequence of one object with one or two hands:
                      mesh                        text: name of the mesh's file, in the same folder [m]
                      fps                         frames per second
                      category, subject, sequence texts; they name the clips
-    optional         frames                      (T,): numbers of the frames, rising; by default from 0
+    optional         estimated_left, _right      (T, 21, 3): the joints as an estimator found them, of the same sides:
+                                                 clips are given these hands, the true ones are their truth
+                     frames                      (T,): numbers of the frames, rising; by default from 0
                      source, licence             texts, for the provenance
                      articulation                (T,): angle of the object's joint [rad]
                      mesh_top, joint             text: the mesh of the part that turns; (2, 3): a point of the axis [m],
                                                  its direction, in the object's frame
                      K, size, T_cam_world        (3, 3), (2,) [px], (4, 4) or (T, 4, 4): the camera; all three or none
+                     assumed_camera              text: what that camera is, where it is no true one
 
-Without a camera, one is assumed (``assumed_camera``), and z must be up in the world. Meshes are made fine enough for
+Without a camera, one is assumed (``joint_tracks``), and z must be up in the world. Meshes are made fine enough for
 contact to be counted by their vertices.
 """
 
@@ -33,11 +36,10 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import Joint
-from getagrip.clip.provenance import measured
-from getagrip.datasets.assumed_camera import PosedCamera
+from getagrip.clip.provenance import assumed, measured
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
-from getagrip.datasets.joint_tracks import Motion, tracks
+from getagrip.datasets.joint_tracks import Motion, PosedCamera, tracks
 from getagrip.datasets.tracks import Source, Track, check_length
 from getagrip.errors import InputError
 from getagrip.geometry import se3
@@ -55,15 +57,12 @@ SIDES: tuple[Side, ...] = ("left", "right")
 NAMES = ("category", "subject", "sequence")
 CAMERA = ("K", "size", "T_cam_world")
 JOINT = ("articulation", "mesh_top", "joint")
-TEXTS = ("source", "licence")
-KEYS = {*(f"joints_{side}" for side in SIDES), "order", "T_world_obj", "mesh", "fps", "frames"} | {
-    *NAMES,
-    *CAMERA,
-    *JOINT,
-    *TEXTS,
-}
+TEXTS = ("source", "licence", "assumed_camera")
+JOINTS = tuple(f"{kind}_{side}" for kind in ("joints", "estimated") for side in SIDES)
+KEYS = {*JOINTS, "order", "T_world_obj", "mesh", "fps", "frames", *NAMES, *CAMERA, *JOINT, *TEXTS}
 WITHIN_10_MM = GraspOptions(contact_mm=10.0, shortest=FEWEST)
-"""As of ``artigrasp``: most recordings of joints are like that one."""
+"""As of ``arctic``, but for the contact: within 10 mm the fitted hands touch objects in the frames in which the true
+ones do (docs/arctic.md), at 0 mm not."""
 FASTEST = 1000.0
 """Frames per second."""
 
@@ -87,47 +86,60 @@ class Tracks(TrackedDataset):
 
 def _read(file: Path, note: Note) -> Iterator[Track]:
     """The object in each hand, in the frames in which all that the file holds is known."""
+    motion = read_motion(file, note)
+    if motion is not None:
+        yield from tracks(motion)
+
+
+def read_motion(file: Path, note: Note) -> Motion | None:
+    """A file, in the frames in which all that it holds is known; None for fewer than 2. Raises ``InputError``."""
     given = arrays.read(file, KEYS.__contains__)
     order = _order(file, given)
     category, subject, sequence = (_name(file, given, key) for key in NAMES)
-    given_sides = [side for side in SIDES if f"joints_{side}" in given]
-    if not given_sides:
-        raise InputError(file, "joints_left, joints_right", "none of them", "the joints of a hand or of both")
     poses = _maybe_unknown(file, given, "T_world_obj", (-1, 4, 4))
     T = len(poses)
     check_length(file, "T_world_obj", T)
-    joints = {side: _maybe_unknown(file, given, f"joints_{side}", (T, 21, 3)) for side in given_sides}
+    joints, estimated = _joints(file, given, "joints", T), _joints(file, given, "estimated", T)
+    if not joints:
+        raise InputError(file, "joints_left, joints_right", "none of them", "the joints of a hand or of both")
+    if estimated and estimated.keys() != joints.keys():
+        raise InputError(file, "estimated_left, estimated_right", "not those of joints_...", "the same sides, or none")
     known = np.isfinite(poses).all(axis=(1, 2))
-    for of_side in joints.values():
+    for of_side in (*joints.values(), *estimated.values()):
         known &= np.isfinite(of_side).all(axis=(1, 2))
     rows = np.flatnonzero(known)
     if rows.size < 2:
         note(f"{file.name}: hands and object are known in {rows.size} of {T} frames: skipped")
-        return
+        return None
     if not se3.is_rigid(poses[rows]).all():
         raise InputError(file, "T_world_obj", "matrices that are no rigid motions", "rotations and translations [m]")
     mesh, joint = _object(file, given)
-    yield from tracks(
-        Motion(
-            file=file,
-            subject=subject,
-            sequence=sequence,
-            category=category,
-            fps=_rate(file, given),
-            numbers=_numbers(file, given, T)[rows],
-            joints={side: of_side[rows][:, order] for side, of_side in joints.items()},
-            T_world_obj=poses[rows],
-            mesh=mesh,
-            joint=joint,
-            articulation=_angles(file, given, T, rows),
-            camera=_camera(file, given, T, rows),
-            provenance={
-                "source": f"{file.name}, {subject}/{sequence}",
-                **{key: _text(file, given, key) for key in TEXTS if key in given},
-                "scale": f"the file's mesh, taken as of true size; long edges halved: {len(mesh.vertices)} vertices",
-            },
-        )
+    return Motion(
+        file=file,
+        subject=subject,
+        sequence=sequence,
+        category=category,
+        fps=_rate(file, given),
+        numbers=_numbers(file, given, T)[rows],
+        joints={side: of_side[rows][:, order] for side, of_side in joints.items()},
+        estimated={side: of_side[rows][:, order] for side, of_side in estimated.items()},
+        T_world_obj=poses[rows],
+        mesh=mesh,
+        joint=joint,
+        articulation=_angles(file, given, T, rows),
+        camera=_camera(file, given, T, rows),
+        provenance={
+            "source": f"{file.name}, {subject}/{sequence}",
+            **{key: _text(file, given, key) for key in ("source", "licence") if key in given},
+            "scale": f"the file's mesh, taken as of true size; long edges halved: {len(mesh.vertices)} vertices",
+        },
     )
+
+
+def _joints(file: Path, given: Arrays, kind: str, T: int) -> dict[Side, Float[ndarray, "T 21 3"]]:
+    """The joints of each hand that the file has them of, in its own order."""
+    keys = {side: f"{kind}_{side}" for side in SIDES}
+    return {side: _maybe_unknown(file, given, key, (T, 21, 3)) for side, key in keys.items() if key in given}
 
 
 def _object(file: Path, given: Arrays) -> tuple[Mesh, Joint | None]:
@@ -166,9 +178,10 @@ def _camera(file: Path, given: Arrays, T: int, rows: Int[ndarray, "n"]) -> Posed
     T_cam_world = arrays.floats(file, given, "T_cam_world", (4, 4) if given["T_cam_world"].ndim == 2 else (T, 4, 4))
     if not se3.is_rigid(T_cam_world).all():
         raise InputError(file, "T_cam_world", "what is no rigid motion", "rotations and translations [m]")
-    return PosedCamera(
-        K, (int(width), int(height)), np.broadcast_to(T_cam_world, (T, 4, 4))[rows], measured("the file's own")
+    described = (
+        assumed(_text(file, given, "assumed_camera")) if "assumed_camera" in given else measured("the file's own")
     )
+    return PosedCamera(K, (int(width), int(height)), np.broadcast_to(T_cam_world, (T, 4, 4))[rows], described)
 
 
 def _numbers(file: Path, given: Arrays, T: int) -> Int[ndarray, "T"]:

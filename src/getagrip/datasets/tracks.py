@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -23,6 +23,7 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.grasps.lists import BETWEEN, ListedGrasp
 from getagrip.hands.model import Side
 from getagrip.io.counts import counted
+from getagrip.io.files import Json
 
 if TYPE_CHECKING:
     from getagrip.geometry.render import Surface
@@ -128,7 +129,7 @@ class Track:
         mesh = self.object(0.0 if self.articulation is None else float(self.articulation[row]))
         return se3.transform(self.T_cam_obj[row], mesh.vertices), mesh.faces
 
-    def describe(self, piece: Piece) -> dict[str, Any]:
+    def describe(self, piece: Piece) -> Json:
         """The provenance of the clip that a piece becomes; this track has the frames of the piece that were kept."""
         out = {"subject": self.subject, **self.provenance, "clip": piece.made_of}
         if piece.masks and self.read_masks is None:

@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -49,10 +49,10 @@ class _File:
     """What a file says in JSON, not checked, and the bytes of its arrays."""
 
     path: Path
-    tree: dict[str, Any]
+    tree: files.Json
     data: memoryview
 
-    def item(self, key: str, n: int) -> dict[str, Any]:
+    def item(self, key: str, n: int) -> files.Json:
         """An item of a list."""
         if not 0 <= n < len(self.tree[key]):
             raise LookupError(f"no {key}[{n}]")
@@ -159,7 +159,7 @@ def _placed(file: _File) -> Iterator[tuple[int, Float[ndarray, "4 4"]]]:
                 yield node["mesh"], T_scene_node
 
 
-def _transform(node: dict[str, Any]) -> Float[ndarray, "4 4"]:
+def _transform(node: files.Json) -> Float[ndarray, "4 4"]:
     """The pose of a node in its parent, scale included."""
     if "matrix" in node:
         return np.array(node["matrix"], dtype=float).reshape(4, 4).T  # it is stored by columns

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from numpy import ndarray
 
-from getagrip.geometry.rows import same_rows
 from getagrip.io.array_data import ArrayData, check_ids
 
 PAIRS = 50_000
@@ -231,3 +230,13 @@ def decimate(mesh: Mesh, faces: int) -> Mesh:
         if len(f) <= LEFT * faces:
             return few
     return clustered(few, faces)
+
+
+def same_rows(rows: Shaped[ndarray, "N K"]) -> Int[ndarray, "N"]:
+    """For each row a number, the same for equal rows: 0, 1, ... in the rows' lexicographic order."""
+    order = np.lexsort(rows.T[::-1])
+    in_order = rows[order]
+    new = np.any(in_order[1:] != in_order[:-1], axis=1)
+    number = np.zeros(len(rows), dtype=np.int64)
+    number[order[1:]] = np.cumsum(new)
+    return number

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 from getagrip.clip import Clip
 from getagrip.grasps.definition import FEWEST, Definition
@@ -34,11 +33,11 @@ class Cut:
         """In words."""
         return self.definition.description if self.listed is None else f"the grasps of {self.listed.file}"
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> dict[str, object]:
         """What identifies it, as JSON values; of a list also what counts as contact in the grasps."""
         if self.listed is None:
             return asdict(self.definition)
-        contact = {"contact": self.definition.contact, "points": self.definition.points}
+        contact: dict[str, object] = {"contact": self.definition.contact, "points": self.definition.points}
         return {"list": self.listed.file, "sha256": self.listed.sha256} | contact
 
     def of(

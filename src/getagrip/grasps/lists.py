@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from jaxtyping import Int
@@ -90,7 +90,7 @@ class ListedGrasp:
             at = np.array([int(name) for name in frames]) - origin
         return np.flatnonzero((at >= int(low)) & (at <= int(high)))
 
-    def row(self) -> dict[str, Any]:
+    def row(self) -> files.Json:
         """It as it is written."""
         named = isinstance(self.first, str)
         frames = {"first" if named else "start": self.first, "last" if named else "end": self.last}
@@ -115,7 +115,7 @@ class GraspList:
         return [grasp for grasp in self.grasps if grasp.is_of(name, side, category)]
 
 
-def write(path: Path, grasps: Sequence[ListedGrasp], cut: Mapping[str, Any]) -> None:
+def write(path: Path, grasps: Sequence[ListedGrasp], cut: Mapping[str, object]) -> None:
     """Write a list; ``cut`` says how it was made."""
     with files.new_file(path) as part:
         files.write_json(part, {"version": VERSION, "cut": cut, "grasps": [grasp.row() for grasp in grasps]})
@@ -168,7 +168,7 @@ def read(path: Path, note: Callable[[str], None] = lambda _: None) -> GraspList:
     return GraspList(path.name, checksum, tuple(rows))
 
 
-def _check_version(path: Path, content: Mapping[str, Any]) -> None:
+def _check_version(path: Path, content: Mapping[str, object]) -> None:
     version = content.get("version")
     if type(version) is not int or version != VERSION:
         raise InputError(path, "version", shown(version), f"{VERSION}")
@@ -186,7 +186,7 @@ def _check_heads(path: Path, heads: Sequence[str]) -> None:
             )
 
 
-def grasp_of(path: Path, where: str, row: Mapping[str, Any]) -> ListedGrasp:
+def grasp_of(path: Path, where: str, row: files.Json) -> ListedGrasp:
     """A row, checked; ``where`` begins its key. Raises ``InputError``."""
     sequence = row.get("sequence", row.get("clip"))
     for key, value in (("sequence", sequence), ("object", row.get("object"))):
@@ -199,10 +199,10 @@ def grasp_of(path: Path, where: str, row: Mapping[str, Any]) -> ListedGrasp:
     duration = row.get("duration")
     if duration is not None and duration != "":
         duration = _seconds(path, f"{where}duration", duration)
-    return ListedGrasp(str(sequence), cast(Side, side), row["object"], first, last, duration or None)
+    return ListedGrasp(str(sequence), side, row["object"], first, last, duration or None)
 
 
-def _frames(path: Path, where: str, row: Mapping[str, Any]) -> tuple[str, str] | tuple[int, int]:
+def _frames(path: Path, where: str, row: Mapping[str, object]) -> tuple[str, str] | tuple[int, int]:
     """Names of the first and the last frame; or, where there are none, their numbers from 0."""
     if row.get("first") or row.get("last"):
         names = []
@@ -233,7 +233,7 @@ def _count(path: Path, key: str, value: object) -> int:
 
 def _seconds(path: Path, key: str, value: object) -> float:
     try:
-        seconds = math.nan if isinstance(value, bool) else float(cast(Any, value))
+        seconds = math.nan if isinstance(value, bool) else float(cast(float, value))
     except (TypeError, ValueError, OverflowError):
         seconds = math.nan
     if not 0.0 < seconds <= LONGEST:

@@ -198,14 +198,14 @@ class MotionStatistics:
     """
 
     grasps: int
-    quantiles: dict[str, tuple[float, ...]]
-    log_mean: tuple[float, ...]
-    log_covariance: tuple[tuple[float, ...], ...]
-    angle: tuple[float, ...]
-    rotation: tuple[float, ...]
-    place: tuple[float, ...]
-    rotation_shares: tuple[float, ...]
-    place_shares: tuple[float, ...]
+    quantiles: dict[str, Sequence[float]]
+    log_mean: Sequence[float]
+    log_covariance: Sequence[Sequence[float]]
+    angle: Sequence[float]
+    rotation: Sequence[float]
+    place: Sequence[float]
+    rotation_shares: Sequence[float]
+    place_shares: Sequence[float]
 
     @staticmethod
     def of(measured: Sequence[tuple[dict[str, float], Residual]]) -> MotionStatistics:

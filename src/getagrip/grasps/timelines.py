@@ -18,14 +18,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from getagrip.clip import Segment
 from getagrip.clip.timeline import State
 from getagrip.errors import InputError
 from getagrip.hands.model import Side
 from getagrip.io.counts import counted
-from getagrip.io.files import is_plain_name, shown
+from getagrip.io.files import Json, is_plain_name, shown
 
 STATES: dict[str, State] = {"inhand": "grasp", "scene_static": "static", "scene_dynamic": "contact"}
 """Our name of each ``ref``."""
@@ -50,7 +49,7 @@ class Timeline:
 
 
 def read(
-    path: Path, content: Sequence[dict[str, Any]], note: Callable[[str], None]
+    path: Path, content: Sequence[Json], note: Callable[[str], None]
 ) -> tuple[tuple[Timeline, ...], dict[str, int]]:
     """HOT3D's timelines, and how many frames each recording has.
 
@@ -93,7 +92,7 @@ def segments_of(path: Path, key: str, given: object) -> tuple[Segment, ...]:
     return tuple(out)
 
 
-def report_backwards(path: Path, content: Sequence[dict[str, Any]], note: Callable[[str], None]) -> None:
+def report_backwards(path: Path, content: Sequence[Json], note: Callable[[str], None]) -> None:
     """Say how many segments end before they start; ``content`` has been read."""
     backwards = [s["ref"] for timeline in content for s in timeline["segments"] if s["ed"] < s["st"]]
     if backwards:

@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -30,7 +29,7 @@ from getagrip.geometry.mesh_files import check_size
 from getagrip.hands.generic_skeleton import WRIST
 from getagrip.hands.model import MIRROR, PosedHand, Side, mirrored
 from getagrip.hands.regions import contact_regions, position_on_palm
-from getagrip.io.files import read_json
+from getagrip.io.files import Json, read_json
 
 SHAPES = {
     "mesh_vertices": (None, 3),
@@ -170,7 +169,7 @@ def closed(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "G 3"]:
     return np.concatenate([faces, fan])
 
 
-def _array(path: Path, model: dict[str, Any], key: str, shape: tuple[int | None, int]) -> Float[ndarray, "rows cols"]:
+def _array(path: Path, model: Json, key: str, shape: tuple[int | None, int]) -> Float[ndarray, "rows cols"]:
     wanted = f"numbers of shape ({shape[0] or 'n'}, {shape[1]})"
     try:
         value = np.asarray(model[key], dtype=float)

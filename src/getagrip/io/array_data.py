@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from functools import cache
 from types import UnionType
-from typing import Any, get_args, get_type_hints
+from typing import get_args, get_type_hints
 
 import numpy as np
 from jaxtyping import AbstractArray, Bool, Float, Int, Shaped
@@ -16,7 +16,7 @@ from getagrip.errors import UsageError
 from getagrip.io import files
 from getagrip.io.packed_masks import PackedMasks
 
-KINDS: dict[Any, tuple[str, type, str]] = {
+KINDS: dict[object, tuple[str, type, str]] = {
     Float: ("f", float, "floats"),
     Int: ("iu", np.int64, "integers"),
     Bool: ("b", bool, "booleans"),
@@ -67,7 +67,7 @@ def check_ids(name: str, ids: Int[ndarray, "..."], count: int) -> None:
 
 
 def as_array(
-    name: str, value: object, kind: Any, axes: tuple[str, ...], lengths: dict[str, int]
+    name: str, value: object, kind: object, axes: tuple[str, ...], lengths: dict[str, int]
 ) -> Shaped[ndarray, "..."]:
     """A field's array, of one of the ``KINDS`` and with the given axes, whose ``lengths`` are known or become so.
 
@@ -86,10 +86,10 @@ def as_array(
 
 
 @cache
-def _array_fields(data: type) -> list[tuple[str, Any, tuple[str, ...]]]:
+def _array_fields(data: type) -> list[tuple[str, object, tuple[str, ...]]]:
     """Name, kind and axes of the fields of a dataclass that are arrays."""
     hints = get_type_hints(data)
-    found = []
+    found: list[tuple[str, object, tuple[str, ...]]] = []
     for field in fields(data):
         hint = hints[field.name]
         for one in get_args(hint) if isinstance(hint, UnionType) else (hint,):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from functools import cache
 from numbers import Integral, Real
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Literal, get_args, get_origin, get_type_hints
 
 from getagrip.errors import UsageError
 
 
-def check_word(name: str, given: object, words: Any) -> None:
+def check_word(name: str, given: object, words: object) -> None:
     """Raise ``UsageError`` for what is none of the words of a ``Literal``."""
     if not (isinstance(given, str) and given in get_args(words)):
         raise UsageError(f"{name}: got {given!r}, expected one of {', '.join(get_args(words))}")
@@ -33,5 +33,5 @@ def check_values(options: object) -> None:
 
 
 @cache
-def _hints(data: type) -> dict[str, Any]:
+def _hints(data: type) -> dict[str, object]:
     return get_type_hints(data)

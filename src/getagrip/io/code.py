@@ -16,13 +16,13 @@ where ``reconstruct`` is; and ``evaluation``."""
 
 @cache
 def fingerprint(*also: str) -> str:
-    """Checksum of all files of the package that a reconstruction may depend on, 16 hexadecimal digits.
+    """Checksum of all sources and tables of the package that a reconstruction may depend on, 16 hexadecimal digits.
 
     What is made otherwise depends on more: ``also`` are the folders and files ``ABOVE`` that it depends on, relative to
     the package. It changes with a comment, too: that a change does not matter cannot be seen from outside.
     """
     total = hashlib.sha256()
-    for path in sorted(PACKAGE.rglob("*.py")):
+    for path in sorted((*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.json"))):
         name = path.relative_to(PACKAGE).as_posix()
         if name.split("/")[0] not in ABOVE or f"{name}/".startswith(tuple(f"{part}/" for part in also)):
             content = path.read_bytes()

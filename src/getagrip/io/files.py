@@ -16,7 +16,7 @@ import os
 import secrets
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from pathlib import Path, PurePosixPath
@@ -26,6 +26,8 @@ from getagrip.errors import InputError, UsageError, legible
 from getagrip.io import leftovers
 from getagrip.io.csv_tables import cell_text
 
+Json = dict[str, Any]
+"""A JSON object: whoever reads one checks its values."""
 LARGEST_JSON = 64 * 2**20
 LARGEST_FILE = 2**30
 """Limits in bytes."""
@@ -85,7 +87,7 @@ def read_bytes(path: Path, limit: int = LARGEST_FILE) -> bytes:
         raise InputError(path, "", f"a file that cannot be read ({error.strerror})", "a readable file") from error
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> Json:
     """A JSON object. Raises ``InputError`` for anything else, and as ``read_any_json`` does."""
     content = read_any_json(path)
     if not isinstance(content, dict):
@@ -93,10 +95,10 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def read_any_json(path: Path) -> Any:
+def read_any_json(path: Path) -> object:
     """What a JSON file holds. Raises ``InputError``, also for duplicate keys and for NaN or infinite numbers."""
 
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
         out = dict(pairs)
         if len(out) < len(pairs):
             twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
@@ -159,7 +161,7 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def write_json(path: Path, content: Mapping[str, Any] | list[Any]) -> None:
+def write_json(path: Path, content: Mapping[str, object] | Sequence[object]) -> None:
     """Write a JSON object or list, its folder made where there is none.
 
     Arrays become lists, numbers that are not finite become null.
@@ -167,12 +169,12 @@ def write_json(path: Path, content: Mapping[str, Any] | list[Any]) -> None:
     write_bytes(path, (to_json(content) + "\n").encode())
 
 
-def to_json(content: Mapping[str, Any] | list[Any]) -> str:
+def to_json(content: Mapping[str, object] | Sequence[object]) -> str:
     """A JSON object or list as ``write_json`` writes it."""
     return legible(json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False))
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """The same content in JSON's own types."""
     if hasattr(value, "tolist"):  # numpy's, which need not be loaded here
         value = value.tolist()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Mapping
-from typing import Any
 
 from getagrip.errors import InputError
 
@@ -14,7 +13,7 @@ LONGEST_LISTING = 64 * 2**20
 """Bytes of an answer to what asks for no range, such as a folder's page."""
 
 
-def options(url: str) -> dict[str, Any]:
+def options(url: str) -> dict[str, object]:
     """What fsspec is to be told of the protocols in an address; nothing where none is of these."""
     return {kind: {"client_kwargs": _client()} for kind in KINDS if re.search(rf"(^|::){kind}://", url)}
 
@@ -26,7 +25,7 @@ def asked_bytes(headers: Mapping[str, str]) -> int | None:
 
 
 @functools.cache
-def _client() -> dict[str, Any]:
+def _client() -> dict[str, object]:
     """Arguments of aiohttp's ``ClientSession``."""
     import aiohttp
 
@@ -53,7 +52,7 @@ def _client() -> dict[str, Any]:
                 self._body = body = b"".join(parts)
             return body
 
-    async def same_server(session: object, context: object, redirect: Any) -> None:
+    async def same_server(session: object, context: object, redirect: aiohttp.TraceRequestRedirectParams) -> None:
         target = redirect.response.headers.get("Location") or redirect.response.headers.get("URI") or ""
         if redirect.url.join(type(redirect.url)(target)).origin() != redirect.url.origin():
             raise InputError(str(redirect.url), "", f"a redirect to {target[:200]!r}", "files of the same server")

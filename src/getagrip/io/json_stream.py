@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from getagrip.errors import InputError
 from getagrip.io import archives
@@ -29,7 +29,7 @@ CHUNK = 2**16
 _SPACE = re.compile(r"[ \t\n\r]*")
 
 
-def items(path: Path, key: str) -> Iterator[dict[str, Any]]:
+def items(path: Path, key: str) -> Iterator[dict[str, object]]:
     """The objects in the list ``key`` of a JSON object, in order; the other members are left unread.
 
     ``path`` is the file, or a ``.zip`` that holds it alone. Raises ``InputError`` for text that is no JSON, a file that
@@ -50,7 +50,7 @@ def items(path: Path, key: str) -> Iterator[dict[str, Any]]:
             n += 1
 
 
-def entries(path: Path, key: str) -> Iterator[tuple[str, Any]]:
+def entries(path: Path, key: str) -> Iterator[tuple[str, object]]:
     """Names and values in the object ``key`` of a JSON object, in order. Raises ``InputError`` as ``items`` does."""
     with _opened(path) as stream:
         text = _Text(path, stream)
@@ -68,7 +68,7 @@ def entries(path: Path, key: str) -> Iterator[tuple[str, Any]]:
             first = False
 
 
-def member(path: Path, key: str) -> dict[str, Any]:
+def member(path: Path, key: str) -> dict[str, object]:
     """The object ``key`` of a JSON object; what follows it is left unread. Raises ``InputError`` as ``items`` does."""
     with _opened(path) as stream:
         text = _Text(path, stream)
@@ -145,7 +145,7 @@ class _Text:
             given = shown(rest) if rest else "the end of the file"
             raise InputError(self.path, key, given, f"{mark!r}, as in a JSON object; is the file cut short?")
 
-    def value(self, key: str) -> Any:
+    def value(self, key: str) -> object:
         """Read a value: with the text that is there or, where that does not parse, with twice as much."""
         self.values += 1
         if self.values > MOST:
@@ -186,5 +186,5 @@ class _Text:
             raise InputError(self.path, "", f"bytes that are no UTF-8 ({error.reason})", "JSON text") from error
         return bool(content)
 
-    def _refuse(self, constant: str) -> Any:
+    def _refuse(self, constant: str) -> object:
         raise InputError(self.path, "", f"the number {constant}", "finite numbers")

@@ -85,7 +85,7 @@ class _Parts:
     seen: dict[int, object] = field(default_factory=dict)
     """Objects by their ``id``, which is theirs alone as long as they are held here."""
 
-    def add(self, value: Any) -> None:
+    def add(self, value: object) -> None:
         """Add a value and what it holds."""
         if isinstance(value, PLAIN):
             self.values.append(f"{type(value).__name__} {value!r}")
@@ -106,7 +106,7 @@ class _Parts:
                 left += source.imports
         return list(found.values())
 
-    def _within(self, value: Any) -> Iterator[Any]:
+    def _within(self, value: object) -> Iterator[object]:
         """What an object holds."""
         if isinstance(value, FunctionType):
             self._note(value.__code__.co_filename)
@@ -132,7 +132,7 @@ class _Parts:
             self.files.add(file.resolve())
 
 
-def _parts(value: Any) -> Iterable[Any]:
+def _parts(value: object) -> Iterable[object]:
     """What a container or another object without code of its own holds."""
     for kind, parts in HELD.items():
         if isinstance(value, kind):

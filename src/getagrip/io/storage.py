@@ -10,12 +10,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 from zipfile import ZipFile, ZipInfo
 
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.io import archives, extras, files, http_store
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
 
 EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs"}
 """The extra of this package that reads a kind of address."""
@@ -146,7 +149,7 @@ class Remote:
         except GetagripError as error:
             raise UsageError(f"{option}: got {self}, expected a folder that can be written ({error})") from error
 
-    def _listed(self, fs: Any, root: str, leave_out: Sequence[str]) -> dict[str, Mapping[str, Any]]:
+    def _listed(self, fs: AbstractFileSystem, root: str, leave_out: Sequence[str]) -> dict[str, files.Json]:
         """What the store says of each file below it, by name, checked."""
         found = fs.find(root, detail=True).items()
         there = {name.removeprefix(f"{root}/"): entry for name, entry in found if name.startswith(f"{root}/")}
@@ -169,7 +172,7 @@ class Remote:
         check_size(self.url, [member.file_size for member in wanted.values()])
         return wanted
 
-    def _contents(self, fs: Any, wanted: Mapping[str, tuple[str, int]]) -> dict[str, bytes]:
+    def _contents(self, fs: AbstractFileSystem, wanted: Mapping[str, tuple[str, int]]) -> dict[str, bytes]:
         """The bytes of files by name, each of its size, several at once."""
         full = {name: place for name, place in wanted.items() if place[1]}  # of nothing no range can be read
         paths, sizes = [path for path, _ in full.values()], [size for _, size in full.values()]
@@ -181,7 +184,7 @@ class Remote:
                 )
         return dict.fromkeys(wanted, b"") | dict(zip(full, map(bytes, contents), strict=True))
 
-    def _opened(self) -> tuple[Any, str]:
+    def _opened(self) -> tuple[AbstractFileSystem, str]:
         """The file system, and the path in it. Raises ``UsageError`` where a library for it is missing."""
         kind = self.url.split(":", 1)[0]
         extra = EXTRAS.get(kind, "s3")  # any of them brings fsspec
@@ -258,7 +261,7 @@ def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
         files.write_bytes(path, content)
 
 
-def _name(entry: Mapping[str, Any]) -> str:
+def _name(entry: Mapping[str, object]) -> str:
     """The last part of what a listing names."""
     return str(entry["name"]).rstrip("/").rpartition("/")[2]
 

@@ -6,7 +6,7 @@ import io
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 from getagrip.errors import cleaned
 
@@ -46,12 +46,17 @@ def console() -> Console:
     return Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
 
 
-def plain_table(**options: Any) -> Table:
-    """An empty table, its only line below the headings. ``options`` are those of rich's ``Table``."""
+def plain_table(
+    title: str | None = None, title_style: str | None = None, title_justify: Literal["left", "center"] = "center"
+) -> Table:
+    """An empty table, its only line below the headings."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    return Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, **options)
+    return Table(
+        box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False,
+        title=title, title_style=title_style, title_justify=title_justify,
+    )  # fmt: skip
 
 
 @contextmanager

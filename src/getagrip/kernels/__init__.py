@@ -1,1 +1,1 @@
-"""Compiled loops of the fit: silhouettes, contours, nearest points. ``reference`` is their specification in numpy."""
+"""Compiled loops of the fit: silhouettes, contours, nearest points."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from getagrip.geometry.rows import same_rows
+from getagrip.geometry.mesh import same_rows
 from getagrip.kernels.silhouette import OPTIONS
 
 SLACK = 0.867

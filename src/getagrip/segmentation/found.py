@@ -9,16 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
+from scipy.ndimage import gaussian_filter1d
 from threadpoolctl import threadpool_limits
 
-from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_masks
+from getagrip.clip import Clip, Masks, Segment, Truth, check_clip, check_masks, read_masks
 from getagrip.clip.timeline import SIDES, Side, State
 from getagrip.errors import InputError
 from getagrip.fitting.hand_jumps import steady_hand
 from getagrip.fitting.options import Options
+from getagrip.geometry import se3
 from getagrip.grasps.definition import Definition
+from getagrip.grasps.stable import segment
 from getagrip.hands.trackers import HELD
-from getagrip.segmentation.contacts import reconstructed, stable_in
 from getagrip.segmentation.held import METHOD, Held, NothingToFitError, held_in, pieces
 from getagrip.segmentation.image_motion import ImageMotion, image_motion
 from getagrip.segmentation.semi_markov import Division, cheapest, margins
@@ -39,6 +41,9 @@ WITHIN_10_MM = Definition(contact=0.010)
 
 STILL = "which is a guess: nothing is known of its motion"
 """Said of a camera that is taken to stand still (``clip.segment_files``)."""
+STEADIED = 0.067
+"""Fingers are smoothed in time by a Gaussian of this standard deviation [s]: those of trackers tremble, and with them
+what they touch."""
 
 
 @dataclass(frozen=True)
@@ -208,3 +213,52 @@ def _segments(
         state = "grasp" if stable[rows[0]] >= 0 else OTHERWISE[motions[k]]
         side = sides.get(int(k)) if state in ("grasp", "contact") else None
         yield FoundSegment(Segment(state, int(rows[0]), int(rows[-1]), side), float(margin[k]))
+
+
+@dataclass(frozen=True)
+class Reconstructed:
+    """An object in some frames that follow each other: as a hand holds it, and as it lies before and after.
+
+    Attributes:
+        frames: (n,) the frames.
+        held: (n,) in which of them it is held.
+        T_cam_obj: (n, 4, 4) poses of the object.
+        T_cam_hand: (n, 4, 4) poses of the hand.
+        scale: of the object.
+    """
+
+    frames: Int[ndarray, "n"]
+    held: Bool[ndarray, "n"]
+    T_cam_obj: Float[ndarray, "n 4 4"]
+    T_cam_hand: Float[ndarray, "n 4 4"]
+    scale: float
+
+
+def reconstructed(clip: Clip, fit: Held, first: int, last: int, still_before: int, still_after: int) -> Reconstructed:
+    """A fit in its segment, and the object left lying in the world in so many frames before and after.
+
+    Where the fit was tried in those, too, the hand is where it has it, else where the clip has it.
+    """
+    frames = np.arange(first - still_before, last + 1 + still_after)
+    inside = (fit.frames >= first) & (fit.frames <= last)
+    T_world_cam = np.tile(np.eye(4), (len(clip), 1, 1)) if clip.world is None else clip.world.T_world_cam
+    T_world_obj = T_world_cam[first : last + 1] @ fit.T_cam_obj[inside]
+    nearest = np.clip(frames, first, last) - first
+    T_cam_obj = se3.inverse(T_world_cam[frames]) @ T_world_obj[nearest]
+    T_cam_obj[still_before : still_before + last + 1 - first] = fit.T_cam_obj[inside]
+    T_cam_hand = clip.hand.T_cam_hand.copy()
+    T_cam_hand[fit.frames] = fit.T_cam_hand
+    return Reconstructed(frames, (frames >= first) & (frames <= last), T_cam_obj, T_cam_hand[frames], fit.scale)
+
+
+def stable_in(clip: Clip, found: Reconstructed, definition: Definition) -> list[tuple[int, int]]:
+    """First and last frame of each stable grasp (Eq. 2) that has a frame in which the object is held."""
+    part = clip.take(found.frames)
+    fingers = gaussian_filter1d(part.hand.vertices, STEADIED * clip.fps, axis=0, mode="nearest")
+    posed = Truth(found.T_cam_obj, found.scale, found.T_cam_hand, fingers)
+    _, grasps = segment(replace(part, truth=posed), definition)
+    return [
+        (int(found.frames[first]), int(found.frames[last]))
+        for first, last in grasps
+        if found.held[first : last + 1].any()
+    ]

@@ -15,8 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from getagrip.datasets.epic.archive import Archive
-from getagrip.datasets.epic.images import Frames
+from getagrip.datasets.epic.images import Archive, Frames
 from getagrip.errors import InputError
 from helpers.command_line import Run
 from helpers.epic_files import NAME, V, import_epic

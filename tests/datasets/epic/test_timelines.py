@@ -14,7 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import Clip
-from getagrip.datasets.epic import fields, tables, timelines
+from getagrip.datasets.epic import fields, reader, tables
 from getagrip.datasets.epic.reader import EpicGrasps
 from getagrip.geometry import se3
 from helpers.epic_files import V, write_epic, write_timeline
@@ -26,7 +26,9 @@ EPIC = DATA / "epic"
 @needs(EPIC)
 def test_the_real_list() -> None:
     notes: list[str] = []
-    found = timelines.read(EPIC / "epic_hit.json", tables.read_grasps(EPIC / "epicgrasps_2431.csv"), notes.append)
+    found = reader.read_timelines(
+        EPIC / "epic_hit.json", tables.read_grasps(EPIC / "epicgrasps_2431.csv"), notes.append
+    )
     assert len(found) == 93
     assert notes == ["epic_hit.json: 3 of 96 timelines are listed twice or empty: skipped"]
     states = Counter(segment.state for timeline in found for segment in timeline.segments)

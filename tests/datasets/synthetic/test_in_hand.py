@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from getagrip.datasets.synthetic.deform import drawn, misfit
-from getagrip.datasets.synthetic.in_hand import UNUSUAL, draw, motion
-from getagrip.datasets.synthetic.measured import MEASURED
+from getagrip.datasets.synthetic.in_hand import MEASURED, UNUSUAL, draw, motion
 from getagrip.datasets.synthetic.scene import make_scene, synthesise
 from getagrip.datasets.synthetic.shapes import bottle
 from getagrip.datasets.synthetic.splits import PRESETS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,7 @@ from hypothesis import strategies as st
 
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.error_curves import ERROR_MEASURES, draw, measure
-from getagrip.datasets.synthetic.estimated_hands import LENGTHS, MEASURED
-from getagrip.datasets.synthetic.noise import NOISE, Noise, noisy_hand, perturbed, ragged
+from getagrip.datasets.synthetic.noise import NOISE, TABLE, Noise, noisy_hand, perturbed, ragged
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError
@@ -200,11 +200,11 @@ def test_measures_of_drawn_errors_are_those_that_were_drawn() -> None:
 
 @pytest.mark.slow
 def test_errors_drawn_as_estimated_have_the_measures_of_the_estimates() -> None:
-    rng = np.random.default_rng(0)
-    clips = [draw(NOISE["estimated"], int(n), 30.0, rng).curves for n in rng.choice(LENGTHS, 300)]
+    rng, table = np.random.default_rng(0), json.loads(TABLE.read_text())
+    clips = [draw(NOISE["estimated"], int(n), 30.0, rng).curves for n in rng.choice(table["lengths"], 300)]
     found = measure(clips, 30.0)
     for name in {*ERROR_MEASURES, "spread"} - {"finger_bias", "finger_jitter"}:
-        assert found[name] == pytest.approx(MEASURED[name], rel=0.25), name
+        assert found[name] == pytest.approx(table["measured"][name], rel=0.25), name
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from getagrip.datasets.synthetic import appliances, shapes
+from getagrip.datasets.synthetic import categories, shapes
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.loft import Tube, loft, together, torus
 from getagrip.geometry.mesh import Mesh
@@ -51,7 +51,7 @@ def test_euler_characteristic_counts_parts_and_handles(name: str) -> None:
 
 
 def test_machines_are_as_tall_as_asked_for() -> None:
-    for make in (appliances.capsule_machine, appliances.espresso_machine):
+    for make in (categories.capsule_machine, categories.espresso_machine):
         low = make(height=0.18).vertices[:, 2].min()
         assert low == pytest.approx(-0.09)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,12 +12,9 @@ from getagrip.batch.limits import Limits
 from getagrip.batch.plan import Shard
 from getagrip.batch.share import Share
 from getagrip.clip import write_clip
-from getagrip.datasets.synthetic.scene import synthesise
-from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.experiments.sources import names_in, samples, source_of
 from getagrip.experiments.sources.recorded import Recorded
-from getagrip.experiments.sources.source import Split
 from getagrip.grasps import lists
 from helpers.library import Library, Shelf
 from helpers.scenes import SHORT, scene
@@ -126,26 +122,6 @@ def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
         for which in ("train", "validation", "all")
     }
     assert part == {"train": list("036"), "validation": list("1245"), "all": list("0123456")}
-
-
-@pytest.mark.slow
-def test_subjects_of_arctic_are_split_whichever_are_there(tmp_path: Path) -> None:
-    folder = tmp_path / "clips"
-    clip, masks = synthesise("can", 0, SceneOptions(frames=2, size=(64, 48), focal=60.0))
-    for subject in ("s1", "s5", "s7"):
-        name = f"{subject}--box_use_01--box--left"
-        write_clip(replace(clip, name=name), masks, folder / name)
-    (folder / "imported").touch()
-    source = source_of("artigrasp", root=tmp_path)
-
-    def subjects(which: Split) -> list[str]:
-        return [s.name.split("-")[0] for s in samples(replace(source, split=which), folder, None, debug=False)[0]]
-
-    assert [subjects(which) for which in ("train", "validation", "all")] == [["s1", "s7"], ["s5"], ["s1", "s5", "s7"]]
-    for path in (folder / "s1--box_use_01--box--left", folder / "s7--box_use_01--box--left"):
-        shutil.rmtree(path)
-    with pytest.raises(UsageError, match="no clip of artigrasp"):
-        subjects("train")
 
 
 def test_the_list_beside_clips_says_what_contact_is(tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ from getagrip.fitting.energy import PosesInCamera, no_bound
 from getagrip.fitting.energy.mask import MaskTerm
 from getagrip.fitting.observation import CROP, LEVELS, Observation
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels import reference
 from getagrip.kernels.silhouette import pack, unpack
+from helpers import reference_kernels as reference
 from helpers.drawn_masks import scene, smooth_energy
 from helpers.terms import MESHES, differences, hypotheses_are_independent, is_trustworthy, moved, random_poses
 

@@ -16,7 +16,7 @@ from getagrip.fitting.energy.pull import PullTerm
 from getagrip.fitting.energy.push import PushTerm
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
-from getagrip.kernels import reference
+from helpers import reference_kernels as reference
 from helpers.terms import MESHES, differences, hypotheses_are_independent, is_trustworthy, random_poses
 
 

@@ -17,7 +17,7 @@ from helpers.pickle_files import in_a_child, read
 
 LIMITED = """
 import resource
-import getagrip.hands.mano_pickle
+import getagrip.hands.mano
 with open("/proc/self/statm") as file:
     size = int(file.read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (size + 2**30, size + 2**30))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -45,7 +44,7 @@ def table_camera(path: Path, serial: str) -> Float[ndarray, "4 4"]:
     return np.asarray(se3.inverse(T_master[TAG]) @ T_master[serial])
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
+def read_yaml(path: Path) -> dict[str, object]:
     """A YAML mapping; of Python's own types only tuples are let in, which DexYCB's calibration holds.
 
     Raises ``InputError``.
@@ -55,7 +54,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     class Loader(yaml.SafeLoader):  # type: ignore[misc]
         """YAML's own types and tuples, without aliases, by which a small file can unfold to a huge one."""
 
-        def compose_node(self, parent: Any, index: Any) -> Any:
+        def compose_node(self, parent: object, index: object) -> object:
             if self.check_event(yaml.AliasEvent):
                 raise yaml.YAMLError("an alias")
             return super().compose_node(parent, index)

@@ -10,7 +10,7 @@ from collections.abc import Sequence as AnyOf
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,12 +18,12 @@ from numpy import ndarray
 from tyro.conf import Positional, arg
 
 from getagrip.clip import FINGERS, FrameMasks, HandTrack, World
-from getagrip.datasets import fitted_hands, ycb
+from getagrip.datasets import joint_tracks, ycb
 from getagrip.datasets.cutting import CutSource, TrackedDataset
 from getagrip.datasets.dataset import Note, Part
 from getagrip.datasets.dexycb import timelines
 from getagrip.datasets.dexycb.recording import SIZE, Recording, Sequence, find
-from getagrip.datasets.fitted_hands import describe_fit
+from getagrip.datasets.joint_tracks import describe_fit
 from getagrip.datasets.tracks import Piece, Source, Track
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
@@ -75,7 +75,7 @@ class DexYcb(TrackedDataset):
         of = partial(timelines.pieces, definition=definition)
         return [CutSource(source, of, definition.shortest) for source in self.sources()]
 
-    def cut_record(self) -> dict[str, Any] | None:
+    def cut_record(self) -> dict[str, object] | None:
         """How its clips are cut; None where they are whole."""
         return None if self.timelines else super().cut_record()
 
@@ -109,7 +109,7 @@ class FittedTrack(Track):
         """The track at some of its frames."""
         return replace(super().take(index), residuals=self.residuals[index])
 
-    def describe(self, piece: Piece) -> dict[str, Any]:
+    def describe(self, piece: Piece) -> dict[str, object]:
         """The provenance of the clip that a piece becomes, with what is to be known before trusting its hand."""
         first, last = piece.track.numbers[[0, -1]]
         depth = self.hand_depth()
@@ -194,5 +194,5 @@ def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> FrameMasks
 def fit_hand(recording: Recording) -> Hand:
     """The generic hand in every frame that has joints, of one shape. Raises ``InputError`` where they are no hand's."""
     joints = recording.joints[recording.hand_known]
-    fitted = fitted_hands.fit_hand(recording.file, recording.sequence, recording.side, joints)
+    fitted = joint_tracks.fit_hand(recording.file, recording.sequence, recording.side, joints)
     return Hand(fitted.track, np.flatnonzero(recording.hand_known), fitted.residuals)

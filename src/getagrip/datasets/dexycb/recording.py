@@ -19,7 +19,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
@@ -243,7 +242,7 @@ def _label(path: Path, objects: int) -> tuple[Float[ndarray, "O 3 4"], Float[nda
     return arrays.floats(path, given, "pose_y", (objects, 3, 4)), arrays.floats(path, given, "joint_3d", (1, 21, 3))[0]
 
 
-def _table_camera(root: Path, path: Path, meta: dict[str, Any], serial: str) -> Float[ndarray, "4 4"] | None:
+def _table_camera(root: Path, path: Path, meta: dict[str, object], serial: str) -> Float[ndarray, "4 4"] | None:
     """The camera in the frame of the tag on the table; None where the calibration is not there."""
     name = meta.get("extrinsics", "")
     if not (isinstance(name, str) and (name == "" or _is_name(name))):
@@ -252,14 +251,14 @@ def _table_camera(root: Path, path: Path, meta: dict[str, Any], serial: str) -> 
     return calibration.table_camera(file, serial) if file.is_file() else None
 
 
-def _list(path: Path, given: dict[str, Any], key: str) -> list[Any]:
+def _list(path: Path, given: dict[str, object], key: str) -> list[int]:
     value = given.get(key)
     if not isinstance(value, list) or not value:
         raise InputError(path, key, shown(value), "a list that is not empty")
     return value
 
 
-def _whole(path: Path, given: dict[str, Any], key: str, least: int, most: int) -> int:
+def _whole(path: Path, given: dict[str, object], key: str, least: int, most: int) -> int:
     value = given.get(key)
     if not isinstance(value, int) or not least <= value <= most:
         raise InputError(path, key, shown(value), f"a whole number from {least} to {most}")

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,7 +15,7 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Segment, World
 from getagrip.clip.plausible import check_intrinsics
-from getagrip.clip.provenance import Source, assumed, estimated, from_arrays, measured, of_provenance
+from getagrip.clip.provenance import Provenance, Source, assumed, estimated, from_arrays, measured, of_provenance
 from getagrip.clip.reading import read_hand
 from getagrip.clip.timeline import at_frames
 from getagrip.clip.writing import without_hand
@@ -222,9 +221,9 @@ def _provenance(
     hands: HandFile | None,
     has_mapping: bool,
     segments: Sequence[Segment],
-) -> dict[str, Any]:
+) -> Provenance:
     dense = sum(frame.dense for frame in frames)
-    provenance = {
+    provenance: Provenance = {
         "source": f"EPIC-Grasps {grasp.example}: {grasp.video}, frames {grasp.start} to {grasp.end}",
         "subject": subject_of(grasp.video),
         "entity": grasp.entity,

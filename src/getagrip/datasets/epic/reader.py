@@ -5,24 +5,26 @@ Hands come from files that an estimator has made; a clip without them lacks its 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from getagrip.clip import Clip, Masks
+from getagrip.clip import Clip, Masks, Segment
 from getagrip.clip.provenance import is_assumed
 from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
-from getagrip.datasets.epic import clips, fields, timelines, visor
+from getagrip.datasets.epic import clips, fields, visor
 from getagrip.datasets.epic.images import Frames, Images, Video
-from getagrip.datasets.epic.tables import EpicGrasp, chosen_errata, read_grasps
-from getagrip.datasets.epic.timelines import EpicTimeline
-from getagrip.errors import UsageError
+from getagrip.datasets.epic.tables import LARGEST_TABLE, EpicGrasp, chosen_errata, read_grasps
+from getagrip.errors import InputError, UsageError
+from getagrip.grasps import timelines as lists
 from getagrip.io.arguments import Folder, OptionalFile, OptionalFolder
 from getagrip.io.counts import counted
+from getagrip.io.files import read_bytes, shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +93,7 @@ class EpicGrasps(Dataset):
             raise UsageError(
                 "--timelines: got no --cameras or no --metric, expected both: static segments need a world"
             )
-        found = timelines.read(self.timelines, self.grasps(), note)
+        found = read_timelines(self.timelines, self.grasps(), note)
         metric = [one for one in found if (self.metric / f"{one.span.video}.json").is_file()]
         if len(metric) < len(found):
             note(f"{len(found) - len(metric)} timelines skipped: their videos have no file in {self.metric}")
@@ -113,7 +115,7 @@ class EpicGrasps(Dataset):
         if self.focal is not None and not 0.05 * width <= self.focal <= 100 * width:
             raise UsageError(f"--focal: got {self.focal:g}, expected pixels of images {width} wide")
 
-    def advice(self, made: Sequence[Mapping[str, Any]], handless: int) -> Iterator[str]:
+    def advice(self, made: Sequence[Mapping[str, object]], handless: int) -> Iterator[str]:
         """How to come by what is guessed or missing."""
         guessed = [provenance["camera"] for provenance in made if is_assumed(provenance["camera"])]
         if guessed:
@@ -179,8 +181,56 @@ class VideoGrasps:
             return camera
         scale, T_metric_world = fields.metric(self.options.metric / f"{self.name}.json")
         T_world_cam = fields.cameras(path, scale, T_metric_world, wanted)
-        return replace(
-            camera,
-            source=replace(camera.source, text=f"{camera.source}; its world made metric"),
-            T_world_cam=T_world_cam,
-        )
+        source = replace(camera.source, text=f"{camera.source}; its world made metric")
+        return replace(camera, source=source, T_world_cam=T_world_cam)
+
+
+@dataclass(frozen=True)
+class EpicTimeline:
+    """What a hand does with an object."""
+
+    span: EpicGrasp
+    """The object and its main hand, from the first to the last frame."""
+    segments: tuple[Segment, ...]
+    """By EPIC's frame numbers; they may overlap, and leave frames out."""
+
+
+def read_timelines(path: Path, grasps: Sequence[EpicGrasp], note: Note) -> list[EpicTimeline]:
+    """The timelines of the authors' list (``epic_hit.json``), each once. Raises ``InputError``."""
+    content = read_bytes(path, LARGEST_TABLE)
+    try:
+        given = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise InputError(path, "", f"text that is no JSON ({error})", "EPIC-HIT's list of timelines") from error
+    if not isinstance(given, list) or not all(isinstance(entry, dict) for entry in given):
+        raise InputError(path, "", shown(given), "a list of timelines, as epic_hit.json")
+    by_film = {grasp.film: grasp for grasp in grasps if grasp.film}
+    found: dict[str, EpicTimeline] = {}
+    for n, entry in enumerate(given):
+        timeline = _timeline(path, f"[{n}]", entry, by_film)
+        if timeline.segments:
+            found[timeline.span.name] = timeline
+    lists.report_backwards(path, given, note)
+    if len(found) < len(given):
+        note(f"{path.name}: {len(given) - len(found)} of {len(given)} timelines are listed twice or empty: skipped")
+    return list(found.values())
+
+
+def _timeline(path: Path, key: str, entry: Mapping[str, object], by_film: Mapping[str, EpicGrasp]) -> EpicTimeline:
+    film = entry.get("mp4_name")
+    grasp = by_film.get(film.removesuffix(".mp4")) if isinstance(film, str) else None
+    if grasp is None:
+        raise InputError(path, f"{key}.mp4_name", shown(film), "the mp4_name of a grasp in EPIC-Grasps' table")
+    for name, value in (("vid", grasp.video), ("cat", grasp.category)):
+        if entry.get(name) != value:
+            raise InputError(
+                path, f"{key}.{name}", shown(entry.get(name)), f"{value}, as of {shown(film)} in the table"
+            )
+    side = entry.get("main_side")
+    if side not in ("left", "right"):
+        raise InputError(path, f"{key}.main_side", shown(side), "left or right")
+    segments = lists.segments_of(path, f"{key}.segments", entry.get("segments"))
+    if not segments:
+        return EpicTimeline(grasp, ())
+    first, last = min(s.first for s in segments), max(s.last for s in segments)
+    return EpicTimeline(replace(grasp, side=side, start=first, end=last, note=""), segments)

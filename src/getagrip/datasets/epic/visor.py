@@ -16,7 +16,6 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -147,7 +146,7 @@ def read_frames(path: Path) -> Iterator[Frame]:
         )
 
 
-def _number(path: Path, key: str, name: Any) -> int:
+def _number(path: Path, key: str, name: object) -> int:
     """The number in the name of an image, as ``P01_01_frame_0000000140.jpg``."""
     named = re.fullmatch(r"(?:[\w.-]*/)*(?:P\d{2}_\d{2,3}_)?frame_(\d{1,10})\.(?:jpg|png)", str(name))
     if not isinstance(name, str) or named is None:
@@ -155,7 +154,7 @@ def _number(path: Path, key: str, name: Any) -> int:
     return int(named[1])
 
 
-def _annotation(path: Path, key: str, given: Any, dense: bool) -> Annotation:
+def _annotation(path: Path, key: str, given: object, dense: bool) -> Annotation:
     if not isinstance(given, dict):
         raise InputError(path, key, shown(given), "an object")
     name, class_id = given.get("name"), given.get("class_id")
@@ -174,7 +173,7 @@ def _annotation(path: Path, key: str, given: Any, dense: bool) -> Annotation:
     )
 
 
-def _hands(name: str, class_id: int | None, on: Any) -> tuple[Side, ...]:
+def _hands(name: str, class_id: int | None, on: object) -> tuple[Side, ...]:
     """Which hands an annotation is, or is worn on."""
     if class_id in HANDS:
         return (HANDS[class_id],)
@@ -185,13 +184,13 @@ def _hands(name: str, class_id: int | None, on: Any) -> tuple[Side, ...]:
     return stated or ((GLOVES[class_id],) if class_id in GLOVES else ())
 
 
-def _touched(given: Any) -> str | None:
+def _touched(given: object) -> str | None:
     if not isinstance(given, str) or given in UNKNOWN:
         return None
     return "" if given in NOT_TOUCHING else given
 
 
-def _polygons(path: Path, key: str, given: Any, size: tuple[int, int]) -> tuple[Float[ndarray, "_P 2"], ...]:
+def _polygons(path: Path, key: str, given: object, size: tuple[int, int]) -> tuple[Float[ndarray, "_P 2"], ...]:
     """Corners of polygons, without those that have no corner; they may leave the image by its own size."""
     if not isinstance(given, list) or not all(isinstance(polygon, list) for polygon in given):
         raise InputError(path, key, shown(given), "a list of polygons, [[[x, y], ...], ...]")

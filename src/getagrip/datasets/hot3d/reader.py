@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -89,7 +89,7 @@ class Hot3d(TrackedDataset):
             cut, definition=replace(definition, rule="all-pairs") if definition.rule == "touch" else definition
         )
 
-    def cut_record(self) -> dict[str, Any] | None:
+    def cut_record(self) -> dict[str, object] | None:
         """How its clips are cut; None where they are whole."""
         return None if self.timelines else super().cut_record()
 

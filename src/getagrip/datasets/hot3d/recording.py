@@ -16,7 +16,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -27,7 +26,7 @@ from getagrip.geometry import se3
 from getagrip.geometry.fisheye import Fisheye624, Pinhole, pinhole
 from getagrip.hands import umetrack
 from getagrip.hands.model import PosedHand, Side
-from getagrip.io.files import LARGEST_JSON, read_bytes
+from getagrip.io.files import LARGEST_JSON, Json, read_bytes
 
 OBJECTS = ("dynamic_objects.csv", "dynamic_objects_v2.csv")
 SLACK = 5_000_000
@@ -213,7 +212,7 @@ def _upright(fisheye: Fisheye624) -> Pinhole:
     return pinhole(fisheye, fisheye.f, (height, width), quarter_turns=1)
 
 
-def _at(times: Int[ndarray, "N"], values: dict[int, Any]) -> tuple[Any, Bool[ndarray, "N"]]:
+def _at(times: Int[ndarray, "N"], values: dict[int, ndarray]) -> tuple[Float[ndarray, "N ..."], Bool[ndarray, "N"]]:
     """The values nearest to the times, and whether they are near enough (``SLACK``) to stand for them."""
     stamps = np.array(sorted(values))
     after = np.minimum(np.searchsorted(stamps, times), len(stamps) - 1)
@@ -241,7 +240,7 @@ def _poses_csv(path: Path) -> dict[str, dict[int, Float[ndarray, "4 4"]]]:
     return poses
 
 
-def _json_lines(path: Path) -> Iterator[tuple[int, Any]]:
+def _json_lines(path: Path) -> Iterator[tuple[int, Json]]:
     content = read_bytes(path, LARGEST_TABLE)
     try:
         for number, line in enumerate(io.BytesIO(content), start=1):
@@ -259,7 +258,7 @@ def _rigid(numbers: Sequence[float]) -> Float[ndarray, "4 4"]:
     return se3.rigid(se3.from_quaternion(q_t[:4]), q_t[4:])
 
 
-def _whole(value: Any, largest: int = 2**53) -> int:
+def _whole(value: str | float, largest: int = 2**53) -> int:
     number = int(value)
     if not 0 < number <= largest:
         raise ValueError(f"{number}, which is not between 1 and {largest}")

@@ -2,7 +2,7 @@
 
 ``hinge``: about one axis near the contacts (Eq. 3 of the paper), with a small smooth residual: almost what is fitted.
 
-``measured``: as objects moved in the hands of real people. Drawn from ``measured.MEASURED`` are how far the object
+``measured``: as objects moved in the hands of real people. Drawn from ``MEASURED`` are how far the object
 turns, how far it is off its best hinge, how long that takes, how far the axis drifts and is from the contacts, and how
 far the contacts slip; so are the shares of slow and of fast motion. Of many random motions, each scaled to the drawn
 sizes, the one is taken of which ``grasps.motion`` measures the drawn numbers.
@@ -10,8 +10,10 @@ sizes, the one is taken of which ``grasps.motion`` measures the drawn numbers.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +21,6 @@ from numpy import ndarray
 
 from getagrip.datasets.synthetic.egocentric import about, smooth
 from getagrip.datasets.synthetic.grasp import NEAR, Grasper
-from getagrip.datasets.synthetic.measured import MEASURED
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.datasets.synthetic.signed_distance import LeastDistance
 from getagrip.geometry import se3
@@ -29,6 +30,12 @@ from getagrip.grasps.motion import JOINT, QUANTILES, MotionStatistics, Residual,
 from getagrip.hands.model import PosedHand
 from getagrip.result import Axis
 
+TABLE = Path(__file__).with_name("measured_motion.json")
+"""Written by ``python -m benchmarks.motion measure``."""
+MEASURED = {
+    name: MotionStatistics(**row) for name, row in json.loads(TABLE.read_text(encoding="utf-8"))["statistics"].items()
+}
+"""How objects move in the hand in stable grasps, by dataset; SI units."""
 DEEPEST = 0.0035
 """How deep the object may turn into the open hand [m], where the turn is not measured."""
 AXES = 24
@@ -179,7 +186,7 @@ def _motion(
 
 
 def _equalised(
-    drawn: Float[ndarray, "T 3"], found: Float[ndarray, "T 3"], wanted: tuple[float, ...]
+    drawn: Float[ndarray, "T 3"], found: Float[ndarray, "T 3"], wanted: Sequence[float]
 ) -> Float[ndarray, "T 3"]:
     """A curve whose frequencies are amplified where less of them is found than wanted: the best hinge takes some."""
     from scipy.fft import dct, idct
@@ -201,7 +208,7 @@ def _bent(
     return rotation + more * parabola[:, None] * towards
 
 
-def _curves(wanted: tuple[float, ...], frames: int, count: int, rng: np.random.Generator) -> Float[ndarray, "T count"]:
+def _curves(wanted: Sequence[float], frames: int, count: int, rng: np.random.Generator) -> Float[ndarray, "T count"]:
     """Random curves of a spectrum (``grasps.motion.spectrum``), its last share spread over all that is faster."""
     from scipy.fft import idct
 

@@ -16,8 +16,10 @@ assumptions: see "Noise levels" in docs/datasets.md.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool
@@ -25,7 +27,6 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, HandTrack, Masks
 from getagrip.datasets.synthetic.error_curves import draw
-from getagrip.datasets.synthetic.estimated_hands import ESTIMATED
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import bounding_boxes
@@ -71,6 +72,13 @@ class Noise:
     mask_ragged_px: float = 0.0
 
 
+TABLE = Path(__file__).with_name("estimated_hands.json")
+"""How far hands estimated from images are off; written by ``python -m benchmarks.hand_errors measure``.
+
+``noise``: fields of ``Noise``, whose errors, drawn for clips of the same lengths, have these measures (fingers: joints
+as far off). ``measured``: ``error_curves.measure`` of the estimates, and their joints' error after the best similarity;
+SI units. ``lengths``: frames of these grasps; 5, 15, ..., 95 % are shorter.
+"""
 NOISE: dict[str, Noise] = {
     "none": Noise(),
     "moderate": Noise(
@@ -97,7 +105,7 @@ NOISE: dict[str, Noise] = {
         jitter_memory_s=0.1,
         mask_ragged_px=1.0,
     ),
-    "estimated": Noise(**ESTIMATED, mask_ragged_px=1.0),
+    "estimated": Noise(**json.loads(TABLE.read_text(encoding="utf-8"))["noise"], mask_ragged_px=1.0),
 }
 """``estimated`` is measured, but for the masks. The others are assumed: ``strong`` hands are 2.5 times as far off as
 ``moderate`` ones (fingers: twice), masks alike."""

@@ -11,25 +11,9 @@ from getagrip.io.choices import check_values
 
 @dataclass(frozen=True)
 class SceneOptions(Noise):
-    """What a synthetic clip is like; the first fields, those of ``Noise``, say how far hands and masks are off.
+    """What a synthetic clip is like, besides how far hands and masks are off (``Noise``).
 
     Attributes:
-        hand_bias_deg: rotation of the hand about a random axis, the same in all frames [degrees].
-        hand_bias_mm: translation of the hand in a random direction of the hand's frame, the same in all frames [mm].
-        hand_bias_depth_mm: translation of the hand along the camera's ray, towards the camera or away, the same in all
-            frames [mm].
-        finger_bias_deg: root mean square bend of each finger joint, the same in all frames [degrees].
-        hand_jitter_deg: root mean square rotation of the hand that changes from frame to frame [degrees].
-        hand_jitter_mm: root mean square translation that changes from frame to frame [mm].
-        hand_jitter_depth_mm: root mean square translation along the camera's ray that changes from frame to frame [mm].
-        finger_jitter_deg: root mean square bend of each finger joint that changes from frame to frame [degrees].
-        jitter_memory_s: time after which the correlation of the jitter has fallen to 1/e [s]; zero: new in every frame.
-        spread: standard deviation of the logarithm of how many times as far a clip is off as said above, drawn anew for
-            the bias and for the jitter of rotation, translation, depth and fingers.
-        outlier_share: share of frames with outliers.
-        outlier_times: how many times as large as jitter the error is that they have besides, one throughout a run.
-        outlier_s: mean duration of a run of them [s].
-        mask_ragged_px: root mean square distance of the masks' boundaries from the true ones [px].
         frames: number of frames, at least 2.
         fps: frames per second; where motion is measured, the duration is drawn instead.
         size: width and height of the images [px].

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from getagrip.errors import InputError, UsageError
-from getagrip.experiments.sources.artigrasp import ArtiGrasp, EstimatedArtiGrasp
 from getagrip.experiments.sources.dexycb import DexYcb, DexYcbSequences, DexYcbTimelines
 from getagrip.experiments.sources.folder import ClipFolder
 from getagrip.experiments.sources.hot3d import Hot3dTimelines
@@ -26,8 +25,6 @@ SOURCES: dict[str, type[ClipSource]] = {
     "dexycb-segments": DexYcbSequences,
     "dexycb-timelines": DexYcbTimelines,
     "hot3d-timelines": Hot3dTimelines,
-    "artigrasp": ArtiGrasp,
-    "artigrasp-estimated": EstimatedArtiGrasp,
 }
 """The datasets, by the names that ``getagrip bench`` knows them by."""
 

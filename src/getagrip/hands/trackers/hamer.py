@@ -25,7 +25,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -89,11 +89,11 @@ class HaMeR(Demo):
     """Of which hand all joints are that the demo saved with --save_keypoints and without --save_mesh."""
 
 
-def people(path: Path, content: object) -> list[Record]:
+def people(path: Path, content: Record) -> list[Record]:
     """The records of an image's hands. Raises ``InputError``."""
     if isinstance(content, Mapping) and list(content) == [PEOPLE]:
         content = content[PEOPLE]
-    each: list[Any] = content if isinstance(content, list) else [content]
+    each: list[Record] = content if isinstance(content, list) else [content]
     if isinstance(content, Mapping) and isinstance(content.get("mano"), list) and "cam_trans" in content:
         each = [
             {**hand, "pred_cam_t_full": t} if isinstance(hand, Mapping) else hand

@@ -119,7 +119,7 @@ def _read_torch(path: Path) -> Record:
         reason = str(error).partition("\n")[0]
         raise InputError(path, "", f"a file that does not load safely ({reason})", "a dictionary of tensors") from error
 
-    def plain(value: Any) -> Any:
+    def plain(value: object) -> object:
         if isinstance(value, torch.Tensor):
             return value.detach().float().numpy() if value.is_floating_point() else value.detach().numpy()
         if isinstance(value, dict):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from getagrip.clip.naming import frame_of, number_of
 from getagrip.errors import InputError, UsageError
@@ -38,7 +38,7 @@ class Tracker:
         raise NotImplementedError
 
 
-def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, int, Any]]:
+def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, int, records.Record]]:
     """What there is of single images whose names are like those of frames: the file, the frame's index, the content.
 
     A file is of one image, and named like it, or holds a dictionary with the names of images as keys. Raises

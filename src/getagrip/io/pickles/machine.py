@@ -17,6 +17,8 @@ import numpy as np
 
 MOST_INSTRUCTIONS = 2**22
 """Each takes one byte or more of a file, and up to 224 bytes of memory: those of an empty set."""
+Value = Any
+"""On the stack: what an instruction meets there may be anything, and raises where it is not what it needs."""
 PLAIN = str | bytes | int | float | np.generic | None
 """What may be a key: tuples that share their parts take ages to hash."""
 
@@ -46,7 +48,7 @@ def run(content: bytes, objects: Objects) -> object:
     return machine.stack.pop()
 
 
-def plain_keys(values: Sequence[Any]) -> Sequence[Any]:
+def plain_keys(values: Sequence[object]) -> Sequence[object]:
     """The same values, or a ``ValueError`` for those that may be no keys."""
     for value in values:
         if not isinstance(value, PLAIN):
@@ -54,7 +56,7 @@ def plain_keys(values: Sequence[Any]) -> Sequence[Any]:
     return values
 
 
-def _instructions(content: bytes) -> Iterator[tuple[str, Any]]:
+def _instructions(content: bytes) -> Iterator[tuple[str, Value]]:
     """Name and argument of each instruction before STOP. Arguments are no longer than the bytes that are there."""
     stream = io.BytesIO(content)
     for _ in range(MOST_INSTRUCTIONS):
@@ -82,15 +84,15 @@ def _python2_text(line: bytes) -> str:
 class _Machine:
     def __init__(self, objects: Objects) -> None:
         self.objects = objects
-        self.stack: list[Any] = []
-        self.below: list[list[Any]] = []
+        self.stack: list[Value] = []
+        self.below: list[list[Value]] = []
         """The stacks below the marks."""
-        self.memo: dict[int, Any] = {}
+        self.memo: dict[int, Value] = {}
 
-    def push(self, value: object) -> None:
+    def push(self, value: Value) -> None:
         self.stack.append(value)
 
-    def pop(self, count: int) -> list[Any]:
+    def pop(self, count: int) -> list[Value]:
         """The last values, in the order they were pushed in."""
         return [self.stack.pop() for _ in range(count)][::-1]
 
@@ -98,7 +100,7 @@ class _Machine:
         self.below.append(self.stack)
         self.stack = []
 
-    def pop_marked(self) -> list[Any]:
+    def pop_marked(self) -> list[Value]:
         """All values above the last mark, which goes too."""
         values, self.stack = self.stack, self.below.pop()
         return values
@@ -106,19 +108,19 @@ class _Machine:
     def memorise(self, index: int) -> None:
         self.memo[index] = self.stack[-1]
 
-    def last(self, kind: type) -> Any:
+    def last(self, kind: type) -> Value:
         if type(self.stack[-1]) is not kind:
             raise ValueError(f"a {type(self.stack[-1]).__name__} where a {kind.__name__} belongs")
         return self.stack[-1]
 
-    def extend(self, values: list[Any]) -> None:
+    def extend(self, values: list[Value]) -> None:
         self.last(list).extend(values)
 
-    def update(self, pairs: list[Any]) -> None:
+    def update(self, pairs: list[Value]) -> None:
         """Take keys and values by turns into the last dictionary."""
         self.last(dict).update(zip(plain_keys(pairs[::2]), pairs[1::2], strict=True))
 
-    def add(self, values: list[Any]) -> None:
+    def add(self, values: list[Value]) -> None:
         self.last(set).update(plain_keys(values))
 
     def dictionary(self) -> None:
@@ -141,7 +143,7 @@ _VALUES = (
     "SHORT_BINUNICODE BINUNICODE8 BINBYTES SHORT_BINBYTES BINBYTES8 BYTEARRAY8"
 )
 """Those that push their argument. LONG4 is not among them: its integers are too long to print."""
-_INSTRUCTIONS: dict[str, Callable[[_Machine, Any], object]] = {
+_INSTRUCTIONS: dict[str, Callable[[_Machine, Value], object]] = {
     "PROTO": lambda m, version: None,
     "FRAME": lambda m, length: None,
     **dict.fromkeys(_VALUES.split(), _Machine.push),

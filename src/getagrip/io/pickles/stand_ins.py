@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Shaped
@@ -50,7 +50,7 @@ class DType:
 class Array:
     """Stands in for an array that is built after it was made: of numbers or text, or a list of objects."""
 
-    content: ndarray | list[Any] | None = None
+    content: ndarray | list[object] | None = None
     shape: tuple[int, ...] = ()
 
 
@@ -59,7 +59,7 @@ class Instance:
     """Stands in for an object of a class that the reader asked for: it holds the state, and has no behaviour."""
 
     kind: str
-    state: dict[str, Any] = field(default_factory=dict)
+    state: dict[str, object] = field(default_factory=dict)
 
 
 NAMES = {
@@ -147,7 +147,7 @@ class StandIns:
                 raise ValueError(f"an unexpected state of {type(target).__name__}")
 
     def _array(
-        self, dtype: DType, shape: tuple[Any, ...], raw: object, order: Literal["C", "F"] = "C"
+        self, dtype: DType, shape: tuple[int, ...], raw: object, order: Literal["C", "F"] = "C"
     ) -> Shaped[ndarray, "..."]:
         """An array of its own memory, from as many bytes as it has; from Python 2 they come as text."""
         if not isinstance(raw, str | bytes | bytearray):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
 from getagrip.checks.calibration import sigmoid
-from getagrip.experiments.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
 from getagrip.experiments.statistics import resamples
 
 
