@@ -1,0 +1,138 @@
+"""What a served page asks for: the entries, and of each its results, frame by frame."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from getagrip.clip import masks_of_some
+from getagrip.clip.sampling import frame_indices
+from getagrip.errors import GetagripError
+from getagrip.geometry.camera import Crops, project
+from getagrip.geometry.mesh import Mesh
+from getagrip.pages import motion
+from getagrip.pages.document import document, pack
+from getagrip.pages.entries import Column, Entry
+from getagrip.pages.evidence import compared
+from getagrip.pages.pictures import PICTURE, drawn
+from getagrip.pages.report import SCRIPTS, described, gap_plot, over_time
+from getagrip.view.candidates import candidate
+from getagrip.view.gap import coarse
+from getagrip.view.shown import View
+from getagrip.view.stills import ROOM, STEADY, smoothed
+from getagrip.view.tiles import input_windows
+from getagrip.view.touched import finer
+
+SAMPLED = 20
+"""Frames whose masks are read before any is shown; candidates are compared in them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A column that is open: its view has a simplified mesh and no masks, which are read with the frames."""
+
+    column: Column
+    view: View
+    surface: Mesh
+
+    @staticmethod
+    def of(column: Column) -> Shown:
+        """Open a column."""
+        view = coarse(column.view)
+        return Shown(column, view, finer(view))
+
+    def about(self) -> dict[str, Any]:
+        """What is the same in all frames."""
+        metrics = {k: float(v) for k, v in self.column.record.get("metrics", {}).items() if isinstance(v, int | float)}
+        arrays, packed = pack(motion.fixed(self.view, self.surface))
+        said = described(self.view, self.column.label, {"metrics": metrics}, self.column.record)
+        more = {"result": bool(self.column.record), "masked": self.at(self.sampled[:1]).masks is not None}
+        return {**said, **more, "arrays": arrays, "packed": packed}
+
+    def frame(self, rank: int, n: int) -> dict[str, Any]:
+        """A frame with one of the candidates."""
+        view = candidate(self.at(np.array([n])), rank)
+        arrays, packed = pack(motion.moving(view, self.surface))
+        return {**drawn(view, 0, self.windows, n), "arrays": arrays, "packed": packed}
+
+    def at(self, index: Int[ndarray, "n"]) -> View:
+        """Some frames, with their masks."""
+        some = self.view.at([self.view.result.frames[n] for n in index])
+        return replace(some, masks=masks_of_some(some.clip))
+
+    @cached_property
+    def sampled(self) -> Int[ndarray, "n"]:
+        """The frames ``SAMPLED``."""
+        return frame_indices(len(self.view.clip), SAMPLED)
+
+    @cached_property
+    def windows(self) -> Crops:
+        """Square windows around hand and masks in each frame, of one size; they follow the hand smoothly."""
+        some = self.at(self.sampled)
+        crops = input_windows([some], np.arange(len(some.clip)), PICTURE)
+        hand = np.array([np.mean(project(K, self.view.hand(n)), axis=0) for n, K in enumerate(self.view.clip.K)])
+        aside, every = crops.corner - hand[self.sampled], np.arange(len(hand))
+        moved = np.stack([np.interp(every, self.sampled, aside[:, k]) for k in range(2)], axis=1)
+        middle = smoothed(hand + moved + crops.side / 2.0, STEADY * self.view.clip.fps)
+        side = ROOM * crops.side
+        return Crops(middle - side / 2.0, side, PICTURE)
+
+
+class Library:
+    """The entries of a page. Frames are made one after the other, so that few large images are in memory at once."""
+
+    def __init__(self, entries: Sequence[Entry], fail: Callable[[Exception], None]) -> None:
+        """Open the first entry that can be read; the errors of those before it go to ``fail``."""
+        self.entries = tuple(entries)
+        self._one = threading.Lock()
+        self._opened = lru_cache(maxsize=2)(self._open)
+        self.first = next((n for n in range(len(entries)) if self._can_be_read(n, fail)), None)
+
+    def _can_be_read(self, n: int, fail: Callable[[Exception], None]) -> bool:
+        try:
+            return bool(self._opened(n))
+        except (GetagripError, OSError) as error:
+            fail(error)
+            return False
+
+    def page(self) -> bytes:
+        """The page, which asks for all else."""
+        data = {"entries": [entry.label for entry in self.entries], "first": self.first}
+        return document("getagrip view", "viewer.html", SCRIPTS, data, asks=True).encode()
+
+    def entry(self, n: int) -> dict[str, Any]:
+        """All that is the same in all frames of an entry."""
+        with self._one:
+            columns = self._opened(n)
+            view = columns[0].view
+            times = over_time(view, np.arange(len(view.clip)))
+            return {**times, "columns": [column.about() for column in columns]}
+
+    def frame(self, n: int, column: int, rank: int, frame: int) -> dict[str, Any]:
+        """A frame of a column, with one of the candidates in the result's place."""
+        with self._one:
+            return self._opened(n)[column].frame(rank, frame)
+
+    def gap(self, n: int, column: int) -> dict[str, Any]:
+        """The curve of a column that takes time."""
+        shown = self._shown(n, column)
+        return gap_plot(shown.view) if shown.view.posed else {}
+
+    def candidates(self, n: int, column: int) -> dict[str, Any]:
+        """What speaks for and against the candidates of a column."""
+        shown = self._shown(n, column)
+        return compared(shown.at(shown.sampled))
+
+    def _shown(self, n: int, column: int) -> Shown:
+        with self._one:
+            return self._opened(n)[column]
+
+    def _open(self, n: int) -> list[Shown]:
+        return [Shown.of(column) for column in self.entries[n].read()]
