@@ -18,6 +18,7 @@ import pytest
 
 from getagrip.clip import input_sha256, write_clip
 from getagrip.errors import UsageError
+from getagrip.pages import served
 from getagrip.pages.entries import TRUTH, entries
 from getagrip.pages.report import write_page
 from getagrip.pages.served import Library
@@ -85,6 +86,12 @@ def test_frames_are_those_of_the_page_that_holds_all(folder: Path, library: Libr
                 values[0].astype(float), whole[name][n], atol=1.0 if values.dtype == np.uint8 else 1e-6
             )
         assert frame["outlines"].keys() == held["pictures"][n]["outlines"].keys()
+
+
+def test_the_gap_is_measured_in_parts(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = library.gap(0, 0)
+    monkeypatch.setattr(served, "AT_ONCE", 2)
+    assert library.gap(0, 0)["lines"][0]["values"].tolist() == pytest.approx(whole["lines"][0]["values"].tolist())
 
 
 def test_another_candidate_has_contours_and_contact_of_its_own(library: Library) -> None:

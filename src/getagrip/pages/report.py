@@ -59,7 +59,12 @@ def write_page(view: View, evaluation: Mapping[str, Any], record: Mapping[str, A
     for n, picture in enumerate(pictures):
         picture["others"] = [outline(one, n, crops, n) for one in others]
     column = described(view, label, evaluation, record) | {"masked": view.masks is not None}
-    column |= {"arrays": where, "packed": packed, "pictures": pictures, "plots": [*column["plots"], gap_plot(view)]}
+    column |= {
+        "arrays": where,
+        "packed": packed,
+        "pictures": pictures,
+        "plots": [*column["plots"], gap_plot(gap(view))],
+    }
     page = document(
         f"{view.clip.name}, {label}", "viewer.html", SCRIPTS, {"shown": {**over_time(view, shown), "columns": [column]}}
     )
@@ -189,9 +194,9 @@ def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[st
     return plots
 
 
-def gap_plot(view: View) -> dict[str, Any]:
-    """The curve that takes time."""
-    line = _line("gap", 1e3 * gap(view), HAND_LINE)
+def gap_plot(values: Float[ndarray, "T"]) -> dict[str, Any]:
+    """The curve that takes time, of distances [m]."""
+    line = _line("gap", 1e3 * values, HAND_LINE)
     return {"title": "gap of hand and object", "unit": "mm", "lines": [line], "upTo": (0, 0)}
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -24,7 +24,7 @@ from getagrip.pages.evidence import compared
 from getagrip.pages.pictures import PICTURE, drawn
 from getagrip.pages.report import SCRIPTS, described, gap_plot, over_time
 from getagrip.view.candidates import candidate
-from getagrip.view.gap import coarse
+from getagrip.view.gap import coarse, gap
 from getagrip.view.shown import View
 from getagrip.view.stills import ROOM, STEADY, smoothed
 from getagrip.view.tiles import input_windows
@@ -32,6 +32,8 @@ from getagrip.view.touched import finer
 
 SAMPLED = 20
 """Frames whose masks are read before any is shown; candidates are compared in them."""
+AT_ONCE = 25
+"""Frames whose gap is measured before others may be, or the server ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +64,10 @@ class Shown:
         arrays, packed = pack(motion.moving(view, self.surface))
         return {**drawn(view, 0, self.windows, n), "arrays": arrays, "packed": packed}
 
-    def at(self, index: Int[ndarray, "n"]) -> View:
-        """Some frames, with their masks."""
+    def at(self, index: Int[ndarray, "n"], with_hand: bool = False) -> View:
+        """Some frames, with the masks of the object, and of the hand if wanted."""
         some = self.view.at([self.view.result.frames[n] for n in index])
-        return replace(some, masks=masks_of_some(some.clip))
+        return replace(some, masks=masks_of_some(some.clip, with_hand))
 
     @cached_property
     def sampled(self) -> Int[ndarray, "n"]:
@@ -86,13 +88,17 @@ class Shown:
 
 
 class Library:
-    """The entries of a page. Frames are made one after the other, so that few large images are in memory at once."""
+    """The entries of a page.
+
+    One thread makes all frames, one after the other, and another measures what takes time: few large images are in
+    memory at once.
+    """
 
     def __init__(self, entries: Sequence[Entry], fail: Callable[[Exception], None]) -> None:
         """Open the first entry that can be read; the errors of those before it go to ``fail``."""
         self.entries = tuple(entries)
-        self._one = threading.Lock()
-        self._opened = lru_cache(maxsize=2)(self._open)
+        self._frames, self._measured = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
+        self._opened = lru_cache(maxsize=2)(lambda n: [Shown.of(column) for column in self.entries[n].read()])
         self.first = next((n for n in range(len(entries)) if self._can_be_read(n, fail)), None)
 
     def _can_be_read(self, n: int, fail: Callable[[Exception], None]) -> bool:
@@ -109,30 +115,31 @@ class Library:
 
     def entry(self, n: int) -> dict[str, Any]:
         """All that is the same in all frames of an entry."""
-        with self._one:
+
+        def made() -> dict[str, Any]:
             columns = self._opened(n)
             view = columns[0].view
-            times = over_time(view, np.arange(len(view.clip)))
-            return {**times, "columns": [column.about() for column in columns]}
+            return {**over_time(view, np.arange(len(view.clip))), "columns": [column.about() for column in columns]}
+
+        return self._frames.submit(made).result()
 
     def frame(self, n: int, column: int, rank: int, frame: int) -> dict[str, Any]:
         """A frame of a column, with one of the candidates in the result's place."""
-        with self._one:
-            return self._opened(n)[column].frame(rank, frame)
+        return self._frames.submit(lambda: self._opened(n)[column].frame(rank, frame)).result()
 
     def gap(self, n: int, column: int) -> dict[str, Any]:
         """The curve of a column that takes time."""
-        shown = self._shown(n, column)
-        return gap_plot(shown.view) if shown.view.posed else {}
+        view = self._shown(n, column).view
+        if not view.posed:
+            return {}
+        names = view.result.frames
+        parts = [view.at(names[first : first + AT_ONCE]) for first in range(0, len(names), AT_ONCE)]
+        return gap_plot(np.concatenate([self._measured.submit(gap, part).result() for part in parts]))
 
     def candidates(self, n: int, column: int) -> dict[str, Any]:
         """What speaks for and against the candidates of a column."""
         shown = self._shown(n, column)
-        return compared(shown.at(shown.sampled))
+        return self._measured.submit(lambda: compared(shown.at(shown.sampled, with_hand=True))).result()
 
     def _shown(self, n: int, column: int) -> Shown:
-        with self._one:
-            return self._opened(n)[column]
-
-    def _open(self, n: int) -> list[Shown]:
-        return [Shown.of(column) for column in self.entries[n].read()]
+        return self._frames.submit(lambda: self._opened(n)[column]).result()
