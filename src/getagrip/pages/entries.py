@@ -1,4 +1,4 @@
-"""What there is to show: clips, results, and several results of one clip side by side; the worst first."""
+"""The list of a served page: clips, and results of one clip side by side, the worst first."""
 
 from __future__ import annotations
 
@@ -6,15 +6,28 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from getagrip.clip import find_masks, read_clip
+from getagrip.clip import read_clip
 from getagrip.errors import GetagripError
-from getagrip.result import Reconstruction, read_result
-from getagrip.view.figures.kind import GivenResult
-from getagrip.view.figures.rows import at_common_frames, distinct
-from getagrip.view.live.column import Column, named
+from getagrip.evaluation import read_with_clip
+from getagrip.fitting.methods import METHODS
+from getagrip.result import Reconstruction, read_record, read_result
+from getagrip.view.given import GivenResult, at_common_frames, distinct, hand_alone, true_view
+from getagrip.view.shown import View
+
+TRUTH = "ground truth"
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """A result or a clip, and what it is called; ``record`` is the content of its ``result.json``."""
+
+    label: str
+    view: View
+    record: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -34,13 +47,24 @@ class Entry:
     clips: Path | None = None
 
     def read(self) -> list[Column]:
-        """A column for each result, at the frames that all of them have. Raises ``InputError``."""
+        """A column for each result, at the frames that all of them have, without masks. Raises ``InputError``."""
         if self.clip is not None:
             clip = read_clip(self.clip)
-            return [Column.of_clip(clip, find_masks(clip))]
+            alone = clip.truth is None
+            return [Column(clip.name if alone else TRUTH, hand_alone(clip) if alone else true_view(self.clip), {})]
         given = [GivenResult(folder, self.clips) for folder in self.results]
-        views = at_common_frames([(one, one.read()) for one in given])
-        return named(list(zip(distinct(given), views, strict=True)))
+        read = [(one, View.of(*read_with_clip(one.folder, one.clips), None)) for one in given]
+        views, names = at_common_frames(read), labels([view for _, view in read], distinct(given))
+        return [Column(*each) for each in zip(names, views, map(read_record, self.results), strict=True)]
+
+
+def labels(views: Sequence[View], folders: Sequence[str]) -> list[str]:
+    """The results' methods; where these agree, also the folders that tell the results apart."""
+    named = [METHODS[v.result.method].label if v.result.method in METHODS else v.result.method for v in views]
+    return [
+        label if named.count(label) == 1 else f"{label} ({folder})"
+        for label, folder in zip(named, folders, strict=True)
+    ]
 
 
 def entries(
@@ -72,10 +96,10 @@ def badness(results: Sequence[Reconstruction]) -> tuple[bool, float]:
 
 def _label(group: Sequence[tuple[Path, Reconstruction]]) -> str:
     results = [result for _, result in group]
-    overlap = f"{100 * min(_iou(result) for result in results):.0f} %"
+    overlap = f"IOU {100 * min(_iou(result) for result in results):.0f} %"
     serious = {finding.check for result in results for finding in result.findings if finding.serious}
     several = [f"{len(group)} results"] if len(group) > 1 else []
-    return "  ".join([results[0].clip, overlap, *several, *sorted(serious)])
+    return ", ".join([results[0].clip, overlap, *several, *sorted(serious)])
 
 
 def _iou(result: Reconstruction) -> float:

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from getagrip.checks import RESULT_CHECKS, Evidence, examine
 from getagrip.checks.held import gap, penetration
 from getagrip.clip.occlusion import occluded_by_hand
-from getagrip.clip.sampling import frame_indices
 from getagrip.finding import Finding
 from getagrip.metrics.contact import pairwise_iou, stable_contact_area
 from getagrip.metrics.mask import iou_of_poses
 from getagrip.metrics.pose import ObjectTrack, pose_errors
-from getagrip.view.live.column import Column
+from getagrip.view.shown import View
 
-FRAMES = 20
-"""Candidates are compared in so many frames, evenly sampled."""
+HEAD = ("", "energy", "IOU %", "gap mm", "depth mm", "SCA %", "ADD mm")
 TOUCHING = 0.010
 """Points of the hand within this distance of the object are in contact, in the stable contact area [m]."""
 
@@ -71,36 +70,51 @@ QUESTIONS = (
 """Ground truth is none of them: it is shown, but nobody has it for footage of their own."""
 
 
-def numbers(column: Column) -> list[Numbers]:
-    """The numbers about each candidate of a result, best energy first."""
-    given = column.view
-    index = frame_indices(len(given.result.frames), FRAMES)
-    some = given.at([given.result.frames[n] for n in index])
-    true = some.true()
-    lowest = float(column.candidates.energy.min())
+def numbers(view: View) -> list[Numbers]:
+    """The numbers about each candidate of a result, best energy first; ``view`` is at the frames to compare in."""
+    true, candidates = view.true(), view.result.candidates
+    lowest = float(candidates.energy.min())
     out = []
-    for T_hand_obj, scale, energy in zip(
-        column.candidates.T_hand_obj[:, index], column.candidates.scale, column.candidates.energy, strict=True
-    ):
-        iou, add = np.full(len(index), np.nan), float("nan")
+    for T_hand_obj, scale, energy in zip(candidates.T_hand_obj, candidates.scale, candidates.energy, strict=True):
+        iou, add = np.full(len(view.clip), np.nan), float("nan")
         track = ObjectTrack(T_hand_obj, float(scale))
         if true is not None:
             known = ObjectTrack(true.result.T_hand_obj, true.result.scale)
-            add = 1e3 * float(np.mean(pose_errors(some.clip.mesh, track, known).add))
-        if some.masks is not None:
-            poses = some.clip.hand.T_cam_hand @ T_hand_obj
-            masks = some.masks if some.masks.say_what_hides else occluded_by_hand(some.clip, some.masks)
-            iou = iou_of_poses(some.clip.mesh, track.scale, poses, some.clip.K, masks).full
+            add = 1e3 * float(np.mean(pose_errors(view.clip.mesh, track, known).add))
+        if view.masks is not None:
+            poses = view.clip.hand.T_cam_hand @ T_hand_obj
+            masks = view.masks if view.masks.say_what_hides else occluded_by_hand(view.clip, view.masks)
+            iou = iou_of_poses(view.clip.mesh, track.scale, poses, view.clip.K, masks).full
         findings: tuple[Finding, ...] = ()
         mean, deep, far, stable = (float("nan"),) * 4
-        if some.masks is not None and np.isfinite(iou).any():
-            held = Evidence(some.clip, some.masks, T_hand_obj, track.scale, iou)
-            findings = examine(RESULT_CHECKS, held)[1]
-            mean, deep, far = float(np.nanmean(iou)), penetration(held), gap(held)
-            stable = stable_contact_area(pairwise_iou(held.to_object <= TOUCHING))
+        if view.masks is not None and np.isfinite(iou).any():
+            grasp = Evidence(view.clip, view.masks, T_hand_obj, track.scale, iou)
+            findings = examine(RESULT_CHECKS, grasp)[1]
+            mean, deep, far = float(np.nanmean(iou)), penetration(grasp), gap(grasp)
+            stable = stable_contact_area(pairwise_iou(grasp.to_object <= TOUCHING))
         excess = float(energy) / lowest - 1.0 if lowest > 0.0 else float("nan")
         out.append(Numbers(float(energy), excess, mean, far, deep, stable, add, findings))
     return out
+
+
+def compared(view: View) -> dict[str, Any]:
+    """A table of all candidates, and what speaks for and against each, as the page shows them."""
+    known = numbers(view)
+    rows = [[str(rank + 1), *_cells(it)] for rank, it in enumerate(known)]
+    columns = [k for k in range(len(HEAD)) if any(row[k] for row in rows)]
+    pros, cons = zip(*(arguments(known, rank) for rank in range(len(known))), strict=True)
+    return {
+        "head": [HEAD[k] for k in columns],
+        "rows": [[row[k] for k in columns] for row in rows],
+        "pros": pros,
+        "cons": cons,
+    }
+
+
+def _cells(it: Numbers) -> list[str]:
+    """A candidate's line, under all but the first of ``HEAD``; empty where a number is not known."""
+    values = (it.energy, 100 * it.iou, it.gap, it.depth, 100 * it.sca, it.add)
+    return ["" if np.isnan(v) else f"{v:.{d}f}" for v, d in zip(values, (0, 1, 1, 1, 0, 1), strict=True)]
 
 
 def arguments(all_of_them: Sequence[Numbers], rank: int) -> tuple[list[str], list[str]]:

@@ -12,11 +12,10 @@ import pytest
 from getagrip.clip import input_sha256, write_clip
 from getagrip.commands.view import found
 from getagrip.finding import Finding
+from getagrip.pages.entries import TRUTH, badness, entries, labels
 from getagrip.result import Reconstruction, write_result
-from getagrip.view.live.column import TRUTH
-from getagrip.view.live.entries import badness, entries
 from helpers.command_line import Run
-from helpers.two_candidates import two_candidates
+from helpers.two_candidates import two_candidates, view
 
 SERIOUS = Finding("contact-gap", True, 40.0, 15.0, "they are far apart")
 
@@ -54,23 +53,33 @@ def test_a_folder_of_methods_is_listed_by_clip_the_worst_first(root: Path) -> No
     results, clips = found([root / "results"], problems)
     assert (len(results), clips, problems) == (3, [], [])
     bad, good = entries(results, clips, None, never)
-    assert bad.label == "bad  40 %"
-    assert good.label == "good  90 %  2 results"
-    assert [column.name for column in good.read()] == ["1-DoF, ours", "Static"]
+    assert bad.label == "bad, IOU 40 %"
+    assert good.label == "good, IOU 90 %, 2 results"
+    assert [column.label for column in good.read()] == ["1-DoF, ours", "Static"]
     assert good.read()[0].view.clip.name == "good"
 
 
 def test_results_and_clips_may_be_named_in_any_way(root: Path) -> None:
     problems: list[Exception] = []
     results, clips = found([root / "results" / "one-dof", root / "results" / "static" / "good"], problems)
-    assert [entry.label for entry in entries(results, clips, None, never)] == ["bad  40 %", "good  90 %  2 results"]
+    assert [entry.label for entry in entries(results, clips, None, never)] == [
+        "bad, IOU 40 %",
+        "good, IOU 90 %, 2 results",
+    ]
     results, clips = found([root / "clips"], problems)
     assert results == []
-    assert [entry.read()[0].name for entry in entries(results, clips, None, never)] == [TRUTH, TRUTH]
+    assert [entry.read()[0].label for entry in entries(results, clips, None, never)] == [TRUTH, TRUTH]
     assert found([root / "clips" / "bad"], problems)[1] == [root / "clips" / "bad"]
     assert problems == []
     found([root / "clips" / "bad" / "masks", root / "nowhere"], problems)
     assert ["no such folder" in str(problem) for problem in problems] == [False, True]
+
+
+def test_results_of_one_method_are_told_apart_by_their_folders() -> None:
+    one = view()
+    static = replace(one, result=replace(one.result, method="static"))
+    method = "1-DoF, ours"
+    assert labels([one, one, static], ["a", "b", "c"]) == [f"{method} (a)", f"{method} (b)", "Static"]
 
 
 def test_entries_of_the_same_words_are_numbered(root: Path) -> None:
@@ -84,7 +93,7 @@ def test_a_broken_result_does_not_hide_the_others(root: Path, tmp_path: Path) ->
     (broken / "result.json").write_text("{", "utf-8")
     told: list[Exception] = []
     listed = entries([broken, root / "results" / "one-dof" / "bad"], [], None, told.append)
-    assert [entry.label for entry in listed] == ["bad  40 %"]
+    assert [entry.label for entry in listed] == ["bad, IOU 40 %"]
     assert str(broken) in str(told[0])
 
 
