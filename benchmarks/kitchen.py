@@ -24,7 +24,8 @@ from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
 from getagrip.annotate.video import Video
 from getagrip.clip import read_clip
-from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.clip.intrinsics import intrinsics
+from getagrip.geometry.lens import Lens
 from getagrip.experiments.stamp import stamp
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 LONGEST = 500
@@ -29,6 +30,11 @@ class GetagripError(Exception):
 
 class UsageError(GetagripError):
     """The call itself is wrong (exit status 2)."""
+
+
+def unknown(what: str, given: object, known: Iterable[object]) -> UsageError:
+    """The error for a name that is none of those known."""
+    return UsageError(f"unknown {what} {given!r}; choose from {', '.join(map(str, known))}")
 
 
 class InputError(GetagripError):

@@ -15,7 +15,7 @@ from getagrip.batch.entries import FILE
 from getagrip.batch.imports import ImportJob, import_clips, import_part
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.limits import Limits
-from getagrip.batch.plan import Shard
+from getagrip.batch.shard import Shard
 from getagrip.batch.share import Share
 from getagrip.commands.datasets import DATASETS
 from getagrip.datasets.cutting import TrackedDataset
@@ -85,7 +85,7 @@ def test_help_loads_no_reader() -> None:
 @pytest.mark.slow
 def test_the_table_loads_no_compiler() -> None:
     """Or else ``getagrip import --help`` would wait for numba."""
-    code = "import sys, getagrip.cli.imports\nsys.exit('numba' in sys.modules)"
+    code = "import sys, getagrip.commands.datasets\nsys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -173,7 +173,7 @@ def test_hands_need_a_place_to_go(made: Path, capsys: pytest.CaptureFixture[str]
     arrays.write(path, {"joints": np.zeros((2, 21, 3))})
     base = ["import", "hands", str(path), "--from", "joints", "--order", "openpose"]
     for more, words in [
-        ([], "neither"),
+        ([], "missing --clip or --out"),
         (["--clip", str(folder)], "--overwrite"),
         (["--clip", str(folder), "--side", "left"], "--side"),
         (["--out", str(made / "x.npz"), "--side", "left"], "--frames"),

@@ -71,7 +71,10 @@ def test_results_are_found_below_but_not_in_other_results(tmp_path: Path) -> Non
 
 
 def test_wrong_calls_are_refused(run: Run, tmp_path: Path) -> None:
-    for args, words in [((), "PATH: name at least one"), ((tmp_path, "--workers", 0), "--workers: got 0")]:
+    for args, words in [
+        ((), "PATH: name at least one"),
+        ((tmp_path, "--workers", 0), "--workers must be 1 or more (got 0)"),
+    ]:
         status, _, err = run("report", *args)
         assert status == 2
         assert words in err

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks, write_clip
-from getagrip.commands.evaluate_poses import OtherPoses, pose_jobs
+from getagrip.commands.evaluate import Evaluate
+from getagrip.commands.evaluate_poses import pose_jobs
 from getagrip.errors import UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.other_poses import poses_of
@@ -223,6 +224,6 @@ def test_files_of_single_frames_are_of_the_one_result(tmp_path: Path, moved: Any
     clip, _, _ = moved
     for name in clip.frames:
         np.savetxt(tmp_path / f"{name}.txt", np.eye(4))
-    (job,) = pose_jobs(OtherPoses(tmp_path, tmp_path / "clips"), {"mug": clip.frames})
+    (job,) = pose_jobs(Evaluate(poses=tmp_path, clips=tmp_path / "clips"), {"mug": clip.frames})
     assert (job.folder, job.clip) == (tmp_path, tmp_path / "clips" / "mug")
-    assert len(pose_jobs(OtherPoses(tmp_path, tmp_path / "clips"), {})) == len(clip)
+    assert len(pose_jobs(Evaluate(poses=tmp_path, clips=tmp_path / "clips"), {})) == len(clip)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from getagrip.clip import OtherHand, input_sha256, write_clip
-from getagrip.commands.report import ReportRequest, report
+from getagrip.commands.report import Report
 from getagrip.finding import Finding
 from getagrip.geometry import se3
 from getagrip.pages import IndexRow, row_without_clip, write_index
@@ -57,7 +57,7 @@ def folder(tmp_path_factory: Any) -> Path:
     assert changed.is_dir()
     (root / "bad").mkdir()
     (root / "bad" / "result.json").write_text('{"version": 1}')
-    assert report([root], ReportRequest(), 1, debug=False) == 1
+    assert Report(paths=(root,), workers=1).run() == 1
     assert (root / "moved" / "one" / "report.html").stat().st_size < 1_000_000
     return root
 

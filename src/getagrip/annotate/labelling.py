@@ -29,8 +29,9 @@ from getagrip.annotate.propagated_masks import stretches
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, open_footage
 from getagrip.annotate.versions import RefusedError
-from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.clip.intrinsics import intrinsics
 from getagrip.errors import UsageError
+from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
 from getagrip.io import files
 from getagrip.io.files import shown

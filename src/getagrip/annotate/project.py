@@ -21,8 +21,8 @@ from getagrip.annotate.marks import Mark
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, open_footage
 from getagrip.annotate.versions import Change, RefusedError, token
-from getagrip.clip.intrinsics import Lens
 from getagrip.datasets.epic.tables import CATEGORIES
+from getagrip.geometry.lens import Lens
 from getagrip.io import files
 
 MOST_OPEN = 4

@@ -17,13 +17,23 @@ from tyro.conf import OmitArgPrefixes, subcommand
 
 from getagrip import __version__
 from getagrip.cli.bench import Bench
-from getagrip.cli.command import Command
-from getagrip.cli.footage import Annotate, ClipCommand, Epic
-from getagrip.cli.labelled import Segment, Stats, Study
 from getagrip.cli.names import joined
-from getagrip.cli.report import Report, Status
-from getagrip.cli.results import Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct
 from getagrip.cli.view import View
+from getagrip.commands.annotate import Annotate
+from getagrip.commands.command import Command
+from getagrip.commands.demo import Demo
+from getagrip.commands.doctor import Doctor
+from getagrip.commands.epic_candidates import EpicCandidates
+from getagrip.commands.evaluate import Evaluate
+from getagrip.commands.export import Export
+from getagrip.commands.learn_poses import LearnPoses
+from getagrip.commands.new_clip import NewClip
+from getagrip.commands.reconstruct import Reconstruct
+from getagrip.commands.report import Report
+from getagrip.commands.segment import Segment
+from getagrip.commands.stats import Stats
+from getagrip.commands.status import Status
+from getagrip.commands.study import Study
 from getagrip.errors import GetagripError, UsageError, cleaned
 from getagrip.io.arguments import PATHS
 from getagrip.io.terminal import Silence
@@ -42,10 +52,10 @@ def commands(imports: Any, figures: Any) -> Any:
     return (
         Annotated[Demo, subcommand("demo")]
         | Annotated[Doctor, subcommand("doctor")]
-        | Annotated[ClipCommand, subcommand("clip new")]
+        | Annotated[NewClip, subcommand("clip new")]
         | Annotated[Annotate, subcommand("annotate")]
         | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
-        | Annotated[Epic, subcommand("epic candidates")]
+        | Annotated[EpicCandidates, subcommand("epic candidates")]
         | Annotated[Reconstruct, subcommand("reconstruct")]
         | Annotated[Status, subcommand("status")]
         | Annotated[Evaluate, subcommand("evaluate")]
@@ -57,7 +67,7 @@ def commands(imports: Any, figures: Any) -> Any:
         | Annotated[Segment, subcommand("segment")]
         | Annotated[Study, subcommand("study")]
         | Annotated[Stats, subcommand("stats")]
-        | Annotated[InitCommand, subcommand("init learn")]
+        | Annotated[LearnPoses, subcommand("init learn")]
     )
 
 
@@ -65,7 +75,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run a command. Returns 0 when all is done, 1 when some of it failed, 2 when the call is wrong."""
     _open_closed_output()
     try:
-        status = _run(_parsed(sys.argv[1:] if args is None else args))
+        status = _run(sys.argv[1:] if args is None else args)
         sys.stdout.flush()
         return status
     except BrokenPipeError:  # whoever read the output has enough of it, as with `| head`
@@ -80,8 +90,9 @@ def _open_closed_output() -> None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
 
 
-def _run(command: Command) -> int:
+def _run(args: Sequence[str]) -> int:
     try:
+        command = _parsed(args)
         command.check()
         with redirect_stdout(Silence()) if command.quiet else nullcontext():
             return command.run()
@@ -91,7 +102,7 @@ def _run(command: Command) -> int:
         print("interrupted; what was finished is kept", file=sys.stderr)
         return 130
     except (GetagripError, OSError) as error:
-        if command.debug:
+        if "--debug" in args:
             print(cleaned(traceback.format_exc(), "\n"), file=sys.stderr)
         print(f"getagrip: {cleaned(str(error))}", file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
@@ -102,11 +113,11 @@ def _parsed(args: Sequence[str]) -> Command:
     imports: Any = Command
     figures: Any = Command
     if args and args[0] == "import":  # what it takes is declared with the readers, which take longer to load
-        from getagrip.cli.imports import Imports
+        from getagrip.commands.datasets import Imports
 
         imports = Imports
     elif args and args[0] == "figure":  # likewise
-        from getagrip.cli.figures import Figures
+        from getagrip.commands.figure import Figures
 
         figures = Figures
     if list(args) == ["--version"]:

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from getagrip.cli.command import Command, Inits, Method, Seed, hands_of, masks_of, mesh_of, priors_of
-from getagrip.cli.sharing import Sharing
+from getagrip.batch.share import Share
+from getagrip.commands.command import Command
 from getagrip.errors import UsageError
 from getagrip.experiments.sources import SOURCES, names_in, source_of
 from getagrip.experiments.sources.dexycb import DexYcbSequences
 from getagrip.experiments.sources.timelines import Timelines
-from getagrip.fitting.options import Init, Options
+from getagrip.fitting.methods import METHODS
+from getagrip.fitting.options import Options, SearchOptions
 from getagrip.io.arguments import Flag, Folder, OptionalFile, OptionalFolder, one_of
+
+if TYPE_CHECKING:
+    Method = str
+else:
+    Method = Literal[tuple(METHODS)]
 
 
 def _ablations(_: str) -> str:
@@ -73,27 +79,10 @@ class Bench(Command):
     """dexycb: the folder of the YCB models."""
     shortest: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2)")] = None
     """artigrasp...: frames of the shortest grasp, as for import."""
-    init: Init = "uniform"
-    """Initial poses, as for reconstruct."""
-    priors: OptionalFile = None
-    """For clusters and priors: the file or folder, as for reconstruct."""
-    priors_only: Flag = False
-    """Start from these poses alone, as for reconstruct."""
-    inits: Inits = 50
-    """Number of initial poses, twice as many where the scale is free; more is slower and safer."""
+    search: Annotated[SearchOptions, arg(name="")] = field(default_factory=SearchOptions)
     every_frame: Flag = False
     """Evaluate every frame of the clips, not only the 30 that all methods fit together."""
-    thorough: Flag = False
-    """Search two to three times as long, for the methods that fit all frames at once."""
-    given_hands: Flag = False
-    """Keep the hands where they are given, as of reconstruct."""
-    given_masks: Flag = False
-    """Believe all masks, as of reconstruct."""
-    given_mesh: Flag = False
-    """Take the mesh as it is, as of reconstruct."""
-    seed: Seed = 0
-    """Seed of all that is random."""
-    sharing: Annotated[Sharing, arg(name="")] = field(default_factory=Sharing)
+    share: Annotated[Share, arg(name="")] = field(default_factory=Share)
     json: OptionalFile = None
     """Write every number here, unrounded."""
     overwrite: Flag = False
@@ -108,18 +97,14 @@ class Bench(Command):
             self.dataset, split=self.split, preset=self.preset, root=self.root, meshes=self.meshes,
             shortest=self.shortest, only=None if self.only is None else names_in(self.only),
         )  # fmt: skip
-        options = Options(
-            inits=self.inits, seed=self.seed, thorough=self.thorough, init=self.init,
-            priors=priors_of(self.priors, self.init, self.priors_only), hands=hands_of(self.given_hands),
-            masks=masks_of(self.given_masks), mesh=mesh_of(self.given_mesh), every_frame=self.every_frame,
-        )  # fmt: skip
+        options = Options(**vars(self.search), every_frame=self.every_frame)
         if isinstance(source, Timelines):
             return self._whole(source, options)
         hands = tuple(HandSource.of(text) for text in self.hands)
         systems = tuple(system_of(text) for text in self.others)
         plan = Plan(
             source, self.out, count=self.clips, methods=self.methods, ablation=self.ablation, hands=hands,
-            systems=systems, contact_mm=self.contact, options=options, share=self.sharing.share(),
+            systems=systems, contact_mm=self.contact, options=options, share=self.share,
             overwrite=self.overwrite, json=self.json,
         )  # fmt: skip
         return bench(plan, self.debug)
@@ -137,5 +122,5 @@ class Bench(Command):
         for name, value in given.items():
             if value:
                 raise UsageError(f"--{name}: got {value}, expected none with {self.dataset}")
-        plan = Plan(source, self.out, options, self.clips, self.sharing.share(), self.overwrite, self.json)
+        plan = Plan(source, self.out, options, self.clips, self.share, self.overwrite, self.json)
         return (bench_segments if isinstance(source, DexYcbSequences) else bench_timelines)(plan, self.debug)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,26 +11,7 @@ from numpy import ndarray
 from getagrip.clip.camera_of_image import WIDE, field_of_view, in_pixels
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.errors import InputError, UsageError
-
-
-@dataclass(frozen=True)
-class Lens:
-    """The camera options of a command.
-
-    Attributes:
-        K: (4,) fx, fy, cx, cy [px]; None where they are not given.
-        focal: focal length [px], with the principal point in the middle; None where it is not given.
-        guess_focal: whether the focal length may be guessed.
-    """
-
-    K: tuple[float, float, float, float] | None = None
-    focal: float | None = None
-    guess_focal: bool = False
-
-    @property
-    def given(self) -> bool:
-        """Whether there is anything."""
-        return self.K is not None or self.focal is not None or self.guess_focal
+from getagrip.geometry.lens import Lens
 
 
 def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], str]:

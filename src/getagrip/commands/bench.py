@@ -218,10 +218,10 @@ def _initial_poses(plan: Plan) -> str:
     options, thorough = plan.options, ", thorough" if plan.options.thorough else ""
     kind: str = options.init
     if options.priors is not None:
-        more = "no others" if options.priors.alone else "then uniform"
+        more = "no others" if options.priors_only else "then uniform"
         kind = f"{options.init} of {options.priors.path.name}, sha256 {options.priors.sha256[:12]}, {more}"
     published = [v.method for v in plan.variants() if v.system is None and method_of(v.method).as_published]
     but = f", but for {' and '.join(dict.fromkeys(published))}" if published else ""
     free = f"{WITH_FREE_SCALE * options.inits} where the scale is free{but}"
-    most = "at most " if options.priors is not None and options.priors.alone else ""
+    most = "at most " if options.priors_only else ""
     return f"{most}{options.inits} initial poses ({kind}{thorough}; {free})"

@@ -79,8 +79,7 @@ class Problem:
     @property
     def inits(self) -> int:
         """How many initial poses the object in the hand has: those given, if they stand alone."""
-        priors = self.options.priors
-        return self.options.inits if priors is None or not priors.alone else len(self.prior_poses)
+        return len(self.prior_poses) if self.options.priors_only else self.options.inits
 
     def at(self, clip: Clip, masks: Masks) -> Problem:
         """The same problem in other frames of its clip, with the masks that are given for them.

@@ -30,7 +30,7 @@ from getagrip.result import Candidates, Reconstruction
 AMBIGUOUS = 1.05
 """A distinct candidate within this factor of the best energy makes a result ambiguous."""
 
-CHOICES = ("method", "inits", "init", "priors", "thorough", "seed", "frames", "every_frame")
+CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
 
 SHAPE_GUESSED = "the object's shape is a guess from the masks: the mesh leaves contours that no pose explains"
@@ -140,7 +140,7 @@ def uncalibrated(options: Options, findings: Sequence[Finding]) -> str:
         return f"none is calibrated for {options.method}"
     if options.inits < Options.inits:
         return f"none is calibrated for fewer than {Options.inits} initial poses"
-    if options.priors is not None and options.priors.alone:
+    if options.priors_only:
         return "none is calibrated without uniform rotations among the initial poses"
     for option in fields(Options):
         if option.name not in CHOICES and (value := getattr(options, option.name)) != option.default:

@@ -10,7 +10,7 @@ import pytest
 
 from getagrip.batch import progress
 from getagrip.batch.limits import Limits
-from getagrip.batch.plan import Shard
+from getagrip.batch.shard import Shard
 from getagrip.batch.share import Share
 from getagrip.clip import write_clip
 from getagrip.datasets.synthetic.scene import synthesise

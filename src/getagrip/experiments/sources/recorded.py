@@ -35,7 +35,8 @@ class Recorded(ClipSource):
 
     def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.batch.imports import import_clips
-        from getagrip.batch.plan import ALL, by_name
+        from getagrip.batch.plan import by_name
+        from getagrip.batch.shard import ALL
         from getagrip.batch.share import ALONE
         from getagrip.datasets.tracks import subject_of
 
