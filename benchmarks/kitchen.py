@@ -25,10 +25,10 @@ from getagrip.annotate.steadied_hands import steadied
 from getagrip.annotate.video import Video
 from getagrip.clip import read_clip
 from getagrip.clip.intrinsics import intrinsics
-from getagrip.geometry.lens import Lens
 from getagrip.experiments.stamp import stamp
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
+from getagrip.geometry.lens import Lens
 from getagrip.result import read_result
 
 LABELLED = page.ROOT / "tests" / "helpers" / "kitchen_plate_labels.json"

@@ -26,7 +26,7 @@ from benchmarks.at_truth import share_off
 from getagrip.clip import FINGERS, Clip, Masks, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE
 from getagrip.experiments.changes import Noisy, ScaleFree
-from getagrip.experiments.sources import source_of
+from getagrip.experiments.sources.dexycb import DexYcb
 from getagrip.experiments.stamp import stamp
 from getagrip.fitting.energy import PosesInCamera, Quadratic
 from getagrip.fitting.methods.all_frames import soft_hinge
@@ -114,7 +114,7 @@ def by_grip(clips: Sequence[Clip]) -> tuple[float, float]:
 
 def main(out: Path, root: Path, meshes: Path) -> None:
     """Measure, and put it into the page."""
-    samples = source_of("dexycb", split="train", root=root, meshes=meshes).samples(out / "clips", False)[0][::EVERY]
+    samples = DexYcb(split="train", root=root, meshes=meshes).samples(out / "clips", False)[0][::EVERY]
     clips = [read_clip(sample.folder) for sample in samples]
     spread, told = by_grip(clips)
     file = out / "object-size.csv"

@@ -18,7 +18,7 @@ from benchmarks.signed_results import COLUMNS, CONDITIONS, Case, ReadClip, Row, 
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.signs import SIGNS
 from getagrip.datasets.tracks import subject_of
-from getagrip.experiments.sources import source_of
+from getagrip.experiments.sources.dexycb import DexYcbTimelines
 from getagrip.experiments.stamp import stamp
 from getagrip.geometry import se3
 from getagrip.metrics.pose import ObjectTrack, best_symmetry, pose_errors
@@ -32,7 +32,7 @@ SECTION = "timeline-probability"
 
 def cases(clips: Path, root: Path, meshes: Path, count: int) -> list[Case]:
     """Timeline by timeline."""
-    found = source_of("dexycb-timelines", split="train", root=root, meshes=meshes).samples(clips, False)[0]
+    found = DexYcbTimelines(split="train", root=root, meshes=meshes).samples(clips, False)[0]
     return [
         Case("DexYCB", "train", sample.name, tuple(CONDITIONS), ReadClip(sample.folder))
         for sample in found[::EVERY][:count]

@@ -155,7 +155,7 @@ def test_shards_are_parts_of_all_clips(clips: Path) -> None:
     assert sum(map(len, parts)) == len(everything) == 3
     assert parts[0] | parts[1] | parts[2] == everything
     for text in ("0/3", "4/3", "3", "a/b", "1/0"):
-        with pytest.raises(UsageError, match="expected i/N"):
+        with pytest.raises(UsageError, match="must be i/N"):
             Shard.of(text)
 
 

@@ -76,16 +76,17 @@ def test_wrong_calls_exit_with_2(run: Run, args: tuple[str, ...], tmp_path: Path
 @pytest.mark.parametrize(
     ("call", "expected"),
     [
-        ("recon dexall --out x", "got recon, expected reconstruct"),
-        ("sudy", "got sudy, expected study"),
-        ("cip new v.mp4", "got cip, expected clip new"),
-        ("clip --out x", "got clip --out, expected clip new"),
-        ("init lern", "got init lern, expected init learn"),
-        ("e", "got e, expected epic candidates or evaluate or export"),
-        ("frobnicate", "got frobnicate, expected one of demo, doctor, clip new"),
-        ("import dexicb root --out x", "got import dexicb, expected import dexycb"),
-        ("import frobnicate", "got import frobnicate, expected import and one of hot3d, dexycb"),
-        ("figure galery", "got figure galery, expected figure gallery"),
+        ("recon dexall --out x", "unknown command 'recon'; choose from reconstruct"),
+        ("sudy", "unknown command 'sudy'; choose from study"),
+        ("cip new v.mp4", "unknown command 'cip'; choose from clip new"),
+        ("clip --out x", "unknown command 'clip --out'; choose from clip new"),
+        ("init lern", "unknown command 'init lern'; choose from init learn"),
+        ("e", "unknown command 'e'; choose from epic candidates, evaluate, export"),
+        ("frobnicate", "unknown command 'frobnicate'; choose from demo, doctor, clip new"),
+        ("import dexicb root --out x", "unknown command 'import dexicb'; choose from import dexycb"),
+        ("import frobnicate", "unknown command 'import frobnicate'; choose from hot3d, dexycb"),
+        ("figure galery", "unknown command 'figure galery'; choose from figure gallery"),
+        ("bench dexicb --out x", "unknown command 'bench dexicb'; choose from bench dexycb"),
     ],
 )
 def test_a_mistyped_command_is_answered_with_the_nearest(run: Run, call: str, expected: str) -> None:

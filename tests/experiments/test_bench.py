@@ -70,11 +70,11 @@ def test_a_run_has_a_ledger_shards_and_an_end_at_the_first_failure(
 ) -> None:
     tried: list[str] = []
 
-    def unreadable(trial: trials.Trial) -> Scores:
+    def unreadable(trial: trials.GraspTrial) -> Scores:
         tried.append(trial.name)
-        return Scores(trial.name, failure="no masks")
+        raise GetagripError("no masks")
 
-    monkeypatch.setattr("getagrip.commands.bench.run", unreadable)
+    monkeypatch.setattr(trials.GraspTrial, "scores", unreadable)
     call = ("bench", can_and_box, "--out", tmp_path, "--workers", "1")
     assert run(*call, "--fail-fast")[0] == 1
     assert tried == ["box-right-0000"]

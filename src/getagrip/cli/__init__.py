@@ -1,4 +1,4 @@
-"""The command line: what each command takes."""
+"""The command line: which commands there are, and what errors say."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import nullcontext, redirect_stdout
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, get_args, get_origin
 
 # Commands share their work between processes, one for each core. Said before numpy is loaded, which reads it once.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -16,10 +16,10 @@ import tyro
 from tyro.conf import OmitArgPrefixes, subcommand
 
 from getagrip import __version__
-from getagrip.cli.bench import Bench
 from getagrip.cli.names import joined
 from getagrip.cli.view import View
 from getagrip.commands.annotate import Annotate
+from getagrip.commands.bench import Benches, with_source
 from getagrip.commands.command import Command
 from getagrip.commands.demo import Demo
 from getagrip.commands.doctor import Doctor
@@ -43,6 +43,8 @@ DESCRIPTION = (
     "the object's mesh. --version prints the version."
 )
 
+BENCH = "Compare methods on a dataset, or on a folder of clips: the paper's tables, with intervals."
+
 
 def commands(imports: Any, figures: Any) -> Any:
     """All commands, in the order of use: to try it, input, reconstruction, what to do with results, research.
@@ -63,7 +65,7 @@ def commands(imports: Any, figures: Any) -> Any:
         | Annotated[View, subcommand("view")]
         | Annotated[figures, subcommand("figure", description="Draw figures of results, as the paper has them.")]
         | Annotated[Export, subcommand("export")]
-        | Annotated[Bench, subcommand("bench")]
+        | Annotated[Benches, subcommand("bench", description=BENCH)]
         | Annotated[Segment, subcommand("segment")]
         | Annotated[Study, subcommand("study")]
         | Annotated[Stats, subcommand("stats")]
@@ -125,13 +127,14 @@ def _parsed(args: Sequence[str]) -> Command:
         sys.exit(0)
     known: Any = commands(imports, figures)
     program, description = "getagrip", DESCRIPTION
-    by_name = _by_name(known)
-    args = joined(args, by_name)
-    if args and args[0] in by_name:  # its own command is enough, and several times as quick
-        name, known = args[0], by_name[args[0]]
-        program, description, args = f"getagrip {name}", known.__metadata__[0].description, args[1:]
-        if parts := _by_name(known.__origin__):
-            args = joined(args, parts, f"{name} ")
+    while parts := _by_name(known):  # its own command is enough, and several times as quick
+        if program == "getagrip bench":
+            args = with_source(args, parts)
+        args = joined(args, parts, f"{program} ".removeprefix("getagrip "))
+        if not args or args[0] not in parts:
+            break
+        known, args, program = parts[args[0]], args[1:], f"{program} {args[0]}"
+        description = known.__metadata__[0].description
     with PATHS:
         command: Command = tyro.cli(known, prog=program, description=description, args=args, config=(OmitArgPrefixes,))
     return command
@@ -139,4 +142,5 @@ def _parsed(args: Sequence[str]) -> Command:
 
 def _by_name(choice: Any) -> dict[str, Any]:
     """The commands of a union, by the words that are typed; none of a command that has none below it."""
-    return {one.__metadata__[0].name: one for one in get_args(choice)}
+    union = get_args(choice)[0] if get_origin(choice) is Annotated else choice
+    return {one.__metadata__[0].name: one for one in get_args(union) if get_origin(one) is Annotated}

@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.commands.command import Command
 from getagrip.errors import UsageError
-from getagrip.io import files
+from getagrip.io import files, markdown
 from getagrip.io.arguments import OptionalFile, OptionalFolder, one_of
 from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import console, plain_table, report
@@ -112,8 +112,9 @@ def _write(rows: Sequence[CategoryDurations], counted: Counts, out: Path) -> Non
     """The same as Markdown, and unrounded as CSV."""
     out.mkdir(parents=True, exist_ok=True)
     figures = {name: "-" if number is None else f"{number}" for name, number in asdict(counted).items()}
-    pages = [_grid(HEADINGS, [_cells(row) for row in rows]), _grid(list(figures), [list(figures.values())])]
-    files.write_text(out / "stats.md", "\n".join(pages))
+    grids: list[list[Sequence[str]]] = [[HEADINGS, *map(_cells, rows)], [list(figures), list(figures.values())]]
+    tables = ["\n".join(markdown.table(grid)) for grid in grids]
+    files.write_text(out / "stats.md", "\n\n".join(tables) + "\n")
     with files.new_text(out / "counts.csv") as stream:
         CsvTable(stream).write_rows([asdict(counted), asdict(counted).values()])
     with files.new_text(out / "stats.csv") as stream:
@@ -121,9 +122,3 @@ def _write(rows: Sequence[CategoryDurations], counted: Counts, out: Path) -> Non
         table.write_row(asdict(rows[0]) if rows else ())
         table.write_rows(asdict(row).values() for row in rows)
     print(out / "stats.md")
-
-
-def _grid(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown."""
-    lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]
-    return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
