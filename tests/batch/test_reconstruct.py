@@ -116,7 +116,7 @@ def test_the_summary_has_a_row_for_each_clip_and_the_index_shows_the_worst(
     assert {name: row["status"] for name, row in table.items()} == {
         "a": "done", LONG: "done", "b": "failed", "torn": "failed",
     }  # fmt: skip
-    assert "hand.npz: got no such file" in table["b"]["why"]
+    assert "hand.npz: no such file" in table["b"]["why"]
     assert table["a"]["IOU"] == "1.0000"
     assert float(table["a"]["seconds"]) > 0
     page = (out / "index.html").read_text()
@@ -204,7 +204,7 @@ def test_a_folder_that_may_not_be_written_is_named(clips: Path, run: Run, fitted
             if root:
                 os.seteuid(0)
         assert status == 2
-        assert err.startswith(f"getagrip: --out: got {out}, expected a folder that can be written (")
+        assert err.startswith(f"getagrip: --out must be a folder that can be written (got {out}: ")
         assert fitted == []
 
 

@@ -85,8 +85,8 @@ def test_one_bad_clip_stops_no_other(run: Run, tmp_path: Path) -> None:
     status, printed, err = run("study", *paths, *options)
     assert status == 1
     assert "1 stable grasp in 1 of 1 clip" in printed
-    assert "gone: got no such folder" in err
-    assert "truth.npz: got no such file" in err
+    assert "gone: no such folder" in err
+    assert "truth.npz: no such file" in err
     with pytest.raises(InputError, match=r"truth\.npz"):
         study(replace(turning(), truth=None))
 

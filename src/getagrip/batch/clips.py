@@ -43,7 +43,7 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
     where the ledger cannot be written.
     """
     if not paths:
-        raise UsageError("CLIP: name at least one clip")
+        raise UsageError("missing CLIP: name at least one clip")
     share = batch.share
     with Plan(paths, share.shard) as plan:
         for outcome in plan.failed:

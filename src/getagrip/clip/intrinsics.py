@@ -17,8 +17,10 @@ from getagrip.geometry.lens import Lens
 def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], str]:
     """The pinhole of images of some size [px], and where it comes from. Raises ``UsageError``."""
     given = [lens.K is not None, lens.focal is not None, lens.guess_focal]
-    if sum(given) != 1:
-        raise UsageError(f"--K, --focal, --guess-focal: got {sum(given)} of them, expected one")
+    if not any(given):
+        raise UsageError("missing --K, --focal or --guess-focal: the camera")
+    if sum(given) > 1:
+        raise UsageError("--K, --focal, --guess-focal cannot be used with each other")
     width, height = size
     if lens.K is not None:
         fx, fy, cx, cy = lens.K
@@ -31,10 +33,10 @@ def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"]
             source = "a guess: the focal length is the longer side of the image, the principal point in the middle"
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     if lens.focal is not None and lens.focal > 0.0 and field_of_view(K[None], size) > WIDE:
-        raise UsageError(f"--focal: got {lens.focal:g}, expected pixels; {in_pixels(lens.focal, size)}")
+        raise UsageError(f"--focal must be in pixels (got {lens.focal:g}); {in_pixels(lens.focal, size)}")
     try:
         check_intrinsics(Path(), K[None], size)
     except InputError as error:
         option = "--K" if lens.K is not None else "--focal"
-        raise UsageError(f"{option}: got {error.given}, expected {error.expected}") from error
+        raise UsageError(f"{option} must be {error.expected} (got {error.given})") from error
     return K, source

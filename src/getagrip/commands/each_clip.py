@@ -48,7 +48,7 @@ def each_clip(
     if not paths:
         raise UsageError("CLIP: name at least one clip")
     if workers is not None and workers < 1:
-        raise UsageError(f"--workers: got {workers}, expected 1 or more")
+        raise UsageError(f"--workers must be 1 or more (got {workers})")
     clips, failed = by_name(paths)
     for outcome in failed:
         print_outcome(outcome, debug)

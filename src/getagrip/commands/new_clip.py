@@ -121,7 +121,7 @@ class NewClip(Command):
         if self.out.exists() and not self.overwrite:
             raise UsageError(f"{self.out}: exists already; --overwrite replaces it")
         if not files.is_plain_name(self.out.name):
-            raise UsageError(f"--out: got {self.out}, expected a folder whose name can be the clip's")
+            raise UsageError(f"--out must be a folder whose name can be the clip's (got {self.out})")
         size, fps = size_and_rate(self.video, self.fps)
         print(f"video: {size[0]} x {size[1]}, {fps:.6g} frames per second")
         hands = None if self.hands is None else HandFile.of(self.hands)
@@ -192,7 +192,7 @@ def _numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
     first, last = interval
     if not 1 <= first < last or last - first >= MOST_FRAMES:
         expected = f"two frames' numbers from 1, the later one last, at most {MOST_FRAMES} apart"
-        raise UsageError(f"--interval: got {first} {last}, expected {expected}")
+        raise UsageError(f"--interval must be {expected} (got {first} {last})")
     return np.arange(first, last + 1)
 
 

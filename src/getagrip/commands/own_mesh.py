@@ -75,10 +75,10 @@ def own_mesh(request: MeshOptions) -> OwnMesh:
     from getagrip.geometry.mesh_files import checked_mesh, with_area
 
     if request.kind is not None and request.known_scale:
-        expected = "--size-mm or --diameter-mm: its size is not that of the one in your video"
-        raise UsageError(f"--known-scale: got it with this package's own {request.kind}, expected {expected}")
+        own = f"this package's own {request.kind}, whose size is not that of the one in your video"
+        raise UsageError(f"--known-scale cannot be used with {own}: --size-mm or --diameter-mm")
     if request.kind is not None and request.unit is not None:
-        raise UsageError(f"--unit: got {request.unit}, expected none: this package's own {request.kind} is in metres")
+        raise UsageError(f"--unit cannot be used with this package's own {request.kind}, which is in metres")
     vertices, faces, provenance = _shape(request)
     kept = with_area(vertices, faces)  # generated meshes are full of slivers
     if len(kept) < len(faces):
@@ -122,7 +122,7 @@ def _rescaled(
     sizes = {"--size-mm": request.size_mm, "--diameter-mm": request.diameter_mm}
     stated = [(option, value) for option, value in sizes.items() if value is not None]
     if len(stated) > 1:
-        raise UsageError("--size-mm, --diameter-mm: got both, expected one")
+        raise UsageError("--size-mm cannot be used with --diameter-mm")
     known_unit = METRES[request.unit or "m"]
     used = vertices
     if faces.size and vertices.size and 0 <= faces.min() <= faces.max() < len(vertices):
@@ -140,7 +140,7 @@ def _rescaled(
         return factor * vertices, f"the mesh, {extent:.4g} units large, rescaled by {factor:.6g}: its size is a guess"
     option, value = stated[0]
     if not 1e3 * SMALLEST <= value <= 1e3 * LARGEST:
-        raise UsageError(f"{option}: got {value:g}, expected {1e3 * SMALLEST:g} to {1e3 * LARGEST:g} millimetres")
+        raise UsageError(f"{option} must be {1e3 * SMALLEST:g} to {1e3 * LARGEST:g} millimetres (got {value:g})")
     now = (diameter(used) if option == "--diameter-mm" else extent) if extent else 0.0
     factor = value / 1e3 / now if now > 0 else 1.0  # checked_mesh reports what is wrong with the others
     return vertices * factor, f"the mesh rescaled by {factor:.6g}, to {option} {value:g}"

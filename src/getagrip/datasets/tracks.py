@@ -177,9 +177,7 @@ def subject_of(clip_name: str) -> str:
     """The person whose hand is in a clip. Raises ``UsageError`` for a name that no track has."""
     subject, between, rest = clip_name.partition(BETWEEN)
     if not (subject and between and rest):
-        raise UsageError(
-            f"clip {clip_name!r}: got no subject, expected <subject>{BETWEEN}<sequence>{BETWEEN}<object>..."
-        )
+        raise UsageError(f"clip's name must be <subject>{BETWEEN}<sequence>{BETWEEN}<object>... (got {clip_name!r})")
     return subject
 
 

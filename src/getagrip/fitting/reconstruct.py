@@ -64,7 +64,7 @@ def reconstruct(
     """
     options = options or Options()
     if threads < 1:
-        raise UsageError(f"threads: got {threads}, expected 1 or more")
+        raise UsageError(f"threads must be 1 or more (got {threads})")
     check_clip(clip)
     if masks is not None:
         check_masks(clip, masks)

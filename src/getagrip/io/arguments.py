@@ -48,7 +48,7 @@ def meant(text: str) -> str:
     Raises ``ValueError`` for an empty text, as of a variable that is not set: as a path it would be the current folder.
     """
     if not text:
-        raise ValueError("got an empty text, expected a path; . is the current folder")
+        raise ValueError("must be a path (got an empty text); . is the current folder")
     return os.path.expanduser(text)
 
 

@@ -56,7 +56,7 @@ def reconstruct(
     if not clip.segments:
         return grasp.reconstruct(clip, masks, options, progress, threads)
     if options.method != METHOD:
-        raise UsageError(f"method: got {options.method!r}, expected {METHOD!r} for a clip with segments")
+        raise UsageError(f"method must be {METHOD!r} for a clip with segments (got {options.method!r})")
     check_clip(clip)
     if masks is None:
         masks = read_masks(clip)

@@ -73,7 +73,7 @@ def test_names_are_read_one_a_line(tmp_path: Path) -> None:
     assert names_in(path) == {"a", "b--1"}
     for text in ("", "a\n../b\n"):
         path.write_text(text)
-        with pytest.raises(InputError, match="expected names of clips, one a line"):
+        with pytest.raises(InputError, match="must be names of clips, one a line"):
             names_in(path)
 
 

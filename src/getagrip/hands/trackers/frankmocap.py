@@ -76,7 +76,7 @@ def mean_pose(folder: Path | None, side: Side) -> Float[ndarray, "45"]:
     model = load_mano(folder, "right")
     if model is None:
         what = "FrankMocap's poses are relative to the mean pose, which stands in them"
-        raise UsageError(f"--mano: got nothing, expected the folder of your MANO files: {what}")
+        raise UsageError(f"missing --mano: the folder of your MANO files: {what}")
     return mirrored_pose(model.mean) if side == "left" else model.mean
 
 

@@ -97,7 +97,7 @@ def _hand(saved: Saved, frame: int, person: int, request: Request, only: Side | 
         joints = joints if side == "right" else (joints - origin) * MIRROR + origin
     else:
         raise UsageError(
-            f"--mano: got nothing, expected the folder of MANO_RIGHT.pkl: {saved.mesh} has no joints. "
+            f"missing --mano: the folder of MANO_RIGHT.pkl: {saved.mesh} has no joints. "
             "Or run HaMeR's demo with --save_keypoints, too, and give both"
         )
     assert path is not None

@@ -43,7 +43,7 @@ class HaWoR(Tracker):
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """The hand in those of the files' frames that the clip has."""
         if self.estimator_focal is None:
-            raise UsageError("--estimator-focal: got nothing, expected the focal length that HaWoR was run with [px]")
+            raise UsageError("missing --estimator-focal: the focal length that HaWoR was run with [px]")
         found = []
         for path in paths:
             record = records.read(path)

@@ -36,9 +36,7 @@ class Joints(Tracker):
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """The joints in those of the file's frames that the clip has."""
         if self.order is None:
-            raise UsageError(
-                "--order: got nothing, expected openpose, ho3d or auto: the order of the joints is in no file"
-            )
+            raise UsageError("missing --order (openpose, ho3d or auto): the order of the joints is in no file")
         path = only_file(paths, "joints")
         record = records.read(path)
         points = numbers(path, record, "joints", (-1, 21, 3))

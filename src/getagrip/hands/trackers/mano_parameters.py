@@ -49,7 +49,7 @@ class ManoParameters(Tracker):
         if self.pose is None or self.mean is None:
             missing = "--pose" if self.pose is None else "--mean"
             choices = "axis-angle, pca or matrix" if self.pose is None else "flat or mean"
-            raise UsageError(f"{missing}: got nothing, expected {choices}: what MANO's pose numbers are is in no file")
+            raise UsageError(f"missing {missing} ({choices}): what MANO's pose numbers are is in no file")
         path = only_file(paths, "parameters")
         record = records.read(path)
         hands = parameters(path, record, self.pose, self.mean, load_mano(request.mano, request.side))
@@ -83,5 +83,5 @@ def _flat(values: Float[ndarray, "T P"], encoding: Encoding, mean: Mean, model: 
         return values
     if model is None:
         what = "principal components" if encoding == "pca" else "the mean pose"
-        raise UsageError(f"--mano: got nothing, expected the folder of your MANO files: {what} stand in them")
+        raise UsageError(f"missing --mano: the folder of your MANO files: {what} stand in them")
     return model.pose(values, "pca" if encoding == "pca" else "axis_angle", flat_hand_mean=mean == "flat")
