@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip.provenance import Source, assumed
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
 from getagrip.hands.model import root_transform
 from getagrip.hands.trackers.estimates import Estimate, Request
 from getagrip.io.png import read_png
+from getagrip.provenance import Source, assumed
 
 COVERED = 0.1
 """So much more of a hand [its points] is in the mask than of any other, where the mask tells which it is."""

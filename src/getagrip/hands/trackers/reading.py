@@ -10,7 +10,6 @@ import numpy as np
 
 from getagrip.clip import HandTrack
 from getagrip.clip.plausible import check_in_hand, check_poses
-from getagrip.clip.provenance import Provenance, assumed, estimated, joined
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.trackers.choosing import one_each
@@ -19,6 +18,7 @@ from getagrip.hands.trackers.hand import track
 from getagrip.hands.trackers.joint_checks import MISFIT
 from getagrip.hands.trackers.records import listed
 from getagrip.hands.trackers.tracker import Tracker
+from getagrip.provenance import Provenance, assumed, estimated, joined
 
 HELD = "hands_held"
 """Key of a clip's provenance: frames in which the hand is not known, and stands still."""
