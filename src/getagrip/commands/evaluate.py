@@ -12,7 +12,6 @@ from tyro.conf import arg
 from getagrip.batch.share import FEW
 from getagrip.commands.command import ClipsFolder, Command, Results
 from getagrip.errors import InputError, UsageError
-from getagrip.evaluation.results import Evaluation
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile, OptionalFolder, one_of
 from getagrip.io.terminal import console, progress_bar, report
@@ -20,6 +19,7 @@ from getagrip.io.terminal import console, progress_bar, report
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
     from getagrip.commands.evaluate_others import OtherJob
+    from getagrip.evaluation.results import Evaluation
 
 Evaluated: TypeAlias = "tuple[Evaluation | None, list[Outcome]]"
 """All metrics, and what could not be read."""
