@@ -26,6 +26,6 @@ from .result import Reconstruction as Reconstruction
 from .result import read_result as read_result
 from .result import write_result as write_result
 from .timelines.reconstruct import reconstruct as reconstruct
-from .view.report import write_report as write_report
+from .pictures.report import write_report as write_report
 
 __version__: str

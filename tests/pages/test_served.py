@@ -23,8 +23,8 @@ from getagrip.pages.entries import TRUTH, entries
 from getagrip.pages.report import write_page
 from getagrip.pages.served import Library
 from getagrip.pages.server import LOOPBACK, Server
+from getagrip.pictures.shown import View
 from getagrip.result import read_record, write_result
-from getagrip.view.shown import View
 from helpers.two_candidates import two_candidates
 
 pytestmark = pytest.mark.slow

@@ -15,7 +15,7 @@ from tyro.conf import arg, subcommand
 from getagrip.cli.command import Command, Results
 from getagrip.commands.figure import check_out, write_figure
 from getagrip.io.arguments import File
-from getagrip.view.figures import FIGURES, Kind
+from getagrip.pictures.figures import FIGURES, Kind
 
 K = TypeVar("K", bound=Kind)
 

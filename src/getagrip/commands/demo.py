@@ -13,9 +13,9 @@ from getagrip.fitting.reconstruct import reconstruct
 from getagrip.io import files
 from getagrip.io.terminal import console, progress_bar
 from getagrip.pages import write_page
+from getagrip.pictures.report import write_report
+from getagrip.pictures.shown import View
 from getagrip.result import read_record, write_result
-from getagrip.view.report import write_report
-from getagrip.view.shown import View
 
 CATEGORY, SEED = "mug", 2
 CLIP = SceneOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)

@@ -17,12 +17,12 @@ from getagrip.batch.summary import TABLE, known_entries, row_without_result, wri
 from getagrip.commands.evaluate import no_result, of_batch
 from getagrip.errors import InputError
 from getagrip.evaluation import evaluate, read_evaluated
+from getagrip.film import write_film
 from getagrip.io.terminal import progress_bar, say
 from getagrip.pages import IndexRow, row, row_without_clip, write_index, write_page
+from getagrip.pictures.report import write_report
+from getagrip.pictures.shown import View
 from getagrip.result import read_record, read_result
-from getagrip.view.film import write_film
-from getagrip.view.report import write_report
-from getagrip.view.shown import View
 
 PAGE, PICTURE, FILM, INDEX = "report.html", "report.png", "report.mp4", "index.html"
 DEEPEST = 4

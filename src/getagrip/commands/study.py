@@ -102,7 +102,7 @@ def _cell(spread: Spread, name: str) -> str:
 
 def _write(studied: Sequence[StudiedGrasp], cut: Cut, clips: int, out: Path) -> None:
     """The files of a study."""
-    from getagrip.view.study import write_study
+    from getagrip.pictures.study import write_study
 
     out.mkdir(parents=True, exist_ok=True)
     _write_csv(out / "grasps.csv", (_grasp(one) for one in studied))
