@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # One thread of BLAS in each process.
 PYTEST = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --dist worksteal --numprocesses
 
-.PHONY: help demo test quick ready check lint imports types fuzz docs bench lock clean
+.PHONY: help demo test quick ready check lint imports types fuzz docs results bench lock clean
 
 help:
 	@echo "make demo    install, then reconstruct and evaluate a synthetic clip into out/demo"
@@ -21,7 +21,8 @@ help:
 	@echo "make check   lint, layering and types"
 	@echo "make fuzz    change valid inputs of every reader for MINUTES=5, and keep what goes wrong as a test"
 	@echo "make docs    build the documentation as a site: site/index.html"
-	@echo "make bench   measure speed against a peer, which it installs, and write docs/benchmarks.md"
+	@echo "make results DEXYCB=DIR YCB=DIR OTHER=DIR   measure the tables of a release, in an hour at most on two cores"
+	@echo "make bench   measure speed, also against a peer, which it installs, into results/"
 	@echo "make lock    recompile requirements.lock from pyproject.toml"
 	@echo "make clean   remove the virtual environment and all caches"
 
@@ -58,6 +59,9 @@ fuzz: $(VENV)/warm
 docs: $(VENV)/installed
 	rm -rf site
 	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going -b html -d $(VENV)/doctrees --fresh-env docs site
+
+results: $(VENV)/warm
+	$(BIN)/python -m benchmarks.release $(DEXYCB) $(YCB) $(OTHER)
 
 bench: $(VENV)/kernels
 	$(PIP) install --no-build-isolation --editable '.[bench]'

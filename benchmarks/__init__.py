@@ -1,4 +1,4 @@
-"""What a reconstruction costs, measured: ``python -m benchmarks [section ...]`` writes docs/benchmarks.md.
+"""What a reconstruction costs, measured: ``python -m benchmarks [section ...]`` writes into ``results/``.
 
 Everything runs on one thread: the libraries read their settings when first imported, which is after this.
 """

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from benchmarks.page import table
 from benchmarks.problem import CLIPS, Problem, make, reconstruction
+from benchmarks.store import Table, of_cells
 from benchmarks.timing import Timing, timed
 from getagrip.fitting import adam
 from getagrip.fitting.energy import Term
@@ -47,8 +47,8 @@ class Run:
         return Run(method, median(timing.cpu), median(timing.wall), T_hand_obj)
 
 
-def section() -> str:
-    """Measure; the section's text."""
+def tables() -> dict[str, Table]:
+    """Measure."""
     rows, notes, faster, kernels, lower = [], [], [], [], []
     for category, seed in CLIPS:
         problem = make(category, seed)
@@ -57,7 +57,7 @@ def section() -> str:
         faster.append(peer.cpu / ours.cpu)
         kernels.append(peer.cpu / adam_ours.cpu)
         lower.append(problem.energy(ours.T_hand_obj) / problem.energy(peer.T_hand_obj))
-        notes.append(f"- {problem.clip.name}: {note}")
+        notes.append(f"{problem.clip.name}: {note}")
         rows += [
             [
                 problem.clip.name, run.method, f"{run.cpu:.2f}", f"{run.wall:.2f}", f"{run.cpu / ours.cpu:,.1f}",
@@ -66,16 +66,15 @@ def section() -> str:
             for run in runs
         ]  # fmt: skip
     header = ["clip", "method", "CPU s", "wall s", "times ours", "E_mask, px per frame", "ADD, % of diameter"]
-    return "\n\n".join([
+    found = (
         f"On the mask term, from {INITIAL_POSES} initial poses, ours is {min(faster):,.0f} to {max(faster):,.0f} times "
         f"as fast (processor time) as Adam on DEODR: a factor of {min(kernels):.0f} to {max(kernels):.0f} from the "
         f"silhouettes and the rest from the search. It ends at {min(lower):.2f} to {max(lower):.2f} times the mask "
         f"energy of the better of the two initial poses from which Adam on DEODR was run. {len(problem.clip)} frames, "
         f"{ITERATIONS} iterations of Adam; final energies are all the exact one at 256 pixels, without "
-        "antialiasing.",
-        table(header, rows),
-        "\n".join(notes),
-    ])  # fmt: skip
+        "antialiasing."
+    )
+    return {"against-deodr": of_cells("Against Adam on DEODR's silhouettes", header, rows, [found, *notes])}
 
 
 def _compare(problem: Problem) -> tuple[list[Run], str]:

@@ -1,7 +1,6 @@
 """Clips per minute of ``getagrip reconstruct``, files and all, and how much two workers gain over one.
 
-``python -m benchmarks.batch`` prints a table; ``--write`` puts it into docs/batch.md. Each run is the command in a
-process of its own, so that starting and loading count, too.
+Each run is the command in a process of its own, so that starting and loading count, too.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks import page
+from benchmarks.store import Table, of_cells
 from getagrip.clip import write_clip
 from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.datasets.synthetic.scene import synthesise
@@ -28,8 +27,8 @@ RUNS = {
 }
 
 
-def section() -> str:
-    """Measure; the section's text."""
+def tables() -> dict[str, Table]:
+    """Measure."""
     with tempfile.TemporaryDirectory() as folder:
         clips = Path(folder) / "clips"
         for n in range(CLIPS):
@@ -41,12 +40,9 @@ def section() -> str:
             took[name] = _run(clips, Path(folder) / options[1], options)
     one, two = took["one worker"], took["two workers"]
     rows = [[name, f"{seconds:.1f}", f"{60.0 * CLIPS / seconds:.0f}"] for name, seconds in took.items()]
-    return (
-        page.table(
-            [f"{CLIPS} clips of {SCENE.frames} frames, {SCENE.size[0]} x {SCENE.size[1]}", "s", "clips/min"], rows
-        )
-        + f"\n\nEfficiency from one worker to two: {one / two / 2.0:.2f}."
-    )
+    title = f"Clips a minute of reconstruct: {CLIPS} clips of {SCENE.frames} frames, {SCENE.size[0]} x {SCENE.size[1]}"
+    notes = [f"efficiency from one worker to two: {one / two / 2.0:.2f}"]
+    return {"batch": of_cells(title, ["", "s", "clips/min"], rows, notes)}
 
 
 def _run(clips: Path, out: Path, options: tuple[str, ...]) -> float:
@@ -55,11 +51,3 @@ def _run(clips: Path, out: Path, options: tuple[str, ...]) -> float:
     since = time.perf_counter()
     subprocess.run(words, check=True, env=os.environ)
     return time.perf_counter() - since
-
-
-if __name__ == "__main__":
-    before = page.circumstances()
-    text = section()
-    print(f"{before}\n\n{text}")
-    if "--write" in sys.argv[1:]:
-        page.write("batch", f"{before}\n\n{text}")

@@ -3,8 +3,8 @@
 DEXYCB and YCB are the folders of the dataset and of its models. Signs of results go into OUT/results.csv
 (``signed_results``); rows that are there are kept, so that an interrupted run goes on where it stopped. After a change
 of the method another OUT is to be named. The training part is fitted (``checks/calibrated.py``), once to what is right
-in the hand and once to what is right in the camera; the test part is held against it: docs/checks.md, between the
-markers "probability", and docs/images/reliability.png.
+in the hand and once to what is right in the camera; the test part is held against it: ``results/probability-*.json``
+and docs/images/reliability.png.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from textwrap import wrap
@@ -22,9 +22,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from benchmarks import page
+from benchmarks import store
 from benchmarks.reliability import auroc, auroc_interval, bins, calibration_error, fit_weights, least_error
 from benchmarks.signed_results import Row, cases, collect
+from benchmarks.store import Table
+from benchmarks.timing import circumstances
 from getagrip.batch.pool import cores
 from getagrip.checks.calibration import Calibration, Where
 from getagrip.checks.signs import SIGNS
@@ -123,32 +125,33 @@ def entry(calibration: Calibration) -> str:
 '''
 
 
-def section(rows: Results, calibrations: Mapping[Where, Calibration]) -> str:
-    """The tables for the page."""
+def tables(rows: Results, calibrations: Mapping[Where, Calibration], doubted: Results) -> dict[str, Table]:
+    """One for right in the hand, one for right in the camera."""
     train, test = rows.only(part="train"), rows.only(part="validation")
     minutes = sum(float(row["seconds"]) for row in rows.rows) / 60.0
     about = (
-        f"*Made {calibrations['hand'].made}; results of {' and '.join(of(rows, 'made'))}. "
-        f"{len(train.rows)} training and {len(test.rows)} test results; reconstructing them took {minutes:.0f} minutes "
-        "of one core.*"
+        f"results of {' and '.join(of(rows, 'made'))}: {len(train.rows)} training and {len(test.rows)} test results; "
+        f"reconstructing them took {minutes:.0f} minutes of one core"
     )
-    tables = [
-        f"Right in the {where}:\n\n{table(Results(test.rows, where), Results(train.rows, where), calibration)}"
+    return {
+        f"{SECTION}-{where}": replace(
+            table(Results(test.rows, where), Results(train.rows, where), calibration),
+            notes=(about, left_out(doubted)),
+        )
         for where, calibration in calibrations.items()
-    ]
-    return "\n\n".join([about, *tables, f"![reliability](images/{PICTURE})"])
+    }
 
 
-def table(test: Results, train: Results, calibration: Calibration) -> str:
+def table(test: Results, train: Results, calibration: Calibration) -> Table:
     """One calibration's."""
     rows = [
         line(f"{dataset}, {condition}", test.only(dataset=dataset, condition=condition), calibration)
         for dataset in of(test, "dataset")
         for condition in of(test.only(dataset=dataset), "condition")
     ]
-    rows += [total(f"**{name}**", test.only(dataset=name), calibration) for name in of(test, "dataset")]
-    rows += [total("**all**", test, calibration), total("in training, all", train, calibration)]
-    return page.table(HEADER, rows)
+    rows += [total(name, test.only(dataset=name), calibration) for name in of(test, "dataset")]
+    rows += [total("all", test, calibration), total("in training, all", train, calibration)]
+    return store.of_cells(f"Probability that a result is right in the {test.where}", HEADER, rows)
 
 
 def total(label: str, results: Results, calibration: Calibration) -> list[str]:
@@ -156,7 +159,7 @@ def total(label: str, results: Results, calibration: Calibration) -> list[str]:
     weights = resamples([f"{row['dataset']}, {row['clip']}" for row in results.rows])
     low, high = auroc_interval(results.probability(calibration), results.right, weights)
     cells = line(label, results, calibration)
-    cells[HEADER.index("AUROC")] += f" <sub>[{low:.2f}, {high:.2f}]</sub>"
+    cells[HEADER.index("AUROC")] += f" [{low:.2f}, {high:.2f}]"
     return cells
 
 
@@ -234,10 +237,10 @@ def report(rows: Results) -> None:
     calibrations = {where: calibrated(Results(train.rows, where), made) for where in RIGHT}
     SOURCE.write_text(source([*calibrations.values()]), encoding="utf-8")
     subprocess.run([sys.executable, "-m", "ruff", "format", "-q", SOURCE], check=True)
-    draw(rows.only(part="validation"), calibrations, page.DOCS / "images" / PICTURE)
-    text = f"{section(rows, calibrations)}\n\n{left_out(doubted)}"
-    page.write(SECTION, text)
-    print(text)
+    draw(rows.only(part="validation"), calibrations, store.ROOT / "docs/images" / PICTURE)
+    how = circumstances("python -m benchmarks.probability OUT DEXYCB YCB")
+    for name, made_table in tables(rows, calibrations, doubted).items():
+        print(store.write(name, replace(made_table, made=how)))
 
 
 if __name__ == "__main__":

@@ -10,16 +10,16 @@ import tempfile
 from pathlib import Path
 from statistics import median
 
-from benchmarks.page import table
 from benchmarks.problem import CLIPS, Problem, make, reconstruction
+from benchmarks.store import Table, of_cells
 from benchmarks.timing import timed, typical
 from getagrip.clip import write_clip
 
 REPEATS = 15
 
 
-def section() -> str:
-    """Measure; the section's text."""
+def tables() -> dict[str, Table]:
+    """Measure."""
     times, stages = [], []
     problems = [make(category, seed) for category, seed in CLIPS]
     for problem in problems:
@@ -34,18 +34,20 @@ def section() -> str:
         split = typical([result.seconds for result in results])
         stages.append([name, *map(_ms, split.values())])
     columns = ["CPU median, ms", "CPU least, ms", "wall median, ms", "IOU", "ADD, % of diameter"]
-    return "\n\n".join([
+    how = (
         f"{len(problems[0].clip)} frames, {results[0].options['inits']} initial poses, all three terms, {REPEATS} runs "
-        "after one to warm up:",
-        table(["clip", "faces", *columns], times),
-        "The same by stage, median CPU time in ms:",
-        table(["clip", *split], stages),
-        "A fresh process, on the first of these clips:",
-        _fresh(problems[0]),
-    ])  # fmt: skip
+        "after one to warm up"
+    )
+    return {
+        "reconstruct-speed": of_cells("Time of a reconstruction", ["clip", "faces", *columns], times, [how]),
+        "reconstruct-speed-stages": of_cells(
+            "Time of a reconstruction by stage, median CPU ms", ["clip", *split], stages, [how]
+        ),
+        "reconstruct-speed-process": _fresh(problems[0]),
+    }
 
 
-def _fresh(problem: Problem) -> str:
+def _fresh(problem: Problem) -> Table:
     """Start a process twice: with an empty cache of compiled kernels, then with the one that left behind."""
     rows = []
     with tempfile.TemporaryDirectory() as scratch:
@@ -58,7 +60,8 @@ def _fresh(problem: Problem) -> str:
             memory = [measured[key] for key in ("memory imports", "memory read", "memory")]
             rows.append([name, *(f"{s:.2f}" for s in seconds), *(f"{m:.0f}" for m in memory)])
     header = ["", "process, wall s", "imports, CPU s", "reading, CPU s", "1st reconstruction, CPU s", "2nd, CPU s"]
-    return table([*header, "peak memory after imports, MB", "after reading, MB", "at the end, MB"], rows)
+    header += ["peak memory after imports, MB", "after reading, MB", "at the end, MB"]
+    return of_cells("A fresh process", header, rows, [f"on {problem.clip.name}"])
 
 
 def _child(folder: Path, environment: dict[str, str]) -> str:

@@ -1,53 +1,196 @@
-"""Put the tables and plots of ``getagrip bench`` into the pages of results: ``python -m benchmarks.results DIR...``.
+"""Put what benches measured into ``results/``, and its numbers into README: ``python -m benchmarks.results DIR...``.
 
-Each folder is one that was given to ``bench --out``, and is named like the dataset: its ``methods.md`` goes between the
-markers "<name>-methods", and so does each ablation that a page has markers for, with its plot.
+Each folder is one that was given to ``getagrip bench --out``. A table is named like the folder and its file:
+``out/dexycb/inputs.csv`` becomes ``results/dexycb-inputs.json``. Without folders only README is brought up to date.
+``python -m benchmarks.release`` measures all tables of a release before.
 """
 
 from __future__ import annotations
 
+import csv
+import math
+import re
 import shutil
 import sys
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from benchmarks import page
-from getagrip.experiments.tables import CATEGORIES, DOUBTS
+from benchmarks import cite, store
+from benchmarks.release import BENCHES
+from benchmarks.store import Cell, Column, Table
+from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
+from getagrip.evaluation.metric import METRICS
+from getagrip.experiments.stamp import stamp
 
-BY_CATEGORY = "dexycb-methods"
-"""The section that shows each category; the others' are in the files that ``bench`` writes."""
-FINDINGS = "synthetic-train-wrong-input"
-"""The section that shows only what the checks have found."""
+README = store.ROOT / "README.md"
+PICTURES = store.ROOT / "docs/images"
+"""Plots that a page shows; others stay where ``bench`` has drawn them."""
+MADE = re.compile(r"(?:; )?made (\d{4}-\d\d-\d\d)(?:, commit (\w+))?.*")
+SERIOUS = {check.name for check in (*INPUT_CHECKS, *RESULT_CHECKS) if check.serious}
+LABELLED = {metric.label: metric for metric in METRICS if metric.label}
+ALL, CATEGORIES = "all", "-categories"
 
 
-def main(folders: list[Path]) -> None:
-    """Update the pages."""
+def main(folders: Sequence[Path]) -> None:
+    """Update tables and README."""
     for folder in folders:
-        for tables in sorted(folder.glob("*.md")):
-            name = f"{folder.name}-{tables.stem}"
-            if page.has(name):
-                page.write(name, section(name, tables))
-                print(name)
+        for name, table in found(folder).items():
+            print(store.write(name, table))
+        for picture in folder.glob("*.png"):
+            if (shown := PICTURES / f"results-{folder.resolve().name}-{picture.name}").exists():
+                shutil.copy(picture, shown)
+    README.write_text(cite.fill_written(README.read_text(encoding="utf-8")), encoding="utf-8")
 
 
-def section(name: str, tables: Path) -> str:
-    """A page of ``bench`` without its title, the plot beside it moved to the pictures of the docs."""
-    body = tables.read_text(encoding="utf-8").split("\n", 1)[1].strip()
-    if name == FINDINGS:
-        about, *_ = body.split("\n\n")
-        found = body.split(_opening(DOUBTS))[1].split("</details>")[0].strip()
-        return f"{about}\n\n{DOUBTS}:\n\n{found}"
-    if name != BY_CATEGORY:
-        body = body.split(_opening(CATEGORIES))[0].strip()
-    plot = tables.with_suffix(".png")
-    if not plot.exists():
-        return body
-    shutil.copy(plot, page.DOCS / "images" / f"results-{name}.png")
-    return f"![{name}](images/results-{name}.png)\n\n{body}"
+def found(folder: Path) -> dict[str, Table]:
+    """The tables of a folder, by their names. Raises ``FileNotFoundError`` where there is none."""
+    tables: dict[str, Table] = {}
+    for page in sorted(folder.glob("*.md")):
+        name = f"{folder.resolve().name}-{page.stem}"
+        numbers = page.with_suffix(".csv")
+        if not numbers.exists():
+            tables[name] = printed(name, page)
+            continue
+        tables[name] = bench(name, numbers)
+        each = f"{name}{CATEGORIES}"
+        if each in store.names() and (table := bench(each, numbers)).rows:
+            tables[each] = table
+    if not tables:
+        raise FileNotFoundError(f"{folder}: no table of a bench")
+    return tables
 
 
-def _opening(title: str) -> str:
-    """How ``bench`` begins what it folds away."""
-    return f"<details><summary>{title}</summary>"
+def bench(name: str, numbers: Path) -> Table:
+    """A table of clips: over all of them, or of each category.
+
+    Made of ``NAME.csv``, which has the means, ``NAME-clips.csv``, which has what was found of each clip, and the title
+    and the settings in ``NAME.md``.
+    """
+    title, about, settings = _page(numbers.with_suffix(".md"))
+    by_category = name.endswith(CATEGORIES)
+    columns = {"clips": Column("clips", "clips")}
+    rows, differences = dict[str, dict[str, Cell]](), dict[str, dict[str, Cell]]()
+    for line in csv.DictReader(numbers.read_text(encoding="utf-8").splitlines()):
+        if (line["table"] != ALL) != by_category:
+            continue
+        column = _column(line["column"])
+        label = f"{line['row']}, {line['table']}" if by_category else line["row"]
+        row = rows.setdefault(label, {"label": label})
+        if "clips" not in row and line["clips"]:
+            row["clips"] = int(line["clips"])
+        value = _estimate(line, "", column)
+        if value is not None:
+            columns[column.key], row[column.key] = column, value
+        if line["against"] and column.best and not by_category:
+            difference = differences.setdefault(label, {"label": label, "against": line["against"]})
+            difference[column.key] = _estimate(line, "difference_", column)
+    if not by_category:
+        columns |= _of_clips(rows, numbers.with_name(f"{numbers.stem}-clips.csv"))
+    versions = next((line for line in settings if line.startswith("python ")), "")
+    notes = [MADE.sub("", line) for line in (*about, *settings) if line != versions]
+    made = _made(name, "\n".join(about)) | {"versions": versions}
+    return Table(_title(name, title), made, [*columns.values()], [*rows.values()], [*differences.values()], notes)
+
+
+def _column(label: str) -> Column:
+    """The column of a line of the CSV."""
+    if label == "seconds (median)":
+        return Column("seconds", "s", "s", 2)
+    label = label.removesuffix(" (median)")
+    metric = LABELLED[label]
+    if metric.unit != "%":
+        heading, unit = label.rsplit(", ", 1)
+        return Column(metric.name, heading, unit, 1, "lowest")
+    key = "right_in_camera" if metric.folded else store.COLUMN_KEYS.get(label) or store.slug(label, "_")
+    return Column(key, label, "%", 1, "highest" if metric.ranked else "")
+
+
+def _estimate(line: Mapping[str, str], prefix: str, column: Column) -> Cell:
+    """A mean with its interval, or a median; shares in per cent."""
+    factor = 100.0 if column.unit == "%" else 1.0
+    value, low, high = (factor * float(line[f"{prefix}{key}"] or "nan") for key in ("mean", "low", "high"))
+    if math.isnan(value):
+        return None
+    return round(value, 3) if math.isnan(low) else [round(value, 2), round(low, 2), round(high, 2)]
+
+
+def _of_clips(rows: Mapping[str, dict[str, Cell]], path: Path) -> dict[str, Column]:
+    """Counts of results: failed, ambiguous, wrong, doubted by the checks; added to the rows. Their columns."""
+    by_setting = defaultdict(list)
+    for line in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
+        by_setting[line["method"], line["setting"].removeprefix("'")].append(line)  # bars a spreadsheet's formula
+    for label, row in rows.items():
+        lines = _lines_of(label, by_setting)
+        if not lines:
+            continue
+        done = [line for line in lines if line["iou"]]
+        right = [float(line.get("add_sym_success") or "nan") for line in done]
+        ambiguous = [line["ambiguous"] == "True" for line in done]
+        named = [line["findings"].split() for line in done]
+        doubted = [any(name in SERIOUS for name in each) for each in named]
+        counts = Counter(name for each in named for name in each).most_common()
+        row |= {
+            "failed": len(lines) - len(done),
+            "ambiguous": sum(ambiguous),
+            "wrong": right.count(0.0),
+            "wrong_ambiguous": sum(a for a, r in zip(ambiguous, right, strict=True) if r == 0.0),
+            "doubted": sum(doubted),
+            "doubted_right": sum(d for d, r in zip(doubted, right, strict=True) if r == 1.0),
+        }
+        for key, wanted in (("serious", True), ("notes", False)):
+            if of := {name: count for name, count in counts if (name in SERIOUS) == wanted}:
+                row[key] = of
+    labels = {
+        "failed": "failed", "ambiguous": "ambiguous", "wrong": "wrong", "wrong_ambiguous": "of these ambiguous",
+        "doubted": "doubted", "doubted_right": "of these right", "serious": "serious findings", "notes": "notes",
+    }  # fmt: skip
+    return {key: Column(key, label) for key, label in labels.items()}
+
+
+def _lines_of(label: str, by_setting: Mapping[tuple[str, str], list[dict[str, str]]]) -> list[dict[str, str]]:
+    """The lines of a row: of its method and setting, or of its setting alone, where the method is another in each row.
+
+    None where several rows share their results, as by several definitions of contact.
+    """
+    whole = [lines for (method, setting), lines in by_setting.items() if label in {f"{method}, {setting}", setting}]
+    likely = [lines for (_, setting), lines in by_setting.items() if label.endswith(f", {setting}")]
+    return next((found[0] for found in (whole, likely) if len(found) == 1), [])
+
+
+def _page(path: Path) -> tuple[str, list[str], list[str]]:
+    """Title, what was run, and settings, of a page of ``bench``."""
+    title, *lines = path.read_text(encoding="utf-8").splitlines()
+    listed = [line.removeprefix("- ") for line in lines if line.startswith("- ")]
+    count = next((n for n, line in enumerate(lines) if line.startswith("|")), 0)
+    before = sum(line.startswith("- ") for line in lines[:count])
+    return title.removeprefix("# "), listed[:before], listed[before:]
+
+
+def printed(name: str, page: Path) -> Table:
+    """The table of a page that has one, of segments and timelines."""
+    title, before, after = _page(page)
+    lines = [line for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
+    header, _, *body = ([cell.strip() for cell in line[1:-1].split("|")] for line in lines)
+    notes = [note for line in (*before, *after) if (note := MADE.sub("", line))]
+    return replace(
+        store.of_cells(_title(name, title), header, body, notes), made=_made(name, "\n".join((*before, *after)))
+    )
+
+
+def _title(name: str, title: str) -> str:
+    """The title that a table has had, else its page's behind its name, since pages call all tables "Methods"."""
+    return store.read(name).title if name in store.names() else f"{name}: {title}"
+
+
+def _made(name: str, text: str) -> dict[str, str]:
+    """When, at which commit and by which command, as far as it is known."""
+    how = MADE.search(text) or MADE.search(f"made {stamp()}")
+    day, commit = how.groups() if how else (None, None)
+    before = dict(store.read(name).made) if name in store.names() else {}
+    command = BENCHES.get(name, before.get("command", ""))
+    return {key: value for key, value in (("date", day), ("commit", commit), ("command", command)) if value}
 
 
 if __name__ == "__main__":

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.page import DOCS, table
 from benchmarks.problem import reconstruction
+from benchmarks.store import ROOT, Table, of_cells, slug
 from benchmarks.timing import timed, typical
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
@@ -45,8 +45,8 @@ class Curve:
         return float(np.log(self.seconds[-1] / self.seconds[0]) / np.log(self.sizes[-1] / self.sizes[0]))
 
 
-def section() -> str:
-    """Measure and draw docs/images/scaling.png; the section's text."""
+def tables() -> dict[str, Table]:
+    """Measure, and draw docs/images/scaling.png."""
     long, long_masks = synthesise(CATEGORY, 0, SceneOptions(frames=max(FRAMES)))
     clip, masks = synthesise(CATEGORY, 0)
     fine = _subdivided(clip.mesh, max(FACES))
@@ -56,7 +56,7 @@ def section() -> str:
         _measure("faces", FACES, lambda n: reconstruction(replace(clip, mesh=decimate(fine, n)), masks)),
     ]
     _draw(curves)
-    return "\n\n".join(_describe(curve) for curve in curves)
+    return {f"scaling-{slug(curve.name)}": _table(curve) for curve in curves}
 
 
 def _measure(name: str, sizes: tuple[int, ...], call_at: Callable[[int], Callable[[], Reconstruction]]) -> Curve:
@@ -80,17 +80,18 @@ def _subdivided(mesh: Mesh, faces: int) -> Mesh:
     return Mesh(np.asarray(vertices), np.asarray(triangles, dtype=np.int64))
 
 
-def _describe(curve: Curve) -> str:
+def _table(curve: Curve) -> Table:
     slopes = ["", *(f"{slope:.2f}" for slope in curve.exponents)]
     rows = [
         [f"{size:,}", f"{1e3 * seconds:.0f}", slope, *(f"{1e3 * part:.0f}" for part in spent.values())]
         for size, seconds, slope, spent in zip(curve.sizes, curve.seconds, slopes, curve.stages, strict=True)
     ]
-    return (
-        f"{curve.name.capitalize()}: cost grows as their number to the power {curve.overall:.2f} over the whole range, "
-        f"{max(curve.exponents):.2f} at most between neighbours.\n\n"
-        + table([curve.name, "CPU, ms", "power", *curve.stages[0]], rows)
+    found = (
+        f"cost grows as their number to the power {curve.overall:.2f} over the whole range, "
+        f"{max(curve.exponents):.2f} at most between neighbours"
     )
+    header = [curve.name, "CPU, ms", "power", *curve.stages[0]]
+    return of_cells(f"Cost by number of {curve.name}", header, rows, [found])
 
 
 def _draw(curves: list[Curve]) -> None:
@@ -112,5 +113,5 @@ def _draw(curves: list[Curve]) -> None:
     panels[0].set_ylim(0.1, 24.0)
     panels[0].set_ylabel("one reconstruction, CPU s")
     panels[0].legend(frameon=False)
-    figure.savefig(DOCS / "images" / "scaling.png", dpi=110)
+    figure.savefig(ROOT / "docs/images" / "scaling.png", dpi=110)
     plt.close(figure)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from benchmarks.page import table
+from benchmarks.store import Table, of_cells
 from benchmarks.timing import timed
 from getagrip.clip import FINGERS, Clip, HandTrack, Truth
 from getagrip.datasets.synthetic import shapes
@@ -27,8 +27,8 @@ HAND, OBJECT = 778, 500
 REPEATS = 3
 
 
-def section() -> str:
-    """Measure; the section's text."""
+def tables() -> dict[str, Table]:
+    """Measure."""
     clip = sequence(FRAMES)
     rows = []
     for threshold in (0.0, 0.005, 0.010):
@@ -45,12 +45,18 @@ def section() -> str:
         for rule in RULES:
             timing, grasps = timed(lambda rule=rule, sets=sets: stable_grasps(PairwiseIou.of(sets), rule=rule), REPEATS)
             times.append([name, rule, str(len(grasps[0])), f"{median(timing.cpu):.2f}", f"{median(timing.wall):.2f}"])
-    return "\n\n".join([
-        f"Contacts, {FRAMES} frames, {sizes}, both moving in every frame:",
-        table(["within", "vertices in contact", "frames per CPU second", "frames per second"], rows),
-        f"Stable grasps of {LONG:,} frames once contacts are known:",
-        table(["sequence", "rule", "grasps", "CPU, s", "wall, s"], times),
-    ])  # fmt: skip
+    header = ["within", "vertices in contact", "frames per CPU second", "frames per second"]
+    return {
+        "segment-speed": of_cells(
+            f"Speed of contacts, {FRAMES:,} frames", header, rows, [f"{sizes}, both moving in every frame"]
+        ),
+        "segment-speed-grasps": of_cells(
+            f"Speed of finding stable grasps in {LONG:,} frames",
+            ["sequence", "rule", "grasps", "CPU, s", "wall, s"],
+            times,
+            ["once contacts are known"],
+        ),
+    }
 
 
 def sequence(frames: int) -> Clip:

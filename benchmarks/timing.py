@@ -1,12 +1,20 @@
-"""How long a call takes: repeated, in wall-clock and in processor time."""
+"""How long a call takes: repeated, in wall-clock and in processor time; and on what machine."""
 
 from __future__ import annotations
 
+import os
+import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
 from statistics import median
 from typing import TypeVar
+
+from getagrip.experiments.stamp import stamp
+
+LIBRARIES = ("numpy", "numba", "scipy", "deodr")
 
 T = TypeVar("T")
 
@@ -37,3 +45,21 @@ def timed(call: Callable[[], T], repeats: int = 1) -> tuple[Timing, list[T]]:
 def typical(parts: list[dict[str, float]]) -> dict[str, float]:
     """The median of each part over the repetitions."""
     return {name: median(part[name] for part in parts) for name in parts[0]}
+
+
+def circumstances(command: str) -> dict[str, str]:
+    """When, by which code, where and how undisturbed a measurement is made: before it."""
+    day, _, commit = stamp().partition(", commit ")
+    there = {each.name: each.version for each in metadata.distributions()}
+    versions = [f"{name} {there[name]}" for name in LIBRARIES if name in there]
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()  # Linux
+    processor = next(
+        (line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine()
+    )
+    return {
+        "date": day,
+        "commit": commit,
+        "command": command,
+        "machine": f"{processor}, {os.cpu_count()} cores, load before the run {os.getloadavg()[0]:.1f}",
+        "versions": ", ".join((f"Python {platform.python_version()}", *versions)),
+    }

@@ -7,8 +7,8 @@ from statistics import median
 
 import numpy as np
 
-from benchmarks.page import table
 from benchmarks.problem import CLIPS, make
+from benchmarks.store import Table, of_cells
 from benchmarks.timing import timed
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry.mesh import Mesh
@@ -17,8 +17,8 @@ from getagrip.result import Reconstruction
 REPEATS = 9
 
 
-def section() -> str:
-    """Measure; the section's text."""
+def tables() -> dict[str, Table]:
+    """Measure."""
     rows = []
     for category, seed in CLIPS:
         problem = make(category, seed)
@@ -35,4 +35,5 @@ def section() -> str:
         ratio = median(b / a for a, b in zip(one, two, strict=True))
         times = [f"{1e3 * median(wall):.0f}" for wall in (one, two)]
         rows.append([problem.clip.name, *times, f"{ratio:.2f}", "yes" if same else "no"])
-    return table(["clip", "one thread, wall ms", "two, wall ms", "ratio", "the same to the bit"], rows)
+    header = ["clip", "one thread, wall ms", "two, wall ms", "ratio", "the same to the bit"]
+    return {"two-threads": of_cells("Two threads for one clip", header, rows)}

@@ -1,7 +1,7 @@
 """The documentation as a site: ``make docs`` builds it into ``site/`` from these pages, as they are.
 
-Nothing is fetched, neither when it is built nor when it is read. Two pages are completed here: ``cli.md`` by the help
-of every command, ``api.md`` by the docstrings of the public names.
+Nothing is fetched, neither when it is built nor when it is read. Pages are completed here: ``cli.md`` by the help of
+every command, ``api.md`` by the docstrings of the public names, and all by the results that they cite (``{{ ... }}``).
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "src"), str(ROOT / "scripts")]
+sys.path[:0] = [str(ROOT), str(ROOT / "src"), str(ROOT / "scripts")]
 
+import explorer  # noqa: E402
 import reference  # noqa: E402
 
 import getagrip  # noqa: E402
+from benchmarks import cite  # noqa: E402
 
 project = "getagrip"
 copyright = "the authors of getagrip, MIT licence"
@@ -47,7 +49,10 @@ html_show_sphinx = False
 
 
 def complete(_: Sphinx, page: str, text: list[str]) -> None:
-    """Put what is generated in the place of a page's marker."""
+    """Fill in what is generated in the place of a page's marker, and the results that it cites."""
+    text[0] = cite.fill(text[0])
+    if explorer.MARKER in text[0]:
+        text[0] = text[0].replace(explorer.MARKER, explorer.explorer())
     if page in reference.GENERATED:
         before, after = text[0].split(reference.MARKER)
         text[0] = before + reference.GENERATED[page]() + after

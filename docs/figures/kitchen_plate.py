@@ -1,7 +1,7 @@
 """The picture of docs/kitchen.md: python docs/figures/kitchen_plate.py CLIP RESULT
 
-A clip and its result: masks, hand and mesh, but no pixel of the footage. ``benchmarks.kitchen`` makes both, as
-OUT/focal-1000/kitchen and OUT/focal-1000/soft-hinge/kitchen.
+A clip and its result: masks, hand and mesh, but no pixel of the footage. The commands of that page make both, with
+a focal length of 1000 px.
 """
 
 from __future__ import annotations

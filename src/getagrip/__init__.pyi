@@ -8,11 +8,13 @@ from .clip import World as World
 from .clip import read_clip as read_clip
 from .clip import read_masks as read_masks
 from .clip import write_clip as write_clip
+from .clip.provenance import Source as Source
 from .datasets.synthetic.scene import synthesise as synthesise
 from .datasets.synthetic.scene_options import SceneOptions as SceneOptions
 from .errors import GetagripError as GetagripError
 from .errors import InputError as InputError
 from .errors import UsageError as UsageError
+from .evaluation import Evaluation as Evaluation
 from .evaluation import evaluate as evaluate
 from .finding import Finding as Finding
 from .fitting.options import Options as Options
@@ -23,6 +25,8 @@ from .geometry.warp import Warp as Warp
 from .result import Axis as Axis
 from .result import Candidates as Candidates
 from .result import Reconstruction as Reconstruction
+from .result import SegmentResult as SegmentResult
+from .result import Status as Status
 from .result import read_result as read_result
 from .result import write_result as write_result
 from .timelines.reconstruct import reconstruct as reconstruct

@@ -30,8 +30,8 @@ from getagrip.checks.signs import (
 from getagrip.datasets.synthetic.scene import synthesise
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.finding import Finding
+from getagrip.fitting.judge import probability_right, uncalibrated
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import probability_right, uncalibrated
 from getagrip.geometry import se3
 from getagrip.metrics.symmetry import find_symmetries
 from getagrip.probability import Probability, percent

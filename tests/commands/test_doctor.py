@@ -19,10 +19,10 @@ def _without_the_clip(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_every_line_says_how_it_is_and_what_to_do(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor.shutil, "which", lambda _: None)
-    versions = {"viser": None, "torch": None}
+    versions = {"usd-core": None, "torch": None}
     needs = [
         "numpy>=2.0",
-        "viser<2,>=1.1.1; extra == 'view'",
+        "usd-core>=25.5; extra == 'usd'",
         "torch==2.13.0; extra == 'torch'",
         "mujoco>=3; extra == 'mujoco'",
     ]
@@ -32,7 +32,7 @@ def test_every_line_says_how_it_is_and_what_to_do(run: Run, monkeypatch: pytest.
     assert status == 0
     lines = out.splitlines()[1:]
     assert {line.split()[0] for line in lines} == {"ok", "without"}
-    for words in ("pip install 'getagrip[view]'", "pip install 'getagrip[torch]'", "without  browser; ", "--mano DIR"):
+    for words in ("pip install 'getagrip[usd]'", "pip install 'getagrip[torch]'", "without  browser; ", "--mano DIR"):
         assert words in out
     for words in ("BLAS openblas", "cores to use", "GB free for this folder", "ok       mujoco 99.0"):
         assert words in out

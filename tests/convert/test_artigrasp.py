@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import arctic_folders
 from getagrip.datasets import arctic, cutting
 from getagrip.datasets.track_files import Tracks
 from getagrip.datasets.tracks import Track
@@ -158,38 +157,6 @@ def test_a_short_sequence_has_no_right_frame(root: Path, capsys: pytest.CaptureF
         np.save(file, np.load(file)[:31])
     artigrasp.main([str(root), str(root / "tracks")])
     assert "31 frames" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_folders_of_links_are_read_as_sequences(root: Path, tmp_path: Path) -> None:
-    """Thirteen sequences of two subjects: the study has every sixth, the test the first of those of its subjects."""
-    for n in range(2, 14):
-        other = ("s10" if n % 2 else "s1", f"box_use_{n:02d}")
-        for file in root.glob(f"rsc/*/*/s1/{SEQUENCE}*"):
-            copy = file.parent.parent / other[0] / file.name.replace(SEQUENCE, other[1])
-            copy.parent.mkdir(exist_ok=True)
-            copy.write_bytes(file.read_bytes())
-    for _ in range(2):  # what is there is kept
-        arctic_folders.main(root, tmp_path / "folders")
-    sequences = {
-        name: [source.name for source in tracks(tmp_path / "folders" / name).sources()] for name in ("study", "test")
-    }
-    assert sequences == {
-        "study": [f"s1-{SEQUENCE}", "s1-box_use_12", "s10-box_use_13"], "test": ["s10-box_use_03"],
-    }  # fmt: skip
-    (_, right) = tracks(tmp_path / "folders" / "study").sources()[0].read(lambda _: None)
-    assert len(right) == 61
-    for n in range(9):
-        (tmp_path / "whole" / f"{n}").mkdir(parents=True)
-        (tmp_path / "whole" / f"{n}" / "clip.json").touch()
-    arctic_folders.quarter(tmp_path / "whole", tmp_path / "quarter")
-    assert sorted(path.name for path in (tmp_path / "quarter").iterdir()) == ["0", "4", "8"]
-
-
-@folder_of("GETAGRIP_ARTIGRASP")
-def test_the_sequences_of_the_page(folder: Path) -> None:
-    everything = artigrasp.folder_rsc(folder)
-    assert [len(chosen) for chosen in arctic_folders.sequences(everything)] == [47, 18]
 
 
 @folder_of("GETAGRIP_ARTIGRASP")

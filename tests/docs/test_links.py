@@ -47,13 +47,6 @@ def test_the_navigation_has_every_page() -> None:
     assert sorted(listed) == sorted(page.stem for page in DOCS.glob("*.md") if page.stem != "index")
 
 
-def test_each_section_of_measurements_is_on_one_page_between_its_markers() -> None:
-    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
-    begun = re.findall(r"<!-- (\S+): measured -->", text)
-    assert begun == re.findall(r"<!-- (\S+): measured -->\n.*?\n<!-- \1: end -->", text, re.DOTALL)
-    assert len(set(begun)) == len(begun)
-
-
 def test_every_picture_is_shown() -> None:
     shown = {
         (page.parent / target).resolve()

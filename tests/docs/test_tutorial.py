@@ -73,7 +73,7 @@ def the_mug_is_found(out: Path) -> None:
     assert result.clip == clip.name
     assert record["metrics"]["add_success"] == 1.0
     assert pixels_of(read_picture(out / "report.png"), AXIS) > 500
-    assert f'"name":"{name}"' in (out / "report.html").read_text("utf-8")
+    assert f'"clip":"{name}"' in (out / "report.html").read_text("utf-8")
 
 
 @pytest.mark.slow

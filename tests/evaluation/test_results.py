@@ -177,7 +177,7 @@ def test_some_frames_of_a_clip(scene: tuple[Clip, Masks], tmp_path: Path) -> Non
     some = perfect(scene[0].take(np.array([1, 3])))
     folder = write_result(some, tmp_path / "result", input_sha256(clip))
     out = ev.evaluate_result(folder)
-    assert out["frames"] == ["000001", "000003"]
+    assert out.frames == ["000001", "000003"]
     assert out.metrics["iou_full"] == 1.0
     assert out.metrics["add_mm"] == pytest.approx(0.0, abs=1e-3)
     one = write_result(perfect(scene[0].take(np.array([2]))), tmp_path / "one", input_sha256(clip))

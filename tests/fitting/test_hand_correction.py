@@ -82,7 +82,7 @@ def test_at_the_truth_hardly_a_pixel_differs(
 def test_a_true_hand_is_left_alone(made: tuple[Clip, Masks]) -> None:
     assert correct_hand(*made)[0] is None
     problem = prepare(*made, Options())
-    assert not problem.hand_corrected
+    assert not problem.trust.hand_corrected
     np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, made[0].hand.T_cam_hand)
 
 
@@ -188,10 +188,10 @@ def test_the_arm_says_nothing(made: tuple[Clip, Masks]) -> None:
 @pytest.mark.slow
 def test_as_given_leaves_everything_as_it_is(made: tuple[Clip, Masks]) -> None:
     clip = off(made[0], CONSTANT)
-    assert prepare(clip, made[1], Options()).hand_corrected
+    assert prepare(clip, made[1], Options()).trust.hand_corrected
     for options in (Options(hands="as-given"), Options(method="paper")):
         problem = prepare(clip, made[1], options)
-        assert not problem.hand_corrected
+        assert not problem.trust.hand_corrected
         np.testing.assert_array_equal(problem.clip.hand.T_cam_hand, clip.hand.T_cam_hand)
 
 

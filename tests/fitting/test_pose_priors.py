@@ -14,13 +14,13 @@ from getagrip.clip import Clip
 from getagrip.errors import InputError, UsageError
 from getagrip.fitting import pose_priors as priors
 from getagrip.fitting.initial_poses import initial_poses
+from getagrip.fitting.judge import uncalibrated
 from getagrip.fitting.learn_priors import LearntGrasps, Priors, hold
 from getagrip.fitting.methods.all_frames import initial_of
 from getagrip.fitting.methods.homan import object_tracks
 from getagrip.fitting.options import Init, Options, PriorsFile
 from getagrip.fitting.pose_priors import poses_for, read_folder, read_learnt
 from getagrip.fitting.problem import prepare
-from getagrip.fitting.reconstruct import uncalibrated
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.io.counts import counted

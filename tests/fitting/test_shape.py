@@ -10,7 +10,7 @@ import pytest
 
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.deform import misfit as unlike
-from getagrip.fitting.methods.all_frames import coarse_energy, misfit_of
+from getagrip.fitting.methods.all_frames import coarse_energy, misfit_of, search_of
 from getagrip.fitting.misfit import misfit
 from getagrip.fitting.motion import Fixed, PosesInHand, Soft
 from getagrip.fitting.objective import mask_of
@@ -73,7 +73,7 @@ def test_a_motion_that_is_not_fitted_yet_is_no_reason_to_doubt_the_mesh() -> Non
     )
     rough = minimise(astray, mask_of(problem)(64, frames), clip.hand.T_cam_hand, 0)
     assert misfit(problem.observation, float(rough.terms["mask"][0]) / len(clip)) > 2.0 * MISFIT
-    assert misfit_of(problem, rough) < MISFIT
+    assert misfit_of(problem, search_of(problem, lambda stage: None), rough) < MISFIT
 
 
 def test_a_shape_that_is_nearly_the_meshs_own_is_believed_to_be(monkeypatch: pytest.MonkeyPatch) -> None:

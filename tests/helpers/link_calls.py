@@ -147,11 +147,10 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         "fitting.reconstruct.reconstruct": fitted,
         "segmentation.found.find_segments": found,
         "timelines.reconstruct.reconstruct": fitted,
+        "pages.server.Server.serve_forever": ended,
         "view.film._pictures": lambda _: iter(np.zeros((2, 576, 1080, 3), np.uint8)),
         "view.report.report_figure": drawn,
     }
-    if find_spec("viser"):
-        places["view.live.page.Page.run"] = ended
     for place, trifle in places.items():
         monkeypatch.setattr(f"getagrip.{place}", trifle)
     for kind in FIGURES.values():

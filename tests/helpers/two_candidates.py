@@ -11,7 +11,6 @@ from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.geometry import se3
 from getagrip.result import Candidates, Reconstruction
-from getagrip.view.live.column import Column
 from getagrip.view.shown import View
 from helpers.scenes import scene_with_axis
 from helpers.true_result import true_result
@@ -32,7 +31,6 @@ def two_candidates() -> tuple[Reconstruction, Clip, Masks]:
     return replace(true, candidates=candidates), clip, masks
 
 
-def column() -> Column:
-    """The result as a column of the page."""
-    result, clip, masks = two_candidates()
-    return Column("one", View.of(result, clip, masks))
+def view() -> View:
+    """The same as pictures show it."""
+    return View.of(*two_candidates())

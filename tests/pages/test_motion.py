@@ -11,6 +11,7 @@ from getagrip.geometry import se3
 from getagrip.pages import motion
 from getagrip.view.gap import gap
 from getagrip.view.shown import View
+from getagrip.view.touched import finer
 from helpers.egg_and_mug import egg_and_mug, perfect
 
 
@@ -28,10 +29,11 @@ def test_what_the_other_hand_touches_is_touched() -> None:
     gaps = gap(both)
     np.testing.assert_allclose(gaps[known], gap(one)[known], atol=1e-9)
     assert gaps[[1, 3, 4]].min() > 0.1
-    alone, found = motion.arrays(one), motion.arrays(both)
-    assert alone["hand_contact"][known].max() == 255
-    for name, of in (("object_contact", "object_contact"), ("other_hand_contact", "hand_contact")):
+    surface = finer(one)
+    alone, found = motion.moving(one, surface), motion.moving(both, surface)
+    assert alone["hand_near"][known].max() == 255
+    for name, of in (("object_near", "object_near"), ("other_hand_near", "hand_near")):
         np.testing.assert_array_equal(found[name][known], alone[of][known])
         assert found[name][[1, 3, 4]].max() == 0
-    assert found["hand_contact"].max() == 0
-    assert found["other_hand_known"].tolist() == [1, 0, 1, 0, 0]
+    assert found["hand_near"].max() == 0
+    assert motion.fixed(both, surface)["other_hand_known"].tolist() == [1, 0, 1, 0, 0]

@@ -65,7 +65,7 @@ def folder(tmp_path_factory: Any) -> Path:
 @pytest.fixture
 def page(browser: Any) -> Iterator[Any]:
     """A tab in which anything that is asked for but the files themselves, and any word in the console, is a failure."""
-    tab = browser.new_page(viewport={"width": 900, "height": 760})
+    tab = browser.new_page(viewport={"width": 900, "height": 1100})
     asked, said = [], []
     tab.on("request", lambda request: asked.append(request.url))
     tab.on("console", lambda message: said.append(message.text))
@@ -87,7 +87,7 @@ def opened(page: Any, path: Path) -> Any:
 def canvas(page: Any) -> np.ndarray:
     """What the 3D view shows, once it has drawn: (H, W, 3) RGB between 0 and 1."""
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-    encoded = np.frombuffer(page.locator("#scene").screenshot(), dtype=np.uint8)
+    encoded = np.frombuffer(page.locator(".scene").screenshot(), dtype=np.uint8)
     picture = cv2.imdecode(encoded, cv2.IMREAD_COLOR)
     assert picture is not None
     return picture[..., ::-1] / 255.0
@@ -116,7 +116,7 @@ def test_the_object_is_there_and_moves_with_the_slider(page: Any, folder: Path) 
     assert "frame 000004" in page.inner_text("#frame")
     last = bluish(canvas(page))
     assert (first != last).mean() > 0.01
-    outline = page.locator("#outlines .object .line")
+    outline = page.locator(".outlines .object .line")
     moved = outline.get_attribute("d")
     page.get_by_label("pose").select_option("1")
     assert (bluish(canvas(page)) != last).mean() > 0.005
@@ -165,17 +165,17 @@ def test_words_of_strangers_stay_words(page: Any, folder: Path) -> None:
     assert page.inner_text("#name") == EVIL
     assert page.title() == f"{EVIL}, 1-DoF, ours"
     assert page.locator("img").count() == 1
-    assert page.locator("#doubts li").all_inner_texts() == [
+    assert page.locator(".doubts li").all_inner_texts() == [
         "note ambiguous: another pose explains the masks almost as well; the candidates below show it",
         f"serious mask-fit: </script>{EVIL}",
     ]
-    assert page.locator("#notes li").all_inner_texts() == [f"a guess: {EVIL}", f"probability: {RIGHT}"]
+    assert page.locator(".notes li").all_inner_texts() == [f"a guess: {EVIL}", f"probability: {RIGHT}"]
 
 
 def test_what_a_probability_means_is_said_once_and_folded(page: Any, folder: Path) -> None:
     opened(page, folder / "moved" / "one" / "report.html")
-    assert "65.0 %\nIOU" in page.locator("#main div").all_inner_texts()  # the mean of the curve
-    shown = page.locator("#main div").first
+    assert "65.0 %\nIOU" in page.locator(".main div").all_inner_texts()  # the mean of the curve
+    shown = page.locator(".main div").first
     assert shown.inner_text() == "> 99 %\nprobability right in the hand"
     assert shown.get_attribute("title") == f"long {EVIL}"
     assert "long" not in page.inner_text("body")

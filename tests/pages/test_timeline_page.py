@@ -39,5 +39,5 @@ def test_segments_are_a_bar_that_jumps_and_divide_the_curves(browser: Any, tmp_p
     assert f"{LIES + COMES + 1} of {len(clip)}" in page.inner_text("#frame")
     plot = page.locator(".plot svg").first
     assert (plot.locator(".border").count(), plot.locator("rect").count()) == (2, 3)
-    assert "SCA 10 mm, in grasps" in page.locator("#main dt").all_inner_texts()
+    assert "SCA 10 mm, in grasps" in page.locator(".main dt").all_inner_texts()
     page.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from getagrip.view.figures import GivenResult
-from getagrip.view.figures.rows import distinct
+from getagrip.view.given import distinct
 from getagrip.view.sheet import Sheet
 
 DPI = 60

@@ -111,7 +111,7 @@ def reconstruct_one(job: Job, progress: Progress | None = None) -> Outcome:
         write_result(result, job.out, checksum, metrics, origin, overwrite=True, made_by=made_by(job.options.method))
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.name, error)
-    from getagrip.fitting.reconstruct import uncalibrated
+    from getagrip.fitting.judge import uncalibrated
 
     known = ", ".join(f"{right} {where}" for where, right in result.probabilities.items())
     probably = f", right with a probability of {known}" if known else ""

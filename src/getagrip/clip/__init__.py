@@ -9,7 +9,7 @@ from getagrip.clip.data import (
     observed_frames,
 )
 from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
-from getagrip.clip.masks import find_masks, read_masks, read_observed
+from getagrip.clip.masks import find_masks, masks_of_some, read_masks, read_observed
 from getagrip.clip.plausible import check_clip
 from getagrip.clip.reading import input_sha256, read_clip, read_name
 from getagrip.clip.timeline import Segment, State
@@ -32,6 +32,7 @@ __all__ = [
     "check_masks",
     "find_masks",
     "input_sha256",
+    "masks_of_some",
     "observed_frames",
     "read_clip",
     "read_masks",

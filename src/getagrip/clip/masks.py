@@ -34,6 +34,13 @@ def find_masks(clip: Clip) -> Masks | None:
     return None if clip.folder is None or not (clip.folder / "masks" / "object").exists() else read_masks(clip)
 
 
+def masks_of_some(clip: Clip, with_hand: bool = False) -> Masks | None:
+    """``find_masks`` of some frames of a clip, none of which need show the object; those of the hand if wanted."""
+    if clip.folder is None or not (clip.folder / "masks" / "object").exists():
+        return None
+    return Masks.packed(_each(clip, with_hand and (clip.folder / "masks" / "hand").exists()), clip.size)
+
+
 def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
     """``read_masks(clip).observed``, with one frame at a time in memory."""
     any_object, observed = False, np.zeros(len(clip), dtype=bool)

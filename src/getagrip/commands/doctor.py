@@ -21,9 +21,9 @@ from getagrip.batch.pool import cores
 from getagrip.errors import GetagripError
 
 EXTRAS = {
-    "view": "serves `getagrip view`", "torch": "reads estimators' .pt files", "lerobot": "exports to LeRobot",
-    "mujoco": "exports to MuJoCo", "usd": "exports to USD", "ray": "`--engine ray`",
-    "slurm": "`--engine slurm`", "s3": "clips and results at s3:// addresses", "gs": "at gs:// addresses",
+    "torch": "reads estimators' .pt files", "lerobot": "exports to LeRobot", "mujoco": "exports to MuJoCo",
+    "usd": "exports to USD", "ray": "`--engine ray`", "slurm": "`--engine slurm`",
+    "s3": "clips and results at s3:// addresses", "gs": "at gs:// addresses",
     "bench": "the peer of the speed benchmark",
 }  # fmt: skip
 """What each extra of the package is for."""

@@ -11,7 +11,7 @@ from getagrip.commands.evaluate import results_in
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.view.figures import GivenResult, Kind
-from getagrip.view.figures.kind import is_clip
+from getagrip.view.given import is_clip
 from getagrip.view.style import letters
 
 SUFFIXES = (".png", ".pdf")

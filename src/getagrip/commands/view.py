@@ -10,11 +10,10 @@ from pathlib import Path
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import failure
 from getagrip.commands.evaluate import of_batch
-from getagrip.errors import GetagripError, InputError
-from getagrip.view.live.column import Column
-from getagrip.view.live.entries import Entry, entries
-from getagrip.view.live.page import Page
-from getagrip.view.live.server import serve
+from getagrip.errors import InputError
+from getagrip.pages.entries import entries
+from getagrip.pages.served import Library
+from getagrip.pages.server import Server
 
 RESULTS, CLIPS = ("", "*", "*/*"), ("", "*")
 """Where results and clips are looked for below a path: a result, results, results of several methods."""
@@ -28,20 +27,19 @@ def view(paths: Sequence[Path], clips: Path | None, port: int | None, host: str,
     """
     problems: list[Exception] = []
     results, alone = found(paths, problems)
-    listed = entries(results, alone, clips, problems.append)
-    first, columns = _first_readable(listed, problems)
+    library = Library(entries(results, alone, clips, problems.append), problems.append)
+    if library.first is None:
+        if len(problems) > 1:
+            print(f"{len(problems)} problems, of which the first is:", file=sys.stderr)
+        raise problems[0]
     for problem in problems:
         print_outcome(failure("", problem), debug)
-    served = serve(port, host)
-    page = Page(served.viser, [first, *(entry for entry in listed if entry is not first)], columns)
-    print(f"open {served.url}\nCtrl-C ends", flush=True)
-    try:
-        page.run()
-    except KeyboardInterrupt:
-        print()
-    finally:
-        page.stop()
-        served.stop()
+    with Server(library, port, host) as server:
+        print(f"open {server.url}\nCtrl-C ends", flush=True)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            print()
     return 1 if problems else 0
 
 
@@ -60,15 +58,3 @@ def found(paths: Sequence[Path], problems: list[Exception]) -> tuple[list[Path],
             given = "neither result.json nor clip.json in it or below" if path.is_dir() else "no such folder"
             problems.append(InputError(path, "", given, "a result, a clip, or a folder of them"))
     return results, clips
-
-
-def _first_readable(listed: Sequence[Entry], problems: list[Exception]) -> tuple[Entry, list[Column]]:
-    """The first entry that can be shown. Raises the first problem where there is none."""
-    for entry in listed:
-        try:
-            return entry, entry.read()
-        except (GetagripError, OSError) as error:
-            problems.append(error)
-    if len(problems) > 1:
-        print(f"{len(problems)} problems, of which the first is:", file=sys.stderr)
-    raise problems[0]

@@ -6,7 +6,7 @@
 """
 
 from getagrip.evaluation.meshes import evaluate_meshes
-from getagrip.evaluation.results import Evaluation, clip_of, evaluate, evaluate_result, read_evaluated
+from getagrip.evaluation.results import Evaluation, clip_of, evaluate, evaluate_result, read_evaluated, read_with_clip
 from getagrip.evaluation.tables import contact_tables, results_table, summary
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "evaluate_meshes",
     "evaluate_result",
     "read_evaluated",
+    "read_with_clip",
     "results_table",
     "summary",
 ]

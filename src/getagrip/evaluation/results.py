@@ -91,10 +91,15 @@ def evaluate_result(folder: str | Path, clips: str | Path | None = None) -> Eval
 
 def read_evaluated(folder: Path, clips: str | Path | None = None) -> tuple[Reconstruction, Clip, Masks | None]:
     """A result, and its clip and masks at the result's frames. Raises ``InputError`` as ``evaluate_result`` does."""
+    result, clip = read_with_clip(folder, clips)
+    return result, clip, find_masks(clip)
+
+
+def read_with_clip(folder: Path, clips: str | Path | None = None) -> tuple[Reconstruction, Clip]:
+    """A result, and its clip at the result's frames. Raises ``InputError`` as ``evaluate_result`` does."""
     result, record = read_result(folder)
     clip = clip_of(folder, result, record, clips)
-    clip = clip.take(clip.index_of(result.frames))
-    return result, clip, find_masks(clip)
+    return result, clip.take(clip.index_of(result.frames))
 
 
 def evaluate(

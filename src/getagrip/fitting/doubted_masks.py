@@ -46,7 +46,8 @@ def fitted_to_believed(problem: Problem, fit: Callable[[Problem], MethodResult])
         some = problem.at(problem.clip.take(used), problem.given_masks.take(used))
         found = fit(some)
     names = tuple(name for n, name in enumerate(problem.clip.frames) if n not in used)
-    return replace(some.warped(found.warp), doubted=names, most_differing=limit), found
+    some = some.warped(found.warp)
+    return replace(some, trust=replace(some.trust, doubted=names, most_differing=limit)), found
 
 
 def most_differing(met: Overlap) -> float:

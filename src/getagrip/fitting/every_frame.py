@@ -66,20 +66,20 @@ def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
 def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: MethodResult, track: Track) -> Track:
     """A method's solutions in every frame of the clip; in the problem's frames, those of ``track``, as they are.
 
-    Masks that contradict those of the problem's frames are doubted, too (``Problem.most_differing``). ``masks`` are
+    Masks that contradict those of the problem's frames are doubted, too (``Trust.most_differing``). ``masks`` are
     those of the whole clip; without them, they are read from its folder, a few at a time.
     """
     sampled = clip.index_of(problem.clip.frames)
     clip = clip.with_hand_at(hand_everywhere(clip, problem, sampled))
     T, K, scale = len(clip), len(track.T_hand_obj), float(found.poses.scale[0])
     kind: list[FrameKind] = ["interpolated"] * T
-    doubted = list(problem.doubted)
+    doubted = list(problem.trust.doubted)
     iou, angle, known = np.full(T, np.nan), np.full(T, np.nan), np.zeros(T, dtype=bool)
     R, centre = np.empty((K, T, 3, 3)), np.empty((K, T, 3))
     R[:, sampled], centre[:, sampled], known[sampled], iou[sampled] = found.poses.R, found.poses.centre, True, track.iou
     if track.angle is not None:
         angle[sampled] = track.angle
-    foretold = Foretold.by(problem, found.poses, sampled) if np.isfinite(problem.most_differing) else None
+    foretold = Foretold.by(problem, found.poses, sampled) if np.isfinite(problem.trust.most_differing) else None
     for index, part in _others(clip, masks, problem, sampled):
         if found.motion is not None and found.energy_of is not None:
             fitted = own_fit(part, found, sampled, index)
@@ -92,7 +92,7 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
         R[:, index], centre[:, index], known[index] = poses.R, poses.centre, True
         iou[index] = image_iou(part.clip, part.masks, placed(poses, clip.mesh.centre)[0], scale)
         if foretold is not None:
-            wrong = index[foretold.overlap(part, index).differing > problem.most_differing]
+            wrong = index[foretold.overlap(part, index).differing > problem.trust.most_differing]
             known[wrong], iou[wrong], angle[wrong] = False, np.nan, np.nan
             for n in wrong:
                 kind[n] = "interpolated"
@@ -130,7 +130,7 @@ def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], i
 
 def hand_everywhere(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Float[ndarray, "T 4 4"] | None:
     """The hand of every frame: where it was corrected, by corrections between those of the sampled frames."""
-    if not problem.hand_corrected:
+    if not problem.trust.hand_corrected:
         return None
     given, corrected = clip.hand.T_cam_hand, problem.clip.hand.T_cam_hand
     C = (se3.inverse(given[sampled]) @ corrected)[None]
@@ -144,7 +144,7 @@ def _others(
     clip: Clip, masks: Masks | None, problem: Problem, sampled: Int[ndarray, "n"]
 ) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
     """The frames beyond the sampled ones that show the object, a few at a time, each few spread over the clip."""
-    hidden = {*problem.clip.left_out, *problem.doubted}
+    hidden = {*problem.clip.left_out, *problem.trust.doubted}
     shown = np.flatnonzero([name not in hidden for name in clip.frames])
     rest = np.setdiff1d(shown, sampled)
     parts = -(-len(rest) // CHUNK)

@@ -83,7 +83,7 @@ def push_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
 def pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """E_pull, likewise."""
     hands, solid = _contacts(problem), problem.surface.solid
-    return lambda level, index: [PullTerm(solid, hands[level].take(index), weight[index], problem.reach)]
+    return lambda level, index: [PullTerm(solid, hands[level].take(index), weight[index], problem.trust.reach)]
 
 
 def _contacts(problem: Problem) -> dict[int, HandContacts]:

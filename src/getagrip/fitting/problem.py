@@ -29,11 +29,42 @@ from getagrip.io.counts import counted
 from getagrip.result import Axis, Status
 
 CONTACT_IF_FITTED = 4.0
-"""Contact counts so many times as much where the mesh is fitted. The masks then tell size and distance less well, and
-the hand tells them better: the object is where it can be held."""
+"""Factor on the weight of contact where the mesh is fitted. The masks then tell size and distance less well, and the
+hand tells them better: the object is where it can be held."""
 REACH, REACH_IF_FITTED = 0.01, MARGIN
 """Farthest that a finger may be from the object and still be drawn to it [m]; beyond, it is taken to hold nothing. A
 fitted mesh may be that much nearer or farther than the object."""
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What is believed of the inputs of a problem.
+
+    Attributes:
+        hand_corrected: whether the hand was refined by its own pixels.
+        hand_differing: share of the hand's visible pixels that differ from its silhouette; NaN where it is not known.
+        hand_drawn: whether the drawn hand stands in for missing ignore masks.
+        mesh_fitted: whether the mesh was warped to the masks.
+        doubted: names of frames whose masks contradict the others, and are left out (``doubted_masks``).
+        most_differing: pixels by which a mask may differ from the silhouette that the other frames predict.
+    """
+
+    hand_corrected: bool = False
+    hand_differing: float = np.nan
+    hand_drawn: bool = False
+    mesh_fitted: bool = False
+    doubted: tuple[str, ...] = ()
+    most_differing: float = np.inf
+
+    @property
+    def contact(self) -> float:
+        """Factor on the weight of contact."""
+        return CONTACT_IF_FITTED if self.mesh_fitted else 1.0
+
+    @property
+    def reach(self) -> float:
+        """Farthest that a finger may be from the object and still be drawn to it [m]."""
+        return REACH_IF_FITTED if self.mesh_fitted else REACH
 
 
 @dataclass(frozen=True)
@@ -47,17 +78,10 @@ class Problem:
         observation: its masks as crops, with contours.
         surface: surface of the object.
         options: options of the reconstruction, with as many initial poses as there may be.
-        hand_drawn: whether pixels that the drawn hand covers are ignored, for want of ignore masks.
         prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations, or alone.
-        hand_corrected: whether the clip's hand is no longer as it was given.
-        hand_differing: share of the hand's seen pixels that differ from its silhouette; NaN where that is not known.
         notes: dropped frames, guesses, initial poses, what stands in for missing masks.
-        threads: so many share the hypotheses of a fit, and what can be prepared apart.
-        doubted: names of frames that were left out because their masks contradict the others (``doubted_masks``).
-        most_differing: pixels by which a mask may differ from the silhouette that other frames foretell before it is
-            doubted, too.
-        contact: contact counts so many times as much as the options say.
-        reach: farthest that a finger may be from the object and still be drawn to it [m].
+        threads: number of threads that share the hypotheses of a fit.
+        trust: what is believed of all this.
     """
 
     clip: Clip
@@ -67,15 +91,9 @@ class Problem:
     surface: ObjectSurface
     options: Options
     prior_poses: Float[ndarray, "k 4 4"]
-    hand_corrected: bool
     notes: tuple[str, ...]
-    hand_drawn: bool
     threads: int = 1
-    doubted: tuple[str, ...] = ()
-    most_differing: float = np.inf
-    contact: float = 1.0
-    reach: float = REACH
-    hand_differing: float = np.nan
+    trust: Trust = Trust()
 
     @property
     def inits(self) -> int:
@@ -88,7 +106,7 @@ class Problem:
 
         Whether the masks leave gaps stays as it was found.
         """
-        shown = occluded_by_hand(clip, masks) if self.hand_drawn and not masks.say_what_hides else masks
+        shown = occluded_by_hand(clip, masks) if self.trust.hand_drawn and not masks.say_what_hides else masks
         gap_share = 0.0 if self.observation.has_gaps else 1.0
         observation = observe(shown, clip.K, self.options.occlusion, gap_share)
         return replace(self, clip=clip, masks=shown, given_masks=masks, observation=observation)
@@ -98,8 +116,9 @@ class Problem:
         if warp is None:
             return self
         clip = self.clip.warped(warp)
-        surface = ObjectSurface.of(clip.mesh)
-        return replace(self, clip=clip, surface=surface, contact=CONTACT_IF_FITTED, reach=REACH_IF_FITTED)
+        return replace(
+            self, clip=clip, surface=ObjectSurface.of(clip.mesh), trust=replace(self.trust, mesh_fitted=True)
+        )
 
 
 EnergyOf = Callable[[Problem], Energy]
@@ -176,21 +195,11 @@ def _prepared(clip: Clip, given: Masks, options: Options, surface: Future[Object
     notes += [f"{topic}: {text}" for topic, text in assumptions(clip.provenance).items()]
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and what hides it: what lies in them does not count")
-    corrected = correction is not None
     return Problem(
-        clip,
-        masks,
-        given,
-        observation,
-        surface.result(),
-        options,
-        poses,
-        corrected,
-        tuple(notes),
-        hand_drawn,
-        threads,
-        hand_differing=differing,
-    )
+        clip=clip, masks=masks, given_masks=given, observation=observation, surface=surface.result(), options=options,
+        prior_poses=poses, notes=tuple(notes), threads=threads,
+        trust=Trust(hand_corrected=correction is not None, hand_differing=differing, hand_drawn=hand_drawn),
+    )  # fmt: skip
 
 
 def _sampled(clip: Clip, masks: Masks | None, frames: int) -> tuple[Clip, Masks]:

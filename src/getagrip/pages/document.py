@@ -29,13 +29,14 @@ LEAST = 8
 ESCAPED = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 
 
-def document(title: str, body: str, scripts: Sequence[str], data: Mapping[str, Any], packed: str = "") -> str:
-    """The page: ``body`` and ``scripts`` are files of ``parts/``, ``packed`` is what ``pack`` made of its arrays."""
+def document(title: str, body: str, scripts: Sequence[str], data: Mapping[str, Any], asks: bool = False) -> str:
+    """The page: ``body`` and ``scripts`` are files of ``parts/``; if it ``asks``, it may load more from its server."""
     style = _part("page.css")
     codes = [_part(name) for name in scripts]
+    asking = "; connect-src 'self'" if asks else ""
     policy = (
         f"default-src 'none'; script-src {' '.join(map(_hash, codes))}; style-src {_hash(style)}; img-src data:; "
-        "base-uri 'none'; form-action 'none'"
+        f"base-uri 'none'; form-action 'none'{asking}"
     )
     return "\n".join(
         [
@@ -47,7 +48,6 @@ def document(title: str, body: str, scripts: Sequence[str], data: Mapping[str, A
             f'<link rel="icon" href="data:,">\n<style>{style}</style>\n</head>\n<body>',
             _part(body),
             f'<script type="application/json" id="data">{to_script(data)}</script>',
-            f'<script type="text/plain" id="arrays">{packed}</script>',
             *(f"<script>{code}</script>" for code in codes),
             "</body>\n</html>\n",
         ]

@@ -1,4 +1,4 @@
-"""What the 3D view of a page holds: surfaces, where they touch, and poses in each frame."""
+"""Arrays of the 3D view: what is the same in all frames, and what each frame changes."""
 
 from __future__ import annotations
 
@@ -6,70 +6,95 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip import OtherHand
+from getagrip.geometry.mesh import Mesh
+from getagrip.view.candidates import candidate
 from getagrip.view.shown import View
 from getagrip.view.stills import smoothed
 from getagrip.view.tiles import axis_points
-from getagrip.view.touched import touched
+from getagrip.view.touched import BORDER, distances
 
-CONTACT = 0.010
-"""Surfaces nearer to each other than this are shown as in contact [m]."""
+CONTACT, MOST = 0.010, 0.020
+"""Distance of surfaces that counts as contact at first, and the largest that can be chosen [m]."""
+REACH = MOST + BORDER
+"""Distances are exact up to here; contact fades over ``BORDER`` to both sides of the one chosen [m]."""
 FOLLOWED = 0.35
 """The camera looks at the mean place of hand and object over this time [s]."""
 
 
-def arrays(view: View) -> dict[str, ndarray]:
-    """Arrays by their names, as ``parts/viewer.js`` reads them; metres, poses as 4x4 matrices.
+def fixed(view: View, surface: Mesh) -> dict[str, ndarray]:
+    """Arrays by their names, as ``parts/viewer.js`` reads them: metres, and poses as 4x4 matrices, of all frames.
 
-    ``object_vertices`` are those of the mesh as it is, to be scaled by ``scale``, one for each candidate; the hand's
-    are in the hand frame, in each frame. ``object_contact`` and ``hand_contact`` go from 0 to 255, in contact.
-    Where there is a hand of the other side, it has arrays of its own, and ``other_hand_known`` is 1 in its frames.
-    ``T_hand_obj`` has those of the candidates one after another. ``focus`` is where to look, in the camera frame of
-    each image.
+    ``object_vertices`` are of the mesh as it is, to be scaled by ``scale``, one for each candidate, as ``T_hand_obj``
+    and ``axis`` are. ``other_hand_known`` is 1 in the frames of the other hand. ``focus`` is where to look, in the
+    camera frame of each image. ``extent`` is the diameter of hands and object together, about.
     """
-    result, hand = view.result, view.clip.hand
-    on_object, on_hand = touched(view, CONTACT)
-    hands = [np.mean([vertices.mean(axis=0) for vertices, _ in view.hands(n)], axis=0) for n in range(len(view.clip))]
-    middles = [(hand + _middle(view.object(n))) / 2.0 for n, hand in enumerate(hands)]
-    focus = smoothed(np.array(middles), FOLLOWED * view.clip.fps)
+    clip, result = view.clip, view.result
+    hands = [np.mean([vertices.mean(axis=0) for vertices, _ in view.hands(n)], axis=0) for n in range(len(clip))]
+    middles = [(hand + _middle(view.object(n))) / 2.0 if view.posed else hand for n, hand in enumerate(hands)]
     out: dict[str, ndarray] = {
-        "object_vertices": on_object.vertices[0] / result.scale,
-        "object_faces": on_object.faces,
-        "object_contact": on_object.contact,
-        "hand_vertices": hand.vertices,
-        "hand_faces": hand.faces,
-        "hand_contact": on_hand.contact,
-        "T_cam_hand": hand.T_cam_hand,
+        "hand_faces": clip.hand.faces,
+        "T_cam_hand": clip.hand.T_cam_hand,
         "T_hand_obj": result.candidates.T_hand_obj,
         "scale": result.candidates.scale,
-        "focus": focus,
+        "focus": smoothed(np.array(middles), FOLLOWED * clip.fps),
+        "extent": np.array([_extent(view)]),
     }
-    if view.clip.other_hand is not None:
-        out |= _other_hand(view, view.clip.other_hand, out["object_contact"])
+    if view.posed:
+        out |= {"object_vertices": surface.vertices, "object_faces": surface.faces}
+    if (other := clip.other_hand) is not None:
+        out |= {"other_hand_faces": other.track.faces, "other_hand_known": other.known}
+        out["T_cam_other_hand"] = other.track.T_cam_hand
     if result.axis is not None:
-        out["axis"] = axis_points(view)[[0, -1]]
-    if view.clip.world is not None:
-        out["T_world_cam"] = view.clip.world.T_world_cam
-    if view.clip.truth is not None:
-        out["true_T_cam_obj"] = view.clip.truth.T_cam_obj
-        out["true_scale"] = np.array([view.clip.truth.scale])
+        each = [candidate(view, rank) for rank in range(len(result.candidates.scale))]
+        out["axis"] = np.stack([_axis(one) for one in each])
+    if clip.world is not None:
+        out["T_world_cam"] = clip.world.T_world_cam
+    if clip.truth is not None and not view.of_truth:
+        out |= {"true_T_cam_obj": clip.truth.T_cam_obj, "true_scale": np.array([clip.truth.scale])}
+        out["true_T_cam_hand"] = clip.truth.T_cam_hand
     return {name: _small(name, values) for name, values in out.items()}
 
 
-def _other_hand(view: View, hand: OtherHand, object_contact: Float[ndarray, "T V"]) -> dict[str, ndarray]:
-    """The arrays of the hand of the other side; what it touches is added to the object's contact."""
-    contact = np.zeros(hand.track.vertices.shape[:2])
-    if (seen := view.by_other_hand()) is not None:
-        on_object, on_hand = touched(seen, CONTACT)
-        contact[hand.known] = on_hand.contact
-        object_contact[hand.known] = np.maximum(object_contact[hand.known], on_object.contact)
-    return {
-        "other_hand_vertices": hand.track.vertices,
-        "other_hand_faces": hand.track.faces,
-        "other_hand_contact": contact,
-        "other_hand_known": hand.known,
-        "T_cam_other_hand": hand.track.T_cam_hand,
-    }
+def moving(view: View, surface: Mesh) -> dict[str, ndarray]:
+    """Arrays with one block for each frame: hands in their own frames, and how near the surfaces are to each other.
+
+    ``object_near``, ``hand_near`` and ``other_hand_near`` go from 0, at ``REACH`` or farther, to 1, touching or inside.
+    """
+    hand, other, truth = view.clip.hand, view.clip.other_hand, view.clip.truth
+    out: dict[str, ndarray] = {"hand_vertices": hand.vertices}
+    if view.posed:
+        on_object, out["hand_near"] = (_near(values) for values in distances(view, surface, REACH))
+        if other is not None:
+            out["other_hand_near"] = np.zeros(other.track.vertices.shape[:2])
+            if (seen := view.by_other_hand()) is not None:
+                by_other, out["other_hand_near"][other.known] = (_near(d) for d in distances(seen, surface, REACH))
+                on_object[other.known] = np.maximum(on_object[other.known], by_other)
+        out["object_near"] = on_object
+    if other is not None:
+        out["other_hand_vertices"] = other.track.vertices
+    if truth is not None and not np.array_equal(truth.hand_vertices, hand.vertices):
+        out["true_hand_vertices"] = truth.hand_vertices
+    return {name: _small(name, values) for name, values in out.items()}
+
+
+def _extent(view: View) -> float:
+    """Diameter of hands and object together, the median over the frames in which both hands are known, if any are."""
+    shown = [(len(view.hands(n)), n) for n in range(len(view.clip))]
+    most = max(shown)[0]
+    sizes = []
+    for n in [n for count, n in shown if count == most]:
+        around = [*(vertices for vertices, _ in view.hands(n)), *([view.object(n)] if view.posed else [])]
+        sizes.append(np.linalg.norm(np.ptp(np.concatenate(around), axis=0)))
+    return float(np.median(sizes))
+
+
+def _near(distance: Float[ndarray, "T V"]) -> Float[ndarray, "T V"]:
+    return np.clip(1.0 - distance / REACH, 0.0, 1.0)
+
+
+def _axis(view: View) -> Float[ndarray, "2 3"]:
+    """The ends of the latent axis in the hand frame; NaN where it is not known."""
+    return np.full((2, 3), np.nan) if view.result.axis is None else axis_points(view)[[0, -1]]
 
 
 def _middle(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "3"]:
@@ -79,7 +104,7 @@ def _middle(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "3"]:
 
 def _small(name: str, values: ndarray) -> ndarray:
     """Values in the smallest of a page's types that will do."""
-    if name.endswith("_contact"):
+    if name.endswith("_near"):
         return np.round(255.0 * values).astype(np.uint8)
     if name.endswith("_known"):
         return values.astype(np.uint8)

@@ -1,18 +1,47 @@
-"""Pictures in pages: JPEG, and contours as SVG draws them."""
+"""Pictures in pages: JPEG, and contours over them as SVG draws them."""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Iterable
+from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from getagrip.errors import GetagripError
 from getagrip.geometry.camera import Crops
-from getagrip.view.tiles import mask_lines
+from getagrip.geometry.render import Surface
+from getagrip.view.shown import View
+from getagrip.view.tiles import image_in, intrinsics_of, mask_lines, silhouette_lines
+
+PICTURE, QUALITY = 480, 78
+"""Side [px] and JPEG quality of the images."""
+
+
+def drawn(view: View, n: int, crops: Crops, k: int) -> dict[str, Any]:
+    """Frame ``n`` in window ``k``: the image, and the contours of the object, the hands, the truth and the mask."""
+    outlines = {"hand": _contour(view.hands(n), view, n, crops, k)}
+    if view.posed:
+        outlines["object"] = outline(view, n, crops, k)
+    if not view.of_truth and (true := view.true()) is not None:
+        outlines["true"] = outline(true, n, crops, k)
+    if view.masks is not None:
+        lines = mask_lines(view.masks.object[n])
+        outlines["observed"] = paths((line - crops.corner[k]) * crops.zoom for line in lines)
+    return {"picture": jpeg(image_in(view, n, crops, k), QUALITY), "outlines": outlines}
+
+
+def outline(view: View, n: int, crops: Crops, k: int) -> str:
+    """The contour of the posed object."""
+    return _contour([(view.object(n), view.clip.mesh.faces)], view, n, crops, k)
+
+
+def _contour(surfaces: Iterable[Surface], view: View, n: int, crops: Crops, k: int) -> str:
+    K = intrinsics_of(view, n, crops, k)
+    return "".join(paths(silhouette_lines(*surface, K, crops.size)) for surface in surfaces)
 
 
 def jpeg(picture: UInt8[ndarray, "H W 3"], quality: int) -> str:
@@ -30,8 +59,3 @@ def paths(lines: Iterable[Float[ndarray, "_n 2"]]) -> str:
         kept = cv2.approxPolyDP(line.astype(np.float32)[:, None], 0.3, closed=True)[:, 0]
         out.append("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in kept) + "Z")
     return "".join(out)
-
-
-def mask_path(mask: Bool[ndarray, "H W"], crops: Crops, k: int) -> str:
-    """The boundary of a mask of the image in window ``k``."""
-    return paths((line - crops.corner[k]) * crops.zoom for line in mask_lines(mask))

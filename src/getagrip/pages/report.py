@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,27 +13,26 @@ from numpy import ndarray
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, ROTATION_SYM, SCA, Metric
 from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import method_of
-from getagrip.geometry.camera import Crops
 from getagrip.io import files
 from getagrip.metrics.contact import ContactDefinition
 from getagrip.pages import motion
 from getagrip.pages.document import document, pack
-from getagrip.pages.pictures import jpeg, mask_path, paths
+from getagrip.pages.pictures import PICTURE, drawn, outline
 from getagrip.pages.tables import meanings, tables, unit_of
 from getagrip.probability import RIGHT
 from getagrip.result import Reconstruction
+from getagrip.view.candidates import candidate
 from getagrip.view.curves import angle_curve, seconds
 from getagrip.view.gap import coarse, gap
 from getagrip.view.shown import View
 from getagrip.view.stills import steady_windows
 from getagrip.view.style import AXIS, FOUND, HAND_LINE, INK, STATE, TRUE
-from getagrip.view.tiles import image_in, intrinsics_of, silhouette_lines
+from getagrip.view.touched import BORDER, finer
 from getagrip.view.world import called
 
 FRAMES = 120
 """Frames that a page plays, at most; of longer clips as many, evenly sampled, and the worst."""
-PICTURE, QUALITY = 480, 78
-"""Side [px] and JPEG quality of the images."""
+SCRIPTS = ("page.js", "scene.js", "viewer.js", "plots.js", "sources.js", "columns.js", "report.js")
 CONTACT = ContactDefinition("object", 0.010)
 """Of stable contact among the main metrics."""
 MAIN: Mapping[str, Metric] = {
@@ -52,38 +50,24 @@ def write_page(view: View, evaluation: Evaluation, record: Mapping[str, Any], pa
     ``evaluation`` is what ``evaluate`` gives for it, ``record`` the content of its ``result.json``. Raises
     ``InputError`` for an image that cannot be read, ``UsageError`` for an unknown method.
     """
-    view = coarse(view)
+    view, label = coarse(view), method_of(view.result.method).label
     shown = _shown(view)
     some = view.at([view.result.frames[n] for n in shown])
-    where, packed = pack(motion.arrays(some))
-    crops = steady_windows(some, PICTURE)
-    data = {
-        **_summary(view, record),
-        "main": [
-            *_probably(view.result),
-            *_met(view.result),
-            *_main(evaluation.headline, bool(evaluation.metrics_of_grasps)),
-        ],
-        "segments": _bar(view),
-        "plots": _plots(view, evaluation.per_frame),
-        "times": seconds(view),
-        "shown": shown,
-        "frames": [{"name": some.result.frames[k], "kind": some.result.frame_kind[k]} for k in range(len(shown))],
-        "candidates": [{"energy": e, "scale": s} for e, s in _pairs(view)],
-        "pictures": [jpeg(image_in(some, k, crops, k), QUALITY) for k in range(len(shown))],
-        "size": PICTURE,
-        "outlines": _outlines(some, crops),
-        "tables": tables(view, evaluation, record),
+    surface, crops = finer(some), steady_windows(some, PICTURE)
+    where, packed = pack(motion.fixed(some, surface) | motion.moving(some, surface))
+    pictures = [drawn(some, n, crops, n) for n in range(len(shown))]
+    others = [candidate(some, rank) for rank in range(1, len(view.result.candidates.scale))]
+    for n, picture in enumerate(pictures):
+        picture["others"] = [outline(one, n, crops, n) for one in others]
+    column = described(view, label, evaluation, record) | {"masked": view.masks is not None}
+    column |= {
         "arrays": where,
-        "colours": {"object": FOUND, "hand": HAND_LINE, "true": TRUE, "observed": INK, "axis": AXIS},
-        "contact": f"within {1e3 * motion.CONTACT:g} mm",
+        "packed": packed,
+        "pictures": pictures,
+        "plots": [*column["plots"], gap_plot(gap(view))],
     }
     page = document(
-        f"{view.clip.name}, {method_of(view.result.method).label}",
-        "report.html",
-        ("page.js", "scene.js", "viewer.js", "plots.js", "report.js"),
-        data,
-        packed,
+        f"{view.clip.name}, {label}", "viewer.html", SCRIPTS, {"shown": {**over_time(view, shown), "columns": [column]}}
     )
     files.write_text(path, page)
     return path
@@ -98,20 +82,49 @@ def _shown(view: View) -> Int[ndarray, "n"]:
     return np.array(sorted(chosen))
 
 
-def _summary(view: View, record: Mapping[str, Any]) -> dict[str, Any]:
+def over_time(view: View, shown: Int[ndarray, "n"]) -> dict[str, Any]:
+    """What all results of a page share: the times of all frames, which of them are shown, and the segments."""
+    names, kinds = view.result.frames, view.result.frame_kind
+    return {
+        "clip": view.clip.name,
+        "times": seconds(view),
+        "frames": [{"n": n, "name": names[n], "kind": kinds[n]} for n in shown.tolist()],
+        "segments": [
+            {"words": called(view, s)[0], "colour": STATE[s.state], "first": s.first, "last": s.last}
+            for s in view.clip.segments
+        ],
+        "size": PICTURE,
+        "near": {"reach": motion.REACH, "fades": BORDER, "at": motion.CONTACT, "most": motion.MOST},
+        "colours": {"object": FOUND, "hand": HAND_LINE, "true": TRUE, "observed": INK, "axis": AXIS},
+    }
+
+
+def described(view: View, label: str, evaluation: Evaluation, record: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page says of a result."""
+    return {
+        **_summary(view, label, record),
+        "main": [
+            *_probably(view.result),
+            *_met(view.result),
+            *_main(evaluation.headline, bool(evaluation.metrics_of_grasps)),
+        ],
+        "plots": _plots(view, evaluation.per_frame),
+        "tables": tables(view, evaluation, record),
+    }
+
+
+def _summary(view: View, label: str, record: Mapping[str, Any]) -> dict[str, Any]:
     """What the page says in words."""
     result, clip = view.result, view.clip
     hand = f"a {clip.side} hand" if clip.other_hand is None else "both hands"
-    facts = [method_of(result.method).label, f"{clip.category} in {hand}", view.frames_in_words]
-    facts += view.size_in_words
     return {
-        "name": clip.name,
-        "facts": facts,
+        "label": label,
+        "facts": [f"{clip.category} in {hand}", view.frames_in_words, *view.size_in_words],
         "status": result.message,
         "ambiguous": result.ambiguous,
         "findings": [{"serious": f.serious, "check": f.check, "message": f.message} for f in result.findings],
         "notes": [*_segments(result), *(str(note) for note in result.notes), *_in_short(result)],
-        "truth": clip.truth is not None,
+        "candidates": [{"energy": energy} for energy in result.candidates.energy.tolist()],
         "version": str(record.get("software", {}).get("getagrip", "")),
     }
 
@@ -127,14 +140,6 @@ def _segments(result: Reconstruction) -> list[str]:
             how += f", probability right {segment.probability_right or 'unknown'}"
         out.append(f"{segment.state}{side}: frames {segment.first} to {segment.last}{met}{how}")
     return out
-
-
-def _bar(view: View) -> list[dict[str, Any]]:
-    """The segments of a timeline for the bar under the slider; none of a clip without."""
-    return [
-        {"words": called(view, s)[0], "colour": STATE[s.state], "first": s.first, "last": s.last}
-        for s in view.clip.segments
-    ]
 
 
 def _probably(result: Reconstruction) -> list[dict[str, str]]:
@@ -166,26 +171,17 @@ def _main(metrics: Mapping[str, float], of_grasps: bool) -> list[dict[str, str]]
 
 
 def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[str, Any]]:
-    """Curves over all frames of the result."""
+    """Curves over all frames of the result that take no time."""
+    if not view.posed:
+        return []
     curve = angle_curve(view)
     angles = [_line("reconstructed", np.degrees(curve.found), AXIS)]
-    if curve.true is not None:
+    if curve.true is not None and not view.of_truth:
         angles.append(_line("ground truth", np.degrees(curve.true), TRUE))
-    plots: list[dict[str, Any]] = [
-        {"title": curve.title, "unit": "°", "lines": angles},
-        {
-            "title": "overlap with the mask, IOU",
-            "unit": "%",
-            "lines": [_line("IOU", 100 * view.result.iou, FOUND)],
-            "upTo": (80, 100),
-        },
-        {
-            "title": "gap of hand and object",
-            "unit": "mm",
-            "lines": [_line("gap", 1e3 * gap(view), HAND_LINE)],
-            "upTo": (0, 0),
-        },
-    ]
+    iou = _line("IOU", 100 * view.result.iou, FOUND)
+    plots: list[dict[str, Any]] = [{"title": curve.title, "unit": "°", "lines": angles}]
+    if not view.of_truth and not np.isnan(view.result.iou).all():
+        plots.append({"title": "overlap with the mask, IOU", "unit": "%", "lines": [iou], "upTo": (80, 100)})
     for title, metric in PLOTTED.items():
         if metric.name in per_frame:
             line = _line(metric.name, np.array(per_frame[metric.name], dtype=float), TRUE)
@@ -193,36 +189,11 @@ def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[st
     return plots
 
 
+def gap_plot(values: Float[ndarray, "T"]) -> dict[str, Any]:
+    """The curve that takes time, of distances [m]."""
+    line = _line("gap", 1e3 * values, HAND_LINE)
+    return {"title": "gap of hand and object", "unit": "mm", "lines": [line], "upTo": (0, 0)}
+
+
 def _line(name: str, values: Float[ndarray, "T"], colour: str) -> dict[str, Any]:
     return {"name": name, "values": np.round(values, 3), "colour": colour}
-
-
-def _pairs(view: View) -> list[tuple[float, float]]:
-    """Energy and scale of each candidate."""
-    candidates = view.result.candidates
-    return [(float(e), float(s)) for e, s in zip(candidates.energy, candidates.scale, strict=True)]
-
-
-def _outlines(view: View, crops: Crops) -> dict[str, Any]:
-    """Contours over each image: of each candidate, the hands, the ground truth and the observed mask."""
-    frames = range(len(view.clip))
-    result, true = view.result, view.true()
-    candidates = [
-        replace(view, result=replace(result, T_hand_obj=T, scale=float(scale)))
-        for T, scale in zip(result.candidates.T_hand_obj, result.candidates.scale, strict=True)
-    ]
-    out = {
-        "object": [[_contour(one, n, crops, "object") for n in frames] for one in candidates],
-        "hand": [_contour(view, n, crops, "hand") for n in frames],
-    }
-    if true is not None:
-        out["true"] = [_contour(true, n, crops, "object") for n in frames]
-    if view.masks is not None:
-        out["observed"] = [mask_path(view.masks.object[n], crops, n) for n in frames]
-    return out
-
-
-def _contour(view: View, n: int, crops: Crops, what: str) -> str:
-    K = intrinsics_of(view, n, crops, n)
-    surfaces = view.hands(n) if what == "hand" else [(view.object(n), view.clip.mesh.faces)]
-    return "".join(paths(silhouette_lines(*surface, K, crops.size)) for surface in surfaces)

@@ -19,6 +19,7 @@ from getagrip.finding import Finding
 from getagrip.fitting import reconstruct as grasp
 from getagrip.fitting.hand_jumps import steady_hand
 from getagrip.fitting.image_iou import image_iou
+from getagrip.fitting.judge import probability_right
 from getagrip.fitting.methods.all_frames import soft_hinges
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import prepare
@@ -46,11 +47,30 @@ def reconstruct(
     progress: Callable[[str, float], None] | None = None,
     threads: int = 1,
 ) -> Reconstruction:
-    """The object in every frame: of a clip without segments as ``fitting.reconstruct`` finds it.
+    """Find the object's pose in the hand in every frame by comparing rendered and observed masks (paper, Eq. 5).
 
-    Of a timeline, all segments are solved together (``timelines.joint``), by one scale and on one thread, and every
-    frame is answered. Arguments and errors are as there; also raises ``UsageError`` for a timeline and another method
-    than the soft hinge, and ``InputError`` where no segment of it can be solved.
+    A clip without segments is one stable grasp. Of a timeline all segments are solved together, by one scale, and every
+    frame has an answer.
+
+    Args:
+        clip: hands, mesh and camera (``read_clip``, ``Clip``); a free scale is found, too.
+        masks: masks of all of the clip's frames. Without them, those of the frames that are used are read from the
+            clip's folder.
+        options: method, number of initial poses, weights and what of the inputs is believed; None for the usual ones.
+            ``options.frames`` frames, sampled evenly, are fitted together, and the others follow from them.
+        progress: called with the name of the stage that has ended and the fraction done, 0 to 1.
+        threads: number of threads that share the hypotheses of a search. The result is the same to the last bit
+            whatever their number. Two are worth it where one clip is waited for; many clips are done sooner by as many
+            processes. A timeline is solved on one.
+
+    Returns:
+        The object's poses in the hand, what was believed, and how probable it is that they are right.
+
+    Raises:
+        UsageError: masks of another clip, or a timeline and another method than the soft hinge.
+        InputError: what no clip can be (as of ``read_clip``), an object that is visible in fewer than two frames, or a
+            timeline of which no segment can be solved.
+        GetagripError: nothing can be rendered.
     """
     options = options or Options()
     if not clip.segments:
@@ -159,7 +179,7 @@ def probability_of(
     signs, names = signs_of(footage, track), {check.name for check in INPUT_CHECKS}
     others = tuple(f"{name_of(clip, one)}: " for one in clip.segments if one is not segment)
     of_input = [one for one in findings if one.check in names and not one.message.startswith(others)]
-    right = grasp.probability_right(footage.options, signs, of_input)
+    right = probability_right(footage.options, signs, of_input)
     return dict(signs), right and replace(right, meaning=MEANING)
 
 

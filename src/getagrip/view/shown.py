@@ -30,7 +30,9 @@ class View:
     given_mesh: Mesh | None = None
     """The mesh as it was given, which the ground truth poses; None where it is the clip's."""
     of_truth: bool = False
-    """Whether the result is the clip's ground truth, given its form (``true_motion``)."""
+    """Whether the result is the clip's ground truth, given its form (``true_view``)."""
+    posed: bool = True
+    """Whether the object's poses are known; else there is the hand alone (``hand_alone``)."""
 
     @property
     def frames_in_words(self) -> str:

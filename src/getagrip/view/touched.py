@@ -10,7 +10,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from getagrip.geometry import se3
-from getagrip.geometry.mesh import vertex_normals
+from getagrip.geometry.mesh import Mesh, vertex_normals
 from getagrip.geometry.render import render_rgb
 from getagrip.geometry.subdivide import edge_length, subdivided
 from getagrip.metrics.contact import close_holes, moving_distance
@@ -68,17 +68,11 @@ class Touched:
 def touched(view: View, threshold: float) -> tuple[Touched, Touched]:
     """The object in its own frame, scaled, and the hand in the hand frame; in contact within ``threshold`` [m]."""
     clip, T_hand_obj = view.clip, view.result.T_hand_obj
-    coarse, T = view.result.scale * clip.mesh.vertices, len(T_hand_obj)
-    area = view.result.scale**2 * float(clip.mesh.vertex_areas.sum())
-    held, faces = subdivided(coarse, clip.mesh.faces, edge_length(area, VERTICES))
-    hand, reach = clip.hand.vertices, threshold + BORDER
-    in_hand, in_object = (
-        se3.transform(T_hand_obj, np.tile(held, (T, 1, 1))),
-        se3.transform(se3.inverse(T_hand_obj), hand),
+    surface, T = finer(view), len(T_hand_obj)
+    held, faces, hand = view.result.scale * surface.vertices, surface.faces, clip.hand.vertices
+    on_object, on_hand = (
+        np.clip(0.5 + (threshold - d) / (2 * BORDER), 0.0, 1.0) for d in distances(view, surface, threshold + BORDER)
     )
-    to_hand = moving_distance(in_hand, *close_holes(hand, clip.hand.faces), reach)
-    to_object = moving_distance(in_object, np.tile(coarse, (T, 1, 1)), clip.mesh.faces, reach)
-    on_object, on_hand = (np.clip(0.5 + (threshold - d) / (2 * BORDER), 0.0, 1.0) for d in (to_hand, to_object))
 
     middle = T // 2
     R_hand = clip.hand.T_cam_hand[middle, :3, :3].T  # camera to hand
@@ -92,6 +86,22 @@ def touched(view: View, threshold: float) -> tuple[Touched, Touched]:
         Touched(np.tile(held, (T, 1, 1)), faces, on_object, np.array([most, -most]), _upright(-R_obj[:, 1], most)),
         Touched(hand, clip.hand.faces, on_hand, beside, fingers),
     )
+
+
+def finer(view: View) -> Mesh:
+    """The object's mesh with about ``VERTICES`` vertices, whose triangles can follow the border of contact."""
+    mesh = view.clip.mesh
+    return Mesh(*subdivided(mesh.vertices, mesh.faces, edge_length(float(mesh.vertex_areas.sum()), VERTICES)))
+
+
+def distances(view: View, surface: Mesh, reach: float) -> tuple[Float[ndarray, "T V"], Float[ndarray, "T W"]]:
+    """Of the vertices of ``surface`` to the hand, and of the hand's to the object, exact up to ``reach`` [m]."""
+    scale, hand, faces = view.result.scale, view.clip.hand.vertices, view.clip.hand.faces
+    coarse, T_hand_obj = scale * view.clip.mesh.vertices, view.result.T_hand_obj
+    in_hand = se3.transform(T_hand_obj, scale * surface.vertices)
+    in_object = se3.transform(se3.inverse(T_hand_obj), hand)
+    to_hand = moving_distance(in_hand, *close_holes(hand, faces), reach)
+    return to_hand, moving_distance(in_object, np.tile(coarse, (len(hand), 1, 1)), view.clip.mesh.faces, reach)
 
 
 def _outwards(

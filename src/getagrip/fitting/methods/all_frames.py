@@ -38,15 +38,17 @@ ALONE = 4.0
 
 def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> MethodResult:
     """A hinge, and a small deviation from it in each frame; ``more`` terms count in all stages."""
-    rough, warp, ridge = rough_fit(problem, on_stage, more), None, SOFT_RIDGE
+    search = search_of(problem, on_stage)
+    rough, warp, ridge = rough_fit(problem, search, more), None, SOFT_RIDGE
     if problem.options.mesh == "fitted":
-        warp = shape_of(problem, rough)
+        warp = shape_of(problem, search, rough)
     else:
-        ridge = stiffened(SOFT_RIDGE, misfit_of(problem, rough))
+        ridge = stiffened(SOFT_RIDGE, misfit_of(problem, search, rough))
     if warp is not None:
         problem = problem.warped(warp)
-        rough = rough_fit(problem, on_stage, more)
-    found = fine_fit(problem, rough, ridge, on_stage, more)
+        search = replace(search, surface=problem.surface)
+        rough = rough_fit(problem, search, more)
+    found = fine_fit(problem, search, rough, ridge, more)
     # Terms of one's own are of these frames only.
     result = result_of(found, found.motion.core, soft_energy if more is NOTHING else None)
     return replace(result, warp=warp)
@@ -54,41 +56,41 @@ def soft_hinge(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> M
 
 def soft_hinges(problem: Problem, on_stage: OnStage, more: Energy = NOTHING) -> Solution[Soft[Hinge]]:
     """The distinct soft hinges that the search ends with, best first; the mesh is taken as it is."""
-    rough = rough_fit(problem, on_stage, more)
-    return fine_fit(problem, rough, stiffened(SOFT_RIDGE, misfit_of(problem, rough)), on_stage, more)
+    search = search_of(problem, on_stage)
+    rough = rough_fit(problem, search, more)
+    return fine_fit(problem, search, rough, stiffened(SOFT_RIDGE, misfit_of(problem, search, rough)), more)
 
 
-def rough_fit(problem: Problem, on_stage: OnStage, more: Energy) -> Solution[Soft[Fixed]]:
+def rough_fit(problem: Problem, search: Search, more: Energy) -> Solution[Soft[Fixed]]:
     """What the coarse stages find, without an axis: held to one too early, right poses lose whose motion is not quite a
     hinge.
     """
-    search, energy = search_of(problem, on_stage), plus(coarse_energy(problem), more)
+    energy = plus(coarse_energy(problem), more)
     relaxed = search.relax(initial_of(problem), energy)
     return search.coarse(replace(relaxed, ridge=COARSE_RIDGE), energy)
 
 
 def fine_fit(
-    problem: Problem, rough: Solution[Soft[Fixed]], ridge: tuple[float, float], on_stage: OnStage, more: Energy
+    problem: Problem, search: Search, rough: Solution[Soft[Fixed]], ridge: tuple[float, float], more: Energy
 ) -> Solution[Soft[Hinge]]:
     """What the fine stages make of it, with deviations as stiff as ``ridge``."""
-    search, energy = search_of(problem, on_stage), plus(coarse_energy(problem), more)
+    energy = plus(coarse_energy(problem), more)
     motion = search.at_all_frames(rough.motion)
     soft = Soft.around(hinge_of(problem, motion), motion.poses(), ridge)
     return search.fine(soft, steady(problem, energy))
 
 
-def misfit_of(problem: Problem, rough: Solution[Soft[Fixed]]) -> float:
+def misfit_of(problem: Problem, search: Search, rough: Solution[Soft[Fixed]]) -> float:
     """How badly the mesh explains the masks at its best: not for want of a finer fit, nor for the sake of contact."""
-    frames = search_of(problem, lambda stage: None).coarse_frames
+    frames = search.coarse_frames
     terms, T_cam_hand = mask_of(problem)(LEVEL, frames), problem.clip.hand.T_cam_hand[frames]
     fitted = minimise(rough.motion, terms, T_cam_hand, ITERATIONS, threads=problem.threads)
     return misfit(problem.observation, float(fitted.terms["mask"].min()) / len(frames))
 
 
-def shape_of(problem: Problem, rough: Solution[Soft[Fixed]]) -> Warp | None:
+def shape_of(problem: Problem, search: Search, rough: Solution[Soft[Fixed]]) -> Warp | None:
     """The warp of the mesh that the masks ask for after the coarse stages; None where the mesh explains them."""
-    frames = search_of(problem, lambda stage: None).coarse_frames
-    return own_shape(problem, rough.motion, frames, misfit_of(problem, rough))
+    return own_shape(problem, rough.motion, search.coarse_frames, misfit_of(problem, search, rough))
 
 
 def soft_energy(problem: Problem) -> Energy:
@@ -101,11 +103,12 @@ def one_dof(problem: Problem, on_stage: OnStage) -> MethodResult:
 
     The mesh is fitted by the same step as the soft hinge's, so that the two differ in the motion alone.
     """
-    warp = None
+    warp, search = None, search_of(problem, on_stage)
     if problem.options.mesh == "fitted":
-        warp = shape_of(problem, rough_fit(problem, lambda stage: None, NOTHING))
+        quiet = replace(search, on_stage=lambda stage: None)
+        warp = shape_of(problem, quiet, rough_fit(problem, quiet, NOTHING))
     problem = problem.warped(warp)
-    search, energy = search_of(problem, on_stage), energy_alone(problem)
+    search, energy = replace(search, surface=problem.surface), energy_alone(problem)
     motion = hinge_of(problem, search.relax(initial_of(problem), energy))
     found = search.run(motion, energy)
     return replace(result_of(found, found.motion, energy_alone), warp=warp)
@@ -135,7 +138,7 @@ def energy_alone(problem: Problem) -> Energy:
 
 def total_energy(problem: Problem, contact: float) -> Energy:
     """Eq. 5, with so many times the push and pull that the options name."""
-    contact *= problem.contact
+    contact *= problem.trust.contact
     return energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
 
 
@@ -150,7 +153,7 @@ def steady(problem: Problem, energy: Energy) -> Energy:
     Contact that stays is what makes a grasp stable (Eq. 2). A hinge keeps it by itself; where frames may deviate from
     the hinge, in depth above all, which silhouettes hardly show, a term keeps it.
     """
-    pull = problem.contact * problem.options.pull
+    pull = problem.trust.contact * problem.options.pull
     return plus(energy, consistency_of(problem, STEADY * pull)) if pull else energy
 
 

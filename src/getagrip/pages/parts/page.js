@@ -1,5 +1,5 @@
 "use strict";
-// What both pages share: elements made of text only, and the page's data.
+// What all pages share: elements made of text only, and the page's data.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -17,17 +17,3 @@ function element(tag, attributes = {}, ...children) {
 
 const byId = (id) => document.getElementById(id);
 const data = JSON.parse(byId("data").textContent);
-const TYPES = { float32: Float32Array, uint16: Uint16Array, uint32: Uint32Array, uint8: Uint8Array };
-
-/** The page's arrays by name; each has its `shape`. */
-async function readArrays() {
-  const packed = Uint8Array.from(atob(byId("arrays").textContent), (letter) => letter.charCodeAt(0));
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const buffer = await new Response(stream).arrayBuffer();
-  const out = {};
-  for (const [name, { type, shape, offset }] of Object.entries(data.arrays)) {
-    const count = shape.reduce((product, length) => product * length, 1);
-    out[name] = Object.assign(new TYPES[type](buffer, offset, count), { shape });
-  }
-  return out;
-}

@@ -3,7 +3,7 @@
 
 class Plot {
   /** `times` are of all frames of the result, `segments` of a timeline; `jump` is called with the frame that is clicked. */
-  constructor({ title, unit, lines, upTo }, times, segments, jump) {
+  constructor({ title, unit, lines, upTo, named }, times, segments, jump) {
     const [W, H, left, top, right, bottom] = [300, 130, 34, 6, 6, 18];
     const values = lines.flatMap((line) => line.values).filter((value) => value !== null);
     const [least, most] = upTo || [Infinity, -Infinity];
@@ -31,20 +31,20 @@ class Plot {
     for (const [n, words] of [[0, "0 s"], [times.length - 1, `${times[times.length - 1].toFixed(2)} s`]]) {
       plot.append(element("text", { x: this.x(n), y: H - 5, class: n ? "last" : "first" }, words));
     }
-    lines.forEach((line, k) => {
+    lines.forEach((line) => {
       let path = "", drawing = false;
       line.values.forEach((value, n) => {
         if (value !== null) path += `${drawing ? "L" : "M"}${this.x(n).toFixed(1)} ${y(value).toFixed(1)}`;
         drawing = value !== null;
       });
-      plot.append(element("path", { d: path, stroke: line.colour, class: k ? "curve dashed" : "curve" }));
+      plot.append(element("path", { d: path, stroke: line.colour, class: line.dashed ? "curve dashed" : "curve" }));
     });
     this.cursor = element("line", { y1: top, y2: H - bottom, class: "cursor" });
     plot.append(this.cursor);
     this.value = element("b");
     this.lines = lines;
     this.unit = unit;
-    if (lines.length > 1) {
+    if (named && lines.length > 1) {
       lines.forEach((line, k) => plot.append(element("text", { x: W / (k ? 1.9 : 2.1), y: H - 5, class: k ? "first" : "left", fill: line.colour }, line.name)));
     }
     this.figure = element("figure", { class: "plot" }, element("figcaption", {}, title, this.value), plot);
@@ -72,7 +72,16 @@ class Plot {
   show(n) {
     this.cursor.setAttribute("x1", this.x(n));
     this.cursor.setAttribute("x2", this.x(n));
-    const value = this.lines[0].values[n];
-    this.value.textContent = value === null ? "not known" : `${value.toFixed(1)} ${this.unit}`;
+    const found = this.lines.filter(({ dashed }) => !dashed);
+    const texts = found.map(({ values }) => (values[n] === null ? "not known" : values[n].toFixed(1)));
+    const unit = texts.some((text) => text !== "not known") ? ` ${this.unit}` : "";
+    if (found.length === 1) this.value.textContent = texts[0] + unit;
+    else this.value.replaceChildren(...found.map(({ colour }, k) => this.coloured(texts[k], colour)), unit);
+  }
+
+  coloured(text, colour) {
+    const out = element("span", {}, text);
+    out.style.color = colour;
+    return out;
   }
 }

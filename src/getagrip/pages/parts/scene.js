@@ -24,7 +24,7 @@ void main() {
 const FRAGMENT = `#version 300 es
 precision highp float;
 uniform vec3 colour, contact;
-uniform float opacity, lit, coloured;
+uniform float opacity, lit, coloured, border, fades;  // contact is where touching is above the border
 in vec3 at, across;
 in float touching;
 out vec4 pixel;
@@ -32,7 +32,8 @@ void main() {
   vec3 n = normalize(across), to_eye = -normalize(at);
   if (dot(n, to_eye) < 0.0) n = -n;  // the inside of an open mesh is lit as well
   float light = 0.3 + 0.5 * max(dot(n, normalize(vec3(-0.35, -0.6, -0.72))), 0.0) + 0.3 * abs(dot(n, to_eye));
-  pixel = vec4(min(mix(colour, contact, touching * coloured) * mix(1.0, light, lit), 1.0), 1.0) * opacity;
+  float met = coloured * clamp(0.5 + (touching - border) / (2.0 * fades), 0.0, 1.0);
+  pixel = vec4(min(mix(colour, contact, met) * mix(1.0, light, lit), 1.0), 1.0) * opacity;
 }`;
 
 const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
@@ -126,10 +127,11 @@ class Surface {
     this.gl.bufferData(this.gl.ARRAY_BUFFER, values, this.gl.DYNAMIC_DRAW);
   }
 
-  move(vertices, contact = new Uint8Array(vertices.length / 3)) {
+  /** `near`: of each vertex, how near it is to the other surface, if that is known. */
+  move(vertices, near = new Uint8Array(vertices.length / 3)) {
     this.put("position", vertices);
     this.put("normal", normalsOf(vertices, this.faces));
-    this.put("touch", contact);
+    this.put("touch", near);
   }
 
   draw() {

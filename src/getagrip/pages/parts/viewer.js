@@ -1,40 +1,73 @@
 "use strict";
 // The 3D view of a result: what stands where in a frame, and the eye that looks at it.
 
+/** Where one looks from, alike in all columns, which stand in a frame of their own each. */
+class Eye {
+  /** `near` tells how far the distances of surfaces are known; `extent` is the largest of what is looked at [m]. */
+  constructor(near, extent) {
+    Object.assign(this, { near, extent, contact: near.at, stand: "camera", viewers: [] });
+    this.reset();
+  }
+
+  reset() {
+    Object.assign(this, { pitch: 0, yaw: 0, distance: 1.4 * this.extent, shift: [0, 0] });
+    for (const viewer of this.viewers) viewer.settle();
+    this.ask();
+  }
+
+  standIn(frame) {
+    this.stand = frame;
+    this.reset();
+  }
+
+  zoom(factor) {
+    this.distance = Math.max(0.3 * this.extent, Math.min(20 * this.extent, factor * this.distance));
+  }
+
+  ask() {
+    for (const viewer of this.viewers) viewer.ask();
+  }
+}
+
 class Viewer {
   /** Throws where the browser has no WebGL. */
-  constructor(canvas, arrays) {
+  constructor(canvas, arrays, eye) {
     const gl = canvas.getContext("webgl2", { antialias: true });
     if (!gl) throw new Error("no WebGL");
-    Object.assign(this, { canvas, arrays, gl, frame: 0, candidate: 0, stand: "camera", waiting: false });
-    this.shown = { hand: true, object: true, axis: true, truth: false, contact: false };
+    Object.assign(this, { canvas, arrays, eye, gl, frame: 0, candidate: 0, moving: {}, waiting: false, shown: {} });
     this.program = compiled(gl);
     gl.useProgram(this.program);
     this.places = {};
-    for (const name of ["T_eye_mesh", "projection", "colour", "contact", "opacity", "lit", "coloured"]) {
+    for (const name of ["T_eye_mesh", "projection", "colour", "contact", "opacity", "lit", "coloured", "border", "fades"]) {
       this.places[name] = gl.getUniformLocation(this.program, name);
     }
     const surface = (faces) => new Surface(gl, this.program, faces);
-    this.object = surface(arrays.object_faces);
-    this.object.move(arrays.object_vertices);
     this.hand = surface(arrays.hand_faces);
-    if (arrays.other_hand_vertices) this.other = surface(arrays.other_hand_faces);
-    this.size = this.extent();
-    if (arrays.axis) {
-      const [vertices, faces] = rod([...arrays.axis.slice(0, 3)], [...arrays.axis.slice(3)], 0.008 * this.size);
-      this.axis = surface(faces);
-      this.axis.move(vertices);
+    if (arrays.object_faces) {
+      this.object = surface(arrays.object_faces);
+      this.object.move(arrays.object_vertices);
     }
-    this.reset();
+    if (arrays.other_hand_faces) this.other = surface(arrays.other_hand_faces);
+    if (arrays.true_T_cam_hand) this.trueHand = surface(arrays.hand_faces);
+    if (arrays.axis) {
+      this.axes = Array.from({ length: arrays.axis.shape[0] }, (_, k) => {
+        const ends = [...block(arrays.axis, k)];
+        if (ends.some(Number.isNaN)) return null;
+        const [vertices, faces] = rod(ends.slice(0, 3), ends.slice(3), 0.008 * arrays.extent[0]);
+        const axis = surface(faces);
+        axis.move(vertices);
+        return axis;
+      });
+    }
+    eye.viewers.push(this);
+    this.settle();
     this.listen();
     new ResizeObserver(() => this.ask()).observe(canvas);
-    this.show(0);
   }
 
   /** Values of a frame, of an array with one block for each frame. */
   at(name, n = this.frame) {
-    const length = this.arrays[name].length / this.arrays[name].shape[0];
-    return this.arrays[name].subarray(n * length, (n + 1) * length);
+    return block(this.arrays[name], n);
   }
 
   /** The object in the hand, of the candidate that is chosen. */
@@ -44,38 +77,17 @@ class Viewer {
     return [...this.arrays.T_hand_obj.subarray(first, first + 16)];
   }
 
-  /** Whether the hand of the other side is known in a frame. */
-  otherKnown(n = this.frame) {
-    return this.other !== undefined && this.at("other_hand_known", n)[0] > 0;
-  }
-
-  /** Diameter of hands and object together, about [m]. */
-  extent() {
-    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-    const grow = (vertices, T) => {
-      for (let v = 0; v < vertices.length; v += 3) {
-        applied(T, vertices.subarray(v, v + 3)).forEach((x, k) => {
-          low[k] = Math.min(low[k], x);
-          high[k] = Math.max(high[k], x);
-        });
-      }
-    };
-    const middle = Math.floor(this.arrays.focus.shape[0] / 2);
-    grow(this.at("hand_vertices", middle), IDENTITY);
-    if (this.otherKnown(middle)) {
-      const T_hand_cam = inverse([...this.at("T_cam_hand", middle)]);
-      grow(this.at("other_hand_vertices", middle), product(T_hand_cam, [...this.at("T_cam_other_hand", middle)]));
-    }
-    grow(this.arrays.object_vertices, scaled(this.inHand(middle), this.arrays.scale[0]));
-    return Math.hypot(...high.map((x, k) => x - low[k]));
+  /** Whether the hand of the other side is known in the frame. */
+  otherKnown() {
+    return this.other !== undefined && this.at("other_hand_known")[0] > 0;
   }
 
   /** The pose of the camera frame in the frame to stand in. */
   T_stand_cam() {
-    const T_hand_cam = inverse([...this.at("T_cam_hand")]);
-    if (this.stand === "world") return [...this.at("T_world_cam")];
-    if (this.stand === "hand") return T_hand_cam;
-    return this.stand === "object" ? product(inverse(this.inHand()), T_hand_cam) : IDENTITY;
+    const T_hand_cam = inverse([...this.at("T_cam_hand")]), { stand } = this.eye;
+    if (stand === "world") return [...this.at("T_world_cam")];
+    if (stand === "hand") return T_hand_cam;
+    return stand === "object" ? product(inverse(this.inHand()), T_hand_cam) : IDENTITY;
   }
 
   /** Where to look and how the eye is turned before anybody turns it: as the image of the middle frame shows it. */
@@ -88,22 +100,13 @@ class Viewer {
     this.look = applied(T, this.at("focus", middle));
   }
 
-  reset() {
-    Object.assign(this, { pitch: 0, yaw: 0, distance: 1.9 * this.size, shift: [0, 0] });
-    this.settle();
-    this.ask();
-  }
-
-  standIn(frame) {
-    this.stand = frame;
-    this.reset();
-  }
-
-  show(frame) {
-    this.frame = frame;
-    this.hand.move(this.at("hand_vertices"), this.at("hand_contact"));
-    if (this.other) this.other.move(this.at("other_hand_vertices"), this.at("other_hand_contact"));
-    this.object.put("touch", this.at("object_contact"));
+  /** Show a frame of a candidate; `moving` has what changes from frame to frame. */
+  show(frame, candidate, moving) {
+    Object.assign(this, { frame, candidate, moving });
+    this.hand.move(moving.hand_vertices, moving.hand_near);
+    if (this.other) this.other.move(moving.other_hand_vertices, moving.other_hand_near);
+    if (this.trueHand) this.trueHand.move(moving.true_hand_vertices || moving.hand_vertices);
+    if (moving.object_near) this.object.put("touch", moving.object_near);
     this.ask();
   }
 
@@ -112,22 +115,23 @@ class Viewer {
     this.waiting = true;
     requestAnimationFrame(() => {
       this.waiting = false;
-      this.draw();
+      if (this.moving.hand_vertices) this.draw();
     });
   }
 
   T_eye_stand() {
-    const look = this.stand === "camera" ? [...this.at("focus")] : this.look;
+    const { stand, pitch, yaw, shift, distance } = this.eye;
+    const look = stand === "camera" ? [...this.at("focus")] : this.look;
     const back = [1, 0, 0, -look[0], 0, 1, 0, -look[1], 0, 0, 1, -look[2], 0, 0, 0, 1];
-    const out = product(turn(this.pitch, this.yaw), product(this.ahead, back));
-    out[3] += this.shift[0];
-    out[7] += this.shift[1];
-    out[11] += this.distance;
+    const out = product(turn(pitch, yaw), product(this.ahead, back));
+    out[3] += shift[0];
+    out[7] += shift[1];
+    out[11] += distance;
     return out;
   }
 
   draw() {
-    const { gl, canvas, arrays, shown, places } = this;
+    const { gl, canvas, arrays, shown, places, eye } = this;
     const width = Math.max(1, Math.round(canvas.clientWidth * devicePixelRatio));
     const height = Math.max(1, Math.round(canvas.clientHeight * devicePixelRatio));
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
@@ -137,38 +141,47 @@ class Viewer {
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    const near = 0.02 * this.distance, far = 3 * this.distance + 10 * this.size;
+    const near = 0.02 * eye.distance, far = 3 * eye.distance + 10 * eye.extent;
     const [f, side] = [2.6, Math.min(width, height)];
     gl.uniformMatrix4fv(places.projection, true, [
       (f * side) / width, 0, 0, 0, 0, (-f * side) / height, 0, 0,
       0, 0, (far + near) / (far - near), (-2 * far * near) / (far - near), 0, 0, 1, 0,
     ]);
+    gl.uniform1f(places.border, 1 - eye.contact / eye.near.reach);
+    gl.uniform1f(places.fades, eye.near.fades / eye.near.reach);
     const T_eye_cam = product(this.T_eye_stand(), this.T_stand_cam());
     const T_eye_hand = product(T_eye_cam, [...this.at("T_cam_hand")]);
-    const coloured = shown.contact && this.candidate === 0;
+    const coloured = shown.contact && this.moving.object_near !== undefined;
     if (shown.hand) this.part(this.hand, T_eye_hand, SHOWN.hand, { coloured });
     if (shown.hand && this.otherKnown()) {
       this.part(this.other, product(T_eye_cam, [...this.at("T_cam_other_hand")]), SHOWN.hand, { coloured });
     }
-    const scale = arrays.scale[this.candidate];
-    if (shown.object) this.part(this.object, scaled(product(T_eye_hand, this.inHand()), scale), SHOWN.object, { coloured });
-    if (shown.axis && this.axis && this.candidate === 0) {
+    if (!this.object) return;
+    const T_eye_obj = scaled(product(T_eye_hand, this.inHand()), arrays.scale[this.candidate]);
+    if (shown.object) this.part(this.object, T_eye_obj, SHOWN.object, { coloured });
+    const axis = shown.axis && this.axes && this.axes[this.candidate];
+    if (axis) {
       gl.depthFunc(gl.GREATER);  // where something is in front of it
       gl.depthMask(false);
-      this.part(this.axis, T_eye_hand, SHOWN.hidden, { opacity: 0.55, lit: 0 });
+      this.part(axis, T_eye_hand, SHOWN.hidden, { opacity: 0.55, lit: 0 });
       gl.depthFunc(gl.LESS);
       gl.depthMask(true);
-      this.part(this.axis, T_eye_hand, SHOWN.axis);
+      this.part(axis, T_eye_hand, SHOWN.axis);
     }
-    if (shown.truth && arrays.true_T_cam_obj) {
-      const T = scaled(product(T_eye_cam, [...this.at("true_T_cam_obj")]), arrays.true_scale[0]);
-      gl.colorMask(false, false, false, false);  // depth first, or one would look through it into itself
-      this.part(this.object, T, SHOWN.truth);
-      gl.colorMask(true, true, true, true);
-      gl.depthFunc(gl.EQUAL);
-      this.part(this.object, T, SHOWN.truth, { opacity: 0.55 });
-      gl.depthFunc(gl.LESS);
+    if (shown.true && arrays.true_T_cam_obj) {
+      this.ghost(this.object, scaled(product(T_eye_cam, [...this.at("true_T_cam_obj")]), arrays.true_scale[0]));
+      if (this.moving.true_hand_vertices) this.ghost(this.trueHand, product(T_eye_cam, [...this.at("true_T_cam_hand")]));
     }
+  }
+
+  ghost(surface, T_eye_mesh) {
+    const { gl } = this;
+    gl.colorMask(false, false, false, false);  // depth first, or one would look through it into itself
+    this.part(surface, T_eye_mesh, SHOWN.truth);
+    gl.colorMask(true, true, true, true);
+    gl.depthFunc(gl.EQUAL);
+    this.part(surface, T_eye_mesh, SHOWN.truth, { opacity: 0.55 });
+    gl.depthFunc(gl.LESS);
   }
 
   part(surface, T_eye_mesh, colour, { opacity = 1, lit = 1, coloured = false } = {}) {
@@ -183,7 +196,7 @@ class Viewer {
   }
 
   listen() {
-    const { canvas } = this, pointers = new Map();
+    const { canvas, eye } = this, pointers = new Map();
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
       pointers.set(event.pointerId, [event.clientX, event.clientY]);
@@ -196,27 +209,23 @@ class Viewer {
       if (pointers.size === 2) {
         const [other] = [...pointers].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
         const apart = (x, y) => Math.hypot(x - other[0], y - other[1]) || 1;
-        this.zoom(apart(...before) / apart(event.clientX, event.clientY));
+        eye.zoom(apart(...before) / apart(event.clientX, event.clientY));
       } else if (event.shiftKey || event.buttons === 2 || event.buttons === 4) {
-        const metres = this.distance / (2.6 * 0.5 * Math.min(canvas.clientWidth, canvas.clientHeight));
-        this.shift = [this.shift[0] + dx * metres, this.shift[1] + dy * metres];
+        const metres = eye.distance / (2.6 * 0.5 * Math.min(canvas.clientWidth, canvas.clientHeight));
+        eye.shift = [eye.shift[0] + dx * metres, eye.shift[1] + dy * metres];
       } else {
-        this.yaw += 0.008 * dx;
-        this.pitch = Math.max(-1.57, Math.min(1.57, this.pitch - 0.008 * dy));
+        eye.yaw += 0.008 * dx;
+        eye.pitch = Math.max(-1.57, Math.min(1.57, eye.pitch - 0.008 * dy));
       }
       pointers.set(event.pointerId, [event.clientX, event.clientY]);
-      this.ask();
+      eye.ask();
     });
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
-      this.zoom(Math.exp(0.001 * event.deltaY));
+      eye.zoom(Math.exp(0.001 * event.deltaY));
+      eye.ask();
     }, { passive: false });
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-    canvas.addEventListener("dblclick", () => this.reset());
-  }
-
-  zoom(factor) {
-    this.distance = Math.max(0.3 * this.size, Math.min(20 * this.size, factor * this.distance));
-    this.ask();
+    canvas.addEventListener("dblclick", () => eye.reset());
   }
 }

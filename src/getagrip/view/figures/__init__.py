@@ -7,8 +7,9 @@ from getagrip.view.figures.aligned import Aligned
 from getagrip.view.figures.contact import Contact
 from getagrip.view.figures.gallery import Gallery
 from getagrip.view.figures.hands import Hands
-from getagrip.view.figures.kind import GivenResult, Kind
+from getagrip.view.figures.kind import Kind
 from getagrip.view.figures.methods import Methods
+from getagrip.view.given import GivenResult
 
 FIGURES: dict[str, type[Kind]] = {
     "contact": Contact,

@@ -14,7 +14,8 @@ from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import depth_and_face
 from getagrip.geometry.render import Colour, Surface, render_rgb
-from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, evenly, summary, the_one
+from getagrip.view.figures.kind import Count, Fail, Kind, evenly, summary, the_one
+from getagrip.view.given import GivenResult
 from getagrip.view.looking import Eye, looking
 from getagrip.view.sheet import HEAD, Sheet, frame
 from getagrip.view.shown import View

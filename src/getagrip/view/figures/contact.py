@@ -16,7 +16,8 @@ from getagrip.metrics.contact import (
     stable_contact_area,
 )
 from getagrip.metrics.pose import ObjectTrack
-from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, Millimetres, evenly, summary, the_one
+from getagrip.view.figures.kind import Count, Fail, Kind, Millimetres, evenly, summary, the_one
+from getagrip.view.given import GivenResult
 from getagrip.view.matrix import IOU_RAMP
 from getagrip.view.sheet import HEAD, Sheet, frame
 from getagrip.view.shown import View

@@ -13,7 +13,8 @@ from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, ROTATION_SYM, SCA, Metric
 from getagrip.fitting.methods import method_of
 from getagrip.metrics.contact import ContactDefinition
-from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, doubts, guesses
+from getagrip.view.figures.kind import Count, Fail, Kind, doubts, guesses
+from getagrip.view.given import GivenResult
 from getagrip.view.sheet import HEAD, Sheet
 from getagrip.view.style import AXIS, FAINT, FOUND, INK
 from getagrip.view.tiles import input_windows, over_image, rendered

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 from getagrip.errors import UsageError
 from getagrip.metrics.contact import at_millimetres
-from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, Millimetres, readable, summary
-from getagrip.view.figures.rows import Row, at_common_frames, distinct, draw_rows, numbers
+from getagrip.view.figures.kind import Count, Fail, Kind, Millimetres, readable, summary
+from getagrip.view.figures.rows import Row, draw_rows, numbers
+from getagrip.view.given import GivenResult, at_common_frames, distinct
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
@@ -12,9 +11,8 @@ from tyro.conf import arg
 
 from getagrip.clip.provenance import assumptions
 from getagrip.errors import GetagripError, UsageError
-from getagrip.evaluation import read_evaluated
 from getagrip.fitting.methods import method_of
-from getagrip.view.figures.true_motion import true_view
+from getagrip.view.given import GivenResult
 from getagrip.view.shown import View
 
 if TYPE_CHECKING:
@@ -26,26 +24,6 @@ Count = Annotated[int, arg(metavar="N")]
 Millimetres = Annotated[float, arg(metavar="MM")]
 MOST_FRAMES = 12
 DPI = 40, 600
-
-
-def is_clip(folder: Path) -> bool:
-    """Whether a folder is a clip's."""
-    return (folder / "clip.json").exists()
-
-
-@dataclass(frozen=True)
-class GivenResult:
-    """A result's folder, and where to look for its clip (None: where the result says); or a clip's."""
-
-    folder: Path
-    clips: Path | None = None
-
-    def read(self) -> View:
-        """The result with its clip and masks, or the ground truth of a clip. Raises ``InputError``."""
-        if is_clip(self.folder):
-            return true_view(self.folder)
-        result, clip, masks = read_evaluated(self.folder, self.clips)
-        return View.of(result, clip, masks)
 
 
 @dataclass(frozen=True, kw_only=True)

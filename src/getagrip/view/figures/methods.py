@@ -11,8 +11,9 @@ from getagrip.clip import input_sha256
 from getagrip.errors import InputError
 from getagrip.fitting.methods import method_of
 from getagrip.metrics.contact import at_millimetres
-from getagrip.view.figures.kind import Count, Fail, GivenResult, Kind, Millimetres, about, readable
-from getagrip.view.figures.rows import Row, at_common_frames, distinct, draw_rows, numbers
+from getagrip.view.figures.kind import Count, Fail, Kind, Millimetres, about, readable
+from getagrip.view.figures.rows import Row, draw_rows, numbers
+from getagrip.view.given import GivenResult, at_common_frames, distinct
 from getagrip.view.shown import View
 
 if TYPE_CHECKING:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
@@ -12,11 +11,10 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
-from getagrip.errors import InputError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, SCA
 from getagrip.metrics.contact import ContactDefinition
-from getagrip.view.figures.kind import GivenResult, doubts, evenly
+from getagrip.view.figures.kind import doubts, evenly
 from getagrip.view.sheet import HEAD, Sheet
 from getagrip.view.shown import View
 from getagrip.view.style import AXIS, FAINT, FOUND, HAND_LINE, TRUE
@@ -47,40 +45,6 @@ def numbers(view: View, contact: ContactDefinition) -> list[str]:
         if (key := metric.key(contact)) in known:
             texts.append(f"{name} {metric.text(known[key])} {metric.unit}")
     return texts + doubts(view)
-
-
-def at_common_frames(results: Sequence[tuple[GivenResult, View]]) -> list[View]:
-    """The results at the frames that all of them have. Raises ``InputError`` where they are not of one clip."""
-    first, one = results[0]
-    for given, view in results[1:]:
-        if view.clip.name != one.clip.name:
-            expected = f"{one.clip.name!r}, as of {first.folder}: results of one clip"
-            raise InputError(given.folder / "result.json", "clip", repr(view.clip.name), expected)
-        if view.clip.size != one.clip.size:
-            width, height = one.clip.size
-            raise InputError(view.clip.origin / "clip.json", "size", f"{view.clip.size}", f"{width} x {height}")
-    common = reduce(set.intersection, (set(view.result.frames) for _, view in results))
-    if not common:
-        of = " and ".join(str(given.folder) for given, _ in results[1:])
-        raise InputError(of, "frames", f"none of those of {first.folder}", "results that share frames")
-    names = [name for name in one.result.frames if name in common]
-    return [view.at(names) for _, view in results]
-
-
-def distinct(results: Sequence[GivenResult]) -> list[str]:
-    """What tells the folders of results apart: their paths without what all begin and end with."""
-    paths = [given.folder.resolve().parts for given in results]
-    if len(paths) == 1:
-        return [paths[0][-1]]
-    begin = _same(paths)
-    end = min(_same([path[::-1] for path in paths]), *(len(path) - begin - 1 for path in paths))
-    return ["/".join(path[begin : len(path) - end]) for path in paths]
-
-
-def _same(paths: Sequence[Sequence[str]]) -> int:
-    """Parts that all begin with."""
-    alike = (len(set(parts)) == 1 for parts in zip(*paths, strict=False))
-    return next((n for n, same in enumerate(alike) if not same), min(map(len, paths)))
 
 
 def draw_rows(rows: Sequence[Row], title: str, under: str, frames: int, dpi: int, with_hand: bool) -> Figure:

@@ -1,0 +1,190 @@
+"""Results on pages: each ``{{ ... }}`` is filled in from ``results/`` when the site is built.
+
+    {{ TABLE.ROW.COLUMN }}                   a number; words behind it ask for more: "0" (decimals), "unit", "interval"
+    {{ TABLE.ROW.COLUMN difference }}        its difference from the row that it is compared with; "absolute": unsigned
+    {{ table TABLE columns=A,B rows=GLOB }}  a table of some columns (all), of the rows that a glob names (all); words
+                                             behind it: "interval", "difference" (of pairs), "notes"
+    {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera
+    {{ methods COLUMN }}                     a column of all methods, by set of clips
+    {{ made TABLE }}                         at which commit, when, by which command
+
+Keys of rows are their labels in small letters, with "-" for what is neither letter nor digit. An unknown key is a
+``KeyError``. README is not built: there it is ``<!-- {{ ... }} -->text<!-- end -->``, and ``python -m
+benchmarks.results`` writes the text.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from fnmatch import fnmatch
+
+from benchmarks import store
+from benchmarks.store import Cell, Column, Row
+
+PLACE = re.compile(r"\{\{ (.+?) \}\}")
+WRITTEN = re.compile(r"<!-- \{\{ (.+?) \}\} -->(.*?)<!-- end -->", re.DOTALL)
+METHODS = {
+    "soft-hinge": "default",
+    "one-dof": "`one-dof`, same filters",
+    "contact-consistency": "`contact-consistency`",
+    "paper": "`paper`",
+}
+INPUTS = {
+    "exact": "as they are",
+    "10 mm, 8°": "hands off by 10 mm and 8°",
+    "strong": "hands off by more, also in depth and fingers (`strong`, assumed)",
+    "estimated": "hands off as an estimator's were in images of ARCTIC (`estimated`)",
+    "masks off by 2 px": "masks off by 2 px",
+    "masks off by 4 px": "masks off by 4 px",
+    "another object in 20 %": "masks of something else in one frame of five",
+    "size unknown": "the object's size unknown",
+    "of its kind": "a mesh that is only of the object's kind",
+    "of its kind, size unknown, hands moderate": "the same, size unknown, hands off (`moderate`, assumed)",
+}
+"""Settings of the ablations ``inputs`` and ``final``, in words."""
+CLIPS = {
+    "DexYCB": "dexycb-methods",
+    "ARCTIC": "arctic-methods",
+    "synthetic": "synthetic-methods",
+    "`moderate`": "synthetic-moderate-methods",
+    "`strong`": "synthetic-strong-methods",
+    "`wild`": "synthetic-wild-methods",
+    "`measured`": "synthetic-measured-methods",
+}
+"""On what methods are compared, and the table of it."""
+
+
+def fill(text: str) -> str:
+    """A page with its places filled in. Raises ``KeyError`` for an unknown key."""
+    return PLACE.sub(lambda place: said(place[1]), text)
+
+
+def fill_written(text: str) -> str:
+    """A page that is not built, with what is written behind each place brought up to date."""
+
+    def again(place: re.Match[str]) -> str:
+        words = said(place[1])
+        apart = "\n" if words.startswith("|") else ""
+        return f"<!-- {{{{ {place[1]} }}}} -->{apart}{words}{apart}<!-- end -->"
+
+    return WRITTEN.sub(again, text)
+
+
+def said(place: str) -> str:
+    """What stands in a place."""
+    first, *words = place.split()
+    if first in DIRECTIVES:
+        return DIRECTIVES[first](*words)
+    name, row, column = [*first.split("."), "", ""][:3]
+    table = store.read(name)
+    found = table.row(row, "differences" if "difference" in words else "rows")
+    return shown(table.column(column), found.get(column), words)
+
+
+def shown(column: Column, cell: Cell, words: Sequence[str] = ()) -> str:
+    """A cell as text."""
+    if cell is None:
+        return "–"
+    if isinstance(cell, str):
+        return cell
+    if isinstance(cell, dict):
+        return ", ".join(f"{name} {count}" for name, count in cell.items())
+    digits = next((int(word) for word in words if word.isdigit()), column.digits)
+    value, low, high, *_ = [*cell, None, None] if isinstance(cell, list) else [cell, None, None]
+    unit = (" " if column.unit[:1].isalpha() or column.unit == "%" else "") + column.unit if "unit" in words else ""
+    assert value is not None
+    value = abs(value) if "absolute" in words else value
+    signed = "+" if "difference" in words and "absolute" not in words else ""
+    text = f"{value:{signed},.{digits}f}{unit}"
+    if "interval" in words and low is not None and high is not None:
+        ends = digits - 1 if column.unit == "%" and digits and not signed else digits
+        text += f" [{low:{signed}.{ends}f}, {high:{signed}.{ends}f}]"
+    return text.replace("-", "−")
+
+
+def grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table: the first column to the left, numbers to the right."""
+    rule = ["---"] + ["---:"] * (len(header) - 1)
+    return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
+
+
+def table(name: str, *words: str) -> str:
+    """Some columns and rows of a table, the best of each column bold, and how it was made."""
+    found = store.read(name)
+    options = dict(word.split("=", 1) for word in words if "=" in word)
+    among = "differences" if "difference" in words else "rows"
+    columns = [found.column(key) for key in options["columns"].split(",")] if "columns" in options else found.columns
+    globs = options.get("rows", "*").split(",")
+    rows = [row for glob in globs for row in getattr(found, among) if fnmatch(store.key_of(row), glob)]
+    if not rows:
+        raise KeyError(
+            f"{name}: no row is {options.get('rows')}; choose from {', '.join(map(store.key_of, found.rows))}"
+        )
+    best = {column.key: _best(column, rows) for column in columns if among == "rows"}
+    lines = []
+    for row in rows:
+        texts = [shown(column, row.get(column.key), words) for column in columns]
+        marked = [f"**{t}**" if t == best.get(c.key) else t for c, t in zip(columns, texts, strict=True)]
+        lines.append([_label(row), *marked])
+    heads = ["", *(c.label if c.unit in {"", c.label} else f"{c.label}, {c.unit}" for c in columns)]
+    notes = [f"- {note}" for note in found.notes] if "notes" in words else []
+    return "\n\n".join(filter(None, [grid(heads, lines), made(name), "\n".join(notes)]))
+
+
+def _label(row: Row) -> str:
+    return f"{row['label']} − {row['against']}" if "against" in row else str(row["label"])
+
+
+def _best(column: Column, rows: Sequence[Row]) -> str | None:
+    """The best of a column as it is shown, where rows are compared by it and differ."""
+    values = [
+        value[0] if isinstance(value, list) else value for row in rows if (value := row.get(column.key)) is not None
+    ]
+    numbers = [float(value) for value in values if isinstance(value, int | float)]
+    if not column.best or len({round(value, column.digits) for value in numbers}) < 2:
+        return None
+    return shown(column, max(numbers) if column.best == "highest" else min(numbers))
+
+
+def inputs(name: str, *methods: str) -> str:
+    """How often methods are right, in the hand and in the camera, with a row for each kind of input."""
+    found, lines = store.read(name), []
+    rows = {str(row["label"]): row for row in found.rows}
+    for setting, words in INPUTS.items():
+        those = [rows.get(f"{method}, {setting}", {}) for method in methods]
+        if any(those):
+            cells = [
+                shown(found.column(key), row.get(key), ["0"]) for key in ("add_sym", "right_in_camera") for row in those
+            ]
+            lines.append([words, str(next(row["clips"] for row in those if row)), *cells])
+    labels = [METHODS[method] for method in methods]
+    return (
+        f"{grid(['input', 'clips', *labels, *(f'{label}, in the camera' for label in labels)], lines)}\n\n{made(name)}"
+    )
+
+
+def methods(column: str) -> str:
+    """A column of all methods, with a column for each set of clips."""
+    tables = {label: store.read(name) for label, name in CLIPS.items()}
+    lines = [
+        [f"`{row['label']}`", *(shown(t.column(column), t.row(store.key_of(row)).get(column)) for t in tables.values())]
+        for row in tables["DexYCB"].rows
+    ]
+    lines.append(["clips", *(str(t.rows[0]["clips"]) for t in tables.values())])
+    return grid(["", *CLIPS], lines)
+
+
+def made(name: str) -> str:
+    """How a table was made, in a line."""
+    how = store.read(name).made
+    when = f"Commit {how['commit']}, {how['date']}" if "commit" in how else how.get("date", "")
+    return f"*{when}: `{how['command']}`*" if "command" in how else f"*{when}*"
+
+
+DIRECTIVES: dict[str, Callable[..., str]] = {
+    "table": table,
+    "inputs": inputs,
+    "methods": methods,
+    "made": made,
+}

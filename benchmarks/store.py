@@ -1,0 +1,170 @@
+"""Tables of results: ``results/*.json``, the only store of what was measured; one file a table, one line a row."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "results"
+
+Cell = float | str | list[float | None] | dict[str, int] | None
+"""A number, a text, a value with the ends of its interval (and how many it is of), counts by name, or nothing."""
+Row = Mapping[str, Cell]
+"""Cells by the keys of the columns, and the row's label."""
+
+INTERVAL = re.compile(r"(\S+?)(?: \[(\S+), (\S+)\])?(?: \(n = (\d+)\))?")
+NUMBER = re.compile(r"[+−-]?\d[\d,]*(\.\d+)?")
+MARKUP = re.compile(r"</?su[bp]>|</?u>|\*\*")
+UNITS = {"%", "mm", "m", "px", "°", "s", "ms", "MB"}
+COLUMN_KEYS = {"s": "seconds", "truth's SCA": "truth_sca", "right in the camera, %": "right_in_camera"}
+"""Keys of columns whose labels do not make one."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column holds."""
+
+    key: str
+    label: str
+    unit: str = ""
+    digits: int = 0
+    """Decimals that pages show."""
+    best: str = ""
+    """"highest" or "lowest"; empty where rows are not compared by it."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """What was measured in one go."""
+
+    title: str
+    made: Mapping[str, str]
+    """Date, commit, command, machine, versions: what is known of them."""
+    columns: Sequence[Column]
+    rows: Sequence[Row]
+    differences: Sequence[Row] = ()
+    """Differences in pairs, with the label of the row that each is ``against``."""
+    notes: Sequence[str] = field(default_factory=tuple)
+    """Settings and explanations."""
+
+    def column(self, key: str) -> Column:
+        """A column. Raises ``KeyError``."""
+        return next((column for column in self.columns if column.key == key), None) or _missing(
+            key, (column.key for column in self.columns)
+        )
+
+    def row(self, key: str, among: str = "rows") -> Row:
+        """A row, or a difference, by the key of its label. Raises ``KeyError``."""
+        rows: Sequence[Row] = getattr(self, among)
+        return next((row for row in rows if key_of(row) == key), None) or _missing(key, map(key_of, rows))
+
+
+def _missing(key: str, known: Iterable[str]) -> Any:
+    raise KeyError(f"unknown key {key}; choose from {', '.join(known)}")
+
+
+def slug(label: str, joint: str = "-") -> str:
+    """A key made of a label: "soft-hinge, 2.5 mm, 2°" is soft-hinge-2-5-mm-2."""
+    return re.sub(r"[^a-z0-9]+", joint, label.lower()).strip(joint)
+
+
+def key_of(row: Row) -> str:
+    """A row's key."""
+    return slug(str(row["label"]))
+
+
+@cache
+def read(name: str, folder: Path = RESULTS) -> Table:
+    """A table. Raises ``KeyError`` where there is none of the name."""
+    path = folder / f"{name}.json"
+    if not path.is_file():
+        _missing(name, names(folder))
+    record = json.loads(path.read_text(encoding="utf-8"))
+    return Table(**{**record, "columns": [Column(**column) for column in record["columns"]]})
+
+
+def names(folder: Path = RESULTS) -> list[str]:
+    """All tables."""
+    return sorted(path.stem for path in folder.glob("*.json"))
+
+
+def write(name: str, table: Table, folder: Path = RESULTS) -> Path:
+    """Write a table, each row on a line of its own."""
+    keys = [key_of(row) for row in table.rows]
+    if len(set(keys)) < len(keys):
+        raise ValueError(f"{name}: two rows have the same key: {', '.join(keys)}")
+    columns = [{key: value for key, value in asdict(column).items() if value} for column in table.columns]
+    record = {**vars(table), "columns": columns}
+    parts = [f" {json.dumps(key)}: {_lines(value)}" for key, value in record.items() if value]
+    path = folder / f"{name}.json"
+    path.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
+    read.cache_clear()
+    return path
+
+
+def _lines(value: Any) -> str:
+    """JSON; what a list holds, on a line each."""
+    if isinstance(value, str | Mapping):
+        return json.dumps(value, ensure_ascii=False)
+    return "[\n" + ",\n".join(f"  {json.dumps(one, ensure_ascii=False)}" for one in value) + "\n ]"
+
+
+def of_cells(title: str, header: Sequence[str], lines: Sequence[Sequence[str]], notes: Sequence[str] = ()) -> Table:
+    """A table of texts, as benchmarks print it: the first columns, as many as tell rows apart, are their labels."""
+    cells = [[MARKUP.sub("", cell).strip() for cell in line] for line in lines]
+    parsed = [[cell(text) for text in line] for line in cells]
+    labels = 1
+    while labels < len(header) and all(isinstance(line[labels], str) for line in parsed) and _alike(cells, labels):
+        labels += 1
+    columns = [_column(name, [line[n] for line in cells]) for n, name in enumerate(header) if n >= labels]
+    rows = [
+        {"label": ", ".join(filter(None, texts[:labels]))}
+        | {column.key: value for column, value in zip(columns, values[labels:], strict=True) if value is not None}
+        for texts, values in zip(cells, parsed, strict=True)
+    ]
+    return Table(title, {}, columns, rows, notes=tuple(notes))
+
+
+def _column(heading: str, cells: Sequence[str]) -> Column:
+    """The column of a heading, whose last words may be its unit."""
+    label, _, unit = heading.rpartition(", ")
+    if unit not in UNITS:
+        label, unit = heading, ""
+    key = COLUMN_KEYS.get(heading) or slug(heading, "_")
+    return Column(key, label, unit, digits=max(map(_digits, cells)))
+
+
+def _alike(cells: Sequence[Sequence[str]], labels: int) -> bool:
+    """Whether more columns are needed to tell rows apart."""
+    return len({tuple(line[:labels]) for line in cells}) < len(cells)
+
+
+def _digits(text: str) -> int:
+    """Decimals of the number that a text begins with."""
+    found = NUMBER.match(text)
+    return len(found[1]) - 1 if found and found[1] else 0
+
+
+def cell(text: str) -> Cell:
+    """A cell of a printed table: "98.6 [96, 100] (n = 71)", "1,234", "–", or a text."""
+    found = INTERVAL.fullmatch(text)
+    if text in {"", "–"}:
+        return None
+    if not found or not all(part is None or NUMBER.fullmatch(part) for part in found.groups()):
+        return text
+    value, low, high, count = (None if part is None else number(part) for part in found.groups())
+    if count is not None:
+        return [value, low, high, count]
+    return value if low is None else [value, low, high]
+
+
+def number(text: str) -> float:
+    """A printed number."""
+    plain = text.replace(",", "").replace("−", "-")
+    return float(plain) if "." in plain else int(plain)

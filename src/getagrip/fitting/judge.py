@@ -1,0 +1,105 @@
+"""Judge a result without ground truth: its checks, its signs, and how probable it is that it is right."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+from getagrip.checks import RESULT_CHECKS, Solved, examine, read_signs
+from getagrip.checks.calibrated import CALIBRATIONS
+from getagrip.checks.calibration import Where
+from getagrip.clip import Clip
+from getagrip.clip.provenance import is_assumed
+from getagrip.finding import Finding
+from getagrip.fitting.every_frame import Track
+from getagrip.fitting.misfit import misfit
+from getagrip.fitting.options import Options
+from getagrip.fitting.other_size import other_size
+from getagrip.fitting.pose_spread import pose_spread
+from getagrip.fitting.problem import MethodResult, Problem
+from getagrip.probability import Probability
+from getagrip.result import Candidates
+
+CHOICES = ("method", "inits", "init", "priors", "thorough", "seed", "frames", "every_frame")
+"""Options that leave a calibration valid; it was made with the usual values of all."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is known of a result without ground truth.
+
+    Attributes:
+        checks: what each check of the result has measured, by its name.
+        findings: what is unusual about it.
+        signs: what is known about whether it is right, by name.
+    """
+
+    checks: dict[str, float]
+    findings: tuple[Finding, ...]
+    signs: dict[str, float]
+
+
+def judge(given: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Judgement:
+    """Check a result.
+
+    ``given`` is the clip with its hand and mesh as they came; ``sampled`` and ``whole`` are the poses in the frames
+    that were fitted together and in every frame.
+    """
+    scale = float(found.poses.scale[0])
+    deformed = 0.0 if found.warp is None else found.warp.displacement(given.mesh)
+    solved = Solved(
+        problem.clip, problem.given_masks, sampled.T_hand_obj[0], scale, whole.iou,
+        doubted=whole.doubted, deformed=deformed / given.mesh.diameter, deformed_mm=1e3 * scale * deformed,
+        candidates=Candidates(sampled.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
+        hand_differing=problem.trust.hand_differing,
+        T_cam_hand_given=given.hand.T_cam_hand[given.index_of(problem.clip.frames)],
+        misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
+        spread=pose_spread(problem, found), other_size=other_size(problem, found),
+    )  # fmt: skip
+    measured, findings = examine(RESULT_CHECKS, solved)
+    return Judgement(measured, findings, read_signs(solved))
+
+
+def probabilities(
+    clip: Clip, options: Options, signs: Mapping[str, float], findings: Sequence[Finding]
+) -> dict[Where, Probability | None]:
+    """How probable it is that a result is right, in the hand and in the camera."""
+    in_hand = probability_right(options, signs, findings)
+    # No pixel tells a wrong focal length from another distance.
+    guessed = is_assumed(clip.provenance.get("camera"))
+    return {"hand": in_hand, "camera": None if guessed else probability_right(options, signs, findings, "camera")}
+
+
+def probability_right(
+    options: Options, signs: Mapping[str, float], findings: Sequence[Finding], where: Where = "hand"
+) -> Probability | None:
+    """How probable it is that a result with such signs is right; ``findings`` are those about its input and itself.
+
+    None where nothing is calibrated (``uncalibrated``).
+    """
+    calibration = CALIBRATIONS.get((options.method, where))
+    if calibration is None or uncalibrated(options, findings):
+        return None
+    if not signs.keys() >= calibration.weights.keys():  # of a motion of one's own
+        return None
+    return calibration.probability(signs)
+
+
+def uncalibrated(options: Options, findings: Sequence[Finding]) -> str:
+    """Why there is no probability that a result is right, in words; empty where there is one.
+
+    There is none for methods and energies other than those that were calibrated, for shorter searches, and where a
+    finding is serious: wrong inputs were no part of the calibration.
+    """
+    if not any(method == options.method for method, _ in CALIBRATIONS):
+        return f"none is calibrated for {options.method}"
+    if options.inits < Options.inits:
+        return f"none is calibrated for fewer than {Options.inits} initial poses"
+    if options.priors is not None and options.priors.alone:
+        return "none is calibrated without uniform rotations among the initial poses"
+    for option in fields(Options):
+        if option.name not in CHOICES and (value := getattr(options, option.name)) != option.default:
+            return f"none is calibrated with {option.name} {value}"
+    if any(finding.serious for finding in findings):
+        return "a finding is serious"
+    return ""

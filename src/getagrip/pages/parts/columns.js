@@ -1,0 +1,142 @@
+"use strict";
+// A column of the page: what is said of a result, its 3D view, and its image with contours.
+
+/** A labelled box that is on or off. */
+function toggle(words, on, change, colour) {
+  const box = element("input", { type: "checkbox", onchange: () => change(box.checked) });
+  box.checked = on;
+  const label = element("label", {}, box, words);
+  if (colour) label.style.setProperty("--key", colour);
+  if (colour) label.className = "keyed";
+  return label;
+}
+
+function choice(words, values, change) {
+  const select = element("select", { onchange: () => change(select.value) }, ...values.map(([value, name]) => element("option", { value }, name)));
+  return element("label", {}, `${words} `, select);
+}
+
+const list = (items) => element("ul", {}, ...items.map((item) => element("li", {}, item)));
+
+function table(head, rows, chosen) {
+  const lines = rows.map(([name, ...values], k) => element("tr", { class: k === chosen && "chosen" }, element("th", {}, name), ...values.map((value) => element("td", {}, value))));
+  if (head.length) lines.unshift(element("tr", {}, ...head.map((name) => element("th", {}, name))));
+  return element("table", {}, ...lines);
+}
+
+class Column {
+  /** `said` is what the server says of it; `changed` is called when another candidate is chosen. */
+  constructor(said, arrays, source, eye, { size, colours, colour, changed }) {
+    Object.assign(this, { said, arrays, source, colour, rank: 0, paths: {} });
+    this.article = byId("column").content.firstElementChild.cloneNode(true);
+    this.part = (name) => this.article.querySelector(name);
+    this.head();
+    this.contours(size, colours);
+    this.below(changed);
+    byId("columns").append(this.article);
+    try {
+      this.viewer = new Viewer(this.part(".scene"), arrays, eye);
+    } catch (error) {
+      this.part(".scene").hidden = true;
+      this.part(".no-scene").hidden = false;
+    }
+  }
+
+  /** The words at the top, and what speaks against the result. */
+  head() {
+    const { label, facts, status, main, findings, ambiguous, candidates } = this.said;
+    this.part("h2").textContent = label;
+    if (this.colour) this.part("h2").style.setProperty("--key", this.colour);
+    this.part(".facts").textContent = facts.join("  ·  ");
+    this.part(".status").textContent = status;
+    for (const { name, value, meaning } of main) {
+      this.part(".main").append(element("div", { title: meaning }, element("dd", {}, value), element("dt", {}, name)));
+    }
+    const doubts = findings.map(({ serious, check, message }) => [serious ? "serious" : "note", check, message]);
+    const shown = candidates.length > 1 ? "; the candidates below show it" : "";  // of a timeline there is one only
+    if (ambiguous) doubts.unshift(["note", "ambiguous", `another pose explains the masks almost as well${shown}`]);
+    for (const [kind, check, message] of doubts) {
+      this.part(".doubts").append(element("li", { class: kind }, element("b", {}, kind), ` ${check}: ${message}`));
+    }
+  }
+
+  contours(size, colours) {
+    this.part("svg").setAttribute("viewBox", `0 0 ${size} ${size}`);
+    for (const name of ["observed", "hand", "true", "object"]) {
+      const [halo, line] = ["halo", "line"].map((kind) => element("path", { class: kind, stroke: kind === "line" ? colours[name] : "#fff" }));
+      this.paths[name] = element("g", { class: name }, halo, line);
+      this.part("svg").append(this.paths[name]);
+    }
+  }
+
+  /** The choice among the candidates, and what speaks for and against each. */
+  below(changed) {
+    const { candidates, result } = this.said, below = this.part(".below");
+    const other = element("p", { class: "other", hidden: true }, "Shown is another candidate. Plots and numbers are those of the result.");
+    const compared = element("details", {}, element("summary", {}, "Compare the candidates"), element("div", {}, "measuring ..."));
+    let known = null;
+    const compare = () => known && compared.lastChild.replaceChildren(...this.comparison(known));
+    compared.ontoggle = async () => {
+      if (!compared.open || known) return;
+      try {
+        known = await this.source.candidates();
+        compare();
+      } catch (error) {
+        compared.lastChild.textContent = error.message;
+      }
+    };
+    if (candidates.length > 1) {
+      const names = candidates.map(({ energy }, k) => [k, `${k ? `candidate ${k + 1}` : "the result"}, energy ${Number(energy.toPrecision(4))}`]);
+      below.append(choice("pose", names, (value) => {
+        this.rank = Number(value);
+        other.hidden = this.rank === 0;
+        compare();
+        changed();
+      }));
+    }
+    below.append(other);
+    if (this.source.candidates && result) below.append(compared);
+  }
+
+  comparison({ head, rows, pros, cons }) {
+    const parts = [table(head, rows, this.rank)];
+    for (const [words, texts] of [["Speaks for it", pros[this.rank]], ["Speaks against it", cons[this.rank]]]) {
+      if (texts.length) parts.push(element("b", {}, words), list(texts));
+    }
+    if (rows.length === 1) parts.push(element("p", {}, "No other distinct candidate was found to compare it with."));
+    return parts;
+  }
+
+  /** What is folded below the plots. */
+  more(several) {
+    const { label, notes, tables } = this.said;
+    const words = notes.length ? [element("div", { class: "notes" }, element("h3", {}, "Guesses and notes"), list(notes))] : [];
+    const folded = tables.map(({ title, head, rows }) => element("details", {}, element("summary", {}, title), table(head, rows)));
+    return element("section", {}, ...(several ? [element("h2", {}, label)] : []), ...words, element("div", { class: "tables" }, ...folded));
+  }
+
+  frame(place) {
+    return this.source.frame(this.rank, place);
+  }
+
+  show(place, { picture, outlines, arrays }) {
+    this.unread("");
+    this.part(".picture").src = `data:image/jpeg;base64,${picture}`;
+    for (const [name, group] of Object.entries(this.paths)) {
+      for (const path of group.children) path.setAttribute("d", outlines[name] || "");
+    }
+    if (this.viewer) this.viewer.show(place, this.rank, arrays);
+  }
+
+  /** Say why a frame cannot be shown. */
+  unread(words) {
+    this.part(".unread").textContent = words;
+    this.part(".unread").hidden = !words;
+  }
+
+  /** Show or hide a part, in 3D and among the contours. */
+  turn(name, on) {
+    if (this.viewer) this.viewer.shown[name] = on;
+    if (this.paths[name]) this.paths[name].setAttribute("visibility", on ? "visible" : "hidden");
+  }
+}

@@ -1,0 +1,151 @@
+"""What a served page asks for: the entries, and of each its results, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray
+
+from getagrip.clip import masks_of_some
+from getagrip.clip.sampling import frame_indices
+from getagrip.errors import GetagripError
+from getagrip.evaluation.results import Evaluation
+from getagrip.geometry.camera import Crops, project
+from getagrip.geometry.mesh import Mesh
+from getagrip.pages import motion
+from getagrip.pages.document import document, pack
+from getagrip.pages.entries import Column, Entry
+from getagrip.pages.evidence import compared
+from getagrip.pages.pictures import PICTURE, drawn
+from getagrip.pages.report import SCRIPTS, described, gap_plot, over_time
+from getagrip.view.candidates import candidate
+from getagrip.view.gap import coarse, gap
+from getagrip.view.shown import View
+from getagrip.view.stills import ROOM, STEADY, smoothed
+from getagrip.view.tiles import input_windows
+from getagrip.view.touched import finer
+
+SAMPLED = 20
+"""Frames whose masks are read before any is shown; candidates are compared in them."""
+AT_ONCE = 25
+"""Frames whose gap is measured before others may be, or the server ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A column that is open: its view has a simplified mesh and no masks, which are read with the frames."""
+
+    column: Column
+    view: View
+    surface: Mesh
+
+    @staticmethod
+    def of(column: Column) -> Shown:
+        """Open a column."""
+        view = coarse(column.view)
+        return Shown(column, view, finer(view))
+
+    def about(self) -> dict[str, Any]:
+        """What is the same in all frames."""
+        metrics = {k: float(v) for k, v in self.column.record.get("metrics", {}).items() if isinstance(v, int | float)}
+        arrays, packed = pack(motion.fixed(self.view, self.surface))
+        clip, method = self.view.clip, self.view.result.method
+        known = Evaluation(
+            clip=clip.name, category=clip.category, method=method, frames=list(clip.frames), symmetry=None,
+            metrics=metrics, per_frame={},
+        )  # fmt: skip
+        said = described(self.view, self.column.label, known, self.column.record)
+        more = {"result": bool(self.column.record), "masked": self.at(self.sampled[:1]).masks is not None}
+        return {**said, **more, "arrays": arrays, "packed": packed}
+
+    def frame(self, rank: int, n: int) -> dict[str, Any]:
+        """A frame with one of the candidates."""
+        view = candidate(self.at(np.array([n])), rank)
+        arrays, packed = pack(motion.moving(view, self.surface))
+        return {**drawn(view, 0, self.windows, n), "arrays": arrays, "packed": packed}
+
+    def at(self, index: Int[ndarray, "n"], with_hand: bool = False) -> View:
+        """Some frames, with the masks of the object, and of the hand if wanted."""
+        some = self.view.at([self.view.result.frames[n] for n in index])
+        return replace(some, masks=masks_of_some(some.clip, with_hand))
+
+    @cached_property
+    def sampled(self) -> Int[ndarray, "n"]:
+        """The frames ``SAMPLED``."""
+        return frame_indices(len(self.view.clip), SAMPLED)
+
+    @cached_property
+    def windows(self) -> Crops:
+        """Square windows around hand and masks in each frame, of one size; they follow the hand smoothly."""
+        some = self.at(self.sampled)
+        crops = input_windows([some], np.arange(len(some.clip)), PICTURE)
+        hand = np.array([np.mean(project(K, self.view.hand(n)), axis=0) for n, K in enumerate(self.view.clip.K)])
+        aside, every = crops.corner - hand[self.sampled], np.arange(len(hand))
+        moved = np.stack([np.interp(every, self.sampled, aside[:, k]) for k in range(2)], axis=1)
+        middle = smoothed(hand + moved + crops.side / 2.0, STEADY * self.view.clip.fps)
+        side = ROOM * crops.side
+        return Crops(middle - side / 2.0, side, PICTURE)
+
+
+class Library:
+    """The entries of a page.
+
+    One thread makes all frames, one after the other, and another measures what takes time: few large images are in
+    memory at once.
+    """
+
+    def __init__(self, entries: Sequence[Entry], fail: Callable[[Exception], None]) -> None:
+        """Open the first entry that can be read; the errors of those before it go to ``fail``."""
+        self.entries = tuple(entries)
+        self._frames, self._measured = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
+        self._opened = lru_cache(maxsize=2)(lambda n: [Shown.of(column) for column in self.entries[n].read()])
+        self.first = next((n for n in range(len(entries)) if self._can_be_read(n, fail)), None)
+
+    def _can_be_read(self, n: int, fail: Callable[[Exception], None]) -> bool:
+        try:
+            return bool(self._opened(n))
+        except (GetagripError, OSError) as error:
+            fail(error)
+            return False
+
+    def page(self) -> bytes:
+        """The page, which asks for all else."""
+        data = {"entries": [entry.label for entry in self.entries], "first": self.first}
+        return document("getagrip view", "viewer.html", SCRIPTS, data, asks=True).encode()
+
+    def entry(self, n: int) -> dict[str, Any]:
+        """All that is the same in all frames of an entry."""
+
+        def made() -> dict[str, Any]:
+            columns = self._opened(n)
+            view = columns[0].view
+            return {**over_time(view, np.arange(len(view.clip))), "columns": [column.about() for column in columns]}
+
+        return self._frames.submit(made).result()
+
+    def frame(self, n: int, column: int, rank: int, frame: int) -> dict[str, Any]:
+        """A frame of a column, with one of the candidates in the result's place."""
+        return self._frames.submit(lambda: self._opened(n)[column].frame(rank, frame)).result()
+
+    def gap(self, n: int, column: int) -> dict[str, Any]:
+        """The curve of a column that takes time."""
+        view = self._shown(n, column).view
+        if not view.posed:
+            return {}
+        names = view.result.frames
+        parts = [view.at(names[first : first + AT_ONCE]) for first in range(0, len(names), AT_ONCE)]
+        return gap_plot(np.concatenate([self._measured.submit(gap, part).result() for part in parts]))
+
+    def candidates(self, n: int, column: int) -> dict[str, Any]:
+        """What speaks for and against the candidates of a column."""
+        shown = self._shown(n, column)
+        return self._measured.submit(lambda: compared(shown.at(shown.sampled, with_hand=True))).result()
+
+    def _shown(self, n: int, column: int) -> Shown:
+        return self._frames.submit(lambda: self._opened(n)[column]).result()

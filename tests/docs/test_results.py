@@ -1,0 +1,162 @@
+"""Results are data: tables in ``results/``, cited by pages, made from the output of a bench."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from benchmarks import cite, results, store
+from benchmarks.release import BENCHES
+from benchmarks.store import Column, Table
+from getagrip.experiments.comparison import compare
+from getagrip.experiments.tables import markdown, write_clips_csv, write_csv
+from getagrip.experiments.trials import Scores
+from getagrip.experiments.variants import ablation_variants, method_variants
+from getagrip.fitting.options import Options
+from helpers.pages import PAGES
+from helpers.paths import ROOT
+from helpers.scores import score
+
+TABLE = Table(
+    "Two methods",
+    {"date": "2026-11-25", "commit": "abc", "command": "getagrip bench"},
+    [Column("add_sym", "ADD sym.", "%", 1, "highest"), Column("seconds", "s", "s", 2), Column("notes", "notes")],
+    [
+        {"label": "one-dof, 2.5 px", "add_sym": [87.14, 81, 93.26], "seconds": 0.5},
+        {"label": "soft-hinge, 2.5 px", "add_sym": [98.6, 96.04, 100], "notes": {"regrasp": 2}},
+    ],
+    [{"label": "soft-hinge, 2.5 px", "against": "one-dof, 2.5 px", "add_sym": [11.46, -4.3, 20]}],
+    ["70 clips"],
+)
+
+
+@pytest.fixture
+def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of results with the table "two"."""
+    read, made = store.read, store.write("two", TABLE, tmp_path)
+    monkeypatch.setattr(store, "read", lambda name: read(name, tmp_path))
+    return made.parent
+
+
+@pytest.mark.parametrize("name", store.names())
+def test_a_table_says_how_it_was_made_and_declares_its_columns(name: str, tmp_path: Path) -> None:
+    table = store.read(name)
+    keys = [column.key for column in table.columns]
+    assert {"date", "command"} <= set(table.made)
+    assert len(set(keys)) == len(keys)
+    for row in (*table.rows, *table.differences):
+        assert set(row) - {"label", "against"} <= set(keys)
+    text = (store.RESULTS / f"{name}.json").read_text(encoding="utf-8")
+    assert store.write(name, table, tmp_path).read_text(encoding="utf-8") == text
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_what_pages_cite_is_there(page: Path) -> None:
+    assert "{{" not in cite.fill(page.read_text(encoding="utf-8"))  # none is broken over two lines
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_line_begins_with_per_cent_which_makes_it_a_comment(page: Path) -> None:
+    assert not re.findall(r"^\s*%.*", page.read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_the_readme_says_what_was_measured() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(cite.WRITTEN.findall(text)) >= 2
+    assert cite.fill_written(text) == text, "run python -m benchmarks.results"
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["no-such.row.add_sym", "dexycb-methods.no-such.add_sym", "dexycb-methods.soft-hinge.no-such",
+     "dexycb-methods.soft-hinge", "table dexycb-methods rows=no-such", "made no-such"],
+)  # fmt: skip
+def test_an_unknown_key_is_an_error(place: str) -> None:
+    with pytest.raises(KeyError, match="choose from"):
+        cite.fill(f"a {{{{ {place} }}}} b")
+
+
+def test_a_number_is_cited_as_it_is_asked_for(two: Path) -> None:
+    place = "two.soft-hinge-2-5-px.add_sym"
+    assert cite.fill(f"{{{{ {place} }}}}") == "98.6"
+    assert cite.fill(f"{{{{ {place} 0 unit interval }}}}") == "99 % [96, 100]"
+    assert cite.fill(f"{{{{ {place} difference interval }}}}") == "+11.5 [−4.3, +20.0]"
+    assert cite.fill(f"{{{{ {place} difference absolute 0 }}}} points") == "11 points"
+    assert cite.fill("{{ two.one-dof-2-5-px.notes }}, {{ two.soft-hinge-2-5-px.notes }}") == "–, regrasp 2"
+
+
+def test_a_table_shows_some_columns_and_rows_and_how_it_was_made(two: Path) -> None:
+    grid, made = cite.fill("{{ table two columns=add_sym rows=* }}").split("\n\n")
+    assert grid.splitlines()[2:] == ["| one-dof, 2.5 px | 87.1 |", "| soft-hinge, 2.5 px | **98.6** |"]
+    assert made == "*Commit abc, 2026-11-25: `getagrip bench`*"
+    assert "| soft-hinge, 2.5 px − one-dof, 2.5 px | +11.5 |" in cite.fill("{{ table two columns=add_sym difference }}")
+    page = "<!-- {{ two.one-dof-2-5-px.seconds }} -->old<!-- end -->"
+    assert cite.fill_written(page) == page.replace("old", "0.50")
+
+
+def test_a_row_is_a_line_and_two_of_a_key_are_refused(two: Path) -> None:
+    lines = (two / "two.json").read_text(encoding="utf-8").splitlines()
+    assert sum('"label": "soft-hinge, 2.5 px"' in line and line.endswith(("}", "},")) for line in lines) == 2
+    assert store.read("two") == TABLE
+    with pytest.raises(ValueError, match="same key"):
+        store.write("two", Table("", {}, [], [{"label": "a b"}, {"label": "a, b"}]), two)
+
+
+def test_the_output_of_a_bench_becomes_a_table(tmp_path: Path) -> None:
+    variants = method_variants(["one-dof", "soft-hinge"], Options())
+    scores = [Scores(f"c{n}", "can", "", True, (score("one-dof", n % 2), score("soft-hinge", 1.0))) for n in range(6)]
+    tables, folder = compare(scores, variants), tmp_path / "dexycb"
+    folder.mkdir()
+    write_csv(tables, folder / "methods.csv")
+    write_clips_csv(scores, variants, folder / "methods-clips.csv")
+    about, settings = ["dexycb: 6 clips; made 2026-11-25, commit abc"], ["seed 0", "python 3.11"]
+    (folder / "methods.md").write_text(markdown(tables, "Methods", about, settings))
+    (name, table) = next(iter(results.found(folder).items()))
+    assert name == "dexycb-methods"
+    one, soft = table.rows
+    assert soft["add_sym"] == 100.0 or soft["add_sym"] == [100.0, 100.0, 100.0]
+    assert one["add_sym"][0] == 50.0
+    assert (one["clips"], one["wrong"], soft["wrong"]) == (6, 3, 0)
+    assert table.differences[0]["against"] == "one-dof"
+    assert table.differences[0]["add_sym"][0] == 50.0
+    assert table.made["commit"] == "abc"
+    assert table.made["versions"] == "python 3.11"
+    assert table.made["command"] == BENCHES["dexycb-methods"]
+    assert [*table.notes] == ["dexycb: 6 clips", "seed 0"]
+
+
+def test_counts_are_found_where_the_method_differs_from_row_to_row(tmp_path: Path) -> None:
+    variants = ablation_variants("departures", [], Options())
+    scores = [Scores(f"c{n}", "can", "", True, tuple(score(v.folder, n % 2) for v in variants)) for n in range(4)]
+    tables, folder = compare(scores, variants), tmp_path / "synthetic"
+    folder.mkdir()
+    write_csv(tables, folder / "departures.csv")
+    write_clips_csv(scores, variants, folder / "departures-clips.csv")
+    (folder / "departures.md").write_text(markdown(tables, "Departures", [], []))
+    table = results.found(folder)["synthetic-departures"]
+    assert [row["label"] for row in table.rows][::8] == ["paper, to the letter", "paper, + soft hinge"]
+    assert all((row["failed"], row["wrong"]) == (0, 2) for row in table.rows)
+    assert table.title == store.read("synthetic-departures").title
+
+
+def test_a_printed_table_becomes_data(tmp_path: Path) -> None:
+    page = tmp_path / "exact.md"
+    page.write_text(
+        "# Timelines\n\n| hands |  | grasp | jump, mm |\n|---|---|---:|---:|\n| exact | joint | 98.6 [96, 100] (n = 71)"
+        " | 1.4 |\n| exact | alone | – | 1,400 |\n\n- 50 initial poses; made 2026-11-24, commit abc\n"
+    )
+    table = results.printed("made-up", page)
+    assert [*table.rows] == [
+        {"label": "exact, joint", "grasp": [98.6, 96, 100, 71], "jump_mm": 1.4},
+        {"label": "exact, alone", "jump_mm": 1400},
+    ]
+    assert table.column("jump_mm").unit == "mm"
+    assert table.made == {"date": "2026-11-24", "commit": "abc"}
+
+
+def test_a_release_measures_tables_that_are_kept() -> None:
+    for name, command in BENCHES.items():
+        out = Path(re.findall(r"--out (\S+)", command)[0]).name
+        assert name.startswith(f"{out}-")
