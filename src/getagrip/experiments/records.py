@@ -7,8 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from getagrip.batch.kept import damaged, difference, without_source
-from getagrip.batch.made_by import KEY, UNKNOWN, made_by
+from getagrip.batch.kept import KEY, UNKNOWN, damaged, difference, made_by, without_source
 from getagrip.clip import input_sha256
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from getagrip.batch.job import failure
-from getagrip.batch.kept import good_result
-from getagrip.batch.made_by import made_by
+from getagrip.batch.kept import good_result, made_by
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.evaluation.metric import SCA

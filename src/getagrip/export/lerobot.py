@@ -21,7 +21,6 @@ from jaxtyping import Shaped, UInt8
 from numpy import ndarray
 
 from getagrip.export.bones import JOINTS
-from getagrip.export.lerobot_stats import image_stats, statistics
 from getagrip.export.palm import joints_on_stage, pose7
 from getagrip.export.scene import Scene
 from getagrip.export.stage import Stage
@@ -31,6 +30,7 @@ from getagrip.io.videos import write_video
 
 if TYPE_CHECKING:
     import pyarrow
+from collections.abc import Iterable
 
 VERSION = "v3.0"
 CHUNK, FILE = {"chunk_index": 0, "file_index": 0}, "chunk-{chunk_index:03d}/file-{file_index:03d}"
@@ -38,6 +38,9 @@ DATA, EPISODES = f"data/{FILE}.parquet", f"meta/episodes/{FILE}.parquet"
 VIDEO, CAMERA = "videos/{video_key}/" + f"{FILE}.mp4", "observation.images.camera"
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 STATE = [*(f"wrist_{name}" for name in POSE), *(f"{joint}_{axis}" for joint in JOINTS for axis in "xyz")]
+QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
+MOST_PIXELS = 200_000
+"""Of an image that are looked at, as many as a small one has."""
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
@@ -203,3 +206,33 @@ def _write_tasks(path: Path, task: str) -> None:
 
 def _plain(value: object) -> object:
     return value.tolist() if isinstance(value, ndarray) else value
+
+
+def statistics(values: Shaped[ndarray, "T ..."]) -> dict[str, Shaped[ndarray, "..."]]:
+    """Of numbers over all frames, a number for each entry."""
+    rows = values.reshape(len(values), -1).astype(float)
+    low, high, mean, std = rows.min(axis=0), rows.max(axis=0), rows.mean(axis=0), rows.std(axis=0)
+    quantiles = {f"q{round(100 * q):02d}": np.quantile(rows, q, axis=0) for q in QUANTILES}
+    return {"min": low, "max": high, "mean": mean, "std": std, "count": np.array([len(rows)]), **quantiles}
+
+
+def image_stats(images: Iterable[UInt8[ndarray, "H W 3"]]) -> dict[str, Shaped[ndarray, "..."]]:
+    """Of the three channels over all images, from 0 to 1, as arrays (3, 1, 1)."""
+    histogram, count = np.zeros((3, 256)), 0
+    for image in images:
+        step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / MOST_PIXELS)))
+        histogram += [np.bincount(image[::step, ::step, k].ravel(), minlength=256) for k in range(3)]
+        count += 1
+    levels = np.arange(256) / 255.0
+    share = histogram / histogram.sum(axis=1, keepdims=True)
+    mean = share @ levels
+    there = [np.flatnonzero(of) for of in histogram]
+    total = np.cumsum(share, axis=1)
+    out = {
+        "min": levels[[of[0] for of in there]],
+        "max": levels[[of[-1] for of in there]],
+        "mean": mean,
+        "std": np.sqrt(np.maximum(share @ levels**2 - mean**2, 0.0)),
+        **{f"q{round(100 * q):02d}": levels[np.argmax(total >= q, axis=1)] for q in QUANTILES},
+    }
+    return {key: value.reshape(3, 1, 1) for key, value in out.items()} | {"count": np.array([count])}

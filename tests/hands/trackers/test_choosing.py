@@ -10,8 +10,8 @@ import pytest
 from numpy import ndarray
 
 from getagrip.clip.provenance import estimated
-from getagrip.hands.trackers.choosing import one_each
 from getagrip.hands.trackers.estimates import Estimate, Parameters, Request
+from getagrip.hands.trackers.reading import one_each
 from helpers.estimator_files import SIZE, K
 
 SHAPE = np.random.default_rng(0).uniform(-0.06, 0.06, (21, 3))
