@@ -23,7 +23,7 @@ from getagrip.datasets.synthetic.splits import Split, split
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_SYM, ADD_SYM_CAM, ADD_SYM_MM
 from getagrip.experiments.changes import AS_GIVEN, Noisy, OtherObject, ScaleFree
-from getagrip.experiments.sources import source_of
+from getagrip.experiments.sources.dexycb import DexYcb
 from getagrip.experiments.stamp import stamp
 from getagrip.fitting.options import Options
 from getagrip.fitting.reconstruct import reconstruct
@@ -98,7 +98,7 @@ def cases(clips: Path, root: Path, meshes: Path) -> list[Case]:
 def _cases(clips: Path, root: Path, meshes: Path) -> Iterator[Case]:
     """Clip by clip."""
     for part, (every, every_synthetic) in EVERY.items():
-        found = source_of("dexycb", split=part, root=root, meshes=meshes).samples(clips, False)[0]
+        found = DexYcb(split=part, root=root, meshes=meshes).samples(clips, False)[0]
         for sample in found[::every]:
             yield Case("DexYCB", part, sample.name, tuple(CONDITIONS), ReadClip(sample.folder))
         for preset in PRESETS:

@@ -23,8 +23,8 @@ COLUMNS = "92"
 
 def commands() -> Iterator[str]:
     """Every command that has a help of its own, as it is typed behind ``getagrip``."""
-    from getagrip.cli.figures import Figures
-    from getagrip.cli.imports import Imports
+    from getagrip.commands.datasets import Imports
+    from getagrip.commands.figure import Figures
 
     return _names(cli.commands(Imports, Figures), "")
 

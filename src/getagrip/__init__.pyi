@@ -8,7 +8,6 @@ from .clip import World as World
 from .clip import read_clip as read_clip
 from .clip import read_masks as read_masks
 from .clip import write_clip as write_clip
-from .clip.provenance import Source as Source
 from .datasets.synthetic.scene import synthesise as synthesise
 from .datasets.synthetic.scene_options import SceneOptions as SceneOptions
 from .errors import GetagripError as GetagripError
@@ -22,6 +21,7 @@ from .geometry.mesh import Mesh as Mesh
 from .geometry.mesh_files import read_mesh as read_mesh
 from .geometry.mesh_files import write_mesh as write_mesh
 from .geometry.warp import Warp as Warp
+from .provenance import Source as Source
 from .result import Axis as Axis
 from .result import Candidates as Candidates
 from .result import Reconstruction as Reconstruction

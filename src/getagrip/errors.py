@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 
 LONGEST = 500
@@ -31,14 +33,35 @@ class UsageError(GetagripError):
     """The call itself is wrong (exit status 2)."""
 
 
+def unknown(what: str, given: object, known: Iterable[object]) -> UsageError:
+    """The error for a name that is none of those known."""
+    return UsageError(f"unknown {what} {given!r}; choose from {', '.join(map(str, known))}")
+
+
 class InputError(GetagripError):
     """A file is missing, malformed or holds impossible values (exit status 1).
 
-    The message reads ``<file>: <key>: got <given>, expected <expected>``, on one line.
+    The message, on one line, reads ``<file>: <key> must be <expected> (got <given>)``; ``<file>: missing <key>``; or
+    ``... cannot be used ...``, of what is expected to be none in such a place.
     """
 
     def __init__(self, path: str | Path, key: str, given: str, expected: str) -> None:
         self.path, self.key, self.given, self.expected = Path(path), key, given, expected
-        where = f"{path}: {key}" if key else f"{path}"
         short = given if len(given) <= LONGEST else f"{given[:LONGEST]}..."
-        super().__init__(cleaned(" ".join(f"{where}: got {short}, expected {expected}".split())))
+        super().__init__(cleaned(" ".join(f"{path}{_wrong(key, short, expected)}".split())))
+
+
+ABSENT = ("nothing", "no such key", "no such array", "no such file")
+"""What is given where something is missing that has a name."""
+
+
+def _wrong(key: str, given: str, expected: str) -> str:
+    """What is wrong with a file, behind its name."""
+    verb = "needs" if re.match(r"some\b|one (at least|for each)", expected) else "must be"
+    named = f": {key}" if key else ""
+    if given in ABSENT or given.startswith("no "):
+        asked = "" if expected in ("it", "the key", "the array") else f"; {verb} {expected}"
+        return f": missing {key}{asked}" if key and given in ABSENT else f"{named}: {given}{asked}"
+    if expected.startswith(("none with ", "none without ")):
+        return f"{named} cannot be used {expected.removeprefix('none ')}"
+    return f"{named} {verb} {expected} (got {given})"

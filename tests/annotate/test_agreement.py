@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from getagrip.annotate.agreement import agreements, matched, temporal_iou
 from getagrip.annotate.marks import REASONS, Mark
 from getagrip.annotate.project import Project
-from getagrip.commands.annotate import write_files
+from getagrip.annotate.written_files import write_files
 from getagrip.datasets.epic.tables import read_grasps
 from getagrip.grasps import lists
 from helpers.command_line import Run

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from getagrip.annotate.versions import RefusedError
+from getagrip.annotate.written_files import write_labels
 from getagrip.clip import read_clip, read_masks
-from getagrip.commands.annotate import write_labels
 from helpers.clicking import FIRST, LAST, Clicking, disc, filled, iou
 from helpers.clips import box
 from helpers.command_line import Run

@@ -252,4 +252,4 @@ def test_what_is_no_footage_is_refused_before_a_page_is_served(tmp_path: Path, r
         (tmp_path / name).write_bytes(content)
         refused(lambda path=tmp_path / name: read_tasks(path), name)
     (tmp_path / "empty").mkdir()
-    refused(lambda: read_tasks(tmp_path / "empty"), "empty: got 0 images")
+    refused(lambda: read_tasks(tmp_path / "empty"), "empty must be ", "got 0 images")

@@ -17,7 +17,8 @@ from getagrip.annotate.project import Project
 from getagrip.annotate.store import APPLICATION, Store
 from getagrip.annotate.tasks import Task
 from getagrip.annotate.versions import RefusedError
-from getagrip.commands.annotate import DATABASE, write_files
+from getagrip.annotate.written_files import write_files
+from getagrip.commands.annotate import DATABASE
 from getagrip.grasps import lists
 from helpers.command_line import Run
 from helpers.numbered_footage import write_video

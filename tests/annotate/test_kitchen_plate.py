@@ -14,10 +14,11 @@ from getagrip.annotate.clicked_hands import hands_from_clicks
 from getagrip.annotate.labelled import make
 from getagrip.annotate.labels import OBJECT
 from getagrip.annotate.video import Video
-from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.clip.intrinsics import intrinsics
 from getagrip.datasets.synthetic.shapes import plate
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
+from getagrip.geometry.lens import Lens
 from getagrip.geometry.mesh_files import write_mesh
 from helpers.command_line import Run
 from helpers.paths import DATA, ROOT, needs

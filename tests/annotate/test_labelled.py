@@ -19,12 +19,12 @@ from getagrip.annotate.marks import Mark
 from getagrip.annotate.steadied_hands import steadied
 from getagrip.annotate.tasks import Task
 from getagrip.clip import read_clip, read_masks
-from getagrip.clip.intrinsics import Lens
 from getagrip.errors import UsageError
 from getagrip.fitting.hand_correction import correct_hand
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.geometry.depth import covered
+from getagrip.geometry.lens import Lens
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.hands import generic
 from getagrip.io.files import is_plain_name

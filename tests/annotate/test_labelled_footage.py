@@ -61,7 +61,7 @@ def test_labels_of_other_footage_leave_no_database_behind(tmp_path: Path, run: R
     labels.write(GIVEN, file)
     status, _, err = run("annotate", footage, "--out", out, "--import-labels", file)
     assert status == 1
-    assert err.startswith(f"getagrip: {file}: got labels of other footage")
+    assert err.startswith(f"getagrip: {file} must be labels of the footage given (got labels of other footage")
     assert not out.exists()
     labels.write(replace(GIVEN, sha256=checksum(footage)), file)
     assert run("annotate", footage, "--out", out, "--import-labels", file)[0] == 0

@@ -15,7 +15,7 @@ from getagrip.batch.entries import FILE
 from getagrip.batch.imports import ImportJob, import_clips, import_part
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.limits import Limits
-from getagrip.batch.plan import Shard
+from getagrip.batch.shard import Shard
 from getagrip.batch.share import Share
 from getagrip.commands.datasets import DATASETS
 from getagrip.datasets.cutting import TrackedDataset
@@ -85,7 +85,7 @@ def test_help_loads_no_reader() -> None:
 @pytest.mark.slow
 def test_the_table_loads_no_compiler() -> None:
     """Or else ``getagrip import --help`` would wait for numba."""
-    code = "import sys, getagrip.cli.imports\nsys.exit('numba' in sys.modules)"
+    code = "import sys, getagrip.commands.datasets\nsys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -97,8 +97,8 @@ def test_the_trouble_of_a_clip_or_a_part_ends_no_other(tmp_path: Path, capsys: p
     assert {folder.name for folder in tmp_path.iterdir()} == {"torn-0", "torn-3", "fine-0", "fine-3", FILE}
     assert printed.out.splitlines()[-1] == "4 clips, 0 already there, 2 of 2 shelves failed"
     for words in (
-        "failed: torn-1: torn-1: got a damaged file",
-        "failed: torn: torn: got half a file",
+        "got a damaged file",
+        "got half a file",
         "fine-2: nothing",
     ):
         assert words in printed.err
@@ -130,7 +130,7 @@ def test_a_part_that_takes_too_long_is_left_behind_and_the_ledger_says_why(
     with Ledger(tmp_path) as ledger:
         entries = {entry.name: entry for entry in ledger.entries()}
     assert {name: entry.state for name, entry in entries.items()} == {"endless": "failed", "a": "failed"}
-    assert "a-1: got a damaged file" in entries["a"].why
+    assert "(got a damaged file" in entries["a"].why
     assert entries["a"].about == {"done": 2, "failed": 1}
 
 

@@ -107,7 +107,7 @@ def test_limits_hold_there_as_well(slurm: Path) -> None:
 @pytest.mark.slow
 def test_a_machine_with_other_code_is_named(slurm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(code, "fingerprint", lambda: "0123456789abcdef")
-    with pytest.raises(GetagripError, match=r"got getagrip of other code .* expected the same on every machine"):
+    with pytest.raises(GetagripError, match=r"must be the same on every machine.*got getagrip of other code "):
         list(shared_out(SlurmCrew(1, patient, NONE, None), ["a"]))
 
 
@@ -134,6 +134,6 @@ def test_what_is_missing_is_named(
         monkeypatch.setattr(shutil, "which", lambda _: None)
     status, _, err = run("reconstruct", clip_folder, "--out", tmp_path / "out", "--engine", "slurm")
     assert status == 2
-    assert err.startswith("getagrip: --engine slurm: got no ")
+    assert err.startswith("getagrip: missing command sbatch: --engine slurm")
     assert missing in err
     assert err.count("\n") == 1

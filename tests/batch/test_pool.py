@@ -102,5 +102,5 @@ def test_a_killed_process_gives_its_job_to_another_one(tmp_path: Path) -> None:
     "given", [{"seconds": 0.0}, {"seconds": float("nan")}, {"gigabytes": -1.0}, {"gigabytes": 1e30}]
 )
 def test_limits_are_numbers_above_zero(given: dict[str, float]) -> None:
-    with pytest.raises(UsageError, match="expected a number above 0"):
+    with pytest.raises(UsageError, match="must be above 0"):
         Limits(**given)

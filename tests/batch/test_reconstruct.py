@@ -16,7 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from getagrip.batch.plan import Plan, Shard
+from getagrip.batch.plan import Plan
+from getagrip.batch.shard import Shard
 from getagrip.clip import Clip, input_sha256, write_clip
 from getagrip.errors import UsageError
 from getagrip.fitting.options import Options
@@ -115,7 +116,7 @@ def test_the_summary_has_a_row_for_each_clip_and_the_index_shows_the_worst(
     assert {name: row["status"] for name, row in table.items()} == {
         "a": "done", LONG: "done", "b": "failed", "torn": "failed",
     }  # fmt: skip
-    assert "hand.npz: got no such file" in table["b"]["why"]
+    assert "hand.npz: no such file" in table["b"]["why"]
     assert table["a"]["IOU"] == "1.0000"
     assert float(table["a"]["seconds"]) > 0
     page = (out / "index.html").read_text()
@@ -154,7 +155,7 @@ def test_shards_are_parts_of_all_clips(clips: Path) -> None:
     assert sum(map(len, parts)) == len(everything) == 3
     assert parts[0] | parts[1] | parts[2] == everything
     for text in ("0/3", "4/3", "3", "a/b", "1/0"):
-        with pytest.raises(UsageError, match="expected i/N"):
+        with pytest.raises(UsageError, match="must be i/N"):
             Shard.of(text)
 
 
@@ -203,7 +204,7 @@ def test_a_folder_that_may_not_be_written_is_named(clips: Path, run: Run, fitted
             if root:
                 os.seteuid(0)
         assert status == 2
-        assert err.startswith(f"getagrip: --out: got {out}, expected a folder that can be written (")
+        assert err.startswith(f"getagrip: --out must be a folder that can be written (got {out}: ")
         assert fitted == []
 
 

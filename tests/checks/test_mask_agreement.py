@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from getagrip.batch.clips import Batch, _Tally
+from getagrip.batch.clips import _Tally
 from getagrip.batch.job import Outcome
+from getagrip.batch.treatment import Batch
 from getagrip.checks import RESULT_CHECKS, Evidence, examine
 from getagrip.clip import Clip, Masks
 from getagrip.datasets.synthetic.noise import Noise, perturbed

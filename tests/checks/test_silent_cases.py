@@ -13,7 +13,6 @@ from getagrip.checks.evidence import Jumps
 from getagrip.checks.frame_order import Lateness, lateness
 from getagrip.checks.hand_side import bend
 from getagrip.clip import Clip, Masks, write_clip
-from getagrip.clip.provenance import assumed
 from getagrip.errors import GetagripError
 from getagrip.experiments.changes import Wrong
 from getagrip.experiments.wrong_inputs import MISTAKES
@@ -22,6 +21,7 @@ from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
+from getagrip.provenance import assumed
 from helpers.command_line import Run
 from helpers.scenes import SMALL, scene
 

@@ -122,5 +122,5 @@ def test_a_camera_far_from_the_world_is_refused(far: float) -> None:
     assert clip.world is not None
     T = clip.world.T_world_cam.copy()
     T[:, 1, 3] = far
-    with pytest.raises(InputError, match=r"T_world_cam: got a camera .* from the world's origin in frame"):
+    with pytest.raises(InputError, match=r"T_world_cam must be .*got a camera .* from the world's origin in frame"):
         check_clip(replace(clip, world=replace(clip.world, T_world_cam=T)))

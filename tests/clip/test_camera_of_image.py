@@ -7,8 +7,9 @@ import pytest
 
 from getagrip.checks import INPUT_CHECKS, Evidence, examine
 from getagrip.clip.camera_of_image import doubt
-from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.clip.intrinsics import intrinsics
 from getagrip.errors import UsageError
+from getagrip.geometry.lens import Lens
 from helpers.clips import small_clip
 
 
@@ -46,7 +47,7 @@ def test_one_frame_with_another_camera_is_enough() -> None:
 
 
 def test_a_focal_length_in_millimetres_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"--focal: got 50, .* mm\? The 35-mm .* 889 px for 50 mm"):
+    with pytest.raises(UsageError, match=r"--focal must be in pixels \(got 50\).* mm\? The 35-mm .* 889 px for 50 mm"):
         intrinsics(Lens(focal=50.0), (640, 480))
 
 

@@ -31,8 +31,8 @@ WRONG: dict[str, tuple[Clip, str]] = {
     "110 m large": (replace(CLIP, mesh=Mesh(1e3 * CLIP.mesh.vertices, CLIP.mesh.faces)), "mesh"),
     "look inward": (replace(CLIP, mesh=Mesh(CLIP.mesh.vertices, CLIP.mesh.faces[:, ::-1])), "mesh"),
     "NaN or infinite": (replace(CLIP, times=np.array([0.0, np.nan, 0.1])), "times"),
-    "got 1e-299, expected frames per second": (replace(CLIP, fps=1e-299), "fps"),
-    "got 1e+299, expected frames per second": (replace(CLIP, fps=1e299), "fps"),
+    "(got 1e-299)": (replace(CLIP, fps=1e-299), "fps must be frames per second"),
+    "(got 1e+299)": (replace(CLIP, fps=1e299), "fps must be frames per second"),
     "are these seconds?": (replace(CLIP, times=1e-310 * np.arange(3)), "times"),
     "no rigid motion in frame '0000'": (
         replace(CLIP, world=World(1.1 * np.tile(np.eye(4), (3, 1, 1)))),
@@ -67,7 +67,7 @@ def test_masks_of_another_clip_are_refused_everywhere() -> None:
         lambda: write_report(result, CLIP, two, "nowhere.png"),
         lambda: check_masks(replace(CLIP, size=(24, 32)), MASKS),
     ):
-        with pytest.raises(UsageError, match=r"masks: got the shape .*, expected .* as of the clip small"):
+        with pytest.raises(UsageError, match=r"masks must be of the shape .*, as the clip small \(got "):
             call()
 
 

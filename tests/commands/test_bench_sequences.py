@@ -1,33 +1,65 @@
-"""What the benchmarks of whole sequences share: their trials are tasks of the ledger."""
+"""Benchmarks of whole sequences: what fails is told, is in the ledger, and stops no other but on demand."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.share import Share
-from getagrip.commands.bench_sequences import Plan, scored
+from getagrip.commands.bench import BenchSegments, BenchTimelines
+from getagrip.datasets.hot3d.reader import Hot3d
+from getagrip.errors import GetagripError, UsageError
+from getagrip.experiments import sources
+from getagrip.experiments.segment_benchmark import SegmentBenchmark
 from getagrip.experiments.segment_trials import SequenceScores, SequenceTrial
 from getagrip.experiments.sources import Sample
-from getagrip.fitting.options import Options
+from getagrip.experiments.sources.dexycb import DexYcbSequences
+from getagrip.experiments.sources.hot3d import Hot3dTimelines
+from getagrip.experiments.timeline_trials import TimelineScores, TimelineTrial
+
+
+def samples_are(monkeypatch: pytest.MonkeyPatch, folder: Path, *names: str) -> None:
+    """These are the clips of any source."""
+    found = [Sample(name, folder / name) for name in names]
+    monkeypatch.setattr(sources, "samples", lambda *_: (found, []))
 
 
 @pytest.mark.parametrize(("fail_fast", "names"), [(False, ["a", "c"]), (True, ["c"])])
 def test_a_failure_is_told_and_in_the_ledger(
-    tmp_path: Path, capsys: pytest.CaptureFixture, fail_fast: bool, names: list[str]
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    fail_fast: bool,
+    names: list[str],
 ) -> None:
-    def run(trial: SequenceTrial) -> SequenceScores:
-        return SequenceScores(trial.name, failure="no masks" if trial.name == "b" else "")
+    shown = list[str]()
 
-    source: Any = None
+    def scores(trial: SequenceTrial) -> SequenceScores:
+        if trial.name == "b":
+            raise GetagripError("no masks")
+        return SequenceScores(trial.name)
+
+    def page(_: object, given: list[SequenceScores]) -> None:
+        shown.extend(one.name for one in given if not one.failure)
+
+    samples_are(monkeypatch, tmp_path, *"cba")
+    monkeypatch.setattr(SequenceTrial, "scores", scores)
+    monkeypatch.setattr(SegmentBenchmark, "page", page)
     share = Share(workers=1, fail_fast=fail_fast)
-    plan = Plan(source, tmp_path, Options(), None, share, overwrite=False, json=None)
-    trials = [SequenceTrial(Sample(name, tmp_path / name), "none", plan.options, tmp_path, False) for name in "cba"]
-    assert [one.name for one in scored(run, SequenceScores, trials, plan, debug=False)] == names
+    assert BenchSegments(source=DexYcbSequences(), out=tmp_path, share=share).run() == 1
+    assert shown == names
     assert "failed: b: no masks" in capsys.readouterr().err
     with Ledger(tmp_path) as ledger:
         states = {entry.name: (entry.state, entry.why) for entry in ledger.entries()}
     assert states == {"b": ("failed", "no masks")} | dict.fromkeys(names, ("done", ""))
+
+
+def test_a_table_needs_timelines_that_lie_and_are_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = Hot3dTimelines(root=tmp_path, preset="strong")
+    assert isinstance(source.reader(tmp_path), Hot3d)
+    samples_are(monkeypatch, tmp_path, "P0001--a--mug")
+    monkeypatch.setattr(TimelineTrial, "scores", lambda trial: TimelineScores(trial.name))
+    with pytest.raises(UsageError, match="missing a timeline with both a static segment and a stable grasp"):
+        BenchTimelines(source=source, out=tmp_path, share=Share(workers=1)).run()

@@ -104,7 +104,7 @@ def test_numbers_that_match_by_luck_are_refused(tmp_path: Path, run: Run, kind: 
     command = ("import", "masks", source, "--clip", folder)
     status, _, err = run(*command)
     assert status == 2
-    assert "--first: got nothing, expected the number of the mask of frame 0036" in err
+    assert "missing --first: the number of the mask of frame 0036" in err
     assert "--first 0 if the clip's images were segmented, --first 35 if the whole video was" in err
     assert not (folder / "masks").exists()
     status, _, err = run(*command, "--first", "0")

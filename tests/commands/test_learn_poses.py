@@ -10,9 +10,8 @@ import pytest
 
 from getagrip.cli import main
 from getagrip.clip import read_clip, write_clip
-from getagrip.fitting import pose_priors as priors
 from getagrip.fitting.learn_priors import LearntGrasps
-from getagrip.fitting.options import Options
+from getagrip.fitting.options import Options, PriorsFile
 from getagrip.fitting.pose_priors import poses_for, read_learnt
 from helpers.clips import small_clip
 from helpers.grasp_priors import held, old_file
@@ -37,7 +36,7 @@ def test_learning_from_folders(folder: Path, tmp_path: Path, capsys: pytest.Capt
     assert isinstance(learnt, LearntGrasps)
     assert [(h.clip, h.subject) for h in learnt.holds] == [("a", "Ann"), ("c", "")]
     clip = read_clip(folder / "b")
-    assert len(poses_for(clip, Options(init="clusters", priors=priors.given(out, "clusters")))[0]) == 2
+    assert len(poses_for(clip, Options(init="clusters", priors=PriorsFile(out)))[0]) == 2
 
 
 def test_poses_as_a_folder_are_those_of_all_grasps(
@@ -46,7 +45,7 @@ def test_poses_as_a_folder_are_those_of_all_grasps(
     call = ["init", "learn", *map(str, (folder / "a", folder / "b", "--out", tmp_path / "poses.npz"))]
     assert main([*call, "--as-folder", str(tmp_path / "poses")]) == 0
     assert "does not say what they were learnt from" in capsys.readouterr().out
-    options = Options(init="priors", priors=priors.given(tmp_path / "poses", "priors"))
+    options = Options(init="priors", priors=PriorsFile(tmp_path / "poses"))
     assert len(poses_for(read_clip(folder / "a"), options)[0]) == 2
     assert main([*call, "--as-folder", str(tmp_path / "poses")]) == 2
     assert "exists already" in capsys.readouterr().err

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.commands.own_mesh import MeshRequest, Unit, own_mesh
+from getagrip.commands.own_mesh import MeshOptions, Unit, own_mesh
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.mesh_files import read_mesh
 
@@ -24,25 +24,25 @@ def box(path: Path, size: float, more: str = "") -> Path:
 def test_sizes_are_those_of_the_surface(
     tmp_path: Path, more: str, side: float | None, diameter: float | None, expected: float
 ) -> None:
-    made = own_mesh(MeshRequest(box(tmp_path / "a.obj", 0.3, more), side, diameter, False))
+    made = own_mesh(MeshOptions(box(tmp_path / "a.obj", 0.3, more), side, diameter))
     assert np.ptp(made.mesh.vertices, axis=0).max() == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("unit", "size"), [("mm", 100.0), ("cm", 10.0), ("m", 0.1), ("in", 0.1 / 0.0254)])
 def test_the_unit_of_a_file_is_stated(tmp_path: Path, unit: Unit, size: float) -> None:
-    made = own_mesh(MeshRequest(box(tmp_path / "a.obj", size), None, None, True, unit))
+    made = own_mesh(MeshOptions(box(tmp_path / "a.obj", size), unit=unit, known_scale=True))
     assert np.ptp(made.mesh.vertices, axis=0).max() == pytest.approx(0.1, rel=1e-4)
     assert made.sized
 
 
 def test_free_scale_needs_no_unit_and_known_scale_names_the_option(tmp_path: Path) -> None:
     path = box(tmp_path / "a.obj", 128.0)
-    made = own_mesh(MeshRequest(path, None, None, False))
+    made = own_mesh(MeshOptions(path))
     assert not made.sized
     assert "rescaled" in str(made.provenance["scale"])
     with pytest.raises(InputError, match=r"--unit mm.*--size-mm"):
-        own_mesh(MeshRequest(path, None, None, True))
+        own_mesh(MeshOptions(path, known_scale=True))
     with pytest.raises(InputError, match=r"millimetres\? .*getagrip clip new takes the unit \(--unit mm"):
         read_mesh(path)
-    with pytest.raises(UsageError, match="--unit: got mm, expected none"):
-        own_mesh(MeshRequest(Path("mug"), None, None, False, "mm"))
+    with pytest.raises(UsageError, match="--unit cannot be used"):
+        own_mesh(MeshOptions(Path("mug"), unit="mm"))

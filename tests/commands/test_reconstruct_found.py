@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from getagrip.batch.clips import Batch
+from getagrip.batch import clips as batch_clips
 from getagrip.clip import write_clip
-from getagrip.commands import reconstruct_found
-from getagrip.fitting.options import Options
+from getagrip.commands.reconstruct import Reconstruct
 from getagrip.segmentation import found
 from getagrip.segmentation.found import FoundSegments
 from helpers.command_line import Run
@@ -60,7 +59,7 @@ def reconstructed(monkeypatch: pytest.MonkeyPatch) -> list[Sequence[Path]]:
         wanted.append(paths)
         return 0
 
-    monkeypatch.setattr(reconstruct_found, "reconstruct_clips", note)
+    monkeypatch.setattr(batch_clips, "reconstruct_clips", note)
     return wanted
 
 
@@ -125,7 +124,7 @@ def test_two_calls_at_once_search_each_clip_once_and_both_have_them_all(
     monkeypatch.setattr(found, "find_segments", slowly)
 
     def call(_: int) -> int:
-        return reconstruct_found.reconstruct_found([clips], tmp_path / "out", Options(), Batch(), False, False)
+        return Reconstruct(clips=(clips,), out=tmp_path / "out", find_grasps=True).run()
 
     with ThreadPoolExecutor(2) as threads:
         assert [*threads.map(call, range(2))] == [0, 0]

@@ -224,9 +224,9 @@ def test_one_bad_clip_stops_no_other(run: Run, tmp_path: Path) -> None:
     assert "2 stable grasps" in printed
     lines = err.strip().splitlines()
     assert len(lines) == 2
-    assert "gone: got no such folder" in lines[0]
+    assert "gone: no such folder" in lines[0]
     assert "failed: blind: " in lines[1]
-    assert "truth.npz: got no such file, expected the true poses" in lines[1]
+    assert "truth.npz: no such file; must be the true poses" in lines[1]
     assert [one["sequence"] for one in json.loads(file.read_text())["grasps"]] == ["good", "good"]
     assert "Traceback" in run("segment", tmp_path / "blind", "--debug")[2]
 

@@ -152,7 +152,7 @@ def test_a_ledger_of_a_stranger_does_no_harm(tmp_path: Path, run: Run) -> None:
 def test_nothing_is_no_status(tmp_path: Path, run: Run) -> None:
     for folder in (tmp_path, tmp_path / "none"):
         status, _, err = run("status", folder)
-        assert (status, "expected the folder of results" in err) == (1, True)
+        assert (status, "must be the folder of results" in err) == (1, True)
     assert [*tmp_path.iterdir()] == []
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from getagrip.batch import pool
 from getagrip.clip import write_clip
-from getagrip.commands import each_clip
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.grasps.study import MEASURES, TIMES, study
@@ -64,7 +64,7 @@ def test_all_is_written_and_printed(run: Run, tmp_path: Path, monkeypatch: pytes
             assert pixels_of(half, INSIDE) > 1000  # six panels, the time of the grasp in blue
     assert pixels_of(picture, FOUND) > 200  # static
     assert pixels_of(picture, AXIS) > 200  # 1-DoF
-    monkeypatch.setattr(each_clip, "in_processes", crossing)
+    monkeypatch.setattr(pool, "in_processes", crossing)
     again = run("study", tmp_path / "clips", *options, "--workers", 2)
     assert again == (status, printed, err)  # a clip without grasps is none that failed
 
@@ -85,8 +85,8 @@ def test_one_bad_clip_stops_no_other(run: Run, tmp_path: Path) -> None:
     status, printed, err = run("study", *paths, *options)
     assert status == 1
     assert "1 stable grasp in 1 of 1 clip" in printed
-    assert "gone: got no such folder" in err
-    assert "truth.npz: got no such file" in err
+    assert "gone: no such folder" in err
+    assert "truth.npz: no such file" in err
     with pytest.raises(InputError, match=r"truth\.npz"):
         study(replace(turning(), truth=None))
 

@@ -17,7 +17,7 @@ from getagrip.datasets.dataset import Note
 from getagrip.datasets.tracks import Source, Track
 from getagrip.errors import InputError, UsageError
 from getagrip.experiments.durations import durations, of_list
-from getagrip.experiments.sources import source_of
+from getagrip.experiments.sources.folder import ClipFolder
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.grasps import lists
@@ -139,7 +139,7 @@ def test_the_list_beside_the_clips_is_theirs(tmp_path: Path, run: Run, capsys: p
     assert (row.category, row.clips, row.mean) == ("ball", 1, pytest.approx(grasp.duration))
     # Clips cut in another way do not go beside them.
     for other in (OneTrack(whole=True), OneTrack(grasps=GraspOptions(shortest=11))):
-        with pytest.raises(UsageError, match=r"--out: got .*which holds clips cut as"):
+        with pytest.raises(UsageError, match=r"--out .* cannot be used with this import: it holds clips cut as"):
             import_clips(other, out, debug=False)
     (out / "grasps.json").unlink()
     with pytest.raises(UsageError, match=r"no grasps\.json that says how"):
@@ -168,7 +168,7 @@ def test_every_command_takes_the_same_list(tmp_path: Path, run: Run) -> None:
     assert lists.read_cut(lists_made[0]) == {
         "list": "marked.json", "sha256": lists.read(marked).sha256, "contact": 0.0, "points": "vertices",
     }  # fmt: skip
-    assert source_of(str(tmp_path / "clips")).contact_mm == 0.0
+    assert ClipFolder(folder=tmp_path / "clips").contact_mm == 0.0
     # What one of them wrote, the others read.
     again = OneTrack(grasps=GraspOptions(listed=tmp_path / "segment" / "segments.csv"))
     assert import_clips(again, tmp_path / "again", debug=False) == 0

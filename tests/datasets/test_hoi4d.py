@@ -126,7 +126,7 @@ HAND = f"handpose/refinehandpose_right/{INDEX}/7.pickle"
         (OBJPOSE, b'{"objects": [{"rotation": {"x": 0, "y": 0, "z": NaN}}]}', "NaN"),
         (OBJPOSE, b'{"dataList": [{"rotation": {"x": 0, "y": 0, "z": true}}]}', r"dataList\[0\].rotation"),
         (HAND, b"", "does not load"),
-        (HAND, pickle.dumps({"poseCoeff": np.zeros(48)}), "trans: got no such key"),
+        (HAND, pickle.dumps({"poseCoeff": np.zeros(48)}), "missing trans"),
         (HAND, pickle.dumps({"poseCoeff": np.zeros(47)}), "poseCoeff"),
         (HAND, pickle.dumps({"poseCoeff": np.full(48, np.inf)}), "poseCoeff"),
         (HAND, pickle.dumps({"poseCoeff": Hostile()}), "nothing in it was run"),

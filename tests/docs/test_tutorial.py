@@ -11,6 +11,8 @@ import pytest
 
 from getagrip.clip import read_clip
 from getagrip.commands import demo
+from getagrip.datasets.synthetic import scene_options
+from getagrip.datasets.synthetic.scene import clip_name
 from getagrip.datasets.synthetic.splits import PRESETS
 from getagrip.result import read_result
 from getagrip.view.style import AXIS
@@ -49,10 +51,10 @@ def follow(section: str, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.long
 def test_the_demo_and_a_video_of_ones_own(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(demo, "CLIP", replace(demo.CLIP, **SMALL))
+    monkeypatch.setattr(scene_options, "DEMO", replace(scene_options.DEMO, **SMALL))
     (words,) = [words for words in commands(TUTORIAL, "The demo") if words[:2] == ["getagrip", "demo"]]
     assert run(*words[1:])[0] == 0
-    again = read_result(tmp_path / "out" / "demo" / demo.clip_name(demo.CATEGORY, demo.SEED, demo.CLIP))[0]
+    again = read_result(tmp_path / "out" / "demo" / clip_name(demo.CATEGORY, demo.SEED, scene_options.DEMO))[0]
     with monkeypatch.context() as patch:  # it can be run again; the same would be found and drawn
         patch.setattr(demo, "reconstruct", lambda *_, **__: again)
         patch.setattr(demo, "write_report", lambda *given: given[3])
@@ -67,7 +69,7 @@ def test_the_demo_and_a_video_of_ones_own(tmp_path: Path, run: Run, monkeypatch:
 
 def the_mug_is_found(out: Path) -> None:
     """By the demo, and shown on its page."""
-    name = demo.clip_name(demo.CATEGORY, demo.SEED, demo.CLIP)
+    name = clip_name(demo.CATEGORY, demo.SEED, scene_options.DEMO)
     clip = read_clip(out / "clips" / name)
     result, record = read_result(out / name)
     assert result.clip == clip.name

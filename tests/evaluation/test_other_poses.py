@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from getagrip.clip import Clip, Masks, write_clip
-from getagrip.commands.evaluate_poses import OtherPoses, pose_jobs
+from getagrip.commands.evaluate import Evaluate
+from getagrip.commands.evaluate_poses import pose_jobs
 from getagrip.errors import UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.other_poses import poses_of
@@ -144,7 +145,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, moved: Any, refused: Refused) ->
             "a second obj_id",
         ),
         "h.xml": ("", "the suffix"),
-        "i.csv": (BOP_HEAD + "1,10,1,1\r,1 0 0,0 0 500\n", "line 2: got 4 cells"),
+        "i.csv": (BOP_HEAD + "1,10,1,1\r,1 0 0,0 0 500\n", "got 4 cells"),
         "j.csv": (BOP_HEAD + f"1,10,1,1,{'1 ' * 100_000},0 0 500,-1\n", "no CSV"),
         "k.csv": (BOP_HEAD + '1,10,1,1,"1 0 0,0 0 500,-1\n', "no CSV"),
         "l.csv": (BOP_HEAD + "1,10,1,1\n", "4 cells"),
@@ -213,7 +214,7 @@ def test_poses_that_are_counted_from_another_start_are_asked_for(tmp_path: Path,
     T, first = clip.hand.T_cam_hand @ result.T_hand_obj, int(clip.frames[0]) - 1
     path = tmp_path / "earlier.npz"
     arrays.write(path, {"T_cam_obj": T, "frames": np.arange(first, first + len(T))})
-    with pytest.raises(UsageError, match="--first: got nothing"):
+    with pytest.raises(UsageError, match="missing --first"):
         poses_of(path, "theirs", clip, masks)
     found = poses_of(path, "theirs", clip, masks, first)
     np.testing.assert_allclose(found.T_hand_obj, result.T_hand_obj, atol=1e-7)
@@ -223,6 +224,6 @@ def test_files_of_single_frames_are_of_the_one_result(tmp_path: Path, moved: Any
     clip, _, _ = moved
     for name in clip.frames:
         np.savetxt(tmp_path / f"{name}.txt", np.eye(4))
-    (job,) = pose_jobs(OtherPoses(tmp_path, tmp_path / "clips"), {"mug": clip.frames})
+    (job,) = pose_jobs(Evaluate(poses=tmp_path, clips=tmp_path / "clips"), {"mug": clip.frames})
     assert (job.folder, job.clip) == (tmp_path, tmp_path / "clips" / "mug")
-    assert len(pose_jobs(OtherPoses(tmp_path, tmp_path / "clips"), {})) == len(clip)
+    assert len(pose_jobs(Evaluate(poses=tmp_path, clips=tmp_path / "clips"), {})) == len(clip)

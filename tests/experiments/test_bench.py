@@ -70,11 +70,11 @@ def test_a_run_has_a_ledger_shards_and_an_end_at_the_first_failure(
 ) -> None:
     tried: list[str] = []
 
-    def unreadable(trial: trials.Trial) -> Scores:
+    def unreadable(trial: trials.GraspTrial) -> Scores:
         tried.append(trial.name)
-        return Scores(trial.name, failure="no masks")
+        raise GetagripError("no masks")
 
-    monkeypatch.setattr("getagrip.commands.bench.run", unreadable)
+    monkeypatch.setattr(trials.GraspTrial, "scores", unreadable)
     call = ("bench", can_and_box, "--out", tmp_path, "--workers", "1")
     assert run(*call, "--fail-fast")[0] == 1
     assert tried == ["box-right-0000"]
@@ -183,13 +183,13 @@ def test_hands_are_compared_on_the_frames_that_all_have(can_and_box: Path, tmp_p
     write_clip(replace(clip, hand=clip.hand), trials.read_masks(clip), tmp_path / "clips" / clip.name)
     assert HandSource.of(f"c={tmp_path / 'clips'}").read(clip).track == clip.hand
     for bad, words in (
-        ({"frames": [1]}, "1 of the 4 frames"), ({"frames": [1, 2], "side": np.array("left")}, "side: got 'left'"),
+        ({"frames": [1]}, "1 of the 4 frames"), ({"frames": [1, 2], "side": np.array("left")}, "got 'left'"),
     ):  # fmt: skip
         hand_file(tmp_path / "off", clip, **bad)
         status, _, err = run(*call, "--hands", *sources)
         assert (status, f"failed: {clip.name}" in err, words in err) == (1, True, True)
     (tmp_path / "off" / f"{clip.name}.npz").unlink()
-    assert "expected off's hands of the clip" in run(*call, "--hands", *sources)[2]
+    assert "must be off's hands of the clip" in run(*call, "--hands", *sources)[2]
     for wrong in (("exact",), ("exact=nowhere",), (sources[0], sources[0])):
         assert run(*call, "--hands", *wrong)[0] == 2
     assert run(*call, "--hands", *sources, "--ablation", "scale")[0] == 2

@@ -16,9 +16,9 @@ from getagrip.experiments.segment_trials import (
     SequenceTrial,
     mirrored,
     reversed_in_time,
-    run_sequence,
 )
 from getagrip.experiments.sources import Sample
+from getagrip.experiments.trial import run
 from getagrip.fitting.options import Options
 from getagrip.io import code
 from helpers.command_line import Run
@@ -38,12 +38,12 @@ def trial(tmp_path: Path) -> SequenceTrial:
         segments=(Segment("static", 0, 3), Segment("grasp", 4, 9, "right")),
     )
     folder = write_clip(clip, masks.take(np.zeros(FRAMES, dtype=int)), tmp_path / "clips" / "still")
-    return SequenceTrial(Sample("still", folder), "none", Options(), tmp_path / "results", overwrite=False)
+    return SequenceTrial(Sample("still", folder), tmp_path / "results", False, "none", Options())
 
 
 @pytest.mark.slow
 def test_what_is_found_and_what_is_true_is_scored_in_both_directions(trial: SequenceTrial) -> None:
-    scores = run_sequence(trial)
+    scores = run(trial)
     assert not scores.failure
     assert set(scores.by) == {(direction, way) for direction in DIRECTIONS for way in WAYS}
     for of in scores.by.values():
@@ -56,39 +56,39 @@ def test_what_is_found_and_what_is_true_is_scored_in_both_directions(trial: Sequ
 
 @pytest.mark.slow
 def test_what_the_same_code_has_found_is_kept(trial: SequenceTrial) -> None:
-    run_sequence(trial)
+    run(trial)
     path = trial.results / "still.json"
     record = json.loads(path.read_text())
     record["forwards"]["fits"] = [[4, 9]]
     path.write_text(json.dumps(record))
-    kept = run_sequence(trial)
+    kept = run(trial)
     assert (kept.by["forwards", "fits"].matches[0].tiou, kept.again) == (1.0, "")
-    assert run_sequence(replace(trial, overwrite=True)).by["forwards", "fits"].found == 0
+    assert run(replace(trial, overwrite=True)).by["forwards", "fits"].found == 0
 
 
 @pytest.mark.slow
 def test_what_other_code_has_found_or_is_damaged_is_found_again_and_why_is_said(
     trial: SequenceTrial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run_sequence(trial)
+    run(trial)
     path = trial.results / "still.json"
     path.write_bytes(path.read_bytes()[:100])
-    again = run_sequence(trial)
+    again = run(trial)
     assert (again.failure, again.by["forwards", "fits"].found) == ("", 0)
     assert again.again.startswith("what was there is damaged (")
-    assert run_sequence(trial).again == ""
+    assert run(trial).again == ""
     same = code.fingerprint()
 
     def of_other_segmentation(*also: str) -> str:
         return "0123456789abcdef" if "segmentation" in also else same
 
     monkeypatch.setattr(code, "fingerprint", of_other_segmentation)
-    assert run_sequence(trial).again == "what was there is of other code or other libraries"
+    assert run(trial).again == "what was there is of other code or other libraries"
 
 
 def test_a_sequence_that_cannot_be_read_is_a_failure(trial: SequenceTrial) -> None:
     (trial.sample.folder / "hand.npz").write_bytes(b"no hand")
-    assert "hand.npz" in run_sequence(trial).failure
+    assert "hand.npz" in run(trial).failure
 
 
 def test_time_runs_back(trial: SequenceTrial) -> None:

@@ -3,20 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from getagrip.batch.share import ALONE
-from getagrip.commands import bench_timelines
-from getagrip.commands.bench_sequences import Plan
-from getagrip.datasets.hot3d.reader import Hot3d
-from getagrip.errors import UsageError
-from getagrip.experiments.sources import Sample, source_of
-from getagrip.experiments.sources.timelines import Timelines
 from getagrip.experiments.timeline_scores import jumps, segment_scores
-from getagrip.experiments.timeline_trials import TimelineScores
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.metrics.symmetry import find_symmetries
@@ -38,17 +29,6 @@ def test_the_truth_is_right_and_does_not_jump() -> None:
     shifted = true.copy()
     shifted[clip.segments[2].first :, 0, 3] += 0.05
     assert jumps(clip, shifted) == pytest.approx([0.0, 0.05], abs=1e-9)
-
-
-def test_a_table_needs_timelines_that_lie_and_are_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = source_of("hot3d-timelines", root=tmp_path, preset="strong")
-    assert isinstance(source, Timelines)
-    assert isinstance(source.reader(tmp_path), Hot3d)
-    monkeypatch.setattr(bench_timelines, "samples", lambda *_: ([Sample("P0001--a--mug", tmp_path)], []))
-    monkeypatch.setattr(bench_timelines, "scored", lambda *_: [TimelineScores("P0001--a--mug")])
-    plan = Plan(source, tmp_path, Options(), None, ALONE, False, None)
-    with pytest.raises(UsageError, match="got 1 timeline, none with both a static segment and a stable grasp"):
-        bench_timelines.bench_timelines(plan, False)
 
 
 @pytest.mark.slow

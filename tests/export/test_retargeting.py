@@ -95,6 +95,6 @@ def test_the_palm_of_a_left_hand_is_the_mirror_image() -> None:
 
 @pytest.mark.parametrize("to", ["spider", "dex-retargeting"])
 def test_hands_without_joints_are_refused(scene: Scene, tmp_path: Path, to: str) -> None:
-    with pytest.raises(UsageError, match=f"--to {to}: got the clip small without joints"):
+    with pytest.raises(UsageError, match=f"missing joints in hand.npz of the clip small: --to {to}"):
         export(replace(scene, joints=None), tmp_path / "out", to)
     assert not list(tmp_path.iterdir())

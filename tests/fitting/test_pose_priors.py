@@ -34,7 +34,7 @@ REAL = DATA / "epic" / "pose_priors"
 def poses_file(path: Path, *clips: Clip) -> Options:
     """Options that start from the poses learnt from some clips."""
     LearntGrasps(tuple(hold(clip) for clip in clips), k=10).write(path)
-    return Options(init="clusters", priors=priors.given(path, "clusters"), inits=12)
+    return Options(init="clusters", priors=PriorsFile(path), inits=12)
 
 
 def test_a_file_holds_what_was_learnt(tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_given_poses_may_stand_alone(tmp_path: Path, refused: Callable[..., str]
     """At most as many as ``inits``, and no uniform ones; an object without any is an error, not a uniform search."""
     filled = poses_file(tmp_path / "poses.npz", held("a", "Ann"), held("b", "Bob", 1))
     assert filled.priors is not None
-    alone = replace(filled, priors=replace(filled.priors, alone=True), method="static")
+    alone = replace(filled, priors_only=True, method="static")
     problem = prepare(held("c"), small_clip()[1], alone)
     assert "started from 2 poses of poses.npz, and no others" in problem.notes
     assert problem.inits == 2
@@ -113,7 +113,7 @@ def test_given_poses_may_stand_alone(tmp_path: Path, refused: Callable[..., str]
     assert np.array_equal(initial_of(problem).R, poses_for(held("c"), filled)[0][:, :3, :3])
     assert prepare(held("c"), small_clip()[1], replace(alone, inits=1)).inits == 1
     refused(lambda: poses_for(replace(held("c"), side="left"), alone), "no poses of box in a left hand", "some")
-    apart = replace(filled, priors=replace(poses_file(tmp_path / "own.npz", held("a", "Ann")).priors, alone=True))
+    apart = replace(alone, priors=poses_file(tmp_path / "own.npz", held("a", "Ann")).priors, method="one-dof")
     refused(lambda: poses_for(held("d", "Ann"), apart), "own.npz", "without 1 grasp of its own subject")
     assert "without uniform rotations" in uncalibrated(replace(alone, method="soft-hinge", inits=50), ())
 
@@ -187,7 +187,7 @@ def test_a_folder_of_poses_by_category_and_side_is_read(tmp_path: Path, refused:
     scaled = T[0] @ np.diag([0.7, 0.7, 0.7, 1.0])
     np.save(tmp_path / "mug" / "left_a.npy", scaled)
     assert np.allclose(read_folder(tmp_path).of("mug", "left"), T[:1])
-    options = Options(init="priors", priors=priors.given(tmp_path, "priors"))
+    options = Options(init="priors", priors=PriorsFile(tmp_path))
     clip = replace(held("x", category="mug"), side="left")
     assert "does not say what they were learnt from" in poses_for(clip, options)[1][0]
     for bad, words in (
@@ -225,13 +225,13 @@ def test_the_authors_poses_are_read() -> None:
 @pytest.mark.parametrize("init", ["uniform", "clusters", "priors"])
 def test_starts_without_their_file_and_files_without_use_are_wrong(init: Init) -> None:
     file = PriorsFile(Path("poses"), "") if init == "uniform" else None
-    with pytest.raises(UsageError, match="priors: got"):
+    with pytest.raises(UsageError, match="--priors"):
         Options(init=init, priors=file)
 
 
 @pytest.mark.parametrize("init", ["clusters", "priors"])
 def test_what_is_not_there_is_named(tmp_path: Path, refused: Callable[..., str], init: Init) -> None:
-    refused(lambda: priors.given(tmp_path / "nothing", init), "nothing")
+    refused(lambda: priors.identified(tmp_path / "nothing", init), "nothing")
 
 
 def test_an_empty_list_of_poses_is_no_file_of_poses(tmp_path: Path) -> None:

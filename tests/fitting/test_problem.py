@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from getagrip.clip import Clip, FrameMasks, Masks, read_clip, read_masks, write_clip
-from getagrip.clip.provenance import assumed
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem, prepare
+from getagrip.provenance import assumed
 from helpers.clips import small_clip
 
 FRAMES = 9

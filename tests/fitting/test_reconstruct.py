@@ -160,7 +160,7 @@ def test_impossible_options_are_refused(options: dict[str, Any]) -> None:
 
 
 def test_no_threads_are_too_few() -> None:
-    with pytest.raises(UsageError, match=r"threads: got 0, expected 1 or more"):
+    with pytest.raises(UsageError, match=r"threads must be 1 or more.*got 0"):
         reconstruct(*scene("spoon", 1, SHORT), threads=0)
 
 

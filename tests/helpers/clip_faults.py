@@ -44,7 +44,7 @@ BROKEN: dict[str, tuple[Break, str, tuple[str, ...]]] = {
     "unknown key": (edit_json(colour="red"), "clip.json: colour", ("unknown key",)),
     "unknown key of many lines": (edit_json(**{"a\nb": 1}), "clip.json: a\\nb", ("unknown key",)),
     "missing key": (edit_json(fps=None), "clip.json: fps", ("no such key",)),
-    "other version": (edit_json(version=5), "clip.json: version", ("got 5", "expected 1 or 2 or 3 or 4")),
+    "other version": (edit_json(version=5), "clip.json: version", ("got 5", "must be 1 or 2 or 3 or 4")),
     "segments in version 2": (edit_json(version=2, segments=[]), "clip.json: segments", ("unknown", "version 2")),
     "support in version 2": (
         edit_json(version=2, camera={"K": CAMERA, "T_world_cam": POSE, "world_up": [0, 0, 1], "world_support": 0.0}),

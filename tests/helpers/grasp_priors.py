@@ -11,7 +11,7 @@ from numpy import ndarray
 from getagrip.clip import Clip
 from getagrip.fitting import pose_priors as priors
 from getagrip.fitting.learn_priors import hold, learn
-from getagrip.fitting.options import Options
+from getagrip.fitting.options import Options, PriorsFile
 from getagrip.geometry import se3
 from helpers.clips import small_clip
 
@@ -34,4 +34,4 @@ def old_file(path: Path, *clips: Clip) -> Options:
     learnt = learn([hold(clip) for clip in clips], k=10)
     names = {name: np.array(getattr(learnt, name), np.str_) for name in priors.NAMES}
     np.savez(path, version=np.array(1), T_hand_obj=learnt.T_hand_obj, **names)  # type: ignore[arg-type]
-    return Options(init="clusters", priors=priors.given(path, "clusters"), inits=12)
+    return Options(init="clusters", priors=PriorsFile(path), inits=12)

@@ -40,6 +40,7 @@ CUP = f"--interval 3 8 --side right --mesh unit.obj --size-mm 120 --K {' '.join(
 MASKS = "--object 1 --ignore 2"
 NEW_FRAMES = f"--side right --frames 3 8 --size 64 48 --K {' '.join(K)} --overwrite"
 BENCH = "--out out --workers 1 --methods static"
+BENCHED = ("dexycb",)
 EXPORTS = {"usd": "pxr", "mujoco": "mujoco", "lerobot": "pyarrow"}
 """Formats that need a library."""
 CALLS: dict[str, Sequence[str]] = {
@@ -76,13 +77,12 @@ CALLS: dict[str, Sequence[str]] = {
         *(f"results --to {to} --out out" for to in ("npz", "bop", "spider", "dex-retargeting")),
         *(f"results --to {to} --out out" for to, library in EXPORTS.items() if find_spec(library)),
     ],
-    "bench": [
-        f"clips {BENCH} --json out.json",
-        f"clips {BENCH} --ablation mask-noise",
-        f"synthetic {BENCH} --clips 1",
-        "dexycb-segments --root root --out out --workers 1 --split all --json out.json",
-        "hot3d-timelines --root root --out out --workers 1 --split all --preset exact --json out.json",
-    ],
+    "bench clips": [f"clips {BENCH} --json out.json", f"clips {BENCH} --ablation mask-noise"],
+    "bench synthetic": [f"{BENCH} --clips 1"],
+    **{f"bench {name}": [f"--root root {BENCH} --split all"] for name in BENCHED},
+    "bench dexycb-segments": ["--root root --out out --workers 1 --split all --json out.json"],
+    "bench dexycb-timelines": ["--root root --out out --workers 1 --split all --preset exact"],
+    "bench hot3d-timelines": ["--root root --out out --workers 1 --split all --preset exact --json out.json"],
     "segment": [
         "held --out out --json out.json --workers 1",
         "clips --from-masks --out out --json out.json --write --workers 1",
@@ -137,8 +137,7 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         "annotate.server.Server.serve_forever": ended,
         "batch.compiled.compile_once": lambda: None,
         "cli._parsed": lambda words: parsed(tuple(words)),
-        "commands.demo.CLIP": SHORT,
-        "commands.demo.reconstruct": fitted,
+        "datasets.synthetic.scene_options.DEMO": SHORT,
         "commands.doctor._try_out": lambda: None,
         "datasets.synthetic.scene.synthesise": made,
         "experiments.plots.SHOWN": ("iou",),

@@ -117,36 +117,36 @@ def changed(kind: type[ArrayData], **fields: Any) -> Callable[[], object]:
 HAND, CLIP, MASKS = one_of(HandTrack), one_of(Clip), one_of(Masks)
 SHORT = CLIP.take(np.array([0]))
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {
-    "of shape (4, 4), expected floats of shape (V, 3)": (lambda: Mesh(np.eye(4), TRIANGLE), "Mesh.vertices"),
-    "got the vertex id 3, expected 0 to 2": (lambda: Mesh(np.eye(3), TRIANGLE + 1), "Mesh.faces"),
-    "got float64 of shape (1, 3), expected integers": (lambda: Mesh(np.eye(3), TRIANGLE * 1.0), "Mesh.faces"),
-    "got [[0.0, 1.0, 2.0]], expected an array": (lambda: Mesh([[0.0, 1.0, 2.0]], TRIANGLE), "Mesh.vertices"),
+    "must be floats of shape (V, 3)": (lambda: Mesh(np.eye(4), TRIANGLE), "Mesh.vertices"),
+    "must be vertex ids from 0 to 2 (got 3)": (lambda: Mesh(np.eye(3), TRIANGLE + 1), "Mesh.faces"),
+    "must be integers": (lambda: Mesh(np.eye(3), TRIANGLE * 1.0), "Mesh.faces"),
+    "must be an array": (lambda: Mesh([[0.0, 1.0, 2.0]], TRIANGLE), "Mesh.vertices"),
     "got uint8": (changed(Masks, object=MASKS.object.astype(np.uint8)), "Masks.object"),
-    "got bool of shape (2, 24, 32), expected booleans of shape (3, 24, 32)": (
+    "must be booleans of shape (3, 24, 32)": (
         changed(Masks, ignore=MASKS.ignore[:2]),
         "Masks.ignore",
     ),
-    "got float64 of shape (1, 4, 4), expected floats of shape (3, 4, 4)": (
+    "must be floats of shape (3, 4, 4)": (
         changed(HandTrack, T_cam_hand=SHORT.hand.T_cam_hand),
         "HandTrack.T_cam_hand",
     ),
-    "expected floats of shape (3, 21, 3)": (changed(HandTrack, joints=HAND.joints[:, :20]), "HandTrack.joints"),
-    "got no thumb, index, middle, ring, pinky": (changed(HandTrack, regions={}), "HandTrack.regions"),
+    "must be floats of shape (3, 21, 3)": (changed(HandTrack, joints=HAND.joints[:, :20]), "HandTrack.joints"),
+    "missing thumb, index, middle, ring, pinky in": (changed(HandTrack, regions={}), "HandTrack.regions"),
     "got bool of shape (8,)": (
         changed(HandTrack, regions=HAND.regions | {"palm": np.ones(8, bool)}),
         "HandTrack.regions['palm']",
     ),
-    "got the vertex id 8": (
+    "must be vertex ids from 0 to 7 (got 8)": (
         changed(HandTrack, regions=HAND.regions | {"palm": np.array([8])}),
         "HandTrack.regions['palm']",
     ),
-    "expected floats of shape (T, 3, 3)": (changed(Clip, K=CLIP.K[0]), "Clip.K"),
-    "got 2 frames, expected 3": (changed(Clip, K=CLIP.K[:2]), "Clip.K"),
-    "got 1 frames": (changed(Clip, frames=("a",)), "Clip.frames"),
-    "got 1 frames, expected 3": (changed(Clip, truth=SHORT.truth), "Clip.truth"),
+    "must be floats of shape (T, 3, 3)": (changed(Clip, K=CLIP.K[0]), "Clip.K"),
+    "must be 3 frames, as many as the hand has (got 2)": (changed(Clip, K=CLIP.K[:2]), "Clip.K"),
+    "must be 3 frames, as many as the hand has (got 1)": (changed(Clip, frames=("a",)), "Clip.frames"),
+    "hand has (got 1)": (changed(Clip, truth=SHORT.truth), "Clip.truth"),
     "got 'Left'": (changed(Clip, side="Left"), "Clip.side"),
     "got 'unknown'": (changed(Clip, scale="unknown"), "Clip.scale"),
-    "got 0 names, expected 3": (changed(Reconstruction, frames=()), "Reconstruction.frames"),
+    "must be 3 names, as many as T_hand_obj (got 0)": (changed(Reconstruction, frames=()), "Reconstruction.frames"),
 }
 
 

@@ -133,11 +133,16 @@ def test_many_names_and_numbers_of_frames_become_no_lists(
         arrays.write(path, {"frames": frames})
         assert arrays.names(arrays.read(path, lambda _: True)["frames"]) is not None
     assert arrays.frame_numbers(path, {"frames": np.arange(3)}) == (0, 1, 2)
-    refused(lambda: arrays.frame_numbers(path, {"frames": np.arange(4)}), "frames: got int64 of shape (4,)", "1 to 3")
-    refused(lambda: arrays.frame_numbers(path, {"frames": np.zeros(2, int)}), "frames: got a frame twice")
+    refused(
+        lambda: arrays.frame_numbers(path, {"frames": np.arange(4)}),
+        "frames must be ",
+        "got int64 of shape (4,)",
+        "1 to 3",
+    )
+    refused(lambda: arrays.frame_numbers(path, {"frames": np.zeros(2, int)}), "frames must be ", "got a frame twice")
     assert arrays.names(np.arange(4)) is None
     arrays.write(path, {"frames": np.array(["a"] * 4)})
-    refused(lambda: arrays.read(path, lambda _: True), "frames: got 4 texts, expected at most 3")
+    refused(lambda: arrays.read(path, lambda _: True), "frames must be at most 3")
 
 
 def jpeg_of_two_sizes(claimed: int, real: int) -> bytes:

@@ -14,21 +14,21 @@ from getagrip.hands import generic
 from getagrip.metrics.contact import ContactDefinition
 
 WRONG: dict[str, Callable[[], object]] = {
-    "axis: got 'anywhere', expected one of free, hand": lambda: Options(axis="anywhere"),
-    "hands: got None, expected one of corrected, as-given": lambda: Options(hands=None),
-    "init: got 'random', expected one of uniform, clusters, priors": lambda: Options(init="random"),
-    "frames: got '30', expected a whole number": lambda: Options(frames="30"),
-    "inits: got 2.5, expected a whole number": lambda: Options(inits=2.5),
-    "seed: got True, expected a whole number": lambda: Options(seed=True),
-    "pull: got nan, expected a finite number": lambda: Options(pull=float("nan")),
-    "side: got 'Left', expected one of left, right": lambda: SceneOptions(side="Left"),
-    "cad: got 'own', expected one of exact, mean": lambda: SceneOptions(cad="own"),
-    "fps: got inf, expected a finite number": lambda: SceneOptions(fps=float("inf")),
-    "points: got 'all', expected one of vertices, area, fragments": lambda: Definition(points="all"),
-    "rule: got 'some', expected one of all-pairs, first, consecutive, touch": lambda: Definition(rule="some"),
-    "side: got 'Right', expected one of left, right": lambda: generic.load("Right"),
-    "points: got 'some', expected one of vertices, area, fragments": lambda: contact_sets(None, points="some"),
-    "side: got 'both', expected one of object, hand, area": lambda: ContactDefinition("both", 0.0),
+    "unknown axis 'anywhere'; choose from free, hand": lambda: Options(axis="anywhere"),
+    "unknown hands None; choose from corrected, as-given": lambda: Options(hands=None),
+    "unknown init 'random'; choose from uniform, clusters, priors": lambda: Options(init="random"),
+    "frames must be a whole number (got '30')": lambda: Options(frames="30"),
+    "inits must be a whole number (got 2.5)": lambda: Options(inits=2.5),
+    "seed must be a whole number (got True)": lambda: Options(seed=True),
+    "pull must be a finite number (got nan)": lambda: Options(pull=float("nan")),
+    "unknown side 'Left'; choose from left, right": lambda: SceneOptions(side="Left"),
+    "unknown cad 'own'; choose from exact, mean": lambda: SceneOptions(cad="own"),
+    "fps must be a finite number (got inf)": lambda: SceneOptions(fps=float("inf")),
+    "unknown points 'all'; choose from vertices, area, fragments": lambda: Definition(points="all"),
+    "unknown rule 'some'; choose from all-pairs, first, consecutive, touch": lambda: Definition(rule="some"),
+    "unknown side 'Right'; choose from left, right": lambda: generic.load("Right"),
+    "unknown points 'some'; choose from vertices, area, fragments": lambda: contact_sets(None, points="some"),
+    "unknown side 'both'; choose from object, hand, area": lambda: ContactDefinition("both", 0.0),
 }
 
 

@@ -60,7 +60,7 @@ def test_a_file_cut_short_or_longer_is_refused(
     path = tmp_path_factory.mktemp("png") / "a.png"
     for content in (WHOLE[:length], WHOLE + after):
         path.write_bytes(content)
-        with pytest.raises(InputError, match="expected a whole PNG file"):
+        with pytest.raises(InputError, match="must be a whole PNG file"):
             read_png(path, SIZE)
 
 

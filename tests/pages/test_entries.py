@@ -102,4 +102,4 @@ def test_the_command_refuses_what_it_cannot_show(run: Run, tmp_path: Path) -> No
     status, out, err = run("view", tmp_path / "nowhere")
     assert out == f"reading {tmp_path / 'nowhere'} ...\n"
     assert status == 1
-    assert "nowhere: got no such folder, expected a result, a clip" in err
+    assert "nowhere: no such folder; must be a result, a clip" in err

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from getagrip.clip import OtherHand, input_sha256, write_clip
-from getagrip.commands.report import ReportRequest, report
+from getagrip.commands.report import Report
 from getagrip.finding import Finding
 from getagrip.geometry import se3
 from getagrip.pages import IndexRow, row_without_clip, write_index
@@ -57,7 +57,7 @@ def folder(tmp_path_factory: Any) -> Path:
     assert changed.is_dir()
     (root / "bad").mkdir()
     (root / "bad" / "result.json").write_text('{"version": 1}')
-    assert report([root], ReportRequest(), 1, debug=False) == 1
+    assert Report(paths=(root,), workers=1).run() == 1
     assert (root / "moved" / "one" / "report.html").stat().st_size < 1_000_000
     return root
 
@@ -197,7 +197,7 @@ def test_the_index_sorts_filters_and_links(page: Any, folder: Path) -> None:
     page.get_by_role("button", name="worst frame").click()
     assert sets()[1::2] == ["moved", "good"]
     assert sets()[2].startswith("other: ")
-    assert "expected an unchanged clip" in sets()[2]
+    assert "must be an unchanged clip" in sets()[2]
     assert page.inner_text("#facts") == "3 of 4 results, 1 failed. Pictures show the frame of the lowest IOU."
     assert page.inner_text("tbody .badge.failed") == "failed"
     assert page.locator("tbody .value.by").nth(1).inner_text() == "40.0"

@@ -11,7 +11,6 @@ import pytest
 from matplotlib.figure import Figure
 
 from getagrip.clip import Clip, Masks, input_sha256, write_clip
-from getagrip.clip.provenance import assumed
 from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import evaluate
@@ -19,6 +18,7 @@ from getagrip.evaluation.metric import ADD_MM, IOU, SCA
 from getagrip.finding import Finding
 from getagrip.geometry import se3
 from getagrip.metrics.contact import ContactDefinition
+from getagrip.provenance import assumed
 from getagrip.result import Reconstruction, write_result
 from getagrip.view.figures import GivenResult
 from getagrip.view.figures.aligned import RAMP, Aligned, _overlay
@@ -245,12 +245,12 @@ def test_hands_have_contours_and_the_names_of_folders(made: Path) -> None:
         (
             Methods,
             ("true", "shifted-hands"),
-            "shifted-hands.*: got a result of other hands or masks, .*expected those",
+            "shifted-hands.* must be .*got a result of other hands or masks, .*expected those",
         ),
-        (Methods, ("true", "cans"), r"cans.*result.json: clip: got 'can-.*', expected 'mug-.*', as of .*true"),
-        (Hands, ("true", "moved"), "got results of dynamic and one-dof, expected one method"),
-        (Contact, ("true", "moved"), "got 2 results .* expected one for the figure 'contact'"),
-        (Aligned, ("true", "moved"), "got 2 results .* expected one for the figure 'aligned'"),
+        (Methods, ("true", "cans"), r"cans.*result.json: clip must be 'mug-.*', as of .*true.*got 'can-.*'"),
+        (Hands, ("true", "moved"), "must be one method"),
+        (Contact, ("true", "moved"), "must be one for the figure 'contact'.*got 2 results .*"),
+        (Aligned, ("true", "moved"), "must be one for the figure 'aligned'.*got 2 results .*"),
     ],
 )
 def test_results_of_other_clips_hands_or_methods_are_refused(
@@ -266,7 +266,7 @@ def test_galleries_begin_with_the_worst(made: Path) -> None:
     source = given(made, "true", "moved", "cans")
     figure = Gallery(dpi=LINES, by="add").draw(source, failed.append)
     (missing,) = failed
-    assert "truth.npz: got no ground truth, expected some, for --by add" in str(missing)
+    assert "truth.npz: no ground truth; needs some, for --by add" in str(missing)
     assert {"worst", "best", "2 results by ADD"} <= texts(figure)
     headings = [words.get_text() for words in figure.texts if words.get_text().startswith("ADD ")]
     assert [("Dynamic" in words, "1-DoF" in words) for words in headings] == [(True, False), (False, True)]
@@ -292,15 +292,15 @@ def test_figures_are_written_whole_or_not_at_all(run: Run, made: Path, tmp_path:
     assert (tmp_path / "new" / "er" / "a.png").is_file()
     before = sorted(tmp_path.iterdir())
     for args, code, words in [
-        (("contact", mug, "--out", tmp_path / "x.svg"), 2, "x.svg, expected a file whose name ends in .png or .pdf"),
+        (("contact", mug, "--out", tmp_path / "x.svg"), 2, "must be a file whose name ends in .png or .pdf"),
         (("contact", mug, "--out", tmp_path / "a.png" / "x.png"), 2, "--out: got"),
-        (("contact", mug, "--out", tmp_path / "x.png", "--contact", 90), 2, "--contact: got 90 mm"),
+        (("contact", mug, "--out", tmp_path / "x.png", "--contact", 90), 2, "got 90 mm"),
         (("contact", "--out", tmp_path / "x.png"), 2, "RESULT: name at least one result"),
-        (("aligned", mug, "--out", tmp_path / "x.png", "--frames", 0), 2, "--frames: got 0, expected 1 to 12"),
-        (("gallery", mug, "--out", tmp_path / "x.png", "--n", 0), 2, "--n: got 0, expected 1 to 60"),
-        (("gallery", mug, "--out", tmp_path / "x.png", "--dpi", 5000), 2, "--dpi: got 5000, expected 40 to 600"),
+        (("aligned", mug, "--out", tmp_path / "x.png", "--frames", 0), 2, "--frames must be 1 to 12"),
+        (("gallery", mug, "--out", tmp_path / "x.png", "--n", 0), 2, "--n must be 1 to 60"),
+        (("gallery", mug, "--out", tmp_path / "x.png", "--dpi", 5000), 2, "--dpi must be 40 to 600"),
         (("methods", mug, can, "--out", tmp_path / "x.png"), 1, "result.json: clip: got"),
-        (("methods", tmp_path / "none", "--out", tmp_path / "x.png"), 1, "none: got no such folder"),
+        (("methods", tmp_path / "none", "--out", tmp_path / "x.png"), 1, "none: no such folder"),
     ]:
         status, out, err = run("figure", *args)
         assert (status, out) == (code, "")

@@ -98,18 +98,20 @@ def hands_from_clicks(
 
 def _check(clicks: Mapping[int, Float[ndarray, "..."]], first: int, last: int) -> None:
     if not clicks:
-        raise UsageError("joints: got no frame with any, expected one at least")
+        raise UsageError("missing joints: one frame at least needs some")
     for n, points in clicks.items():
         if not first <= n <= last:
-            raise UsageError(f"joints: got some on frame {n}, expected them on frames {first} to {last}")
+            raise UsageError(f"joints must be on frames {first} to {last} (got some on frame {n})")
         if np.shape(points) != (21, 2) or np.isinf(points).any():
-            raise UsageError(f"joints of frame {n}: got an array of shape {np.shape(points)}, expected (21, 2), finite")
+            raise UsageError(f"joints of frame {n} must be finite, of shape (21, 2) (got {np.shape(points)})")
         count = int(np.count_nonzero(~np.isnan(points).any(axis=1)))
         if count < FEWEST:
-            raise UsageError(f"joints of frame {n}: got {count}, expected {FEWEST} at least, or none")
+            raise UsageError(f"joints of frame {n} must be {FEWEST} at least, or none (got {count})")
         extent = float(np.max(np.nanmax(points, axis=0) - np.nanmin(points, axis=0)))
         if extent < SMALLEST:
-            raise UsageError(f"joints of frame {n}: got all within {extent:.3g} px, expected a hand of {SMALLEST:g} px")
+            raise UsageError(
+                f"joints of frame {n} must be {SMALLEST:g} px apart or more (got all within {extent:.3g} px)"
+            )
 
 
 def _check_found(keys: Sequence[int], found: Guess) -> None:

@@ -117,7 +117,7 @@ def changed(keyframe: KeyFrame, sets: Json, size: tuple[int, int]) -> KeyFrame:
     """A key frame after a change, on an image of some width and height. Raises ``RefusedError``."""
     for key in ("hidden", "deleted"):
         if not isinstance(sets.get(key, False), bool):
-            raise RefusedError(f"{key}: got {shown(sets[key])}, expected true or false")
+            raise RefusedError(f"{key} must be true or false (got {shown(sets[key])})")
     if sets.get("deleted"):
         return replace(keyframe, deleted=True)
     old = blank(keyframe.task, keyframe.annotator, keyframe.grasp, keyframe.frame) if keyframe.deleted else keyframe
@@ -130,20 +130,20 @@ def changed(keyframe: KeyFrame, sets: Json, size: tuple[int, int]) -> KeyFrame:
     new = replace(new, joints=_without_nothing(new.joints), outlines=_without_nothing(new.outlines))
     for kind in ("object", "front"):
         if sum(one["of"] == kind for one in new.outlines.values()) > MOST_POLYGONS:
-            raise RefusedError(f"outlines: got more than {MOST_POLYGONS} of one kind on a frame")
+            raise RefusedError(f"outlines must be at most {MOST_POLYGONS} of one kind on a frame")
     return new if new.joints or new.outlines or new.hidden else replace(new, deleted=True)
 
 
 def _object(sets: Json, key: str) -> Json:
     value = sets.get(key, {})
     if not isinstance(value, dict):
-        raise RefusedError(f"{key}: got {shown(value)}, expected an object")
+        raise RefusedError(f"{key} must be an object (got {shown(value)})")
     return value
 
 
 def _joint(key: str, value: object, size: tuple[int, int]) -> Point | str | None:
     if key not in map(str, range(JOINTS)):
-        raise RefusedError(f"joints: got {shown(key)}, expected numbers 0 to {JOINTS - 1}")
+        raise RefusedError(f"joints must be numbers 0 to {JOINTS - 1} (got {shown(key)})")
     if value is None or value == UNSEEN:
         return None if value is None else UNSEEN
     return _point(value, size)
@@ -151,16 +151,16 @@ def _joint(key: str, value: object, size: tuple[int, int]) -> Point | str | None
 
 def _outline(key: str, value: object, size: tuple[int, int]) -> Json | None:
     if not TOKEN.fullmatch(key):
-        raise RefusedError(f"outlines: got {shown(key)}, expected 8 to 64 letters, digits or hyphens")
+        raise RefusedError(f"outlines must be 8 to 64 letters, digits or hyphens (got {shown(key)})")
     if value is None:
         return None
     if not isinstance(value, dict) or value.keys() != {"of", "closed", "points"}:
-        raise RefusedError(f"outline: got {shown(value)}, expected of, closed and points")
+        raise RefusedError(f"outline must be of, closed and points (got {shown(value)})")
     if value["of"] not in ("object", "front") or not isinstance(value["closed"], bool):
-        raise RefusedError(f"outline: got {shown(value)}, expected one of object or front, closed or not")
+        raise RefusedError(f"outline must be one of object or front, closed or not (got {shown(value)})")
     points, least = value["points"], 3 if value["closed"] else 1
     if not isinstance(points, list) or not least <= len(points) <= MOST_CORNERS:
-        raise RefusedError(f"outline: got {shown(points)}, expected {least} to {MOST_CORNERS} points")
+        raise RefusedError(f"outline must be {least} to {MOST_CORNERS} points (got {shown(points)})")
     return value | {"points": [_point(point, size) for point in points]}
 
 
@@ -168,9 +168,9 @@ def _point(value: object, size: tuple[int, int]) -> Point:
     """A point in the image, or beside it by no more than the image's own size, to a hundredth of a pixel."""
     numbers = isinstance(value, list) and len(value) == 2 and all(type(x) in (int, float) for x in value)
     if not numbers or not isinstance(value, list):
-        raise RefusedError(f"point: got {shown(value)}, expected [x, y]")
+        raise RefusedError(f"point must be [x, y] (got {shown(value)})")
     if not all(-side <= x <= 2 * side for x, side in zip(value, size, strict=True)):  # false for NaN, too
-        raise RefusedError(f"point: got {shown(value)}, expected one in or about the {size[0]} x {size[1]} image")
+        raise RefusedError(f"point must be one in or about the {size[0]} x {size[1]} image (got {shown(value)})")
     return [round(float(x), 2) for x in value]
 
 

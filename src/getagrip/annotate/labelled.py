@@ -15,13 +15,14 @@ from getagrip.annotate.clicked_hands import SCALE, ClickedHands, hands_from_clic
 from getagrip.annotate.labels import FRONT, OBJECT, Labels
 from getagrip.annotate.propagated_masks import propagate
 from getagrip.annotate.steadied_hands import steadied
-from getagrip.clip.intrinsics import Lens, intrinsics
-from getagrip.clip.provenance import Source, as_arrays, assumed, estimated
+from getagrip.clip.intrinsics import intrinsics
 from getagrip.clip.writing import write_hand
 from getagrip.geometry import se3
 from getagrip.geometry.depth import covered
+from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.images import write_image
+from getagrip.provenance import Source, as_arrays, assumed, estimated
 
 OWN_HAND = 3
 """Value of pixels that show the holding hand itself. There is none: nobody draws it, and what the fitted hand covers is

@@ -43,7 +43,7 @@ def tasks_of(given: Labels, tasks: Sequence[Task]) -> list[Task]:
     if not given.sha256:
         if not named:
             raise RefusedError(
-                f"video: got {name} and no checksum of it, expected the name of a video that is given here"
+                f"video must be the name of a video that is given here (got {name} and no checksum of it)"
             )
         return [task for task, _ in named]
     for some in (named, there):
@@ -55,6 +55,4 @@ def tasks_of(given: Labels, tasks: Sequence[Task]) -> list[Task]:
             f"sha256: {name} here is another file than the one that was labelled; if its frames are the same ones, "
             "take the key sha256 out of the labels"
         )
-    raise RefusedError(
-        f"video, sha256: got {name}, expected footage that is given here: none has this name or checksum"
-    )
+    raise RefusedError(f"missing footage of {name}: none that is given here has this name or checksum")

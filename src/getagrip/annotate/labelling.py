@@ -29,8 +29,9 @@ from getagrip.annotate.propagated_masks import stretches
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, open_footage
 from getagrip.annotate.versions import RefusedError
-from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.clip.intrinsics import intrinsics
 from getagrip.errors import UsageError
+from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
 from getagrip.io import files
 from getagrip.io.files import Json, shown
@@ -109,7 +110,7 @@ class Labelling:
         """Make a change of a key frame. Raises ``RefusedError``."""
         frame, size = content.get("frame"), grasp.footage.size
         if type(frame) is not int or not 0 <= frame < grasp.footage.frames:
-            raise RefusedError(f"frame: got {shown(frame)}, expected 0 to {grasp.footage.frames - 1}")
+            raise RefusedError(f"frame must be 0 to {grasp.footage.frames - 1} (got {shown(frame)})")
         change = versions.read_change(content, keyframes.SETTABLE)
         blank = keyframes.blank(grasp.mark.task, grasp.mark.annotator, grasp.mark.mark, frame)
         self.store.keyframes.apply(change, blank, lambda old, sets: keyframes.changed(old, sets, size))

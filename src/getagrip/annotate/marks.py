@@ -115,7 +115,7 @@ def _check(sets: Mapping[str, object]) -> None:
             fine = isinstance(value, str) and 0 < len(value.strip()) <= 200 and value.isprintable()
             expected = "a name of up to 200 letters"
         if not fine:
-            raise RefusedError(f"{key}: got {shown(value)}, expected {expected}")
+            raise RefusedError(f"{key} must be {expected} (got {shown(value)})")
 
 
 def changed(mark: Mark, sets: Json, footage: Footage) -> Mark:

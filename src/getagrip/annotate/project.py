@@ -20,8 +20,8 @@ from getagrip.annotate.marks import Mark
 from getagrip.annotate.store import Store
 from getagrip.annotate.tasks import Task, open_footage
 from getagrip.annotate.versions import Change, RefusedError, token
-from getagrip.clip.intrinsics import Lens
 from getagrip.datasets.epic.tables import CATEGORIES
+from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.files import Json
 
@@ -124,7 +124,7 @@ class Project:
             "cancel": lambda: self.labelling.background.cancel(grasp.mark.mark),
         }
         if not isinstance(what := content.get("work"), str) or what not in known:
-            raise RefusedError(f"work: got {files.shown(what)}, expected one of {', '.join(known)}")
+            raise RefusedError(f"unknown work {files.shown(what)}; choose from {', '.join(known)}")
         known[what]()
         return self.labelling.state(grasp)
 
@@ -236,7 +236,7 @@ class Project:
         task, name = self._task(content.get("task")), versions.annotator(content.get("annotator"))
         own = self._grasps(task, name)
         if not isinstance(key := content.get("grasp"), str) or key not in own:
-            raise RefusedError(f"grasp: got {files.shown(key)}, expected one that {name} has marked in {task.key}")
+            raise RefusedError(f"grasp must be one that {name} has marked in {task.key} (got {files.shown(key)})")
         return own[key]
 
     def _grasps(self, task: Task, name: str) -> dict[str, Grasp]:
@@ -249,7 +249,7 @@ class Project:
 
     def _task(self, key: object) -> Task:
         if not isinstance(key, str) or key not in self.tasks:
-            raise RefusedError(f"task: got {files.shown(key)}, expected one of the {len(self.tasks)} there are")
+            raise RefusedError(f"task must be one of the {len(self.tasks)} there are (got {files.shown(key)})")
         return self.tasks[key]
 
 

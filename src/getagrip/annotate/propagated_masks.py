@@ -90,12 +90,12 @@ def _filled(image: Images, keys: Mapping[int, UInt8[ndarray, "H W"]], stretch: S
 
 def _check(keys: Mapping[int, UInt8[ndarray, "H W"]], first: int, last: int) -> None:
     if not any((labels == OBJECT).any() for labels in keys.values()):
-        raise UsageError("polygons: got no frame with one around the object, expected one at least")
+        raise UsageError("missing polygons: one frame at least needs one around the object")
     outside = [n for n in keys if not first <= n <= last]
     if outside:
-        raise UsageError(f"polygons: got some on frame {outside[0]}, expected them on frames {first} to {last}")
+        raise UsageError(f"polygons must be on frames {first} to {last} (got some on frame {outside[0]})")
     if len({labels.shape for labels in keys.values()}) > 1:
-        raise UsageError("polygons: got masks of different sizes, expected one size")
+        raise UsageError("polygons must be masks of one size (got masks of different sizes)")
 
 
 def _working_size(keys: Mapping[int, UInt8[ndarray, "H W"]]) -> tuple[int, int]:

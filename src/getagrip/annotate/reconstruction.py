@@ -45,11 +45,11 @@ def shape_of(content: Json) -> Shape:
     """What a request says of the mesh. Raises ``RefusedError``."""
     mesh, size = content.get("mesh"), content.get("size_mm")
     if not isinstance(mesh, str) or not mesh.strip() or len(mesh) > LONGEST or not mesh.isprintable():
-        raise RefusedError("mesh: got nothing, expected a file, or a kind such as plate or mug")
+        raise RefusedError("missing mesh: a file, or a kind such as plate or mug")
     if mesh.strip().startswith("-"):
-        raise RefusedError(f"mesh: got {shown(mesh)}, expected a file, or a kind such as plate or mug")
+        raise RefusedError(f"mesh must be a file, or a kind such as plate or mug (got {shown(mesh)})")
     if size is not None and (type(size) not in (int, float) or not 0 < size <= LARGEST_MM):
-        raise RefusedError(f"size: got {shown(size)}, expected millimetres above 0, or nothing")
+        raise RefusedError(f"size must be millimetres above 0, or nothing (got {shown(size)})")
     return Shape(mesh.strip(), None if size is None else float(size))
 
 

@@ -99,7 +99,7 @@ class Server(ThreadingHTTPServer):
         try:
             super().__init__((ADDRESS, port), _Handler)
         except (OSError, OverflowError) as error:
-            raise UsageError(f"--port: got {port}, expected a free port ({error})") from error
+            raise UsageError(f"--port must be a free port (got {port}: {error})") from error
 
     @property
     def url(self) -> str:
@@ -253,13 +253,13 @@ class _Handler(BaseHTTPRequestHandler):
             for _ in range(0, min(length, MOST_PASSED_OVER), LARGEST_BODY):  # who is still sending hears no answer
                 self.rfile.read(min(length, LARGEST_BODY))
                 length -= LARGEST_BODY
-            raise UsageError(f"expected JSON of at most {LARGEST_BODY} bytes")
+            raise UsageError(f"body must be JSON of at most {LARGEST_BODY} bytes")
         try:
             content = json.loads(self.rfile.read(length))
         except RecursionError as error:
-            raise UsageError("expected a JSON object") from error
+            raise UsageError("body must be a JSON object") from error
         if not isinstance(content, dict):
-            raise UsageError("expected a JSON object")
+            raise UsageError("body must be a JSON object")
         if content.get("project", self.server.project.name) != self.server.project.name:
             self._send_json({"error": "another database of marks is open"}, HTTPStatus.SERVICE_UNAVAILABLE)
         elif self.path in CHANGES:
@@ -291,5 +291,5 @@ class _Handler(BaseHTTPRequestHandler):
 def _whole(text: str | None) -> int:
     """A whole number in a request. Raises ``UsageError``."""
     if text is None or not text.isascii() or not text.isdigit() or len(text) > 9:
-        raise UsageError("expected a whole number")
+        raise UsageError("length must be a whole number")
     return int(text)

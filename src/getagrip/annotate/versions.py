@@ -216,7 +216,7 @@ def read_change(content: Mapping[str, object], settable: frozenset[str]) -> Chan
     """A change as the page sends it; its values are yet to be checked. Raises ``RefusedError``."""
     sets = content.get("set")
     if not isinstance(sets, dict) or not sets or not sets.keys() <= settable:
-        raise RefusedError(f"set: got {shown(sets)}, expected some of {', '.join(sorted(settable))}")
+        raise RefusedError(f"set must be some of {', '.join(sorted(settable))} (got {shown(sets)})")
     return Change(token(content, "change"), token(content, "tab"), sets)
 
 
@@ -224,12 +224,12 @@ def token(content: Mapping[str, object], key: str) -> str:
     """What the page calls something. Raises ``RefusedError``."""
     value = content.get(key)
     if not isinstance(value, str) or not TOKEN.fullmatch(value):
-        raise RefusedError(f"{key}: got {shown(value)}, expected 8 to 64 letters, digits or hyphens")
+        raise RefusedError(f"{key} must be 8 to 64 letters, digits or hyphens (got {shown(value)})")
     return value
 
 
 def annotator(name: object) -> str:
     """The name of a person, which also names files. Raises ``RefusedError``."""
     if not isinstance(name, str) or not is_plain_name(name) or len(name) > 60:
-        raise RefusedError(f"annotator: got {shown(name)}, expected a name of up to 60 letters, without / and \\")
+        raise RefusedError(f"annotator must be a name of up to 60 letters, without / and \\ (got {shown(name)})")
     return name

@@ -7,7 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -18,7 +18,6 @@ from getagrip.batch.ledger import Ledger
 from getagrip.batch.ledger_place import ledger_folder
 from getagrip.batch.plan import Plan
 from getagrip.batch.progress import Pace
-from getagrip.batch.share import ALONE, Share
 from getagrip.batch.streamed import StreamedJob, reconstruct_streamed
 from getagrip.batch.summary import entry_of, entry_of_path, write_summary
 from getagrip.errors import UsageError, cleaned
@@ -29,30 +28,10 @@ from getagrip.io.terminal import progress_bar, report, say, show_stage
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from getagrip.batch.treatment import Batch
     from getagrip.fitting.options import Options
 
 R = TypeVar("R")
-
-
-@dataclass(frozen=True)
-class Batch:
-    """How a call treats its clips."""
-
-    share: Share = ALONE
-    threads: int = 1
-    """For each clip."""
-    overwrite: bool = False
-    """Make good results again, too."""
-    strict: bool = False
-    """Count results with a serious finding, or less probable than ``min_probability``, as failures of the call."""
-    min_probability: float = 0.5
-    """That poses are right in the hand; results without a probability have nothing to fall short of."""
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.min_probability <= 1.0:
-            raise UsageError(f"--min-probability: got {self.min_probability:g}, expected 0 to 1")
-        if self.threads < 1:
-            raise UsageError(f"--threads: got {self.threads}, expected 1 or more")
 
 
 def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batch: Batch, debug: bool) -> int:
@@ -64,7 +43,7 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
     where the ledger cannot be written.
     """
     if not paths:
-        raise UsageError("CLIP: name at least one clip")
+        raise UsageError("missing CLIP: name at least one clip")
     share = batch.share
     with Plan(paths, share.shard) as plan:
         for outcome in plan.failed:

@@ -70,7 +70,7 @@ def check_code(expected: str) -> None:
     if code.fingerprint() != expected:
         here = f"{code.PACKAGE} on {socket.gethostname()}"
         given = f"getagrip of other code ({code.fingerprint()})"
-        raise GetagripError(f"{here}: got {given}, expected the same on every machine ({expected})")
+        raise GetagripError(f"{here} must be the same on every machine, {expected} (got {given})")
 
 
 Start = Callable[[Callable[[J], R], Limits, Callable[[], object] | None], Crew[J, R]]

@@ -31,7 +31,7 @@ def _slurm(workers: int | None, address: str | None) -> Start[object, object]:
 
 def _without(address: str | None) -> None:
     if address is not None:
-        raise UsageError(f"--address: got {address}, expected none without --engine ray")
+        raise UsageError("--address cannot be used without --engine ray")
 
 
 ENGINES: dict[str, Callable[[int | None, str | None], Start[object, object]]] = {

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from typing import Annotated
+
+from tyro.conf import arg
 
 from getagrip.errors import UsageError
 
@@ -15,17 +18,21 @@ MOST = 1e6
 class Limits:
     """Of each job. Raises ``UsageError`` for limits that are no positive numbers, or that cannot be held here."""
 
-    seconds: float | None = None
-    """Wall time; None: any. The process is ended."""
-    gigabytes: float | None = None
-    """Memory of the process, 10^9 bytes; None: any. Beyond it the kernel grants no more, and the job fails."""
+    seconds: Annotated[float | None, arg(name="limit-seconds", metavar="S", help_behavior_hint="(default: none)")] = (
+        None
+    )
+    """Time limit of a clip, in bench with all its methods, or of a part of a dataset [s]: its process is ended."""
+    gigabytes: Annotated[float | None, arg(name="limit-gb", metavar="GB", help_behavior_hint="(default: none)")] = None
+    """Memory limit of the process of each [10^9 bytes] (Linux): one that asks for more fails."""
 
     def __post_init__(self) -> None:
         for option, value in (("--limit-seconds", self.seconds), ("--limit-gb", self.gigabytes)):
             if value is not None and not (0.0 < value <= MOST):
-                raise UsageError(f"{option}: got {value:g}, expected a number above 0, and at most {MOST:g}")
+                raise UsageError(f"{option} must be above 0 and at most {MOST:g} (got {value:g})")
         if self.gigabytes is not None and sys.platform != "linux":
-            raise UsageError(f"--limit-gb: got {self.gigabytes:g}, expected none: only Linux can limit a process so")
+            raise UsageError(
+                f"--limit-gb cannot be used with {sys.platform}: only Linux limits the memory of a process"
+            )
 
     def __bool__(self) -> bool:
         return self.seconds is not None or self.gigabytes is not None

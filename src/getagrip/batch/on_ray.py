@@ -139,7 +139,7 @@ def _connect(ray: Any, workers: int | None, address: str | None) -> None:
     except (OSError, RuntimeError, ValueError) as error:
         reason = " ".join(str(error).split())
         expected = "the address of a Ray cluster that runs, HOST:PORT or auto; RAY_AUTH_MODE=token if it wants a token"
-        raise UsageError(f"--address: got {address}, expected {expected} ({reason})") from error
+        raise UsageError(f"--address must be {expected} (got {address}: {reason})") from error
 
 
 def check_answer(address: str) -> None:

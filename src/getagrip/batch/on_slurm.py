@@ -57,7 +57,7 @@ class SlurmCrew(Generic[J, R]):
         """``workers``: tasks at once. Raises ``UsageError`` where submitit or Slurm is not there."""
         submitit = extras.load("submitit", "slurm", "--engine slurm")
         if shutil.which("sbatch") is None:
-            raise UsageError("--engine slurm: got no command sbatch here, expected a machine that can submit to Slurm")
+            raise UsageError("missing command sbatch: --engine slurm needs a machine that can submit to Slurm")
         self._workers = workers or TASKS
         self._how = work, limits, prepare, code.fingerprint()
         self._errors = submitit.core.utils.UncompletedJobError, submitit.core.utils.FailedJobError

@@ -6,11 +6,11 @@ import glob
 import os
 import sqlite3
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from zlib import crc32
 
 from getagrip.batch.job import Outcome, failure
+from getagrip.batch.shard import ALL, Shard
 from getagrip.clip import read_name
 from getagrip.errors import GetagripError, InputError, UsageError, cleaned
 from getagrip.io import files
@@ -18,30 +18,6 @@ from getagrip.io.storage import ARCHIVE, Place, Remote, place
 
 OUR_FILES = ("index.html", "summary.csv", "ledger.sqlite", "ledger.sqlite-wal", "ledger.sqlite-shm", "clips")
 """What stands beside the results in a folder of them: no clip may have these names."""
-
-
-@dataclass(frozen=True)
-class Shard:
-    """One of several equal parts of all clips, by their names: which one a clip is in depends on nothing else."""
-
-    index: int = 1
-    """1 to ``count``."""
-    count: int = 1
-
-    @classmethod
-    def of(cls, text: str) -> Shard:
-        """From "i/N". Raises ``UsageError``."""
-        index, slash, count = text.partition("/")
-        if not (slash and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
-            raise UsageError(f"--shard: got {text}, expected i/N with i from 1 to N, such as 2/4")
-        return cls(int(index), int(count))
-
-    def __contains__(self, name: str) -> bool:
-        return crc32(name.encode()) % self.count == self.index - 1
-
-
-ALL = Shard()
-"""Every clip."""
 
 
 class Plan:

@@ -1,57 +1,71 @@
-"""How a call shares its tasks out: over whom, within which limits, which part of them, and by which ledger."""
+"""How a call shares its tasks out: over whom, within which limits, which part of them, and by which ledger.
+
+These are options of several commands; what runs is loaded when it does.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
-from getagrip.batch.crew import Start
-from getagrip.batch.crews import ENGINES
-from getagrip.batch.engine import Engine, Named
-from getagrip.batch.ledger import Ledger
-from getagrip.batch.ledger_place import ledger_folder
-from getagrip.batch.limits import NONE, Limits
-from getagrip.batch.plan import ALL, Shard
-from getagrip.batch.pool import cores
-from getagrip.batch.progress import Pace
+from tyro.conf import arg
+
+from getagrip.batch.limits import Limits
+from getagrip.batch.shard import ALL, Shard
 from getagrip.errors import UsageError
-from getagrip.io.terminal import progress_bar
+from getagrip.io.arguments import Flag, OptionalFolder, parsed
 
-J = TypeVar("J", bound=Named)
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from getagrip.batch.crew import Start
+    from getagrip.batch.engine import Engine, Named
+
+J = TypeVar("J", bound="Named")
 R = TypeVar("R")
 
 FEW = 3
-"""Up to so many tasks are done in this process: others take longer to start."""
+"""Up to this number of tasks are done in this process: others take longer to start."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Share:
-    """Of one call. Raises ``UsageError`` for fewer than one worker."""
+    """Who does the tasks of a call: clips, or what one process reads of a dataset.
 
-    workers: int | None = None
-    """None: one for each core, where there are more than a few tasks; on a cluster, one for each CPU."""
-    engine: str = "local"
-    """Of ``ENGINES``."""
-    address: str | None = None
-    """Of a cluster that runs."""
-    limits: Limits = NONE
-    """Of each task."""
-    fail_fast: bool = False
-    """Begin no other task once one has failed."""
-    shard: Shard = ALL
-    """Of the tasks by name."""
-    ledger: Path | None = None
-    """Folder of the ledger; None: that of the results, or where that is in an object store, one on this machine."""
+    Raises ``UsageError`` for fewer than one worker.
+    """
+
+    workers: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: one per core)")] = None
+    """Processes to share the tasks between; up to three clips to reconstruct, or parts of a dataset, need no other. On
+    a Ray cluster, as many as it has CPUs; tasks of a Slurm array, 64."""
+    engine: Literal["local", "ray", "slurm"] = "local"
+    """Where they run: on this machine, on a Ray cluster, or in Slurm's array jobs. All machines must see what is read
+    and written under the same paths."""
+    address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS, else one here)")] = (
+        None
+    )
+    """Ray cluster that runs: HOST:PORT, or auto."""
+    limits: Annotated[Limits, arg(name="")] = field(default_factory=Limits)
+    fail_fast: Flag = False
+    """Begin nothing else once something has failed."""
+    shard: Annotated[Shard, parsed("I/N", Shard.of, Shard), arg(metavar="I/N", help_behavior_hint="(default: all)")] = (
+        ALL
+    )
+    """Of N equal parts of the work only the I-th, for N machines."""
+    ledger: OptionalFolder = None
+    """Local folder for the ledger, where --out is on a network file system."""
 
     def __post_init__(self) -> None:
         if self.workers is not None and self.workers < 1:
-            raise UsageError(f"--workers: got {self.workers}, expected 1 or more")
+            raise UsageError(f"--workers must be 1 or more (got {self.workers})")
 
     def crew(self, count: int, few: int = FEW) -> Start[Any, Any] | None:
-        """Who does so many tasks; None: this process, by default for a ``few`` without limits."""
+        """Who does a ``count`` of tasks; None: this process, by default for a ``few`` without limits."""
+        from getagrip.batch.crews import ENGINES
+        from getagrip.batch.pool import cores
+
         workers, local = self.workers, self.engine == "local"
         if local:
             workers = max(1, min(count, workers or (1 if count <= few else cores())))
@@ -65,6 +79,11 @@ class Share:
 
         ``called`` is what tasks are, in the plural. Raises ``UsageError`` as ``crew``, else as ``Engine.run``.
         """
+        from getagrip.batch.ledger import Ledger
+        from getagrip.batch.ledger_place import ledger_folder
+        from getagrip.batch.progress import Pace
+        from getagrip.io.terminal import progress_bar
+
         engine = replace(engine, crew=self.crew(len(tasks), few), limits=self.limits)
         ledger = Ledger(ledger_folder(out, self.ledger))
         with ledger, progress_bar() as bar, closing(engine.run(tasks, ledger)) as ends:

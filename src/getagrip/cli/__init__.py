@@ -1,4 +1,4 @@
-"""The command line: what each command takes."""
+"""The command line: which commands there are, and what errors say."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import nullcontext, redirect_stdout
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, get_args, get_origin
 
 # Commands share their work between processes, one for each core. Said before numpy is loaded, which reads it once.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -16,14 +16,24 @@ import tyro
 from tyro.conf import OmitArgPrefixes, subcommand
 
 from getagrip import __version__
-from getagrip.cli.bench import Bench
-from getagrip.cli.command import Command
-from getagrip.cli.footage import Annotate, ClipCommand, Epic
-from getagrip.cli.labelled import Segment, Stats, Study
 from getagrip.cli.names import joined
-from getagrip.cli.report import Report, Status
-from getagrip.cli.results import Demo, Doctor, Evaluate, Export, InitCommand, Reconstruct
 from getagrip.cli.view import View
+from getagrip.commands.annotate import Annotate
+from getagrip.commands.bench import Benches, with_source
+from getagrip.commands.command import Command
+from getagrip.commands.demo import Demo
+from getagrip.commands.doctor import Doctor
+from getagrip.commands.epic_candidates import EpicCandidates
+from getagrip.commands.evaluate import Evaluate
+from getagrip.commands.export import Export
+from getagrip.commands.learn_poses import LearnPoses
+from getagrip.commands.new_clip import NewClip
+from getagrip.commands.reconstruct import Reconstruct
+from getagrip.commands.report import Report
+from getagrip.commands.segment import Segment
+from getagrip.commands.stats import Stats
+from getagrip.commands.status import Status
+from getagrip.commands.study import Study
 from getagrip.errors import GetagripError, UsageError, cleaned
 from getagrip.io.arguments import PATHS
 from getagrip.io.terminal import Silence
@@ -32,6 +42,8 @@ DESCRIPTION = (
     "Reconstruct where an object is in the hand that holds it, in every frame of a video, from hand poses, masks and "
     "the object's mesh. --version prints the version."
 )
+
+BENCH = "Compare methods on a dataset, or on a folder of clips: the paper's tables, with intervals."
 
 
 def commands(imports: Any, figures: Any) -> Any:
@@ -42,10 +54,10 @@ def commands(imports: Any, figures: Any) -> Any:
     return (
         Annotated[Demo, subcommand("demo")]
         | Annotated[Doctor, subcommand("doctor")]
-        | Annotated[ClipCommand, subcommand("clip new")]
+        | Annotated[NewClip, subcommand("clip new")]
         | Annotated[Annotate, subcommand("annotate")]
         | Annotated[imports, subcommand("import", description="Import datasets, hands or masks.")]
-        | Annotated[Epic, subcommand("epic candidates")]
+        | Annotated[EpicCandidates, subcommand("epic candidates")]
         | Annotated[Reconstruct, subcommand("reconstruct")]
         | Annotated[Status, subcommand("status")]
         | Annotated[Evaluate, subcommand("evaluate")]
@@ -53,11 +65,11 @@ def commands(imports: Any, figures: Any) -> Any:
         | Annotated[View, subcommand("view")]
         | Annotated[figures, subcommand("figure", description="Draw figures of results, as the paper has them.")]
         | Annotated[Export, subcommand("export")]
-        | Annotated[Bench, subcommand("bench")]
+        | Annotated[Benches, subcommand("bench", description=BENCH)]
         | Annotated[Segment, subcommand("segment")]
         | Annotated[Study, subcommand("study")]
         | Annotated[Stats, subcommand("stats")]
-        | Annotated[InitCommand, subcommand("init learn")]
+        | Annotated[LearnPoses, subcommand("init learn")]
     )
 
 
@@ -65,7 +77,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run a command. Returns 0 when all is done, 1 when some of it failed, 2 when the call is wrong."""
     _open_closed_output()
     try:
-        status = _run(_parsed(sys.argv[1:] if args is None else args))
+        status = _run(sys.argv[1:] if args is None else args)
         sys.stdout.flush()
         return status
     except BrokenPipeError:  # whoever read the output has enough of it, as with `| head`
@@ -80,8 +92,9 @@ def _open_closed_output() -> None:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
 
 
-def _run(command: Command) -> int:
+def _run(args: Sequence[str]) -> int:
     try:
+        command = _parsed(args)
         command.check()
         with redirect_stdout(Silence()) if command.quiet else nullcontext():
             return command.run()
@@ -91,7 +104,7 @@ def _run(command: Command) -> int:
         print("interrupted; what was finished is kept", file=sys.stderr)
         return 130
     except (GetagripError, OSError) as error:
-        if command.debug:
+        if "--debug" in args:
             print(cleaned(traceback.format_exc(), "\n"), file=sys.stderr)
         print(f"getagrip: {cleaned(str(error))}", file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
@@ -102,11 +115,11 @@ def _parsed(args: Sequence[str]) -> Command:
     imports: Any = Command
     figures: Any = Command
     if args and args[0] == "import":  # what it takes is declared with the readers, which take longer to load
-        from getagrip.cli.imports import Imports
+        from getagrip.commands.datasets import Imports
 
         imports = Imports
     elif args and args[0] == "figure":  # likewise
-        from getagrip.cli.figures import Figures
+        from getagrip.commands.figure import Figures
 
         figures = Figures
     if list(args) == ["--version"]:
@@ -114,13 +127,14 @@ def _parsed(args: Sequence[str]) -> Command:
         sys.exit(0)
     known: Any = commands(imports, figures)
     program, description = "getagrip", DESCRIPTION
-    by_name = _by_name(known)
-    args = joined(args, by_name)
-    if args and args[0] in by_name:  # its own command is enough, and several times as quick
-        name, known = args[0], by_name[args[0]]
-        program, description, args = f"getagrip {name}", known.__metadata__[0].description, args[1:]
-        if parts := _by_name(known.__origin__):
-            args = joined(args, parts, f"{name} ")
+    while parts := _by_name(known):  # its own command is enough, and several times as quick
+        if program == "getagrip bench":
+            args = with_source(args, parts)
+        args = joined(args, parts, f"{program} ".removeprefix("getagrip "))
+        if not args or args[0] not in parts:
+            break
+        known, args, program = parts[args[0]], args[1:], f"{program} {args[0]}"
+        description = known.__metadata__[0].description
     with PATHS:
         command: Command = tyro.cli(known, prog=program, description=description, args=args, config=(OmitArgPrefixes,))
     return command
@@ -128,4 +142,5 @@ def _parsed(args: Sequence[str]) -> Command:
 
 def _by_name(choice: Any) -> dict[str, Any]:
     """The commands of a union, by the words that are typed; none of a command that has none below it."""
-    return {one.__metadata__[0].name: one for one in get_args(choice)}
+    union = get_args(choice)[0] if get_origin(choice) is Annotated else choice
+    return {one.__metadata__[0].name: one for one in get_args(union) if get_origin(one) is Annotated}

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
 
-from getagrip.errors import cleaned
+from getagrip.errors import cleaned, unknown
 
 
 def joined(words: Sequence[str], names: Collection[str], before: str = "") -> list[str]:
@@ -23,10 +23,8 @@ def joined(words: Sequence[str], names: Collection[str], before: str = "") -> li
     if begun and {"-h", "--help"} & {*words}:
         return [begun[0], "--help"]
     given = " ".join(words[:2]) if begun else words[0]
-    expected = " or ".join(before + name for name in begun or _alike(given, names))
-    if not expected:
-        expected = f"{before}and " * bool(before) + f"one of {', '.join(names)}"
-    print(f"getagrip: got {cleaned(before + given)}, expected {expected}", file=sys.stderr)
+    alike = [before + name for name in begun or _alike(given, names)]
+    print(f"getagrip: {cleaned(str(unknown('command', before + given, alike or names)))}", file=sys.stderr)
     sys.exit(2)
 
 

@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip.clip.hand_track import HandTrack, OtherHand
-from getagrip.clip.provenance import Provenance
 from getagrip.clip.timeline import Segment, Side, at_frames, check_segments
 from getagrip.clip.truth import Truth
 from getagrip.errors import InputError, UsageError
@@ -21,6 +20,7 @@ from getagrip.geometry.warp import Warp
 from getagrip.io.array_data import ArrayData
 from getagrip.io.files import inside, shown
 from getagrip.io.packed_masks import PackedMask, PackedMasks
+from getagrip.provenance import Provenance
 
 
 class FrameMasks(NamedTuple):
@@ -112,7 +112,7 @@ class World(ArrayData):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.support is not None and self.up is None:
-            raise UsageError("World.support: got a height, expected none without World.up, along which it is")
+            raise UsageError("World.support cannot be used without World.up, along which it is")
 
     def take(self, index: Int[ndarray, "n"]) -> World:
         """At some of the frames, in the given order."""
@@ -181,11 +181,11 @@ class Clip(ArrayData):
             counts["other_hand"] = len(self.other_hand.known)
         for name, given in counts.items():
             if given != count:
-                raise UsageError(f"Clip.{name}: got {given} frames, expected {count}, as many as the hand has")
+                raise UsageError(f"Clip.{name} must be {count} frames, as many as the hand has (got {given})")
         if self.side not in ("left", "right"):
-            raise UsageError(f"Clip.side: got {self.side!r}, expected 'left' or 'right'")
+            raise UsageError(f"Clip.side must be 'left' or 'right' (got {self.side!r})")
         if self.scale not in ("known", "free"):
-            raise UsageError(f"Clip.scale: got {self.scale!r}, expected 'known' or 'free'")
+            raise UsageError(f"Clip.scale must be 'known' or 'free' (got {self.scale!r})")
         check_segments(self.segments, count, self.world is not None)
 
     @property
@@ -291,7 +291,7 @@ def check_masks(clip: Clip, masks: Masks) -> None:
     """Raise ``UsageError`` for masks of another clip: of other frames, or another size."""
     expected = (len(clip), clip.size[1], clip.size[0])
     if masks.object.shape != expected:
-        raise UsageError(f"masks: got the shape {masks.object.shape}, expected {expected}, as of the clip {clip.name}")
+        raise UsageError(f"masks must be of the shape {expected}, as the clip {clip.name} (got {masks.object.shape})")
 
 
 def observed_frames(clip: Clip, observed: Bool[ndarray, "T"]) -> Clip:

@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
-from getagrip.clip.provenance import Source, assumed
 from getagrip.clip.reading import LARGEST_SIDE
 from getagrip.clip.video import frame_times, video_frames, video_info
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.images import decoded
+from getagrip.provenance import Source, assumed
 
 IMAGES = (".jpg", ".jpeg", ".png")
 LARGEST_IMAGE = 64 * 2**20
@@ -65,12 +65,12 @@ class Stretch:
 def size_and_rate(path: Path, fps: float | None) -> tuple[tuple[int, int], float]:
     """Width and height [px], and frames per second: as stated, else as the file says. Raises ``InputError``."""
     if fps is not None and not 0.1 <= fps <= 10_000.0:
-        raise UsageError(f"--fps: got {fps:g}, expected 0.1 to 10000 frames per second")
+        raise UsageError(f"--fps must be 0.1 to 10000 frames per second (got {fps:g})")
     if path.is_dir():
         height, width = _image(images_of(path)[0]).shape[:2]
         return (width, height), fps or FOLDER_FPS
     if fps is not None:
-        raise UsageError(f"--fps: got {fps:g}, expected none: it is for folders of images, videos have times")
+        raise UsageError("--fps cannot be used with a video, whose frames have times; it is for folders of images")
     info = video_info(path)
     return info.size, info.fps
 

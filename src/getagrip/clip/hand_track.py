@@ -49,8 +49,8 @@ class HandTrack(ArrayData):
         object.__setattr__(self, "regions", regions)
         missing = [finger for finger in FINGERS if finger not in self.regions]
         if count and missing:  # without vertices it stands for hands that are still to come
-            expected = "vertex ids of the pad of each fingertip"
-            raise UsageError(f"HandTrack.regions: got no {', '.join(missing)}, expected {expected}")
+            needed = "vertex ids of the pad of each fingertip"
+            raise UsageError(f"missing {', '.join(missing)} in HandTrack.regions: {needed}")
 
     def take(self, index: Int[ndarray, "n"]) -> HandTrack:
         """The hand in some of the frames, in the given order."""
@@ -73,8 +73,8 @@ class OtherHand(ArrayData):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.known) != len(self.track.vertices):
-            given, expected = f"got {len(self.known)} frames", f"{len(self.track.vertices)}, as many as the hand has"
-            raise UsageError(f"OtherHand.known: {given}, expected {expected}")
+            frames = len(self.track.vertices)
+            raise UsageError(f"OtherHand.known must be {frames} frames, as the hand has (got {len(self.known)})")
 
     @staticmethod
     def at(hand: HandTrack, rows: Int[ndarray, "n"], frames: int) -> OtherHand:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,35 +10,18 @@ from numpy import ndarray
 
 from getagrip.clip.camera_of_image import WIDE, field_of_view, in_pixels
 from getagrip.clip.plausible import check_intrinsics
-from getagrip.clip.provenance import Source, assumed, measured
 from getagrip.errors import InputError, UsageError
-
-
-@dataclass(frozen=True)
-class Lens:
-    """The camera options of a command.
-
-    Attributes:
-        K: (4,) fx, fy, cx, cy [px]; None where they are not given.
-        focal: focal length [px], with the principal point in the middle; None where it is not given.
-        guess_focal: whether the focal length may be guessed.
-    """
-
-    K: tuple[float, float, float, float] | None = None
-    focal: float | None = None
-    guess_focal: bool = False
-
-    @property
-    def given(self) -> bool:
-        """Whether there is anything."""
-        return self.K is not None or self.focal is not None or self.guess_focal
+from getagrip.geometry.lens import Lens
+from getagrip.provenance import Source, assumed, measured
 
 
 def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
     """The pinhole of images of some size [px], and where it comes from. Raises ``UsageError``."""
     given = [lens.K is not None, lens.focal is not None, lens.guess_focal]
-    if sum(given) != 1:
-        raise UsageError(f"--K, --focal, --guess-focal: got {sum(given)} of them, expected one")
+    if not any(given):
+        raise UsageError("missing --K, --focal or --guess-focal: the camera")
+    if sum(given) > 1:
+        raise UsageError("--K, --focal, --guess-focal cannot be used with each other")
     width, height = size
     if lens.K is not None:
         fx, fy, cx, cy = lens.K
@@ -54,10 +36,10 @@ def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"]
             )
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     if lens.focal is not None and lens.focal > 0.0 and field_of_view(K[None], size) > WIDE:
-        raise UsageError(f"--focal: got {lens.focal:g}, expected pixels; {in_pixels(lens.focal, size)}")
+        raise UsageError(f"--focal must be in pixels (got {lens.focal:g}); {in_pixels(lens.focal, size)}")
     try:
         check_intrinsics(Path(), K[None], size)
     except InputError as error:
         option = "--K" if lens.K is not None else "--focal"
-        raise UsageError(f"{option}: got {error.given}, expected {error.expected}") from error
+        raise UsageError(f"{option} must be {error.expected} (got {error.given})") from error
     return K, source

@@ -82,7 +82,7 @@ class MaskRequest:
         chosen = [k for k, name in enumerate(names) if self._is_meant(name)]
         if names and not chosen:
             some = f"a folder of {source}'s images or a pattern of their names, as {files.plain(names[0])}"
-            raise UsageError(f"{self.ask_images}: got {self.images!r}, expected {some}")
+            raise UsageError(f"{self.ask_images} must be {some} (got {self.images!r})")
         self.check_numbers(source, (stem_of(names[k]) for k in chosen))
         found: dict[int, list[int]] = {}
         for k, n in zip(chosen, frames_of((stem_of(names[k]) for k in chosen), self.frames), strict=True):

@@ -88,9 +88,9 @@ def _things(folder: Path, request: MaskRequest, things: Sequence[str]) -> MaskRe
     for kind, names in chosen.items():
         wrong = next((name for name in names if name not in things), None)
         if wrong is not None or (kind == "object" and not names):
-            given = "nothing" if wrong is None else repr(wrong)
+            which = f"missing --{kind}" if wrong is None else f"unknown --{kind} {wrong!r}"
             there = ", ".join(files.plain(name) for name in things[:MOST_NAMED])
-            raise UsageError(f"--{kind}: got {given}, expected the name of a folder in {folder}: {there}")
+            raise UsageError(f"{which}; choose from the folders in {folder}: {there}")
     notes = Counter[str]()
     images = {kind: [_images(folder / name, request, notes) for name in names] for kind, names in chosen.items()}
     known = set.intersection(*({*frames} for each in images.values() for frames, _ in each))

@@ -18,7 +18,7 @@ def renumbered(frames: Sequence[str], first: int, option: str) -> tuple[str, ...
     numbers = [number_of(name) for name in frames]
     known = [number for number in numbers if number is not None]
     if len(known) < len(frames):
-        raise UsageError(f"{option}: got {first}, expected none: the clip's frames have no numbers")
+        raise UsageError(f"{option} cannot be used: the clip's frames have no numbers")
     return tuple(f"{number - known[0] + first:06d}" for number in known)
 
 
@@ -56,7 +56,7 @@ def check_numbers(frames: Sequence[str], names: Iterable[str], source: object, w
     each = ", ".join(f"{option} {start} {when}" for start, when in choices.items())
     found = ", ".join(str(len({n - first + start for n in of_frames} & given)) for start in choices)
     raise UsageError(
-        f"{option}: got nothing, expected the number of the {what} of frame {files.plain(frames[0])}: in {source} they "
+        f"missing {option}: the number of the {what} of frame {files.plain(frames[0])}: in {source} they "
         f"are numbered {min(given)} to {max(given)}, the clip's frames {min(of_frames)} to {max(of_frames)}. "
         f"{each}: then {found} of {len(frames)} frames have one"
     )

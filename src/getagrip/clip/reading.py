@@ -17,12 +17,12 @@ from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
 from getagrip.clip.masks import has_mask
 from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
 from getagrip.clip.plausible import FASTEST, SLOWEST, check_hand, check_in_view
-from getagrip.clip.provenance import Provenance, parse
 from getagrip.clip.reading_truth import read_truth
 from getagrip.clip.timeline import Side, at_frames, read_segments
 from getagrip.errors import InputError
 from getagrip.geometry.mesh_files import read_mesh
 from getagrip.io import arrays, files
+from getagrip.provenance import Provenance, parse
 
 VERSION = 4
 """Of clips that are written; older ones are read, too."""

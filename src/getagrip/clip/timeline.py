@@ -47,13 +47,13 @@ class Segment:
 
     def __post_init__(self) -> None:
         if self.state not in STATES:
-            raise UsageError(f"Segment.state: got {self.state!r}, expected one of {', '.join(STATES)}")
+            raise UsageError(f"unknown Segment.state {self.state!r}; choose from {', '.join(STATES)}")
         if not 0 <= self.first <= self.last:
             given = f"frames {self.first} to {self.last}"
-            raise UsageError(f"Segment: got {given}, expected the first, from 0 on, not after the last")
+            raise UsageError(f"Segment.first must be 0 or more, and not after Segment.last (got {given})")
         wrong = side_error(self.state, self.side)
         if wrong:
-            raise UsageError(f"Segment.side: got {self.side!r}, expected {wrong}")
+            raise UsageError(f"Segment.side must be {wrong} (got {self.side!r})")
 
     def __len__(self) -> int:
         return self.last + 1 - self.first
@@ -78,11 +78,11 @@ def check_segments(segments: Sequence[Segment], frames: int, has_world: bool) ->
     for n, segment in enumerate(segments):
         given = f"frames {segment.first} to {segment.last}"
         if segment.last >= frames:
-            raise UsageError(f"Clip.segments[{n}]: got {given}, expected 0 to {frames - 1}")
+            raise UsageError(f"Clip.segments[{n}] must be in frames 0 to {frames - 1} (got {given})")
         if n and segment.first <= segments[n - 1].last:
-            raise UsageError(f"Clip.segments[{n}]: got {given}, expected a start after {segments[n - 1].last}")
+            raise UsageError(f"Clip.segments[{n}] must start after frame {segments[n - 1].last} (got {given})")
         if segment.state == "static" and not has_world:
-            raise UsageError(f"Clip.segments[{n}]: got a static one, expected none without Clip.world")
+            raise UsageError(f"Clip.segments[{n}] cannot be static without Clip.world")
 
 
 def at_frames(segments: Sequence[Segment], index: Int[ndarray, "n"]) -> tuple[Segment, ...]:

@@ -45,8 +45,8 @@ def video_segments(path: Path, request: MaskRequest) -> MaskReader:
     unknown = next((name for name in (*chosen, *request.ignore, *request.hand) if name not in there), None)
     if unknown is not None or (len(there) > 1 and not request.object) or not chosen:
         option = "--ignore" if unknown in request.ignore else "--hand" if unknown in request.hand else "--object"
-        said = "nothing" if unknown is None else repr(unknown)
-        raise UsageError(f"{option}: got {said}, expected objects of {path}: {_some(there)}")
+        which = f"missing {option}" if unknown is None else f"unknown {option} {unknown!r}"
+        raise UsageError(f"{which}; choose from the objects of {path}: {_some(there)}")
 
     def read(n: int) -> FrameMasks:
         visible, hidden, hand = (

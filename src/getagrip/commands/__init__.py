@@ -1,1 +1,1 @@
-"""What each command does."""
+"""What each command takes and does, a file for each."""

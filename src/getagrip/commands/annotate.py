@@ -3,34 +3,26 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from getagrip.annotate import export, labels
-from getagrip.annotate.agreement import Agreement, agreements
-from getagrip.annotate.background import BackgroundJob
-from getagrip.annotate.labelled_footage import tasks_of
-from getagrip.annotate.labelling import Grasp
-from getagrip.annotate.labels import Labels
-from getagrip.annotate.marks import GRASP, Mark
-from getagrip.annotate.project import Project
-from getagrip.annotate.server import Server, first_free, kept_token
-from getagrip.annotate.store import Store
-from getagrip.annotate.tasks import Task, read_tasks
-from getagrip.annotate.versions import RefusedError
-from getagrip.batch.ledger_place import state_folder
-from getagrip.clip.intrinsics import Lens, intrinsics
-from getagrip.errors import GetagripError, InputError, UsageError
+from tyro.conf import Positional, arg
+
+from getagrip.commands.command import Command
+from getagrip.errors import InputError, UsageError
+from getagrip.geometry.lens import Lens
 from getagrip.io import files
+from getagrip.io.arguments import Flag, Folder, OptionalFile
 from getagrip.io.counts import counted
-from getagrip.io.csv_tables import CsvTable
-from getagrip.io.terminal import progress_bar, report
+from getagrip.io.terminal import report
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from getagrip.annotate.labelling import Grasp
+    from getagrip.annotate.labels import Labels
+    from getagrip.annotate.project import Project
+    from getagrip.annotate.tasks import Task
 
 DATABASE = "marks.sqlite"
 """The marks, in the folder of the annotations."""
@@ -38,59 +30,79 @@ TOKENS = "tokens"
 """The folder, in the user's state folder, of what the addresses of pages hold."""
 
 
-@dataclass(frozen=True)
-class AnnotateRequest:
-    """What the command is to do with its annotations, other than to serve the page."""
+@dataclass(frozen=True, kw_only=True)
+class Annotate(Command):
+    """Mark stable grasps, or all that an object does, and label frames, on a page that only this machine can open."""
 
-    labels: Path | None = None
-    """Take this file of labels."""
-    segments: Path | None = None
-    """Take this file of segments, to be corrected."""
-    annotator: str = "imported"
-    """As whose."""
-    export: bool = False
-    """Write files."""
+    source: Annotated[Positional[Path], arg(metavar="VIDEO|CANDIDATES")]
+    """A video, a folder of images, or a list (.csv, .json) of videos with rough start and end, hand and category, as
+    epic candidates writes it."""
+    out: Folder
+    """Where marks are kept as they are made. Called again with the same folder, it goes on where it stopped."""
+    videos: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: where the list is)")] = None
+    """For a list: where its videos are, or folders of their images."""
+    port: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 8765, or the next free one)")] = None
+    """Where the page is served, on 127.0.0.1."""
+    lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
+    """The camera, for the hands that are fitted to clicked joints. Without it their depth and size are guesses."""
+    export: Flag = False
+    """Serve nothing: write the grasps marked so far, each person's as a table and as JSON, and how far people agree;
+    the segments of whole interactions; of what is labelled the labels, hand.npz and masks, too."""
+    import_labels: OptionalFile = None
+    """Import a labels file in the place of the labels of its frames, and exit."""
+    import_segments: OptionalFile = None
+    """Import segments that segment --from-masks has found, or anybody has marked, as a first draft, and exit."""
+    annotator: Annotated[str, arg(metavar="NAME")] = "imported"
+    """import-labels, import-segments: whose they are from now on."""
 
+    def run(self) -> int:
+        """Serve the page for a source; or take labels, or write what is marked and labelled as files into ``out``.
 
-def annotate(
-    source: Path, videos: Path | None, out: Path, port: int | None, lens: Lens, request: AnnotateRequest
-) -> int:
-    """Serve the page for a source; or take labels, or write what is marked and labelled as files into ``out``.
+        Returns 1 where files could not be made of some grasp, else 0. Raises ``InputError`` for a source or database
+        that is malformed, ``UsageError`` for a ``port`` that is taken; without one a free one is used.
+        """
+        from getagrip.annotate.project import Project
+        from getagrip.annotate.store import Store
+        from getagrip.annotate.tasks import read_tasks
+        from getagrip.annotate.written_files import write_files, write_labels
+        from getagrip.clip.intrinsics import intrinsics
 
-    Returns 1 where files could not be made of some grasp, else 0. Raises ``InputError`` for a source or database that
-    is malformed, ``UsageError`` for a ``port`` that is taken; without one a free one is used.
-    """
-    tasks = read_tasks(source, videos)
-    absent = [task for task in tasks if task.path is None]
-    if absent:
-        missing = f"no footage of {len(absent)} of them, as {files.plain(absent[0].video)}"
-        report(f"{len(tasks)} candidates, {missing}")
-    if request.export and request.labels is None and request.segments is None and not (out / DATABASE).is_file():
-        raise UsageError(f"--export: nothing has been marked in {out}")
-    given = None if request.labels is None else read_labels(request.labels, tasks)
-    out.mkdir(parents=True, exist_ok=True)
-    project = Project(tasks, Store(out / DATABASE), lens)
-    try:
-        if lens.given and (there := next((task for task in tasks if task.path is not None), None)):
-            intrinsics(lens, project.footage(there).size)  # refused now rather than once joints are clicked
-        if given is not None:
-            grasp = take_labels(project, given, request)
-            frames = f"{counted(len(given.frames), 'key frame')} of {grasp.task.key}, {grasp.mark.start_number}"
-            print(f"{request.annotator}: {frames} to {grasp.mark.end_number}")
-        if request.segments is not None:
-            count = take_segments(project, request.segments, request.annotator)
-            print(f"{request.annotator}: {counted(count, 'segment')}; give the page this name to correct them")
-        if request.export:
-            return max(write_files(project, out), write_labels(project))
-        if given is None and request.segments is None:
-            serve(project, port)
-        return 0
-    finally:
-        project.close()
+        tasks = read_tasks(self.source, self.videos)
+        absent = [task for task in tasks if task.path is None]
+        if absent:
+            missing = f"no footage of {len(absent)} of them, as {files.plain(absent[0].video)}"
+            report(f"{len(tasks)} candidates, {missing}")
+        out, imported = self.out, self.import_labels is not None or self.import_segments is not None
+        if self.export and not imported and not (out / DATABASE).is_file():
+            raise UsageError(f"missing {out / DATABASE}: --export writes what has been marked")
+        given = None if self.import_labels is None else read_labels(self.import_labels, tasks)
+        out.mkdir(parents=True, exist_ok=True)
+        project = Project(tasks, Store(out / DATABASE), self.lens)
+        try:
+            if self.lens.given and (there := next((task for task in tasks if task.path is not None), None)):
+                intrinsics(self.lens, project.footage(there).size)  # refused now rather than once joints are clicked
+            if given is not None and self.import_labels is not None:
+                grasp = take_labels(project, given, self.import_labels, self.annotator)
+                frames = f"{counted(len(given.frames), 'key frame')} of {grasp.task.key}, {grasp.mark.start_number}"
+                print(f"{self.annotator}: {frames} to {grasp.mark.end_number}")
+            if self.import_segments is not None:
+                count = take_segments(project, self.import_segments, self.annotator)
+                print(f"{self.annotator}: {counted(count, 'segment')}; give the page this name to correct them")
+            if self.export:
+                return max(write_files(project, out), write_labels(project))
+            if not imported:
+                serve(project, self.port)
+            return 0
+        finally:
+            project.close()
 
 
 def read_labels(path: Path, tasks: list[Task]) -> Labels:
     """A file of labels. Raises ``InputError`` where it is malformed, or of none of the footage."""
+    from getagrip.annotate import labels
+    from getagrip.annotate.labelled_footage import tasks_of
+    from getagrip.annotate.versions import RefusedError
+
     given = labels.read(path)
     try:
         tasks_of(given, tasks)
@@ -99,17 +111,20 @@ def read_labels(path: Path, tasks: list[Task]) -> Labels:
     return given
 
 
-def take_labels(project: Project, given: Labels, request: AnnotateRequest) -> Grasp:
+def take_labels(project: Project, given: Labels, path: Path, annotator: str) -> Grasp:
     """Take labels that were read from a file. Raises ``InputError`` where they are not of the footage."""
+    from getagrip.annotate.versions import RefusedError
+
     try:
-        return project.import_labels(given, request.annotator)
+        return project.import_labels(given, annotator)
     except RefusedError as error:
-        assert request.labels is not None
-        raise InputError(request.labels, "", f"labels that do not fit ({error})", "labels of the footage") from error
+        raise InputError(path, "", f"labels that do not fit ({error})", "labels of the footage") from error
 
 
 def take_segments(project: Project, path: Path, annotator: str) -> int:
     """Take segments from a file. Raises ``InputError``, and ``UsageError`` where the annotator has marked some."""
+    from getagrip.annotate.versions import RefusedError
+
     try:
         return project.import_segments(path, annotator)
     except RefusedError as error:
@@ -118,6 +133,9 @@ def take_segments(project: Project, path: Path, annotator: str) -> int:
 
 def serve(project: Project, port: int | None) -> None:
     """Serve the page until it is interrupted. Raises ``UsageError`` for a port that is taken."""
+    from getagrip.annotate.server import Server, first_free, kept_token
+    from getagrip.batch.ledger_place import state_folder
+
     marks = sha256(os.fsencode(project.store.path.resolve())).hexdigest()[:16]
     token = kept_token(state_folder() / TOKENS / marks)  # not beside the marks: a folder may be a stranger's
     with first_free(project, token) if port is None else Server(project, port, token) as server:
@@ -126,110 +144,3 @@ def serve(project: Project, port: int | None) -> None:
             server.serve_forever()
         except KeyboardInterrupt:
             print()
-
-
-def write_labels(project: Project) -> int:
-    """Write each labelled grasp's labels and, where they suffice, hand and masks; 1 where one could not be made."""
-    status = 0
-    written: set[str] = set()
-    for grasp in project.labelled():
-        if grasp.name in written:
-            report(f"{grasp.name}: left out: another grasp of the same frames and hand is written")
-            status = 1
-            continue
-        written.add(grasp.name)
-        given = project.labelling.labels(grasp)
-        frames = counted(given.last - given.first + 1, "frame")
-        print(f"{grasp.name}: making the hand and the masks of {frames} ...", flush=True)
-        try:
-            with progress_bar(counted=True) as bar:
-                command = project.labelling.write(grasp, given, JobOnBar(bar, grasp.name))
-        except GetagripError as error:
-            report(f"{grasp.name}: labels only: {error}")
-            status = 1
-            continue
-        made = project.labelling.out / grasp.name
-        print(f"{made}: hand.npz and masks of {frames}; a clip is made of them, with the object's mesh, by\n{command}")
-    return status
-
-
-class JobOnBar(BackgroundJob):
-    """Work that a bar shows."""
-
-    def __init__(self, bar: Progress, name: str) -> None:
-        super().__init__("files")
-        self._bar, self._task = bar, bar.add_task(name, total=None)
-
-    def report(self, done: int, total: int) -> None:
-        self._bar.update(self._task, completed=done, total=total)
-
-
-def write_files(project: Project, out: Path) -> int:
-    """Write ``grasps-<annotator>.csv`` and ``.json`` for each person, ``discards.csv`` and ``agreement.json``.
-
-    Of whole interactions also ``segments-<annotator>.json``. Returns 1 where segments overlap or a finished grasp is of
-    neither hand, else 0.
-    """
-    known, status = project.known(), 0
-    others = len(project.store.marks.standing()) - len(known)
-    if others:
-        report(f"{others} marks belong to other footage: left out")
-    for name in sorted({mark.annotator for mark in known}):
-        own = [mark for mark in known if mark.annotator == name]
-        rows = export.intervals(own, project.tasks)
-        table = out / f"grasps-{name}.csv"
-        files.write_text(table, export.epic_csv(own, project.tasks))
-        files.write_json(table.with_suffix(".json"), rows)
-        print(f"{name}: list of {counted(len(rows), 'grasp')}, {table} and .json")
-        listed = export.grasps(own)
-        marked = [mark for mark in own if mark.start is not None and mark.state == GRASP]
-        if unfinished := [mark for mark in marked if mark not in listed]:
-            report(f"{name}: {not_listed(unfinished)}")
-            status = max(status, int(any(mark.interval and not mark.side for mark in unfinished)))
-        status = max(status, write_segments(project, out, name))
-    with files.new_text(out / "discards.csv") as stream:
-        discards = (row.values() for row in export.discards(known, project.tasks))
-        CsvTable(stream).write_rows([("task", "clip", "annotator", "reason"), *discards])
-    found = agreements(known)
-    files.write_json(out / "agreement.json", [asdict(one) for one in found])
-    for one in found:
-        print(in_words(one))
-    return status
-
-
-def not_listed(unfinished: Sequence[Mark]) -> str:
-    """What grasps lack to be in the list."""
-    lacks = {
-        "mark the end": any(mark.end is None for mark in unfinished),
-        "state the hand": any(not mark.side for mark in unfinished),
-        "name the kind of object": any(not mark.category for mark in unfinished),
-    }
-    todo = " and ".join(what for what, lacking in lacks.items() if lacking)
-    grasps, it = counted(len(unfinished), "grasp is", "grasps are"), "it" if len(unfinished) == 1 else "them"
-    return f"{grasps} not in this list: {todo} on the page to have {it} there, too"
-
-
-def write_segments(project: Project, out: Path, annotator: str) -> int:
-    """Write ``segments-<annotator>.json`` of whole interactions; 1 where segments of one overlap, else 0."""
-    listed, status = {}, 0
-    for one in project.interactions(annotator):
-        try:
-            listed[one.task.key] = one.listed().fields
-        except RefusedError as error:
-            report(f"{annotator}: segments of {one.task.key} left out: {error}")
-            status = 1
-        for hint in one.hints():
-            report(f"{annotator}: {one.task.key}: {hint}")
-    if listed:
-        files.write_json(out / f"segments-{annotator}.json", listed)
-        print(f"{annotator}: segments of {counted(len(listed), 'clip')}, {out / f'segments-{annotator}.json'}")
-    return status
-
-
-def in_words(one: Agreement) -> str:
-    """The agreement of two people in a line."""
-    reached = "no grasps to compare"
-    if one.iou is not None:
-        reached = f"mean temporal IOU {100 * one.iou:.1f} % of {counted(one.grasps, 'grasp')}"
-    discards = f"both discarded {one.both_discarded}, one of them {one.one_discarded}"
-    return f"{one.first} and {one.second}, {one.tasks} tasks: {reached}; {discards}"

@@ -1,227 +1,166 @@
-"""``getagrip bench``: clips x variants, then tables and, for an ablation, a plot."""
+"""``getagrip bench``: every clip of a source, and the tables of the paper."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from functools import cached_property
+from glob import has_magic
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar, Union
 
-from getagrip.batch.clips import print_outcome
-from getagrip.batch.engine import Engine
-from getagrip.batch.entries import Entry
-from getagrip.batch.job import Outcome, load
-from getagrip.batch.share import ALONE, Share
-from getagrip.errors import UsageError
-from getagrip.evaluation.other_poses import OtherSystem
-from getagrip.experiments.comparison import Table, compare, groups
-from getagrip.experiments.hand_sources import HandSource, comparison
-from getagrip.experiments.other_systems import system_variants
-from getagrip.experiments.settings import ABLATIONS, Ablation
-from getagrip.experiments.sources import ClipSource, samples
-from getagrip.experiments.stamp import stamp
-from getagrip.experiments.tables import as_json, latex, markdown, terminal, write_clips_csv, write_csv
-from getagrip.experiments.trials import Scores, Trial, run
-from getagrip.experiments.variants import Variant, ablation_variants, method_variants
-from getagrip.fitting.methods import method_of
-from getagrip.fitting.options import WITH_FREE_SCALE, Options
-from getagrip.io import files, leftovers
-from getagrip.io.counts import counted
-from getagrip.io.terminal import console, report
-from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
-from getagrip.result import software
+from tyro.conf import arg, subcommand
+
+from getagrip.batch.share import Share
+from getagrip.commands.command import Command
+from getagrip.experiments.compared import Compared
+from getagrip.experiments.sources.dexycb import DexYcb, DexYcbSequences, DexYcbTimelines
+from getagrip.experiments.sources.folder import ClipFolder
+from getagrip.experiments.sources.hot3d import Hot3dTimelines
+from getagrip.experiments.sources.source import ClipSource
+from getagrip.experiments.sources.synthetic import Synthetic
+from getagrip.experiments.sources.timelines import Timelines
+from getagrip.fitting.options import Options, SearchOptions
+from getagrip.io.arguments import Flag, Folder, OptionalFile
+
+if TYPE_CHECKING:
+    from getagrip.experiments.trial import Benchmark
+
+C = TypeVar("C", bound=ClipSource)
+T = TypeVar("T", bound=Timelines)
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What to run."""
+@dataclass(frozen=True, kw_only=True)
+class Bench(Command, Generic[C]):
+    """What all benchmarks take, and how they run. Existing results are kept."""
 
-    source: ClipSource
-    out: Path
-    count: int | None = None
-    """Use this many clips, evenly sampled; None: all."""
-    methods: tuple[str, ...] = ()
-    """None: all of them, or those that the ablation is about."""
-    ablation: str | None = None
-    hands: tuple[HandSource, ...] = ()
-    """Compare the hands of these sources, instead of an ablation of the table."""
-    systems: tuple[OtherSystem, ...] = ()
-    """Compare the results of these systems, too."""
-    contact_mm: tuple[float, ...] = ()
-    """Thresholds of contact in the tables [mm]; none: that of the source."""
-    options: Options = field(default_factory=Options)
-    """What all variants have in common."""
-    share: Share = ALONE
-    overwrite: bool = False
-    json: Path | None = None
-
-    def __post_init__(self) -> None:
-        if self.ablation is not None and self.ablation not in ABLATIONS:
-            raise UsageError(f"--ablation: got {self.ablation!r}, expected one of {', '.join(ABLATIONS)}")
-        if self.ablation is not None and self.hands:
-            raise UsageError(f"--ablation: got {self.ablation} and --hands, expected one of them")
-        if self.systems and (self.ablation is not None or self.hands):
-            raise UsageError("--with: got other systems, expected none with --ablation and --hands")
-
-    @cached_property
-    def contacts(self) -> tuple[ContactDefinition, ...]:
-        """The definitions of contact in the tables. Raises ``UsageError`` for impossible ones, and ``InputError``."""
-        return at_millimetres(self.contact_mm or (self.source.contact_mm,))
-
-    @cached_property
-    def settings(self) -> Ablation | None:
-        """What is compared besides methods. Raises ``UsageError``."""
-        if self.hands:
-            return comparison(self.hands)
-        return None if self.ablation is None else ABLATIONS[self.ablation]
+    source: Annotated[C, arg(name="")]
+    out: Folder
+    """Where clips, results, tables and plots go. Called again with the same folder, it continues where it stopped."""
+    count: Annotated[int | None, arg(name="clips", metavar="N", help_behavior_hint="(default: all)")] = None
+    """Use N clips, evenly sampled."""
+    json: OptionalFile = None
+    """Write every number here, unrounded."""
+    every_frame: Flag = False
+    """Evaluate every frame of the clips, not only the 30 that all methods fit together."""
+    overwrite: Flag = False
+    """Recompute good results, too. Those of other inputs, options or code, and damaged ones, are in any case."""
+    search: Annotated[SearchOptions, arg(name="")] = field(default_factory=SearchOptions)
+    share: Annotated[Share, arg(name="")] = field(default_factory=Share)
 
     @property
-    def name(self) -> str:
-        """What the files of the tables are called."""
-        return "hands" if self.hands else self.ablation or "methods"
+    def options(self) -> Options:
+        """What all results have in common."""
+        return Options(**vars(self.search), every_frame=self.every_frame)
 
-    def variants(self) -> list[Variant]:
-        """The rows of the tables."""
-        if self.settings is None:
-            ours = method_variants(self.methods, self.options, self.contacts)
-            return ours + system_variants(self.systems, self.options, self.contacts)
-        return ablation_variants(self.name, self.methods, self.options, self.contacts, self.settings)
+    def benchmark(self) -> Benchmark[Any]:
+        """What is done with every clip. Raises ``UsageError`` where the call is wrong."""
+        raise NotImplementedError
 
-    @property
-    def title(self) -> str:
-        """What the tables are called."""
-        return "Methods" if self.settings is None else self.settings.title
+    def run(self) -> int:
+        """Do what has no result yet and write the tables; 1 if a clip or a method failed, else 0.
 
+        Several calls may share a folder: its ledger says who does which clip. Raises ``UsageError`` where the call is
+        wrong or there are no clips, ``GetagripError`` where the ledger cannot be written.
+        """
+        from getagrip.batch.clips import print_outcome
+        from getagrip.batch.engine import Engine
+        from getagrip.batch.job import load
+        from getagrip.experiments.sources import samples
+        from getagrip.experiments.trial import lost, run
+        from getagrip.io import files, leftovers
+        from getagrip.io.terminal import report
 
-def bench(plan: Plan, debug: bool) -> int:
-    """Run what has no result yet and write the tables; 1 if a clip or a method failed, else 0.
-
-    Several calls may share a folder: its ledger says who does which clip. Raises ``UsageError`` where the call is wrong
-    or there are no clips, ``GetagripError`` where the ledger cannot be written.
-    """
-    variants = plan.variants()
-    clips, bad = samples(plan.source, plan.out / "clips", plan.count, debug, plan.share)
-    for outcome in bad:
-        print_outcome(outcome, debug)
-    if not clips:
-        return 1
-    plan.out.mkdir(parents=True, exist_ok=True)
-    scores = []
-    results = files.folder_inside(plan.out, "results")
-    distinct = tuple({variant.folder: variant for variant in variants}.values())
-    for folder in (plan.out / "clips", *(files.folder_inside(results, variant.folder) for variant in distinct)):
-        leftovers.sweep(folder)
-    contacts = tuple(dict.fromkeys((*CONTACT_DEFINITIONS, *plan.contacts)))
-    chosen = [sample for sample in clips if sample.name in plan.share.shard]
-    trials = [Trial(sample, distinct, results, plan.overwrite, contacts) for sample in chosen]
-    failures = len(bad)
-    engine = Engine(work=run, lost=_lost, entry=_entry, options=repr(distinct), prepare=load)
-    with closing(plan.share.ended(engine, trials, plan.out, "clips", few=0)) as ended:
-        for clip in ended:
-            failures += _report(clip, variants, debug)
-            scores.append(clip)
-            if plan.share.fail_fast and failures:
-                report("--fail-fast: no other clip is begun")
-                break
-    scores.sort(key=lambda clip: clip.clip)
-    tables = compare(scores, variants)
-    if tables:
-        console().print(terminal(tables[0]))
-    _write(plan, tables, scores, variants)
-    return 1 if failures else 0
+        benchmark = self.benchmark()
+        found, bad = samples(self.source, self.out / "clips", self.count, self.debug, self.share)
+        for outcome in bad:
+            print_outcome(outcome, self.debug)
+        if not found:
+            return 1
+        self.out.mkdir(parents=True, exist_ok=True)
+        leftovers.sweep(self.out / "clips")
+        chosen = [sample for sample in found if sample.name in self.share.shard]
+        trials = benchmark.trials(chosen, files.folder_inside(self.out, "results"), self.overwrite)
+        engine = Engine(work=run, lost=lost, entry=benchmark.entry, options=repr(benchmark), prepare=load)
+        scores, failures = [], len(bad)
+        with closing(self.share.ended(engine, trials, self.out, "clips", few=0)) as ended:
+            for one in ended:
+                failed = benchmark.failures(one)
+                for outcome in failed:
+                    print_outcome(outcome, self.debug)
+                if line := benchmark.line(one):
+                    print(line)
+                scores.append(one)
+                failures += len(failed)
+                if self.share.fail_fast and failures:
+                    report("--fail-fast: no other clip is begun")
+                    break
+        page = benchmark.page(sorted(scores, key=lambda one: one.name))
+        if page is not None:
+            print(*page.write(self.out, self.json), sep="\n")
+        return 1 if failures else 0
 
 
-def _lost(trial: Trial, why: str) -> Scores:
-    """The scores of a clip that no process could do."""
-    return Scores(trial.name, failure=why)
+@dataclass(frozen=True, kw_only=True)
+class BenchGrasps(Bench[C], Generic[C]):
+    """Compare methods on clips of grasps."""
+
+    compared: Annotated[Compared, arg(name="")] = field(default_factory=Compared)
+
+    def benchmark(self) -> Benchmark[Any]:
+        from getagrip.experiments.grasp_benchmark import GraspBenchmark
+
+        return GraspBenchmark(self.source, self.options, self.compared)
 
 
-def _entry(scores: Scores) -> Entry:
-    """What the ledger is to say of a clip: failed where it could not be read, or no process could do it."""
-    failed = sum(score.failed for score in scores.scores)
-    why = scores.failure or (f"{failed} of {len(scores.scores)} rows failed" if failed else "")
-    return Entry("", "failed" if scores.failure else "done" if scores.made else "kept", why)
+@dataclass(frozen=True, kw_only=True)
+class BenchSegments(Bench[DexYcbSequences]):
+    """Find grasps in sequences."""
+
+    def benchmark(self) -> Benchmark[Any]:
+        from getagrip.experiments.segment_benchmark import SegmentBenchmark
+
+        return SegmentBenchmark(self.source, self.options)
 
 
-def _report(clip: Scores, variants: Sequence[Variant], debug: bool) -> int:
-    """A line for the clip and one for each failure; how many those are."""
-    if clip.failure:
-        print_outcome(Outcome(clip.clip, "failed", clip.failure, clip.trace), debug)
-        return 1
-    failed = [score for score in clip.scores if score.failed]
-    label = {variant.folder: variant.label for variant in variants}
-    for score in failed:
-        print_outcome(Outcome(f"{clip.clip}: {label[score.variant]}", "failed", score.status), debug)
-    done = f"{clip.made - len(failed)} done, {len(clip.scores) - clip.made} already done"
-    again = Counter(score.again for score in clip.scores if score.again)
-    why = "".join(f"; {count} done again, since {reason}" for reason, count in again.items())
-    print(f"{clip.clip}: {done}{f', {len(failed)} failed' if failed else ''}{why}")
-    return len(failed)
+@dataclass(frozen=True, kw_only=True)
+class BenchTimelines(Bench[T], Generic[T]):
+    """Reconstruct timelines."""
+
+    def benchmark(self) -> Benchmark[Any]:
+        from getagrip.experiments.timeline_benchmark import TimelineBenchmark
+
+        return TimelineBenchmark(self.source, self.options)
 
 
-def _write(plan: Plan, tables: Sequence[Table], scores: Sequence[Scores], variants: Sequence[Variant]) -> None:
-    """Tables, every clip's numbers and the plot, into the output folder."""
-    name = plan.name
-    about, settings = _about(plan, scores), _settings(plan, scores)
-    written = [plan.out / f"{name}{end}" for end in ("-clips.csv", ".csv", ".md", ".tex")]
-    write_clips_csv(scores, variants, written[0])
-    write_csv(tables, written[1])
-    files.write_text(written[2], markdown(tables, plan.title, about, settings))
-    files.write_text(written[3], latex(tables, plan.title, about + settings))
-    if plan.settings is not None and tables:
-        from getagrip.experiments.plots import plot
-
-        written.append(plan.out / f"{name}.png")
-        plot(tables[0], plan.title, written[-1])
-    if plan.json is not None:
-        files.write_json(plan.json, as_json(tables, scores))
-        written.append(plan.json)
-    print(*written, sep="\n")
+BENCHES: tuple[tuple[Any, type[ClipSource]], ...] = (
+    (BenchGrasps[Synthetic], Synthetic),
+    (BenchGrasps[DexYcb], DexYcb),
+    (BenchSegments, DexYcbSequences),
+    (BenchTimelines[DexYcbTimelines], DexYcbTimelines),
+    (BenchTimelines[Hot3dTimelines], Hot3dTimelines),
+    (BenchGrasps[ClipFolder], ClipFolder),
+)
+"""A line for each subcommand: what is run, and its source, whose fields are options."""
 
 
-def _about(plan: Plan, scores: Sequence[Scores]) -> list[str]:
-    """What was run, and when."""
-    good = sum(bool(clip.scores) for clip in scores)
-    skipped = f", {len(scores) - good} failed and skipped" if good < len(scores) else ""
-    return [f"{plan.source.title}: {counted(good, 'clip')}{skipped}; made {stamp()}"]
+def _subcommands() -> Any:
+    """A subcommand for each source."""
+    kinds = [Annotated[bench, subcommand(source.dataset, description=source.__doc__)] for bench, source in BENCHES]
+    return Union[tuple(kinds)]  # noqa: UP007
 
 
-def _settings(plan: Plan, scores: Sequence[Scores]) -> list[str]:
-    """How the numbers were made and are to be read, in sentences."""
-    good = [clip for clip in scores if clip.scores]
-    drawn = groups(good) if good else []
-    together = len(set(drawn)) < len(drawn)
-    units = counted(len(drawn), "clip")
-    if together:
-        units = f"{counted(len(set(drawn)), 'subject')}, all clips of one together"
-    versions = ", ".join(f"{key} {version}" for key, version in software().items())
-    return [
-        f"{_initial_poses(plan)}, {_frames(plan.options)}, seed {plan.options.seed}; the same frames, masks and "
-        "evaluation for all",
-        "per cent, means over clips, the best bold, the second best underlined; s: median seconds for a clip",
-        f"in brackets: 95 % intervals by Student's t over {units}",
-        f"contact: {' and '.join(contact.description for contact in plan.contacts)}, unless the row says otherwise; a "
-        "method that fails on a clip scores 0 there",
-        versions,
-    ]
+Benches = _subcommands()
 
 
-def _frames(options: Options) -> str:
-    """Which frames are evaluated, in words."""
-    return f"{options.frames} frames" + (" and the others that follow them" if options.every_frame else "")
-
-
-def _initial_poses(plan: Plan) -> str:
-    """How many initial poses the search has, and which, in words."""
-    options, thorough = plan.options, ", thorough" if plan.options.thorough else ""
-    kind: str = options.init
-    if options.priors is not None:
-        more = "no others" if options.priors.alone else "then uniform"
-        kind = f"{options.init} of {options.priors.path.name}, sha256 {options.priors.sha256[:12]}, {more}"
-    published = [v.method for v in plan.variants() if v.system is None and method_of(v.method).as_published]
-    but = f", but for {' and '.join(dict.fromkeys(published))}" if published else ""
-    free = f"{WITH_FREE_SCALE * options.inits} where the scale is free{but}"
-    most = "at most " if options.priors is not None and options.priors.alone else ""
-    return f"{most}{options.inits} initial poses ({kind}{thorough}; {free})"
+def with_source(words: Sequence[str], sources: Collection[str]) -> list[str]:
+    """The words behind ``bench`` with the source first: options may come before it, and a folder of clips need not be
+    called one."""
+    if not words or words[0] in ("-h", "--help"):
+        return list(words)
+    alone = words[0] == ClipFolder.dataset and (len(words) == 1 or words[1].startswith("-"))  # a folder of that name
+    if alone or (words[0] not in sources and not words[0].startswith("-")):
+        is_folder = Path(words[0]).exists() or has_magic(words[0])
+        return [ClipFolder.dataset, *words] if is_folder else list(words)
+    place = next((n for n, word in enumerate(words) if word in sources), None)
+    return list(words) if place is None else [words[place], *words[:place], *words[place + 1 :]]

@@ -1,11 +1,23 @@
-"""The datasets that ``getagrip import`` reads: a line for each.
+"""``getagrip import``: the datasets that it reads, a line for each, and the clips that it makes of them.
 
-The name is the subcommand's. The class stands with its reader: its fields are the subcommand's options.
+The name is the subcommand's. The class stands with its reader: its fields are the subcommand's options. Those modules
+load numpy and more. So this one is loaded when the command is called, not for `getagrip --help`.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Generic, TypeVar, Union
+
+from tyro.conf import arg, subcommand
+
+from getagrip.batch.imports import import_clips
+from getagrip.batch.share import Share
+from getagrip.commands.command import Command
 from getagrip.commands.import_epic import ImportEpic
+from getagrip.commands.import_hands import ImportHands
+from getagrip.commands.import_masks import ImportMasks
+from getagrip.commands.import_segments import ImportSegments
 from getagrip.datasets.arctic import Arctic
 from getagrip.datasets.dataset import Dataset
 from getagrip.datasets.dexycb.reader import DexYcb
@@ -13,6 +25,7 @@ from getagrip.datasets.ho3d import Ho3d
 from getagrip.datasets.hoi4d import Hoi4d
 from getagrip.datasets.hot3d.reader import Hot3d
 from getagrip.datasets.track_files import Tracks
+from getagrip.io.arguments import Folder
 
 DATASETS: dict[str, type[Dataset]] = {
     "hot3d": Hot3d,
@@ -23,3 +36,32 @@ DATASETS: dict[str, type[Dataset]] = {
     "tracks": Tracks,
     "epic": ImportEpic,
 }
+
+
+D = TypeVar("D", bound=Dataset)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Import(Command, Generic[D]):
+    """Make clips of a dataset."""
+
+    dataset: Annotated[D, arg(name="")]
+    out: Folder
+    """Where the clips go, a folder each. Those that are there already are kept, unless they lack hands found now."""
+    share: Annotated[Share, arg(name="")] = field(default_factory=Share)
+
+    def run(self) -> int:
+        return import_clips(self.dataset, self.out, self.debug, self.share)
+
+
+def _subcommands() -> Any:
+    """The subcommands of ``import``: a dataset each, then hands, masks and segments."""
+    datasets = [
+        Annotated[Import[dataset], subcommand(name, description=dataset.__doc__)]  # type: ignore[valid-type]
+        for name, dataset in DATASETS.items()
+    ]
+    own = [("hands", ImportHands), ("masks", ImportMasks), ("segments", ImportSegments)]
+    return Union[*datasets, *(Annotated[command, subcommand(name)] for name, command in own)]
+
+
+Imports = _subcommands()

@@ -11,14 +11,20 @@ import platform
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 from time import perf_counter
+from typing import Annotated
+
+from tyro.conf import arg
 
 from getagrip.batch.on_ray import check_answer
 from getagrip.batch.pool import cores
+from getagrip.commands.command import Command
 from getagrip.errors import GetagripError
+from getagrip.io.arguments import OptionalFolder
 
 EXTRAS = {
     "torch": "reads estimators' .pt files", "lerobot": "exports to LeRobot", "mujoco": "exports to MuJoCo",
@@ -37,26 +43,34 @@ Line = tuple[str, str]
 """How it is, and what to say."""
 
 
-def run(mano: Path | None = None, address: str | None = None) -> int:
-    """Print what is there, what is missing and whether a small clip can be reconstructed; 1 if anything is wrong.
+@dataclass(frozen=True, kw_only=True)
+class Doctor(Command):
+    """Check the installation, and compile what the first run would have to."""
 
-    The first reconstruction compiles the kernels and keeps them on disk, so that later ones start at once. ``mano`` is
-    a folder with MANO files to be tried, ``address`` that of a Ray cluster.
-    """
-    print(f"getagrip {metadata.version('getagrip')}, Python {platform.python_version()}, {platform.platform()}")
-    wrong = False
-    for check in (_libraries(), _extras(), _clusters(address), _machine(), _mano(mano)):
-        for state, words in check:
-            print(f"{state:<8} {words}", flush=True)
-            wrong |= state in ("MISSING", "BROKEN")
-    if wrong:
-        return 1
-    try:
-        _try_out()
-    except Exception as error:  # whatever it is, it is reported, not raised
-        print(f"BROKEN   a synthetic clip cannot be reconstructed: {type(error).__name__}: {error}")
-        return 1
-    return 0
+    mano: OptionalFolder = None
+    """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl, to be tried."""
+    address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS)")] = None
+    """Ray cluster to be tried."""
+
+    def run(self) -> int:
+        """Print what is there, what is missing and whether a small clip can be reconstructed; 1 if anything is wrong.
+
+        The first reconstruction compiles the kernels and keeps them on disk, so that later ones start at once.
+        """
+        print(f"getagrip {metadata.version('getagrip')}, Python {platform.python_version()}, {platform.platform()}")
+        wrong = False
+        for check in (_libraries(), _extras(), _clusters(self.address), _machine(), _mano(self.mano)):
+            for state, words in check:
+                print(f"{state:<8} {words}", flush=True)
+                wrong |= state in ("MISSING", "BROKEN")
+        if wrong:
+            return 1
+        try:
+            _try_out()
+        except Exception as error:  # whatever it is, it is reported, not raised
+            print(f"BROKEN   a synthetic clip cannot be reconstructed: {type(error).__name__}: {error}")
+            return 1
+        return 0
 
 
 def _libraries() -> Iterator[Line]:

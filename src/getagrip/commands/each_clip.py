@@ -7,16 +7,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from getagrip.batch.clips import print_outcome
-from getagrip.batch.job import Outcome
-from getagrip.batch.plan import by_name
-from getagrip.batch.pool import DIED, cores, in_processes
 from getagrip.batch.share import FEW
 from getagrip.errors import UsageError
 from getagrip.io.terminal import progress_bar, show_stage
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
+
+    from getagrip.batch.job import Outcome
 
 
 class ClipJob(Protocol):
@@ -43,10 +41,14 @@ def each_clip(
     passed over. ``work`` takes a job and, where it is done in this process, a function to call with its progress.
     Raises ``UsageError`` where no path is given.
     """
+    from getagrip.batch.clips import print_outcome
+    from getagrip.batch.job import Outcome
+    from getagrip.batch.plan import by_name
+
     if not paths:
         raise UsageError("CLIP: name at least one clip")
     if workers is not None and workers < 1:
-        raise UsageError(f"--workers: got {workers}, expected 1 or more")
+        raise UsageError(f"--workers must be 1 or more (got {workers})")
     clips, failed = by_name(paths)
     for outcome in failed:
         print_outcome(outcome, debug)
@@ -66,6 +68,9 @@ def _outcomes(
     work: Callable[..., R | Outcome], jobs: Sequence[J], workers: int | None, bar: Bar
 ) -> Iterator[tuple[J, R | Outcome]]:
     """What becomes of each job, as they finish, while the bar shows it."""
+    from getagrip.batch.job import Outcome
+    from getagrip.batch.pool import DIED, cores, in_processes
+
     if workers is None:
         workers = min(len(jobs), cores()) if len(jobs) > FEW else 1
     clips = bar.add_task("clips", total=len(jobs), visible=len(jobs) > 1)

@@ -5,60 +5,88 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from getagrip.batch.clips import print_outcome
-from getagrip.batch.job import failure
-from getagrip.datasets.epic import candidates, tables, visor
+from tyro.conf import arg
+
+from getagrip.commands.command import Command
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
+from getagrip.io.arguments import File, Folder, OptionalFile
 from getagrip.io.counts import counted
 from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import progress_bar
 
+if TYPE_CHECKING:
+    from getagrip.datasets.epic import candidates
+
+Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan"]
 COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name", "mp4_name")
 """Of the table of candidates: EPIC-Grasps' own, without those that an annotator has still to fill."""
 
 
-def find_candidates(
-    annotations: Path, labels: Sequence[Path], categories: Sequence[str], out: Path, json: Path | None, debug: bool
-) -> int:
-    """Write where stable grasps may be as a table, and as JSON; 1 if a video could not be read, else 0.
+@dataclass(frozen=True, kw_only=True)
+class EpicCandidates(Command):
+    """Find where stable grasps may be in EPIC-KITCHENS: where VISOR says that a hand touches an object."""
 
-    Raises ``UsageError`` without labels, ``InputError`` for labels that are malformed and where VISOR is not.
-    """
-    if not labels:
-        raise UsageError("--actions: name EPIC_100_train.csv or EPIC_100_validation.csv, or both")
-    actions = tables.read_actions(labels)
-    found, failed, unlabelled = list[candidates.Candidate](), 0, 0
-    there, mapping = visor.find(annotations), visor.find_mapping(annotations)
-    if mapping is None:
-        print(visor.UNMAPPED, file=sys.stderr)
-    with progress_bar() as bar:
-        task = bar.add_task("videos", total=len(there))
-        for video, paths in there.items():
-            try:
-                sparse = [path for path in paths if not visor.is_dense(path)]  # contacts are marked there
-                frames = (frame for path in sparse for frame in visor.read_frames(path))
-                touching = candidates.contacts(frames, visor.read_mapping(mapping, video))
-                found += candidates.candidates(video, touching, actions.get(video, []))
-                unlabelled += video not in actions
-            except InputError as error:
-                print_outcome(failure(video, error), debug)
-                failed += 1
-            bar.advance(task)
-    chosen = [candidate for candidate in found if not categories or candidate.category in categories]
-    _write_table(out, chosen)
-    if json is not None:
-        rows = [asdict(candidate) | {"seconds": candidate.seconds, "name": candidate.name} for candidate in chosen]
-        files.write_json(json, rows)
-    for category, count in sorted(Counter(candidate.category for candidate in chosen).items()):
-        print(f"{category}: {count}")
-    if unlabelled:
-        print(f"{unlabelled} of {len(there)} videos have no labelled actions: skipped", file=sys.stderr)
-    print(f"{out}: {counted(len(chosen), 'candidate')} from {counted(len(there) - failed, 'video')}")
-    return 1 if failed else 0
+    visor: Folder
+    """VISOR's sparse annotations, and its frame_mapping.json, anywhere below."""
+    actions: Annotated[tuple[Path, ...], arg(metavar="CSV...")]
+    """EPIC-100's action labels: EPIC_100_train.csv, EPIC_100_validation.csv."""
+    categories: Annotated[tuple[Category, ...], arg(help_behavior_hint="(default: all)")] = ()
+    """Kinds of objects."""
+    out: File
+    """Where the table goes (CSV)."""
+    json: OptionalFile = None
+    """Write all that is known of the candidates here."""
+
+    def check(self) -> None:
+        files.check_file("--out", self.out)
+        if self.json is not None:
+            files.check_file("--json", self.json)
+
+    def run(self) -> int:
+        """Write where stable grasps may be as a table, and as JSON; 1 if a video could not be read, else 0.
+
+        Raises ``UsageError`` without labels, ``InputError`` for labels that are malformed and where VISOR is not.
+        """
+        from getagrip.batch.clips import print_outcome
+        from getagrip.batch.job import failure
+        from getagrip.datasets.epic import candidates, tables, visor
+
+        if not self.actions:
+            raise UsageError("missing --actions: name EPIC_100_train.csv or EPIC_100_validation.csv, or both")
+        actions = tables.read_actions(self.actions)
+        found, failed, unlabelled = list[candidates.Candidate](), 0, 0
+        there, mapping = visor.find(self.visor), visor.find_mapping(self.visor)
+        if mapping is None:
+            print(visor.UNMAPPED, file=sys.stderr)
+        with progress_bar() as bar:
+            task = bar.add_task("videos", total=len(there))
+            for video, paths in there.items():
+                try:
+                    sparse = [path for path in paths if not visor.is_dense(path)]  # contacts are marked there
+                    frames = (frame for path in sparse for frame in visor.read_frames(path))
+                    touching = candidates.contacts(frames, visor.read_mapping(mapping, video))
+                    found += candidates.candidates(video, touching, actions.get(video, []))
+                    unlabelled += video not in actions
+                except InputError as error:
+                    print_outcome(failure(video, error), self.debug)
+                    failed += 1
+                bar.advance(task)
+        chosen = [candidate for candidate in found if not self.categories or candidate.category in self.categories]
+        _write_table(self.out, chosen)
+        if self.json is not None:
+            rows = [asdict(candidate) | {"seconds": candidate.seconds, "name": candidate.name} for candidate in chosen]
+            files.write_json(self.json, rows)
+        for category, count in sorted(Counter(candidate.category for candidate in chosen).items()):
+            print(f"{category}: {count}")
+        if unlabelled:
+            print(f"{unlabelled} of {len(there)} videos have no labelled actions: skipped", file=sys.stderr)
+        print(f"{self.out}: {counted(len(chosen), 'candidate')} from {counted(len(there) - failed, 'video')}")
+        return 1 if failed else 0
 
 
 def _write_table(path: Path, found: Sequence[candidates.Candidate]) -> None:

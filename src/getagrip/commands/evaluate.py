@@ -5,26 +5,106 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, TypeVar
 
-from getagrip.batch.clips import print_outcome
-from getagrip.batch.entries import FILE as LEDGER
-from getagrip.batch.job import Outcome, failure
-from getagrip.batch.pool import DIED, cores, in_processes
+from tyro.conf import arg
+
 from getagrip.batch.share import FEW
-from getagrip.batch.summary import PAGE, TABLE
-from getagrip.commands.evaluate_meshes import Meshes, MeshJob, evaluate_clip_meshes, mesh_jobs
-from getagrip.commands.evaluate_poses import OtherPoses, PoseJob, evaluate_clip_poses, pose_jobs
+from getagrip.commands.command import ClipsFolder, Command, Results
 from getagrip.errors import InputError, UsageError
-from getagrip.evaluation import contact_tables, evaluate_result, results_table, summary
 from getagrip.evaluation.results import Evaluation
 from getagrip.io import files
+from getagrip.io.arguments import Flag, OptionalFile, OptionalFolder, one_of
 from getagrip.io.terminal import console, progress_bar, report
 
-BATCH_FILES = (LEDGER, TABLE, PAGE)
+if TYPE_CHECKING:
+    from getagrip.batch.job import Outcome
+    from getagrip.commands.evaluate_meshes import MeshJob
+    from getagrip.commands.evaluate_poses import PoseJob
 
-Evaluated = tuple[Evaluation | None, list[Outcome]]
+Evaluated: TypeAlias = "tuple[Evaluation | None, list[Outcome]]"
 """All metrics, and what could not be read."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(Command):
+    """Print the metrics of results, and of another system's poses or meshes beside them."""
+
+    results: Results = ()
+    """Result folders, or folders of results."""
+    clips: ClipsFolder = None
+    """A clip, or the folder that holds the clips by name."""
+    poses: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
+    """Another system's poses of the clip's mesh: one 4x4 for each frame (.npz, .npy, .json, .txt, or a file for each
+    frame in a folder), or BOP's results (.csv). Of many clips: a folder of such files or folders, named like the clips.
+    They need --clips, and appear under the name of PATH."""
+    meshes: OptionalFolder = None
+    """Another system's meshes, one for each frame, in metres: DIR/<clip>/<frame>.obj (.ply, .stl, .glb). They need
+    --clips and --mesh-frame, and appear under the name of DIR."""
+    mesh_frame: Annotated[Literal["camera", "hand"] | None, one_of("camera", "hand"), arg(help_behavior_hint="")] = None
+    """The frame of their vertices: the clip's camera frame, or its hand frame."""
+    first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    """The number of the first frame's pose or mesh in these files. Needed where they are counted from another start."""
+    contact: Flag = False
+    """Print stable contact by nine definitions of contact, too: within 0, 5 and 10 mm, of the object's vertices, the
+    hand's, and points of the object's surface."""
+    json: OptionalFile = None
+    """Write every number here, unrounded."""
+
+    def check(self) -> None:
+        super().check()
+        if not self.results and self.meshes is None and self.poses is None:
+            raise UsageError("missing RESULT: name at least one result, or --poses, or --meshes")
+        other = "--poses" if self.poses is not None else "--meshes"
+        if (self.poses is not None or self.meshes is not None) and self.clips is None:
+            raise UsageError(f"missing --clips: {other} needs the clip, or the folder that holds the clips")
+        if self.meshes is not None and self.mesh_frame is None:
+            raise UsageError("missing --mesh-frame: --meshes needs the frame of their vertices, camera or hand")
+        if self.meshes is None and self.mesh_frame is not None:
+            raise UsageError("missing --meshes: --mesh-frame is the frame of their vertices")
+
+    def run(self) -> int:
+        """Print the metrics of results, and write them to a file; 1 if anything could not be evaluated, else 0.
+
+        Another system's meshes and poses are evaluated in the frames of our results of the same clip, else in all of
+        the clip's. Raises ``InputError`` where there are no such meshes or poses.
+        """
+        from getagrip.batch.clips import print_outcome
+        from getagrip.batch.job import failure
+        from getagrip.commands.evaluate_meshes import mesh_jobs
+        from getagrip.commands.evaluate_poses import pose_jobs
+        from getagrip.evaluation import contact_tables, results_table, summary
+
+        jobs: list[ResultJob] = []
+        problems: list[Outcome] = []
+        for path in self.results:
+            try:
+                jobs += [ResultJob(folder, self.clips) for folder in results_in(path)]
+            except (InputError, OSError) as error:
+                problems.append(failure("", error))
+        evaluations: list[Evaluation] = []
+        with progress_bar() as bar:
+            task = bar.add_task("results", total=len(jobs), visible=bool(jobs))
+            for made, failed in _in_order(evaluate_one, jobs, lambda: bar.advance(task)):
+                evaluations += [] if made is None else [made]
+                problems += failed
+            frames = {made.clip: tuple(made.frames) for made in evaluations}
+            others: list[MeshJob | PoseJob] = [] if self.meshes is None else [*mesh_jobs(self, frames)]
+            others += [] if self.poses is None else pose_jobs(self, frames)
+            of_others = bar.add_task("of other systems", total=len(others), visible=bool(others))
+            for made, failed in _in_order(evaluate_other, others, lambda: bar.advance(of_others)):
+                evaluations += [] if made is None else [made]
+                problems += failed
+        for outcome in problems:
+            print_outcome(outcome, self.debug)
+        if evaluations:
+            for table in (results_table(evaluations), *(contact_tables(evaluations) if self.contact else ())):
+                console().print(table)
+        for made in evaluations:
+            _print_doubts(made)
+        if self.json is not None:
+            files.write_json(self.json, summary(evaluations))
+        return 1 if problems else 0
 
 
 @dataclass(frozen=True)
@@ -33,55 +113,6 @@ class ResultJob:
 
     folder: Path
     clips: Path | None
-
-
-def evaluate_results(
-    paths: Sequence[Path],
-    clips: Path | None,
-    meshes: Meshes | None,
-    poses: OtherPoses | None,
-    contact: bool,
-    json: Path | None,
-    debug: bool,
-) -> int:
-    """Print the metrics of results, and write them to a file; 1 if anything could not be evaluated, else 0.
-
-    A path is a result, or a folder of results. ``meshes`` and ``poses`` of another system are evaluated in the frames
-    of our results of the same clip, else in all of the clip's. ``contact`` adds a table of stable contact.
-    Raises ``UsageError`` where there is nothing to do, and ``InputError`` where there are no such meshes or poses.
-    """
-    if not paths and meshes is None and poses is None:
-        raise UsageError("RESULT: name at least one result, or --poses, or --meshes")
-    jobs: list[ResultJob] = []
-    problems: list[Outcome] = []
-    for path in paths:
-        try:
-            jobs += [ResultJob(folder, clips) for folder in results_in(path)]
-        except (InputError, OSError) as error:
-            problems.append(failure("", error))
-    evaluations: list[Evaluation] = []
-    with progress_bar() as bar:
-        task = bar.add_task("results", total=len(jobs), visible=bool(jobs))
-        for made, failed in _in_order(evaluate_one, jobs, lambda: bar.advance(task)):
-            evaluations += [] if made is None else [made]
-            problems += failed
-        frames = {made.clip: tuple(made.frames) for made in evaluations}
-        others: list[MeshJob | PoseJob] = [] if meshes is None else [*mesh_jobs(meshes, frames)]
-        others += [] if poses is None else pose_jobs(poses, frames)
-        of_others = bar.add_task("of other systems", total=len(others), visible=bool(others))
-        for made, failed in _in_order(evaluate_other, others, lambda: bar.advance(of_others)):
-            evaluations += [] if made is None else [made]
-            problems += failed
-    for outcome in problems:
-        print_outcome(outcome, debug)
-    if evaluations:
-        for table in (results_table(evaluations), *(contact_tables(evaluations) if contact else ())):
-            console().print(table)
-    for made in evaluations:
-        _print_doubts(made)
-    if json is not None:
-        files.write_json(json, summary(evaluations))
-    return 1 if problems else 0
 
 
 def _print_doubts(made: Evaluation) -> None:
@@ -93,11 +124,14 @@ def _print_doubts(made: Evaluation) -> None:
         report(f"{made.method}, {made.clip}: {doubt}")
 
 
-J = TypeVar("J", ResultJob, MeshJob | PoseJob)
+J = TypeVar("J", "ResultJob", "MeshJob | PoseJob")
 
 
 def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callable[[], None]) -> list[Evaluated]:
     """What each job gives; many jobs are shared out over processes."""
+    from getagrip.batch.job import Outcome
+    from getagrip.batch.pool import DIED
+
     done: dict[int, Evaluated] = {}
     places = {id(job): place for place, job in enumerate(jobs)}
     for job, made in _done(work, jobs):
@@ -108,6 +142,8 @@ def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callab
 
 
 def _done(work: Callable[[J], Evaluated], jobs: Sequence[J]) -> Iterator[tuple[J, Evaluated | None]]:
+    from getagrip.batch.pool import cores, in_processes
+
     if len(jobs) <= FEW or cores() == 1:
         return ((job, work(job)) for job in jobs)
     return in_processes(work, jobs, min(len(jobs), cores()))
@@ -115,11 +151,17 @@ def _done(work: Callable[[J], Evaluated], jobs: Sequence[J]) -> Iterator[tuple[J
 
 def evaluate_other(job: MeshJob | PoseJob) -> Evaluated:
     """The metrics of another system's meshes or poses, or why there are none. Raises nothing."""
+    from getagrip.commands.evaluate_meshes import MeshJob, evaluate_clip_meshes
+    from getagrip.commands.evaluate_poses import evaluate_clip_poses
+
     return evaluate_clip_meshes(job) if isinstance(job, MeshJob) else evaluate_clip_poses(job)
 
 
 def evaluate_one(job: ResultJob) -> Evaluated:
     """The metrics of a result, or why there are none. Raises nothing."""
+    from getagrip.batch.job import failure
+    from getagrip.evaluation import evaluate_result
+
     try:
         return evaluate_result(job.folder, job.clips), []
     except Exception as error:  # one result's trouble must not end the others
@@ -128,7 +170,10 @@ def evaluate_one(job: ResultJob) -> Evaluated:
 
 def of_batch(path: Path) -> bool:
     """Whether a path is one of the files that a batch writes beside its results: ``results/*`` names them, too."""
-    return path.name in BATCH_FILES and path.is_file()
+    from getagrip.batch.entries import FILE as LEDGER
+    from getagrip.batch.summary import PAGE, TABLE
+
+    return path.name in (LEDGER, TABLE, PAGE) and path.is_file()
 
 
 def results_in(path: Path) -> list[Path]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,18 +18,8 @@ from getagrip.evaluation.meshes import MeshFrame, read_meshes
 from getagrip.evaluation.results import Evaluation
 from getagrip.geometry.mesh_files import SUFFIXES
 
-
-@dataclass(frozen=True)
-class Meshes:
-    """Meshes of another system, one for each frame of some clips."""
-
-    root: Path
-    """A folder for each clip, ``<clip>/<frame>.obj``, or that of one clip. Its name is the method's."""
-    frame: MeshFrame
-    clips: Path
-    """The folder that holds the clips by name, or the one clip."""
-    first: int | None = None
-    """The number of the first frame's mesh; None where meshes have the frames' numbers."""
+if TYPE_CHECKING:
+    from getagrip.commands.evaluate import Evaluate
 
 
 @dataclass(frozen=True)
@@ -42,25 +33,29 @@ class MeshJob:
     frames: Mapping[str, tuple[str, ...]]
     """By the names of clips: the frames to evaluate, where not all are."""
     first: int | None
-    """As of ``Meshes``."""
+    """The number of the first frame's mesh; None where meshes have the frames' numbers."""
 
 
-def mesh_jobs(meshes: Meshes, frames: Mapping[str, tuple[str, ...]]) -> list[MeshJob]:
-    """A job for each clip with meshes. Raises ``InputError`` where there are none."""
-    if not meshes.root.is_dir():
-        raise InputError(meshes.root, "", "no such folder", "a folder of meshes, <clip>/<frame>.obj")
-    inside = sorted(meshes.root.iterdir())
+def mesh_jobs(options: Evaluate, frames: Mapping[str, tuple[str, ...]]) -> list[MeshJob]:
+    """A job for each clip with meshes: ``<clip>/<frame>.obj``, or those of one clip. Raises ``InputError``."""
+    root, where = options.meshes, options.clips
+    assert root is not None
+    assert where is not None
+    assert options.mesh_frame is not None
+    if not root.is_dir():
+        raise InputError(root, "", "no such folder", "a folder of meshes, <clip>/<frame>.obj")
+    inside = sorted(root.iterdir())
     one = any(path.suffix.lower() in SUFFIXES for path in inside)
-    folders = [meshes.root] if one else [path for path in inside if path.is_dir()]
+    folders = [root] if one else [path for path in inside if path.is_dir()]
     if not folders:
-        raise InputError(meshes.root, "", "no meshes in it or in its folders", "<clip>/<frame>.obj")
-    the_clip = (meshes.clips / "clip.json").is_file()
+        raise InputError(root, "", "no meshes in it or in its folders", "<clip>/<frame>.obj")
+    the_clip = (where / "clip.json").is_file()
     if the_clip and len(folders) > 1:
-        raise InputError(meshes.clips, "", "one clip", f"the folder of the clips of {len(folders)} folders of meshes")
-    method = meshes.root.resolve().name
-    clips = [meshes.clips if the_clip else meshes.clips / folder.name for folder in folders]
+        raise InputError(where, "", "one clip", f"the folder of the clips of {len(folders)} folders of meshes")
+    method = root.resolve().name
+    clips = [where if the_clip else where / folder.name for folder in folders]
     return [
-        MeshJob(folder, clip, meshes.frame, method, frames, meshes.first)
+        MeshJob(folder, clip, options.mesh_frame, method, frames, options.first)
         for folder, clip in zip(folders, clips, strict=True)
     ]
 

@@ -2,35 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import dataclass
+from typing import Annotated
 
-from getagrip.batch.clips import print_outcome
-from getagrip.batch.job import failure
-from getagrip.commands.evaluate import results_in
-from getagrip.errors import InputError
-from getagrip.evaluation.results import clip_of
-from getagrip.export import Scene, export
-from getagrip.io import files
-from getagrip.io.terminal import say
-from getagrip.result import read_result
+from tyro.conf import arg
+
+from getagrip.commands.command import ClipsFolder, Command, Results
+from getagrip.errors import InputError, UsageError, unknown
+from getagrip.io.arguments import Flag, OptionalFolder
 
 
-def export_results(
-    paths: Sequence[Path], to: str, out: Path | None, clips: Path | None, overwrite: bool, debug: bool
-) -> int:
-    """Export results, each into ``out/<name of its folder>``, or into a folder of its own; 1 if any failed, else 0."""
-    failed = False
-    for path in paths:
-        try:
-            for folder in results_in(path):
-                if out is None and folder != path:
-                    files.refuse_link(folder)
-                result, record = read_result(folder)
-                scene = Scene.of(result, clip_of(folder, result, record, clips))
-                target = folder / f"export-{to}" if out is None else out / folder.resolve().name
-                say(str(export(scene, target, to, overwrite)))
-        except Exception as error:  # one result's trouble must not end the others
-            failed = True
-            print_outcome(failure("" if isinstance(error, InputError) else str(path), error), debug)
-    return int(failed)
+@dataclass(frozen=True, kw_only=True)
+class Export(Command):
+    """Write results in other programs' formats: poses, animated scenes, benchmark files."""
+
+    results: Results
+    """Result folders, or folders of results."""
+    to: Annotated[str, arg(metavar="FORMAT")]
+    """csv: a table of poses; npz: arrays; obj: posed meshes, one per frame; glb: glTF, animated, for Blender and
+    browsers; bop: files of the BOP benchmark; usd: a USD stage, animated; mujoco: an MJCF scene to
+    replay and to simulate; lerobot: a dataset; spider: keypoint trajectories; dex-retargeting: joints and object
+    poses, z up."""
+    out: OptionalFolder = None
+    """Where the exports go, each into a folder named as its result's. Otherwise RESULT/export-FORMAT."""
+    clips: ClipsFolder = None
+    """A clip, or the folder that holds the clips by name."""
+    overwrite: Flag = False
+    """Replace exports that are there already."""
+
+    def check(self) -> None:
+        from getagrip.export import FORMATS
+
+        super().check()
+        if self.to not in FORMATS:
+            raise unknown("--to", self.to, FORMATS)
+        if not self.results:
+            raise UsageError("missing RESULT: name at least one result")
+
+    def run(self) -> int:
+        """Export results, each into a folder of its own; 1 if any failed, else 0."""
+        from getagrip.batch.clips import print_outcome
+        from getagrip.batch.job import failure
+        from getagrip.commands.evaluate import results_in
+        from getagrip.evaluation.results import clip_of
+        from getagrip.export import Scene, export
+        from getagrip.io import files
+        from getagrip.io.terminal import say
+        from getagrip.result import read_result
+
+        failed = False
+        for path in self.results:
+            try:
+                for folder in results_in(path):
+                    if self.out is None and folder != path:
+                        files.refuse_link(folder)
+                    result, record = read_result(folder)
+                    scene = Scene.of(result, clip_of(folder, result, record, self.clips))
+                    target = folder / f"export-{self.to}" if self.out is None else self.out / folder.resolve().name
+                    say(str(export(scene, target, self.to, self.overwrite)))
+            except Exception as error:  # one result's trouble must not end the others
+                failed = True
+                print_outcome(failure("" if isinstance(error, InputError) else str(path), error), self.debug)
+        return int(failed)

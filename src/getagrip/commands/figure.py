@@ -1,54 +1,87 @@
-"""``getagrip figure``: a figure of results, written whole or not at all."""
+"""``getagrip figure``: a figure of results, written whole or not at all.
+
+What each kind takes stands with what draws it. Those modules load numpy and more. So this one is loaded when the
+command is called, not for `getagrip --help`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import dataclass
+from inspect import cleandoc
+from typing import Annotated, Any, Generic, TypeVar, Union
+
+from tyro.conf import arg, subcommand
 
 from getagrip.batch.clips import print_outcome
 from getagrip.batch.job import failure
+from getagrip.commands.command import ClipsFolder, Command, Results
 from getagrip.commands.evaluate import results_in
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
-from getagrip.view.figures import GivenResult, Kind
+from getagrip.io.arguments import File
+from getagrip.view.figures import FIGURES, GivenResult, Kind
 from getagrip.view.given import is_clip
 from getagrip.view.style import letters
 
 SUFFIXES = (".png", ".pdf")
 
-
-def check_out(out: Path) -> None:
-    """Raise ``UsageError`` for a file that no figure can be written to."""
-    if out.suffix.lower() not in SUFFIXES:
-        raise UsageError(f"--out: got {out}, expected a file whose name ends in {' or '.join(SUFFIXES)}")
-    files.check_file("--out", out)
+K = TypeVar("K", bound=Kind)
 
 
-def write_figure(kind: Kind, paths: Sequence[Path], clips: Path | None, out: Path, debug: bool) -> int:
-    """Draw results into a file; 1 if any could not be read, else 0. A path is a result, or a folder of results; or a
-    clip, where the kind draws the ground truth.
+@dataclass(frozen=True, kw_only=True)
+class DrawFigure(Command, Generic[K]):
+    """Draw a figure of results."""
 
-    Raises ``UsageError`` where there are none or too many for this kind, ``InputError`` where none can be shown.
-    """
-    if not paths:
-        raise UsageError("RESULT: name at least one result")
-    given: list[GivenResult] = []
-    problems: list[Exception] = []
-    for path in paths:
-        try:
-            folders = [path] if kind.draws_truth and is_clip(path) else results_in(path)
-            given += [GivenResult(folder, clips) for folder in folders]
-        except (InputError, OSError) as error:
-            if len(paths) == 1:
-                raise
-            problems.append(error)
-    with letters():
-        figure = kind.draw(given, problems.append)
-        form = out.suffix.lower()[1:]
-        undated = {"CreationDate": None} if form == "pdf" else {"Software": None}  # the same picture, the same file
-        with files.new_file(out) as part:
-            figure.savefig(part, format=form, dpi=kind.dpi, metadata=undated)
-    for problem in problems:
-        print_outcome(failure("", problem), debug)
-    print(out)
-    return 1 if problems else 0
+    results: Results = ()
+    """Result folders, or folders of results; contact and aligned also draw the ground truth of a clip's folder."""
+    kind: Annotated[K, arg(name="")]
+    out: File
+    """The figure: .png or .pdf."""
+    clips: ClipsFolder = None
+    """A clip, or the folder that holds the clips by name."""
+
+    def check(self) -> None:
+        if self.out.suffix.lower() not in SUFFIXES:
+            raise UsageError(f"--out must be a file whose name ends in {' or '.join(SUFFIXES)} (got {self.out})")
+        files.check_file("--out", self.out)
+        if not self.results:
+            raise UsageError("missing RESULT: name at least one result")
+        self.kind.check()
+
+    def run(self) -> int:
+        """Draw results into a file; 1 if any could not be read, else 0.
+
+        Raises ``UsageError`` where there are too many for this kind, ``InputError`` where none can be shown.
+        """
+        given: list[GivenResult] = []
+        problems: list[Exception] = []
+        for path in self.results:
+            try:
+                folders = [path] if self.kind.draws_truth and is_clip(path) else results_in(path)
+                given += [GivenResult(folder, self.clips) for folder in folders]
+            except (InputError, OSError) as error:
+                if len(self.results) == 1:
+                    raise
+                problems.append(error)
+        with letters():
+            figure = self.kind.draw(given, problems.append)
+            form = self.out.suffix.lower()[1:]
+            undated = {"CreationDate": None} if form == "pdf" else {"Software": None}  # the same picture, the same file
+            with files.new_file(self.out) as part:
+                figure.savefig(part, format=form, dpi=self.kind.dpi, metadata=undated)
+        for problem in problems:
+            print_outcome(failure("", problem), self.debug)
+        print(self.out)
+        return 1 if problems else 0
+
+
+def _subcommands() -> Any:
+    """A subcommand for each kind."""
+    kinds = [
+        Annotated[DrawFigure[kind], subcommand(name, description=cleandoc(kind.__doc__ or ""))]  # type: ignore[valid-type]
+        for name, kind in FIGURES.items()
+    ]
+    return Union[tuple(kinds)]  # noqa: UP007
+
+
+Figures = _subcommands()

@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, make_dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from tyro.conf import Positional, arg
 
 from getagrip.clip.camera_of_image import doubt
-from getagrip.clip.intrinsics import Lens, intrinsics
+from getagrip.clip.intrinsics import intrinsics
 from getagrip.clip.numbering import renumbered
 from getagrip.clip.plausible import check_in_view
-from getagrip.clip.provenance import as_arrays, warn_of
 from getagrip.clip.reading import OTHER_HAND, ClipHeader, frames_with_hand, read_header
 from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at
+from getagrip.commands.command import Command, OptionalSide
 from getagrip.errors import InputError, UsageError
+from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import CHOSEN, HELD, Hands, Request, Tracker, read
+from getagrip.hands.trackers import CHOSEN, HELD, TRACKERS, Hands, Request, Tracker, choose, read
 from getagrip.io import files
+from getagrip.io.arguments import Flag, OptionalFile
 from getagrip.io.terminal import report, say
+from getagrip.provenance import as_arrays, warn_of
 
 PREFIX = "other_"
 """Of what a clip's provenance says of the other hand."""
@@ -31,175 +36,183 @@ DOUBTED = 3
 """Exit status where the hands are written, and something seems to be wrong with them or with the camera."""
 
 
+if TYPE_CHECKING:
+    Source: TypeAlias = str
+    Trackers: TypeAlias = object
+else:  # the choices of --from, and the options of each tracker, as the table has them
+    TAKES = "; ".join(f"{name}: {tracker.takes}" for name, tracker in TRACKERS.items())
+    Source = Annotated[Literal[tuple(TRACKERS)], arg(name="from", help=f"Whose they are. {TAKES}.")]
+    OPTIONS = [(name, type(tracker), field(default=tracker)) for name, tracker in TRACKERS.items()]
+    Trackers = Annotated[make_dataclass("Trackers", OPTIONS, frozen=True), arg(name="")]
+
+
 @dataclass(frozen=True)
 class NewFrames:
-    """The frames of a clip that is yet to be made; None for what is not given."""
+    """The frames of a clip that is yet to be made; nothing of what is not given."""
 
-    side: Side | None
-    numbers: tuple[int, int] | None
-    """Of the first and the last frame, both included."""
-    size: tuple[int, int] | None
-    """Width and height of the images [px]."""
-    lens: Lens
+    side: OptionalSide = None
+    """With --out: which hand."""
+    frames: Annotated[tuple[int, int] | None, arg(metavar="FIRST LAST", help_behavior_hint="")] = None
+    """With --out: numbers of the frames, the last included."""
+    size: Annotated[tuple[int, int] | None, arg(metavar="WIDTH HEIGHT", help_behavior_hint="")] = None
+    """With --out: of the images."""
+    lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
+    """With --out: the camera."""
 
     @property
     def given(self) -> bool:
         """Whether anything is."""
-        return bool(self.side or self.numbers or self.size or self.lens.given)
+        return bool(self.side or self.frames or self.size or self.lens.given)
 
 
-def import_hands(
-    paths: Sequence[Path],
-    tracker: Tracker,
-    mano: Path | None,
-    clip: Path | None,
-    out: Path | None,
-    new: NewFrames,
-    hold_ends: bool,
-    other: bool,
-    first: int | None,
-    overwrite: bool,
-) -> int:
-    """Add hands to a clip, or write a file of them. Raises ``UsageError`` for options that do not fit.
+@dataclass(frozen=True, kw_only=True)
+class ImportHands(Command):
+    """Hands from an estimator's files: into a clip that lacks them, or into a file for a clip to come."""
 
-    ``hold_ends``: with hands in the frames before the first and after the last one (``Hands.held_at_ends``).
-    ``other``: the hand of the other side than the clip's. ``first``: the number of the first frame's hand.
-    """
-    if other and (hold_ends or clip is None):
-        given = "--hold-ends" if hold_ends else "no --clip"
-        raise UsageError(f"--other-hand: got {given}, expected --clip, and the hand in the frames that have it")
-    if not paths:
-        raise UsageError("FILE: got none, expected the estimator's files")
-    if clip is not None and out is None:
-        if new.given:
-            raise UsageError("--side, --frames, --size, --K: got some, expected none with --clip, which has them")
-        if other:
-            return other_into_clip(paths, tracker, mano, clip, first, overwrite)
-        return into_clip(paths, tracker, mano, clip, hold_ends, first, overwrite)
-    if out is not None and clip is None:
-        return into_file(paths, tracker, mano, new, out, hold_ends, first, overwrite)
-    raise UsageError(f"--clip, --out: got {'both' if clip else 'neither'}, expected one of them")
+    paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...", help_behavior_hint="")]
+    """.npz, .json, .pkl, .pt, .npy, .obj, or folders of them: a file for each image, named like it, or one for all
+    (docs/estimators.md)."""
+    source: Source
+    trackers: Trackers
+    clip: Annotated[Path | None, arg(metavar="CLIP", help_behavior_hint="")] = None
+    """The clip's folder. Its side, its frames and its camera are taken from it."""
+    out: OptionalFile = None
+    """Instead of a clip, a file for clip new --hands. It needs --side, --frames, --size and a camera."""
+    mano: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: the generic hand)")] = None
+    """Folder of your MANO_RIGHT.pkl and MANO_LEFT.pkl."""
+    new: Annotated[NewFrames, arg(name="")] = field(default_factory=NewFrames)
+    first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    """The number of the first frame's hand in the files. Needed where these are counted from another start."""
+    hold_ends: Flag = False
+    """For a whole interaction: before the first and after the last frame in which it was found, the hand stands still
+    where it was then, marked as a guess. Else these frames are left out."""
+    other_hand: Flag = False
+    """With --clip: the hand of the other side, which holds the object in some of a timeline's grasps. Frames may lack
+    it."""
+    overwrite: Flag = False
+    """Replace hands that are there already."""
 
+    def check(self) -> None:
+        if self.out is not None:
+            files.check_file("--out", self.out)
 
-def into_clip(
-    paths: Sequence[Path],
-    tracker: Tracker,
-    mano: Path | None,
-    folder: Path,
-    hold_ends: bool,
-    first: int | None,
-    overwrite: bool,
-) -> int:
-    """Add ``hand.npz`` to a clip's folder. Where frames lack a hand it names those that have one.
+    @property
+    def tracker(self) -> Tracker:
+        """Whose hands they are, with its options."""
+        return choose(self.source, vars(self.trackers))
 
-    The clip keeps its other frames, whose hands may come later. Raises ``UsageError`` where there are hands already.
-    """
-    header = read_header(folder)
-    target = header.folder / "hand.npz"
-    if target.exists() and not overwrite:
-        raise UsageError(f"{target}: exists already; --overwrite replaces it")
-    side: Side = header.fields["side"]
-    request = _request(side, header.frames, header.K, header.size, mano, first)
-    hands = read(paths, tracker, replace(request, hand_masks=_hand_masks(header)))
-    check_in_view(paths[0], hands.track, header.K[list(hands.found)], header.size)
-    hands = hands.held_at_ends(header.frames) if hold_ends else hands
-    if len(hands.found) < len(header.frames) and (header.folder / "truth.npz").exists():
-        missing = len(header.frames) - len(hands.found)
-        raise UsageError(f"{folder}: got no hand in {missing} frames, expected one in each, since it has a truth.npz")
-    with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
-        write_hand_at(hands.track, header.frames, hands.found, hand)
-        files.write_json(fields, _fields(header, hands))
-    _report(hands, header.frames)
-    say(str(target))
-    return _status(header.K, header.size, _doubts(hands, len(header.frames)))
+    def run(self) -> int:
+        """Add hands to a clip, or write a file of them. Raises ``UsageError`` for options that do not fit."""
+        if self.other_hand and self.hold_ends:
+            raise UsageError("--other-hand cannot be used with --hold-ends: that hand is in the frames that have it")
+        if self.other_hand and self.clip is None:
+            raise UsageError("missing --clip: --other-hand is the hand of the other side than the clip's")
+        if not self.paths:
+            raise UsageError("missing FILE: name the estimator's files")
+        if self.clip is not None and self.out is not None:
+            raise UsageError("--clip cannot be used with --out")
+        if self.out is not None:
+            return self._into_file(self.new, self.out)
+        if self.clip is None:
+            raise UsageError("missing --clip or --out")
+        if self.new.given:
+            raise UsageError("--side, --frames, --size, --K cannot be used with --clip, which has them")
+        return self._other_into_clip(self.clip) if self.other_hand else self._into_clip(self.clip)
 
+    def _into_clip(self, folder: Path) -> int:
+        """Add ``hand.npz`` to a clip's folder. Where frames lack a hand it names those that have one.
 
-def other_into_clip(
-    paths: Sequence[Path], tracker: Tracker, mano: Path | None, folder: Path, first: int | None, overwrite: bool
-) -> int:
-    """Add ``other_hand.npz``, in the frames in which it was found. Raises ``UsageError`` where there is one already,
-    and ``InputError`` where none of these frames has the clip's own hand."""
-    header = read_header(folder)
-    target = header.folder / OTHER_HAND
-    if target.exists() and not overwrite:
-        raise UsageError(f"{target}: exists already; --overwrite replaces it")
-    own = frames_with_hand(files.inside(header.folder, "hand.npz", "", "the clip's own hand first"), header.frames)
-    side: Side = "left" if header.fields["side"] == "right" else "right"
-    hands = read(paths, tracker, _request(side, header.frames, header.K, header.size, mano, first))
-    check_in_view(paths[0], hands.track, header.K[list(hands.found)], header.size)
-    alone = sorted({*hands.found} - {*own.tolist()})
-    if len(alone) == len(hands.found):
-        given = f"the {side} hand in {len(alone)} frames, in none of which the clip has its own"
-        raise InputError(paths[0], "", given, "some in which it has: frames without it are left out (--hold-ends)")
-    known = {key: text for key, text in header.fields["provenance"].items() if not key.startswith(PREFIX)}
-    provenance = {PREFIX + key: text for key, text in hands.provenance.items()}
-    with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
-        write_hand_at(hands.track, header.frames, hands.found, hand)
-        files.write_json(fields, header.changed({"provenance": known | provenance}))
-    for key, text in provenance.items():
-        report(warn_of(key, text))
-    say(f"{target}: the {side} hand in {len(hands.found)} of {len(header.frames)} frames")
-    if alone:
-        some = _some(header.frames[row] for row in alone)
-        left_out = f"{len(alone)} frames have the {side} hand only and are left out, as all without the clip's own"
-        report(f"warning: {left_out}: {some}")
-    return _status(header.K, header.size, hands.doubts)
+        The clip keeps its other frames, whose hands may come later. Raises ``UsageError`` where there are hands
+        already.
+        """
+        header = read_header(folder)
+        target = header.folder / "hand.npz"
+        if target.exists() and not self.overwrite:
+            raise UsageError(f"{target}: exists already; --overwrite replaces it")
+        side: Side = header.fields["side"]
+        request = self._request(side, header.frames, header.K, header.size)
+        hands = read(self.paths, self.tracker, replace(request, hand_masks=_hand_masks(header)))
+        check_in_view(self.paths[0], hands.track, header.K[list(hands.found)], header.size)
+        hands = hands.held_at_ends(header.frames) if self.hold_ends else hands
+        if len(hands.found) < len(header.frames) and (header.folder / "truth.npz").exists():
+            missing = len(header.frames) - len(hands.found)
+            raise UsageError(f"missing hand in {missing} frames: {folder} has a truth.npz, which needs one in each")
+        with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
+            write_hand_at(hands.track, header.frames, hands.found, hand)
+            files.write_json(fields, _fields(header, hands))
+        _report(hands, header.frames)
+        say(str(target))
+        return _status(header.K, header.size, _doubts(hands, len(header.frames)))
 
+    def _other_into_clip(self, folder: Path) -> int:
+        """Add ``other_hand.npz``, in the frames in which it was found. Raises ``UsageError`` where there is one,
+        and ``InputError`` where none of these frames has the clip's own hand."""
+        header = read_header(folder)
+        target = header.folder / OTHER_HAND
+        if target.exists() and not self.overwrite:
+            raise UsageError(f"{target}: exists already; --overwrite replaces it")
+        own = frames_with_hand(files.inside(header.folder, "hand.npz", "", "the clip's own hand first"), header.frames)
+        side: Side = "left" if header.fields["side"] == "right" else "right"
+        hands = read(self.paths, self.tracker, self._request(side, header.frames, header.K, header.size))
+        check_in_view(self.paths[0], hands.track, header.K[list(hands.found)], header.size)
+        alone = sorted({*hands.found} - {*own.tolist()})
+        if len(alone) == len(hands.found):
+            given = f"the {side} hand in {len(alone)} frames, in none of which the clip has its own"
+            raise InputError(
+                self.paths[0], "", given, "some in which it has: frames without it are left out (--hold-ends)"
+            )
+        known = {key: text for key, text in header.fields["provenance"].items() if not key.startswith(PREFIX)}
+        provenance = {PREFIX + key: text for key, text in hands.provenance.items()}
+        with files.new_file(target) as hand, files.new_file(header.folder / "clip.json") as fields:
+            write_hand_at(hands.track, header.frames, hands.found, hand)
+            files.write_json(fields, header.changed({"provenance": known | provenance}))
+        for key, text in provenance.items():
+            report(warn_of(key, text))
+        say(f"{target}: the {side} hand in {len(hands.found)} of {len(header.frames)} frames")
+        if alone:
+            some = _some(header.frames[row] for row in alone)
+            left_out = f"{len(alone)} frames have the {side} hand only and are left out, as all without the clip's own"
+            report(f"warning: {left_out}: {some}")
+        return _status(header.K, header.size, hands.doubts)
 
-def into_file(
-    paths: Sequence[Path],
-    tracker: Tracker,
-    mano: Path | None,
-    new: NewFrames,
-    out: Path,
-    hold_ends: bool,
-    first_hand: int | None,
-    overwrite: bool,
-) -> int:
-    """Write a hand file for ``clip new`` and ``import epic``: a ``hand.npz`` with ``frames`` (T,) and ``K`` (3, 3)."""
-    if new.side is None or new.numbers is None or new.size is None:
-        asked = (("side", new.side), ("frames", new.numbers), ("size", new.size))
-        missing = next(name for name, value in asked if value is None)
-        raise UsageError(f"--{missing}: got nothing, expected it with --out")
-    if out.suffix != ".npz":
-        raise UsageError(f"--out: got {out}, expected a file *.npz")
-    if out.exists() and not overwrite:
-        raise UsageError(f"{out}: exists already; --overwrite replaces it")
-    first, last = new.numbers
-    if not 0 <= first <= last < first + MOST_FRAMES or min(new.size) < 1:
-        raise UsageError(
-            f"--frames, --size: got {first} {last}, {new.size[0]} {new.size[1]}, expected the numbers of the first and "
-            f"the last frame, at most {MOST_FRAMES}, and a size in pixels"
-        )
-    K, camera = intrinsics(new.lens, new.size)
-    numbers = np.arange(first, last + 1)
-    names = tuple(f"{n:06d}" for n in numbers)
-    many = np.tile(K, (len(names), 1, 1))
-    hands = read(paths, tracker, _request(new.side, names, many, new.size, mano, first_hand))
-    check_in_view(paths[0], hands.track, many[list(hands.found)], new.size)
-    hands = hands.held_at_ends(names) if hold_ends else hands
-    provenance = hands.provenance | {"camera": camera}
-    extra = {"frames": numbers[list(hands.found)], "K": K, "side": np.array(new.side)}
-    extra |= as_arrays(provenance)
-    with files.new_file(out) as part:
-        write_hand(hands.track, part, extra)
-    _report(replace(hands, provenance=provenance), names)
-    print(out)
-    return _status(many, new.size, _doubts(hands, len(names)))
+    def _into_file(self, new: NewFrames, out: Path) -> int:
+        """Write a hand file for ``clip new``, ``import epic``: a ``hand.npz`` with ``frames`` (T,) and ``K`` (3, 3)."""
+        if new.side is None or new.frames is None or new.size is None:
+            asked = (("side", new.side), ("frames", new.frames), ("size", new.size))
+            missing = next(name for name, value in asked if value is None)
+            raise UsageError(f"missing --{missing}: --out needs it")
+        if out.suffix != ".npz":
+            raise UsageError(f"--out must be a file *.npz (got {out})")
+        if out.exists() and not self.overwrite:
+            raise UsageError(f"{out}: exists already; --overwrite replaces it")
+        first, last = new.frames
+        if not 0 <= first <= last < first + MOST_FRAMES or min(new.size) < 1:
+            given = f"{first} {last}, {new.size[0]} {new.size[1]}"
+            allowed = f"numbers of the first and the last frame, at most {MOST_FRAMES}, and a size in pixels"
+            raise UsageError(f"--frames, --size must be {allowed} (got {given})")
+        K, camera = intrinsics(new.lens, new.size)
+        numbers = np.arange(first, last + 1)
+        names = tuple(f"{n:06d}" for n in numbers)
+        many = np.tile(K, (len(names), 1, 1))
+        hands = read(self.paths, self.tracker, self._request(new.side, names, many, new.size))
+        check_in_view(self.paths[0], hands.track, many[list(hands.found)], new.size)
+        hands = hands.held_at_ends(names) if self.hold_ends else hands
+        provenance = hands.provenance | {"camera": camera}
+        extra = {"frames": numbers[list(hands.found)], "K": K, "side": np.array(new.side)}
+        extra |= as_arrays(provenance)
+        with files.new_file(out) as part:
+            write_hand(hands.track, part, extra)
+        _report(replace(hands, provenance=provenance), names)
+        print(out)
+        return _status(many, new.size, _doubts(hands, len(names)))
 
-
-def _request(
-    side: Side,
-    frames: tuple[str, ...],
-    K: Float[ndarray, "T 3 3"],
-    size: tuple[int, int],
-    mano: Path | None,
-    first: int | None,
-) -> Request:
-    """What is asked for; ``first`` is the number of the first frame's hand, where hands are counted differently."""
-    if first is None:
-        return Request(side, frames, K, size, mano)
-    return Request(side, renumbered(frames, first, "--first"), K, size, mano, ask_first="")
+    def _request(
+        self, side: Side, frames: tuple[str, ...], K: Float[ndarray, "T 3 3"], size: tuple[int, int]
+    ) -> Request:
+        """What is asked for; ``first`` is the number of the first frame's hand, where hands are counted differently."""
+        if self.first is None:
+            return Request(side, frames, K, size, self.mano)
+        return Request(side, renumbered(frames, self.first, "--first"), K, size, self.mano, ask_first="")
 
 
 def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:

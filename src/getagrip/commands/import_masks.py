@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
 
 from getagrip.clip.mask_request import MaskReader, MaskRequest
 from getagrip.clip.mask_sources import open_masks
 from getagrip.clip.numbering import renumbered
 from getagrip.clip.reading import read_header
+from getagrip.commands.command import Command, Labels
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
+from getagrip.io.arguments import Flag
 from getagrip.io.images import write_mask
 from getagrip.io.terminal import report, say
 
@@ -17,38 +23,51 @@ FEWEST = 2
 """Frames that show the object."""
 
 
-def into_clip(
-    source: Path,
-    objects: tuple[str, ...],
-    ignore: tuple[str, ...],
-    hand: tuple[str, ...],
-    first: int | None,
-    images: str,
-    folder: Path,
-    overwrite: bool,
-) -> int:
-    """Add ``masks/`` to a clip's folder. Returns 0, or 3 where they are in doubt.
+@dataclass(frozen=True, kw_only=True)
+class ImportMasks(Command):
+    """Masks from files into a clip: a folder of PNG (labels, palettes as of SAM 2, colours), of .npy or of LabelMe's
+    .json; .json of COCO, YouTube-VIS or SA-V; .npz and .npy; or SAM 2's video_segments (.pkl, .npy)."""
 
-    ``first`` is the number in the name of the first frame's mask, where masks are counted differently; ``images`` says
-    which are meant where there are several of a frame. Raises ``InputError``, and ``UsageError`` where there are masks
-    already.
-    """
-    header = read_header(folder)
-    target = header.folder / "masks"
-    if target.exists() and not overwrite:
-        raise UsageError(f"{target}: exists already; --overwrite replaces it")
-    names = header.frames
-    if first is not None:
-        names = renumbered(names, first, "--first")
-    ask_first = "--first" if first is None else ""
-    reader = open_masks(source, MaskRequest(names, header.size, objects, ignore, hand, ask_first, images))
-    whence = header.fields["provenance"] | {"masks": provenance(source, objects, ignore, hand, images)}
-    with files.new_folder(target, ("object",) if overwrite else ()) as new:
-        visible = write_masks(reader, header.frames, new)
-        with files.new_file(header.folder / "clip.json") as part:
-            files.write_json(part, header.changed({"provenance": whence}))
-    say(f"{target}: the object is visible in {visible} of {len(names)} frames")
-    return report_masks(reader, header.frames, visible)
+    path: Annotated[Positional[Path], arg(metavar="PATH")]
+    """The folder or file; images are named like the clip's frames, or by the same numbers."""
+    clip: Annotated[Path, arg(metavar="CLIP")]
+    """The clip's folder."""
+    object: Labels = ()
+    """The object: values of its labels, #rrggbb, or names of COCO's categories; of several cups, cup:7 by its track_id,
+    or cup:all. Not needed where there is one only."""
+    ignore: Labels = ()
+    """What hides it, likewise: other hands, other things in front."""
+    hand: Labels = ()
+    """The hand that holds it, likewise. It is ignored as well, and the clip's hands are corrected by its pixels."""
+    first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    """The number of the first frame's mask. Needed where masks are counted from 0 and frames are not."""
+    images: str = ""
+    """Which images are meant where there are several of a frame: a folder as take1, or a pattern as cam1_*."""
+    overwrite: Flag = False
+    """Replace masks that are there already."""
+
+    def run(self) -> int:
+        """Add ``masks/`` to a clip's folder. Returns 0, or 3 where they are in doubt.
+
+        Raises ``InputError``, and ``UsageError`` where there are masks already.
+        """
+        header = read_header(self.clip)
+        target = header.folder / "masks"
+        if target.exists() and not self.overwrite:
+            raise UsageError(f"{target}: exists already; --overwrite replaces it")
+        names = header.frames
+        if self.first is not None:
+            names = renumbered(names, self.first, "--first")
+        ask_first = "--first" if self.first is None else ""
+        labels = self.object, self.ignore, self.hand
+        reader = open_masks(self.path, MaskRequest(names, header.size, *labels, ask_first, self.images))
+        whence = header.fields["provenance"] | {"masks": provenance(self.path, *labels, self.images)}
+        with files.new_folder(target, ("object",) if self.overwrite else ()) as new:
+            visible = write_masks(reader, header.frames, new)
+            with files.new_file(header.folder / "clip.json") as part:
+                files.write_json(part, header.changed({"provenance": whence}))
+        say(f"{target}: the object is visible in {visible} of {len(names)} frames")
+        return report_masks(reader, header.frames, visible)
 
 
 def report_masks(reader: MaskReader, frames: tuple[str, ...], visible: int) -> int:

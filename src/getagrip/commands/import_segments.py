@@ -2,30 +2,50 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
 
 from getagrip.clip import Segment, segment_files
 from getagrip.clip.reading import read_header
 from getagrip.clip.segment_files import STATED, SegmentList
+from getagrip.commands.command import Command
 from getagrip.errors import UsageError
+from getagrip.io.arguments import Flag
 from getagrip.io.counts import counted
 from getagrip.io.terminal import say
 
 
-def into_clip(source: Path, folder: Path, still_camera: bool, overwrite: bool) -> int:
-    """Write the segments of a file into a clip's ``clip.json``.
+@dataclass(frozen=True, kw_only=True)
+class ImportSegments(Command):
+    """Segments into a clip, which becomes a timeline: what annotate or segment --from-masks has written, corrected or
+    not."""
 
-    Raises ``InputError``, and ``UsageError`` where there are segments already, or a camera pose that is to be another.
-    """
-    header = read_header(folder)
-    segment_files.check_free(header, overwrite)
-    given = stated(segment_files.read(source, [header.fields["name"]]), still_camera)
-    if still_camera and "T_world_cam" in header.fields["camera"]:
-        raise UsageError(f"--still-camera: got it, expected none: {header.folder} has camera.T_world_cam")
-    segments = segment_files.into_clip(header, given)
-    say(f"{header.folder / 'clip.json'}: {in_words(segments)}")
-    return 0
+    path: Annotated[Positional[Path], arg(metavar="FILE")]
+    """segments.json, or segments-NAME.json (docs/formats.md). The clip's own entry is taken, or the only one."""
+    clip: Annotated[Path, arg(metavar="CLIP")]
+    """The clip's folder. Segments are cut at its ends."""
+    still_camera: Flag = False
+    """The camera did not move: its frame is the world."""
+    overwrite: Flag = False
+    """Replace segments that are there already."""
+
+    def run(self) -> int:
+        """Write the segments of a file into a clip's ``clip.json``.
+
+        Raises ``InputError``, and ``UsageError`` where there are segments already, or a camera pose that is to be
+        another.
+        """
+        header = read_header(self.clip)
+        segment_files.check_free(header, self.overwrite)
+        given = stated(segment_files.read(self.path, [header.fields["name"]]), self.still_camera)
+        if self.still_camera and "T_world_cam" in header.fields["camera"]:
+            raise UsageError(f"--still-camera cannot be used with {header.folder}: it has camera.T_world_cam")
+        segments = segment_files.into_clip(header, given)
+        say(f"{header.folder / 'clip.json'}: {in_words(segments)}")
+        return 0
 
 
 def stated(given: SegmentList, still_camera: bool) -> SegmentList:

@@ -4,75 +4,102 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from getagrip.batch.clips import print_outcome
-from getagrip.batch.job import failure
-from getagrip.batch.plan import by_name
-from getagrip.clip import read_clip
+from tyro.conf import arg
+
+from getagrip.commands.command import Clips, Command
 from getagrip.errors import UsageError
-from getagrip.fitting import learn_priors as clusters
+from getagrip.io.arguments import File, OptionalFolder
 from getagrip.io.counts import counted
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
-def learn(
-    paths: Sequence[Path],
-    out: Path,
-    as_folder: Path | None,
-    how: clusters.LearntGrasps,
-    leave_out: Sequence[str],
-    debug: bool,
-) -> int:
-    """Learn starting poses from clips, those of some subjects left out; 1 if a clip could not be used, else 0.
+    from getagrip.fitting import learn_priors as clusters
 
-    ``how`` has no grasps yet. ``as_folder`` is where the poses are written, too.
 
-    Raises ``UsageError`` where no clip is left, where no clip has a subject that is to be left out, and where the
-    poses have no place as a folder.
-    """
-    if not paths:
-        raise UsageError("CLIP: name at least one clip")
-    if not 1 <= how.k <= clusters.MOST_CLUSTERS:
-        raise UsageError(f"--k: got {how.k}, expected 1 to {clusters.MOST_CLUSTERS}")
-    if not 0 <= how.seed < 2**63:
-        raise UsageError(f"--seed: got {how.seed}, expected 0 or more")
-    clips, failed = by_name(paths)
-    holds = []
-    for name, folder in clips.items():
-        try:
-            holds.append(clusters.hold(read_clip(folder)))
-        except Exception as error:  # one clip's trouble must not end the others
-            failed.append(failure(name, error))
-    for outcome in failed:
-        print_outcome(outcome, debug)
-    subjects = {hold.subject for hold in holds}
-    unknown = sorted({*leave_out} - subjects)
-    if unknown:
-        known = ", ".join(sorted(subjects - {""})) or "none: the clips name no subject in their provenance"
-        raise UsageError(f"--leave-out: got {', '.join(unknown)}, expected subjects of the clips ({known})")
-    kept = [hold for hold in holds if hold.subject not in leave_out]
-    if not kept:
-        raise UsageError("CLIP: no clip with true poses is left to learn from")
-    grasps_learnt = replace(how, holds=tuple(kept))
-    learnt = grasps_learnt.poses()
-    if as_folder is not None:
-        learnt.write(as_folder)
-    grasps_learnt.write(out)
-    _print_counts(learnt, kept)
-    whose = counted(len(learnt.subjects), "subject") if learnt.subjects else "unknown subjects"
-    made = f"{counted(len(learnt.side), 'pose')} from {counted(len(kept), 'clip')} of {whose}"
-    print(f"{out}: {made}, {len(holds) - len(kept)} left out")
-    if len(learnt.subjects) > 1:
-        print("a clip of one of them starts from what is learnt without its subject")
-    if as_folder is not None:
-        print(f"{as_folder}: the same poses as a folder, which does not say what they were learnt from")
-    nameless = sum(not hold.subject for hold in kept)
-    if nameless:
-        those = counted(nameless, "clip names", "clips name")
-        print(f"{those} no subject: each starts from the others, whoever they are", file=sys.stderr)
-    return 1 if failed else 0
+@dataclass(frozen=True, kw_only=True)
+class LearnPoses(Command):
+    """Learn where a search may start, from clips with true poses: rotations of each kind of object in each hand."""
+
+    clips: Clips = ()
+    """Clip folders, or folders of clips."""
+    out: File
+    """Where the grasps go. A clip of a subject among them starts from what is learnt without that subject."""
+    k: int = 50
+    """Rotations of each kind of object in each hand."""
+    leave_out: Annotated[tuple[str, ...], arg(metavar="SUBJECT...", help_behavior_hint="")] = ()
+    """Whose hands not to learn from: those on whose clips the poses will be tried."""
+    as_folder: OptionalFolder = None
+    """Write the poses learnt from all of the grasps into this folder, too, as --init priors reads them: a clip starts
+    from those of its own subject as well, as in the paper."""
+    way: Annotated[Literal["geodesic", "axis-angle"], arg(name="clusters")] = "geodesic"
+    """k-means by the angles between rotations; or, as in the paper, of rotation vectors."""
+    seed: Annotated[int, arg(metavar="S")] = 0
+    """Seed of all that is random."""
+
+    def check(self) -> None:
+        from getagrip.io import files
+
+        files.check_file("--out", self.out)
+        if self.as_folder is not None:
+            files.check_folder("--as-folder", self.as_folder)
+
+    def run(self) -> int:
+        """Learn starting poses from clips, those of some subjects left out; 1 if a clip could not be used, else 0.
+
+        Raises ``UsageError`` where no clip is left, where no clip has a subject that is to be left out, and where the
+        poses have no place as a folder.
+        """
+        from getagrip.batch.clips import print_outcome
+        from getagrip.batch.job import failure
+        from getagrip.batch.plan import by_name
+        from getagrip.clip import read_clip
+        from getagrip.fitting import learn_priors as clusters
+
+        if not self.clips:
+            raise UsageError("missing CLIP: name at least one clip")
+        if not 1 <= self.k <= clusters.MOST_CLUSTERS:
+            raise UsageError(f"--k must be 1 to {clusters.MOST_CLUSTERS} (got {self.k})")
+        if not 0 <= self.seed < 2**63:
+            raise UsageError(f"--seed must be 0 or more (got {self.seed})")
+        clips, failed = by_name(self.clips)
+        holds = []
+        for name, folder in clips.items():
+            try:
+                holds.append(clusters.hold(read_clip(folder)))
+            except Exception as error:  # one clip's trouble must not end the others
+                failed.append(failure(name, error))
+        for outcome in failed:
+            print_outcome(outcome, self.debug)
+        subjects = {hold.subject for hold in holds}
+        unknown = sorted({*self.leave_out} - subjects)
+        if unknown:
+            known = ", ".join(sorted(subjects - {""})) or "none: the clips name no subject in their provenance"
+            raise UsageError(f"unknown subject {', '.join(unknown)} of --leave-out; choose from {known}")
+        kept = [hold for hold in holds if hold.subject not in self.leave_out]
+        if not kept:
+            raise UsageError("missing CLIP: no clip with true poses is left to learn from")
+        grasps_learnt = clusters.LearntGrasps(tuple(kept), self.k, self.way, self.seed)
+        learnt = grasps_learnt.poses()
+        if self.as_folder is not None:
+            learnt.write(self.as_folder)
+        grasps_learnt.write(self.out)
+        _print_counts(learnt, kept)
+        whose = counted(len(learnt.subjects), "subject") if learnt.subjects else "unknown subjects"
+        made = f"{counted(len(learnt.side), 'pose')} from {counted(len(kept), 'clip')} of {whose}"
+        print(f"{self.out}: {made}, {len(holds) - len(kept)} left out")
+        if len(learnt.subjects) > 1:
+            print("a clip of one of them starts from what is learnt without its subject")
+        if self.as_folder is not None:
+            print(f"{self.as_folder}: the same poses as a folder, which does not say what they were learnt from")
+        nameless = sum(not hold.subject for hold in kept)
+        if nameless:
+            those = counted(nameless, "clip names", "clips name")
+            print(f"{those} no subject: each starts from the others, whoever they are", file=sys.stderr)
+        return 1 if failed else 0
 
 
 def _print_counts(learnt: clusters.Priors, kept: Sequence[clusters.Hold]) -> None:

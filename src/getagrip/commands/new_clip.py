@@ -8,70 +8,35 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-from jaxtyping import Float, Int, UInt8
-from numpy import ndarray
+from tyro.conf import Positional, arg
 
-from getagrip.clip import Clip, HandTrack, read_clip, read_observed
-from getagrip.clip.camera_of_image import doubt
-from getagrip.clip.footage import size_and_rate, stretch
-from getagrip.clip.intrinsics import Lens, intrinsics
-from getagrip.clip.mask_request import MaskReader, MaskRequest
-from getagrip.clip.mask_sources import open_masks
-from getagrip.clip.naming import number_of
-from getagrip.clip.numbering import check_numbers, renumbered
-from getagrip.clip.plausible import check_in_view, check_intrinsics
-from getagrip.clip.provenance import Provenance, Source, from_arrays, is_assumed, measured, of_provenance, warn_of
-from getagrip.clip.reading import read_hand
-from getagrip.clip.segment_files import SegmentList, read, with_segments
-from getagrip.clip.writing import fill_folder, without_hand, write_hand_at
-from getagrip.commands import own_mesh
-from getagrip.commands.import_masks import provenance, report_masks, write_masks
-from getagrip.commands.import_segments import stated
+from getagrip.commands.command import Command, Labels, OptionalSide
+from getagrip.commands.own_mesh import MeshOptions, own_mesh
 from getagrip.errors import InputError, UsageError
-from getagrip.hands.model import Side
-from getagrip.io import arrays, files
+from getagrip.geometry.lens import Lens
+from getagrip.io import files
+from getagrip.io.arguments import Flag, Folder, OptionalFile
 from getagrip.io.terminal import report
+from getagrip.provenance import Provenance, Source, is_assumed, measured, warn_of
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int, UInt8
+    from numpy import ndarray
+
+    from getagrip.clip import Clip, HandTrack
+    from getagrip.clip.mask_request import MaskReader
+    from getagrip.clip.segment_files import SegmentList
+    from getagrip.commands.hand_file import HandFile, HandsInClip
 
 MOST_FRAMES = 20_000
 """Of a clip; a stable grasp of minutes."""
-HAND_FIRST = "--hand-first"
 INCOMPLETE = 3
 """Exit status where the clip is made, and lacks masks or hands, or most frames lack a hand, or its camera seems to be
 of other images."""
-
-
-@dataclass(frozen=True)
-class Ingredients:
-    """What a clip is made of; what is None is missing."""
-
-    video: Path
-    interval: tuple[int, int] | None
-    """First and last frame, counted from 1."""
-    side: Side | None
-    category: str | None
-    """What the object is; None for the kind of the mesh."""
-    mesh: own_mesh.MeshRequest | None
-    masks: Path | None
-    mask_of_first: int | None
-    """The number in the name of the first frame's mask; the frame's own where it is not given."""
-    object: tuple[str, ...]
-    ignore: tuple[str, ...]
-    hand: tuple[str, ...]
-    hands: Path | None
-    lens: Lens
-    segments: Path | None = None
-    still_camera: bool = False
-    """The camera did not move, as the user states."""
-    fps: float | None = None
-    """Frames per second of a folder of images; None where it is not stated."""
-    hand_of_first: int | None = None
-    """The number of the first frame's hand in the hand file; the frame's own where it is not given."""
-    mask_images: str = ""
-    """Which of the masks' images are meant where there are several of a frame."""
 
 
 HOW = {
@@ -95,72 +60,127 @@ LATER = {
 """How to get what can be added later; the page of ``annotate`` makes both at once."""
 
 
-def new_clip(given: Ingredients, out: Path, overwrite: bool) -> int:
-    """Write a clip. Returns 0 when it is complete, 3 when masks or hands are yet to come or its camera is in doubt,
-    2 when the call lacks what a clip cannot be made without.
+@dataclass(frozen=True, kw_only=True)
+class NewClip(Command):
+    """Make a clip of your own video, in one go or in steps. What is missing is listed, with how to get it."""
 
-    Raises ``InputError`` for what is there and does not fit, ``UsageError`` where the folder exists, unless it is that
-    of a clip to be overwritten.
-    """
-    if out.exists() and not overwrite:
-        raise UsageError(f"{out}: exists already; --overwrite replaces it")
-    if not files.is_plain_name(out.name):
-        raise UsageError(f"--out: got {out}, expected a folder whose name can be the clip's")
-    size, fps = size_and_rate(given.video, given.fps)
-    print(f"video: {size[0]} x {size[1]}, {fps:.6g} frames per second")
-    hands = None if given.hands is None else _HandFile.of(given.hands)
-    has = {
-        "interval": given.interval is not None,
-        "side": given.side is not None,
-        "mesh": given.mesh is not None,
-        "camera": given.lens.given or (hands is not None and hands.K is not None),
-    }
-    missing = [key for key, there in has.items() if not there]
-    for key in missing:
-        print(f"missing: {key}: {HOW[key].format(video=given.video)}", file=sys.stderr)
-    if missing or given.interval is None or given.side is None or given.mesh is None:
-        return 2
-    numbers = _numbers(given.interval)
-    footage = stretch(given.video, numbers, size, fps, given.fps is not None)
-    names = footage.names
-    K, camera = _camera(given.lens, hands, size)
-    found = own_mesh.own_mesh(given.mesh)
-    found_hands = None if hands is None else hands.at(names, given.side, given.hand_of_first)
-    of_hands: Provenance = {"hands": "none yet"}
-    if hands is not None and found_hands is not None:
-        check_in_view(hands.path, found_hands.track, np.tile(K, (len(found_hands.rows), 1, 1)), size)
-        of_hands = found_hands.provenance | without_hand(names, found_hands.rows)
-    clip = Clip(
-        folder=out,
-        name=out.name,
-        category=given.category or given.mesh.kind or "object",
-        side=given.side,
-        fps=footage.fps,
-        frames=names,
-        times=footage.times,
-        size=size,
-        K=np.tile(K, (len(numbers), 1, 1)),
-        mesh=found.mesh,
-        scale="known" if found.sized else "free",
-        hand=_no_hand(len(numbers)),
-        provenance={
-            "source": f"{given.video.name}, frames {numbers[0]} to {numbers[-1]}",
-            "camera": camera,
-            **({"times": footage.rate} if footage.rate else {}),
-            **found.provenance,
-            "masks": _of_masks(given),
-            **of_hands,
-        },
-    )
-    clip = with_segments(clip, _segments(given, out))
-    reader = None if given.masks is None else _masks(given, names, size)
-    visible = _write(clip, found_hands, footage.images(), reader, out, overwrite)
-    unsure = report_masks(reader, clip.frames, visible) if reader else 0
-    return _summary(clip, given, found_hands, out) or unsure
+    video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
+    """The video, undistorted; or a folder of its images, in the order of the numbers in their names."""
+    out: Folder
+    """The clip's folder; its name is the clip's."""
+    interval: Annotated[tuple[int, int] | None, arg(metavar="START END", help_behavior_hint="")] = None
+    """The stable grasp, or all that is to be a timeline: first and last frame, counted from 1."""
+    side: OptionalSide = None
+    """Which hand."""
+    shape: Annotated[MeshOptions, arg(name="")] = field(default_factory=MeshOptions)
+    category: Annotated[str | None, arg(metavar="WORD", help_behavior_hint="(default: KIND, or object)")] = None
+    """What it is, in a word."""
+    masks: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")] = None
+    """As for import masks, which can add them later."""
+    mask_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: START)")] = None
+    """The number of the mask of frame START."""
+    mask_images: str = ""
+    """Which images of the masks are meant where there are several of a frame: a folder, or a pattern of names."""
+    object: Labels = ()
+    """Of the masks: the object's labels."""
+    ignore: Labels = ()
+    """Of the masks: labels of what hides it."""
+    hand: Labels = ()
+    """Of the masks: labels of the hand that holds it. It is ignored as well, and --hands are corrected by it."""
+    hands: OptionalFile = None
+    """A hand.npz; import hands makes one, and can add it later."""
+    hand_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
+    """The number of the first frame's hand. Needed where hands are counted from another start."""
+    segments: OptionalFile = None
+    """What the object does from frame to frame, as annotate writes it; import segments can add it later."""
+    still_camera: Flag = False
+    """The camera did not move: its frame is the world."""
+    lens: Annotated[Lens, arg(name="")] = field(default_factory=Lens)
+    """The camera. Not needed where the hand file has it."""
+    fps: Annotated[float | None, arg(metavar="RATE", help_behavior_hint="(default: 30)")] = None
+    """Frames per second of a folder of images; a video has its frames' own times."""
+    overwrite: Flag = False
+    """Replace a clip that is there already."""
+
+    def run(self) -> int:
+        """Write a clip. Returns 0 when it is complete, 3 when masks or hands are yet to come or its camera is in doubt,
+        2 when the call lacks what a clip cannot be made without.
+
+        Raises ``InputError`` for what is there and does not fit, ``UsageError`` where the folder exists, unless it is
+        that of a clip to be overwritten.
+        """
+        import numpy as np
+
+        from getagrip.clip import Clip
+        from getagrip.clip.footage import size_and_rate, stretch
+        from getagrip.clip.plausible import check_in_view
+        from getagrip.clip.segment_files import with_segments
+        from getagrip.clip.writing import without_hand
+        from getagrip.commands.hand_file import HandFile
+        from getagrip.commands.import_masks import report_masks
+
+        if self.out.exists() and not self.overwrite:
+            raise UsageError(f"{self.out}: exists already; --overwrite replaces it")
+        if not files.is_plain_name(self.out.name):
+            raise UsageError(f"--out must be a folder whose name can be the clip's (got {self.out})")
+        size, fps = size_and_rate(self.video, self.fps)
+        print(f"video: {size[0]} x {size[1]}, {fps:.6g} frames per second")
+        hands = None if self.hands is None else HandFile.of(self.hands)
+        has = {
+            "interval": self.interval is not None,
+            "side": self.side is not None,
+            "mesh": self.shape.mesh is not None,
+            "camera": self.lens.given or (hands is not None and hands.K is not None),
+        }
+        missing = [key for key, there in has.items() if not there]
+        for key in missing:
+            print(f"missing: {key}: {HOW[key].format(video=self.video)}", file=sys.stderr)
+        if missing or self.interval is None or self.side is None:
+            return 2
+        numbers = _numbers(self.interval)
+        footage = stretch(self.video, numbers, size, fps, self.fps is not None)
+        names = footage.names
+        K, camera = _camera(self.lens, hands, size)
+        found = own_mesh(self.shape)
+        found_hands = None if hands is None else hands.at(names, self.side, self.hand_first)
+        of_hands: Provenance = {"hands": "none yet"}
+        if hands is not None and found_hands is not None:
+            check_in_view(hands.path, found_hands.track, np.tile(K, (len(found_hands.rows), 1, 1)), size)
+            of_hands = found_hands.provenance | without_hand(names, found_hands.rows)
+        clip = Clip(
+            folder=self.out,
+            name=self.out.name,
+            category=self.category or self.shape.kind or "object",
+            side=self.side,
+            fps=footage.fps,
+            frames=names,
+            times=footage.times,
+            size=size,
+            K=np.tile(K, (len(numbers), 1, 1)),
+            mesh=found.mesh,
+            scale="known" if found.sized else "free",
+            hand=_no_hand(len(numbers)),
+            provenance={
+                "source": f"{self.video.name}, frames {numbers[0]} to {numbers[-1]}",
+                "camera": camera,
+                **({"times": footage.rate} if footage.rate else {}),
+                **found.provenance,
+                "masks": _of_masks(self),
+                **of_hands,
+            },
+        )
+        clip = with_segments(clip, _segments(self, self.out))
+        reader = None if self.masks is None else _masks(self, names, size)
+        visible = _write(clip, found_hands, footage.images(), reader, self.out, self.overwrite)
+        unsure = report_masks(reader, clip.frames, visible) if reader else 0
+        return _summary(clip, self, found_hands, self.out) or unsure
 
 
-def _segments(given: Ingredients, out: Path) -> SegmentList:
+def _segments(given: NewClip, out: Path) -> SegmentList:
     """What is known of the segments and of the camera's motion; nothing at all of a clip that is one stable grasp."""
+    from getagrip.clip.segment_files import SegmentList, read
+    from getagrip.commands.import_segments import stated
+
     listed = SegmentList(out, "segments", [], None)
     if given.segments is not None:
         listed = read(given.segments, [out.name, given.video.stem])
@@ -168,15 +188,20 @@ def _segments(given: Ingredients, out: Path) -> SegmentList:
 
 
 def _numbers(interval: tuple[int, int]) -> Int[ndarray, "T"]:
+    import numpy as np
+
     first, last = interval
     if not 1 <= first < last or last - first >= MOST_FRAMES:
         expected = f"two frames' numbers from 1, the later one last, at most {MOST_FRAMES} apart"
-        raise UsageError(f"--interval: got {first} {last}, expected {expected}")
+        raise UsageError(f"--interval must be {expected} (got {first} {last})")
     return np.arange(first, last + 1)
 
 
-def _camera(lens: Lens, hands: _HandFile | None, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
+def _camera(lens: Lens, hands: HandFile | None, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
     """The command's camera or, without one, the hand file's."""
+    from getagrip.clip.intrinsics import intrinsics
+    from getagrip.clip.plausible import check_intrinsics
+
     if lens.given or hands is None or hands.K is None:
         return intrinsics(lens, size)
     check_intrinsics(hands.path, hands.K[None], size)
@@ -184,77 +209,35 @@ def _camera(lens: Lens, hands: _HandFile | None, size: tuple[int, int]) -> tuple
     return hands.K, replace(known, text=f"the hand file's: {known}")
 
 
-@dataclass(frozen=True)
-class _Hands:
-    """The hands in some of the clip's frames."""
-
-    track: HandTrack
-    rows: tuple[int, ...]
-    """Which of the frames these are."""
-    provenance: Provenance
-
-
-@dataclass(frozen=True)
-class _HandFile:
-    """A ``hand.npz`` that may also hold frame numbers, a side and a camera."""
-
-    path: Path
-    numbers: tuple[int, ...] | None
-    K: Float[ndarray, "3 3"] | None
-    side: str | None
-    provenance: Provenance
-    """Where its hands come from."""
-
-    @staticmethod
-    def of(path: Path) -> _HandFile:
-        """Raises ``InputError``."""
-        given = arrays.read(path, lambda key: key in {"frames", "K", "side"} or of_provenance(key))
-        side = str(given["side"]) if "side" in given and given["side"].dtype.kind == "U" else None
-        K = arrays.floats(path, given, "K", (3, 3)) if "K" in given else None
-        return _HandFile(path, arrays.frame_numbers(path, given), K, side, from_arrays(path, given))
-
-    def at(self, frames: tuple[str, ...], side: Side, first: int | None) -> _Hands:
-        """The hands in those of the frames that have one; ``first`` is the number of the first frame's, where hands are
-        counted from another start. Raises ``InputError``, and ``UsageError`` where they seem to be."""
-        if self.side not in (None, side):
-            raise InputError(self.path, "side", f"a {self.side} hand", f"a {side} hand, as --side says")
-        sources = {"hands": f"from {self.path.name}", **self.provenance}
-        sources.pop("camera", None)
-        if self.numbers is None:
-            return _Hands(read_hand(self.path, len(frames)), tuple(range(len(frames))), sources)
-        track = read_hand(self.path, len(self.numbers))
-        names = frames if first is None else renumbered(frames, first, HAND_FIRST)
-        check_numbers(names, map(str, self.numbers), self.path, "hand", HAND_FIRST if first is None else "")
-        place = {number: row for row, number in enumerate(self.numbers)}
-        at = [None if number is None else place.get(number) for number in map(number_of, names)]
-        rows = tuple(row for row, there in enumerate(at) if there is not None)
-        if len(rows) < 2:
-            given = f"hands in {len(rows)} frames of the interval"
-            expected = f"hands in frames {number_of(names[0])} to {number_of(names[-1])}"
-            raise InputError(self.path, "frames", given, expected)
-        picked = track.take(np.array([there for there in at if there is not None]))
-        return _Hands(picked, rows, sources)
-
-
 def _no_hand(frames: int) -> HandTrack:
     """A hand without vertices, which is not written."""
+    import numpy as np
+
+    from getagrip.clip import HandTrack
+
     none = np.zeros((frames, 0, 3))
     return HandTrack(none, np.zeros((0, 3), dtype=int), np.tile(np.eye(4), (frames, 1, 1)), {})
 
 
-def _of_masks(given: Ingredients) -> str:
+def _of_masks(given: NewClip) -> str:
     """Where masks come from."""
+    from getagrip.commands.import_masks import provenance
+
     if given.masks is None:
         return "none yet"
     return provenance(given.masks, given.object, given.ignore, given.hand, given.mask_images)
 
 
-def _masks(given: Ingredients, names: tuple[str, ...], size: tuple[int, int]) -> MaskReader:
+def _masks(given: NewClip, names: tuple[str, ...], size: tuple[int, int]) -> MaskReader:
     """A reader of the masks of the clip's frames."""
+    from getagrip.clip.mask_request import MaskRequest
+    from getagrip.clip.mask_sources import open_masks
+    from getagrip.clip.numbering import renumbered
+
     assert given.masks is not None
-    if given.mask_of_first is not None:
-        names = renumbered(names, given.mask_of_first, "--mask-first")
-    ask_first = "--mask-first" if given.mask_of_first is None else ""
+    if given.mask_first is not None:
+        names = renumbered(names, given.mask_first, "--mask-first")
+    ask_first = "--mask-first" if given.mask_first is None else ""
     labels = given.object, given.ignore, given.hand
     request = MaskRequest(names, size, *labels, ask_first, given.mask_images, "--mask-images")
     return open_masks(given.masks, request)
@@ -262,7 +245,7 @@ def _masks(given: Ingredients, names: tuple[str, ...], size: tuple[int, int]) ->
 
 def _write(
     clip: Clip,
-    hands: _Hands | None,
+    hands: HandsInClip | None,
     images: Iterator[UInt8[ndarray, "H W 3"]],
     masks: MaskReader | None,
     out: Path,
@@ -272,6 +255,9 @@ def _write(
 
     Returns in how many frames masks show the object.
     """
+    from getagrip.clip.writing import fill_folder, write_hand_at
+    from getagrip.commands.import_masks import write_masks
+
     visible = 0
     with files.new_folder(out, ("clip.json",) if overwrite else ()) as new:
         fill_folder(new, clip, None, images)
@@ -285,6 +271,8 @@ def _write(
 
 def _check(made: Path, masks: bool, out: Path) -> None:
     """Read the clip as everybody will. Raises ``InputError``, in the name of the folder that it is to have."""
+    from getagrip.clip import read_clip, read_observed
+
     try:
         clip = read_clip(made)
         if masks:
@@ -294,8 +282,10 @@ def _check(made: Path, masks: bool, out: Path) -> None:
         raise InputError(out / inside, error.key, error.given, error.expected) from error
 
 
-def _summary(clip: Clip, given: Ingredients, hands: _Hands | None, out: Path) -> int:
+def _summary(clip: Clip, given: NewClip, hands: HandsInClip | None, out: Path) -> int:
     """Print what was made, what is a guess and what is missing; 3 where something is."""
+    from getagrip.clip.camera_of_image import doubt
+
     print(f"{out}: {len(clip)} frames")
     if hands and len(hands.rows) < len(clip):
         bare = len(clip) - len(hands.rows)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
-from jaxtyping import Float, Int
-from numpy import ndarray
+from tyro.conf import arg
 
-from getagrip.clip.provenance import Source, assumed, measured
-from getagrip.datasets.synthetic.categories import CATEGORIES
 from getagrip.errors import InputError, UsageError
-from getagrip.geometry.mesh import Mesh, diameter
-from getagrip.geometry.mesh_files import LARGEST, SMALLEST, SUFFIXES, checked_mesh, parse_mesh, with_area
+from getagrip.io.arguments import Flag, one_of
 from getagrip.io.counts import counted
+from getagrip.provenance import Source, assumed
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+    from numpy import ndarray
+
+    from getagrip.geometry.mesh import Mesh
 
 Unit = Literal["mm", "cm", "m", "in"]
 METRES: dict[Unit, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
@@ -24,25 +26,35 @@ FREE_SIZE = 0.1
 
 
 @dataclass(frozen=True)
-class MeshRequest:
-    """The mesh options of a command."""
+class MeshOptions:
+    """The mesh of a user's own clip, and its size."""
 
-    path: Path
-    """A file or, where there is none of that name, a kind of object."""
-    side_mm: float | None
-    """Rescale it to this largest side of its bounding box."""
-    diameter_mm: float | None
-    """Rescale it to this largest distance between two of its points."""
-    known_scale: bool
-    """It has the object's size as it is."""
-    unit: Unit | None = None
-    """What one unit of the file is; None for metres."""
+    mesh: Annotated[Path | None, arg(metavar="FILE|KIND", help_behavior_hint="")] = None
+    """The object's shape: .obj, .ply, .stl or .glb. Or, where there is no such file, the kind of a shape that this
+    package has: bottle, bowl, can, cup, glass, mug, pan, plate, saucepan, box, ..."""
+    size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
+    """Rescale the mesh to this largest side of its bounding box."""
+    diameter_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: as it is)")] = None
+    """Rescale the mesh to this largest distance between two of its points."""
+    unit: Annotated[Unit | None, one_of("mm", "cm", "m", "in"), arg(help_behavior_hint="(default: m)")] = None
+    """The unit of the mesh file."""
+    known_scale: Flag = False
+    """The mesh, in its unit, has the object's size. Else, unless it is rescaled, its size is found with its pose."""
+
+    @property
+    def path(self) -> Path:
+        """The mesh. Raises ``UsageError`` where none is named."""
+        if self.mesh is None:
+            raise UsageError("missing --mesh: the object's shape")
+        return self.mesh
 
     @property
     def kind(self) -> str | None:
         """The kind of object whose own shape is wanted; None for a file."""
-        name = str(self.path)
-        return name if name in CATEGORIES and not self.path.is_file() else None
+        from getagrip.datasets.synthetic.categories import CATEGORIES
+
+        name = str(self.mesh)
+        return name if name in CATEGORIES and not Path(name).is_file() else None
 
 
 @dataclass(frozen=True)
@@ -56,16 +68,18 @@ class OwnMesh:
     """Where it and its size come from."""
 
 
-def own_mesh(request: MeshRequest) -> OwnMesh:
+def own_mesh(request: MeshOptions) -> OwnMesh:
     """The mesh at its size.
 
     Raises ``InputError`` for a file that is missing or no mesh, ``UsageError`` for sizes that make no sense.
     """
+    from getagrip.geometry.mesh_files import checked_mesh, with_area
+
     if request.kind is not None and request.known_scale:
-        expected = "--size-mm or --diameter-mm: its size is not that of the one in your video"
-        raise UsageError(f"--known-scale: got it with this package's own {request.kind}, expected {expected}")
+        own = f"this package's own {request.kind}, whose size is not that of the one in your video"
+        raise UsageError(f"--known-scale cannot be used with {own}: --size-mm or --diameter-mm")
     if request.kind is not None and request.unit is not None:
-        raise UsageError(f"--unit: got {request.unit}, expected none: this package's own {request.kind} is in metres")
+        raise UsageError(f"--unit cannot be used with this package's own {request.kind}, which is in metres")
     vertices, faces, shape = _shape(request)
     words = shape.text
     kept = with_area(vertices, faces)  # generated meshes are full of slivers
@@ -75,12 +89,15 @@ def own_mesh(request: MeshRequest) -> OwnMesh:
     if request.unit is not None:
         words += f", in {request.unit}"
     provenance = {"mesh": replace(shape, text=words)} | ({} if scale is None else {"scale": scale})
-    sized = request.known_scale or request.side_mm is not None or request.diameter_mm is not None
+    sized = request.known_scale or request.size_mm is not None or request.diameter_mm is not None
     return OwnMesh(checked_mesh(request.path, vertices, kept), sized, provenance)
 
 
-def _shape(request: MeshRequest) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], Source]:
+def _shape(request: MeshOptions) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."], Source]:
     """Vertices, faces, and where they come from."""
+    from getagrip.datasets.synthetic.categories import CATEGORIES
+    from getagrip.geometry.mesh_files import SUFFIXES, parse_mesh
+
     if request.kind is not None:
         made = CATEGORIES[request.kind].make()
         return made.vertices, made.faces, assumed(f"this package's own {request.kind}: a guess of the object's shape")
@@ -88,20 +105,25 @@ def _shape(request: MeshRequest) -> tuple[Float[ndarray, "..."], Int[ndarray, ".
         kinds = ", ".join(sorted(CATEGORIES))
         expected = f"a triangle mesh ({', '.join(SUFFIXES)}), or the name of one of this package's shapes: {kinds}"
         raise InputError(request.path, "mesh", "no such file", expected)
-    return *parse_mesh(request.path), measured(request.path.name)
+    return *parse_mesh(request.path), Source(request.path.name)
 
 
 def _rescaled(
-    vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."], request: MeshRequest
+    vertices: Float[ndarray, "..."], faces: Int[ndarray, "..."], request: MeshOptions
 ) -> tuple[Float[ndarray, "..."], Source | None]:
     """Vertices at the size that is stated, and where it comes from; None where none is stated.
 
     The size is that of the surface: files hold points that no face uses.
     """
-    sizes = {"--size-mm": request.side_mm, "--diameter-mm": request.diameter_mm}
+    import numpy as np
+
+    from getagrip.geometry.mesh import diameter
+    from getagrip.geometry.mesh_files import LARGEST, SMALLEST
+
+    sizes = {"--size-mm": request.size_mm, "--diameter-mm": request.diameter_mm}
     stated = [(option, value) for option, value in sizes.items() if value is not None]
     if len(stated) > 1:
-        raise UsageError("--size-mm, --diameter-mm: got both, expected one")
+        raise UsageError("--size-mm cannot be used with --diameter-mm")
     known_unit = METRES[request.unit or "m"]
     used = vertices
     if faces.size and vertices.size and 0 <= faces.min() <= faces.max() < len(vertices):
@@ -120,7 +142,7 @@ def _rescaled(
         return factor * vertices, assumed(text)
     option, value = stated[0]
     if not 1e3 * SMALLEST <= value <= 1e3 * LARGEST:
-        raise UsageError(f"{option}: got {value:g}, expected {1e3 * SMALLEST:g} to {1e3 * LARGEST:g} millimetres")
+        raise UsageError(f"{option} must be {1e3 * SMALLEST:g} to {1e3 * LARGEST:g} millimetres (got {value:g})")
     now = (diameter(used) if option == "--diameter-mm" else extent) if extent else 0.0
     factor = value / 1e3 / now if now > 0 else 1.0  # checked_mesh reports what is wrong with the others
-    return vertices * factor, measured(f"the mesh rescaled by {factor:.6g}, to {option} {value:g}")
+    return vertices * factor, Source(f"the mesh rescaled by {factor:.6g}, to {option} {value:g}")

@@ -4,40 +4,82 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import filterfalse
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-from getagrip.batch.clips import print_outcome
-from getagrip.batch.entries import ledger_there
-from getagrip.batch.job import Outcome, failure
-from getagrip.batch.pool import DIED, cores, in_processes
+from tyro.conf import Positional, arg
+
 from getagrip.batch.share import FEW
-from getagrip.batch.summary import TABLE, known_entries, row_without_result, write_table
+from getagrip.commands.command import ClipsFolder, Command, Workers
 from getagrip.commands.evaluate import no_result, of_batch
-from getagrip.errors import InputError
-from getagrip.evaluation import evaluate, read_evaluated
+from getagrip.errors import InputError, UsageError
+from getagrip.io.arguments import Flag
 from getagrip.io.terminal import progress_bar, say
-from getagrip.pages import IndexRow, row, row_without_clip, write_index, write_page
-from getagrip.result import read_record, read_result
-from getagrip.view.film import write_film
-from getagrip.view.report import write_report
-from getagrip.view.shown import View
+
+if TYPE_CHECKING:
+    from getagrip.batch.job import Outcome
+    from getagrip.pages import IndexRow
 
 PAGE, PICTURE, FILM, INDEX = "report.html", "report.png", "report.mp4", "index.html"
 DEEPEST = 4
-"""Results are looked for so many folders below the one that is named; a benchmark's are three."""
+"""Folders below the one that is named in which results are looked for; a benchmark's are three below."""
+Reported: TypeAlias = "tuple[IndexRow, Outcome | None]"
 
 
 @dataclass(frozen=True)
 class ReportRequest:
     """What is written of results."""
 
-    clips: Path | None = None
-    """Where their clips are; None: where they were made from."""
-    film: bool = False
-    index_only: bool = False
-    """Of folders only the index."""
+    clips: ClipsFolder = None
+    """A clip, or the folder that holds the clips by name."""
+    mp4: Flag = False
+    """Write report.mp4, too, a film of the result over its images and from the side."""
+    index_only: Flag = False
+    """Of a folder of results only the index, with links to pages that are there already."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Command):
+    """Write pages of results, report.html, that play in 3D without a network; for a folder of them index.html, too."""
+
+    paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="PATH...", help_behavior_hint="")] = ()
+    """Result folders, which get report.png as well, or folders that hold results."""
+    request: Annotated[ReportRequest, arg(name="")] = field(default_factory=ReportRequest)
+    workers: Workers = None
+    """Processes to share the results between."""
+
+    def check(self) -> None:
+        super().check()
+        if not self.paths:
+            raise UsageError("missing PATH: name at least one result, or a folder of results")
+        if self.workers is not None and self.workers < 1:
+            raise UsageError(f"--workers must be 1 or more (got {self.workers})")
+
+    def run(self) -> int:
+        """Write what is wanted of each path; 1 if anything failed, else 0."""
+        from getagrip.batch.clips import print_outcome
+        from getagrip.batch.job import failure
+
+        failed = False
+        for path in filterfalse(of_batch, self.paths):
+            try:
+                if (path / "result.json").exists():
+                    _, problem = report_one(ReportJob(path, None, self.request))
+                    problems = [problem] if problem is not None else []
+                    written = [name for name in _files(self.request) if not problems]
+                else:
+                    problems = _folder(path, self.request, self.workers)
+                    written = [INDEX]
+            except (InputError, OSError) as error:
+                problems, written = [failure("", error)], []
+            for name in written:
+                say(str(path / name))
+            for problem in problems:
+                print_outcome(problem, self.debug)
+            failed |= bool(problems)
+        return int(failed)
 
 
 @dataclass(frozen=True)
@@ -52,31 +94,6 @@ class ReportJob:
     def name(self) -> str:
         """Where it is, below the index."""
         return "" if self.root is None else self.folder.relative_to(self.root).as_posix()
-
-
-Reported = tuple[IndexRow, Outcome | None]
-
-
-def report(paths: Sequence[Path], request: ReportRequest, workers: int | None, debug: bool) -> int:
-    """Write what is wanted of each path, a result or a folder of results; 1 if anything failed, else 0."""
-    failed = False
-    for path in filterfalse(of_batch, paths):
-        try:
-            if (path / "result.json").exists():
-                _, problem = report_one(ReportJob(path, None, request))
-                problems = [problem] if problem is not None else []
-                written = [name for name in _files(request) if not problems]
-            else:
-                problems = _folder(path, request, workers)
-                written = [INDEX]
-        except (InputError, OSError) as error:
-            problems, written = [failure("", error)], []
-        for name in written:
-            say(str(path / name))
-        for problem in problems:
-            print_outcome(problem, debug)
-        failed |= bool(problems)
-    return int(failed)
 
 
 def results_below(path: Path, may_lack: bool = False) -> list[Path]:
@@ -98,6 +115,8 @@ def results_below(path: Path, may_lack: bool = False) -> list[Path]:
 
 def report_one(job: ReportJob) -> Reported:
     """Write the pages of a result; its row of the index, and what went wrong. Raises nothing."""
+    from getagrip.batch.job import failure
+
     try:
         return _written(job), None
     except Exception as error:  # one result's trouble must not end the others
@@ -107,6 +126,13 @@ def report_one(job: ReportJob) -> Reported:
 
 def _written(job: ReportJob) -> IndexRow:
     """Write the pages of a result."""
+    from getagrip.evaluation import evaluate, read_evaluated
+    from getagrip.pages import row, write_page
+    from getagrip.result import read_record
+    from getagrip.view.film import write_film
+    from getagrip.view.report import write_report
+    from getagrip.view.shown import View
+
     folder, request = job.folder, job.request
     result, clip, masks = read_evaluated(folder, request.clips)
     evaluation, view = evaluate(result, clip, masks), View.of(result, clip, masks)
@@ -114,13 +140,16 @@ def _written(job: ReportJob) -> IndexRow:
         write_page(view, evaluation, read_record(folder), folder / PAGE)
     if job.root is None:
         write_report(result, clip, masks, folder / PICTURE, evaluation.metrics)
-    if request.film:
+    if request.mp4:
         write_film(view, folder / FILM)
     return row(job.name, view, evaluation, (folder / PAGE).is_file())
 
 
 def _unwritten(job: ReportJob, problem: str) -> IndexRow:
     """The row of a result whose pages could not be written: what its own files say, if they can be read."""
+    from getagrip.pages import IndexRow, row_without_clip
+    from getagrip.result import read_result
+
     try:
         result, record = read_result(job.folder)
         return row_without_clip(job.name, result, record["metrics"], problem)
@@ -130,6 +159,12 @@ def _unwritten(job: ReportJob, problem: str) -> IndexRow:
 
 def _folder(path: Path, request: ReportRequest, workers: int | None) -> list[Outcome]:
     """Report on all results in a folder and write their index, with what its ledger knows; what went wrong."""
+    from getagrip.batch.entries import ledger_there
+    from getagrip.batch.job import Outcome
+    from getagrip.batch.pool import DIED
+    from getagrip.batch.summary import TABLE, known_entries, row_without_result, write_table
+    from getagrip.pages import IndexRow, write_index
+
     with ledger_there(path) as ledger:
         without = [] if ledger is None else [one for one in known_entries(ledger, path) if one.state != "done"]
         if ledger is not None:
@@ -151,6 +186,8 @@ def _folder(path: Path, request: ReportRequest, workers: int | None) -> list[Out
 
 def _reported(jobs: Sequence[ReportJob], workers: int | None) -> Iterator[tuple[ReportJob, Reported | None]]:
     """Each job with what it gives, as they finish; many are shared out over processes."""
+    from getagrip.batch.pool import cores, in_processes
+
     count = min(len(jobs), workers or (1 if len(jobs) <= FEW else cores()))
     if count == 1:
         return ((job, report_one(job)) for job in jobs)
@@ -159,4 +196,4 @@ def _reported(jobs: Sequence[ReportJob], workers: int | None) -> Iterator[tuple[
 
 def _files(request: ReportRequest) -> list[str]:
     """What is written of a result that was named itself."""
-    return [PAGE, PICTURE, *[FILM] * request.film]
+    return [PAGE, PICTURE, *[FILM] * request.mp4]

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from getagrip.batch.job import Outcome, Progress, failure
-from getagrip.clip import read_clip
+from tyro.conf import arg
+
+from getagrip.commands.command import Clips, Command, Workers
 from getagrip.commands.each_clip import each_clip
-from getagrip.grasps import lists
-from getagrip.grasps.cut import Cut, as_listed
-from getagrip.grasps.lists import ListedGrasp
+from getagrip.commands.segment_masks import find_in_clips
+from getagrip.errors import UsageError
+from getagrip.grasps.options import GraspOptions
 from getagrip.io import files
+from getagrip.io.arguments import Flag, OptionalFile, OptionalFolder
 from getagrip.io.counts import counted
 from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import console, plain_table, report
@@ -22,9 +24,79 @@ from getagrip.io.terminal import console, plain_table, report
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from getagrip.batch.job import Outcome, Progress
+    from getagrip.grasps.cut import Cut
+    from getagrip.grasps.lists import ListedGrasp
+
 
 COLUMNS = ("sequence", "side", "object", "start", "end", "duration", "first", "last")
 """Of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspCommand(Command):
+    """Options of the commands that find stable grasps."""
+
+    clips: Clips = ()
+    """Clip folders, or folders of clips: whole sequences, not cut to grasps already. No masks are needed."""
+    grasps: Annotated[GraspOptions, arg(name="")] = field(default_factory=lambda: GraspOptions(contact_mm=0.0))
+    """What counts as a stable grasp."""
+    json: OptionalFile = None
+    """Write every number here, unrounded."""
+    workers: Workers = None
+    """Processes to share the clips between."""
+
+    def cut(self) -> Cut:
+        """How the clips are cut to grasps."""
+        return self.grasps.cut(report)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment(GraspCommand):
+    """Find the stable grasps in clips with true poses; or, in masks, all that the object does."""
+
+    grasps: Annotated[GraspOptions, arg(name="")] = field(default_factory=GraspOptions)
+    """What counts as a stable grasp."""
+    from_masks: Flag = False
+    """Read no true pose: find when the object lies still, moves in an unstable contact or is held in a stable grasp, by
+    fits to masks and hand (docs/grasps.md)."""
+    out: OptionalFolder = None
+    """Write the list of grasps (grasps.json, segments.csv) and a picture of each clip here; with --from-masks all
+    segments (segments.json) instead of pictures."""
+    write: Flag = False
+    """With --from-masks: write the segments into each clip.json, too, which makes a timeline of the clip."""
+    overwrite: Flag = False
+    """With --write: replace segments that clips have."""
+
+    def run(self) -> int:
+        """Print the stable grasps of clips, and write them to files; 1 if any clip could not be read, else 0.
+
+        ``out`` gets the list as ``grasps.json`` and ``segments.csv``, and a picture for each clip; ``json`` the list.
+        Raises ``UsageError`` where there is nothing to do, and where two clips have the same name.
+        """
+        from getagrip.grasps import lists
+
+        if self.from_masks:
+            return find_in_clips(self)
+        if self.write:
+            raise UsageError("missing --from-masks: --write writes the segments that it finds")
+        cut = self.cut()
+
+        def job(name: str, folder: Path) -> SegmentJob:
+            if self.out is not None:
+                self.out.mkdir(parents=True, exist_ok=True)
+            return SegmentJob(folder, cut, None if self.out is None else self.out / f"{name}.png")
+
+        in_order, failures = each_clip(self.clips, job, segment_one, self.workers, self.debug)
+        if in_order:
+            _print(in_order, self.out)
+        grasps = [grasp for one in in_order for grasp in one.listed]
+        tell_missing(cut, len(grasps))
+        if self.out is not None:
+            _write_csv(self.out / "segments.csv", [row for one in in_order for row in one.rows()])
+        for path in filter(None, (self.json, self.out and self.out / lists.FILE)):
+            lists.write(path, grasps, cut.record())
+        return 1 if failures else 0
 
 
 @dataclass(frozen=True)
@@ -57,40 +129,12 @@ class SegmentedClip:
             yield {column: row[column] for column in COLUMNS}
 
 
-def segment_clips(
-    paths: Sequence[Path],
-    cut: Cut,
-    out: Path | None,
-    json: Path | None,
-    workers: int | None,
-    debug: bool,
-) -> int:
-    """Print the stable grasps of clips, and write them to files; 1 if any clip could not be read, else 0.
-
-    A path is a clip, or a folder of clips. ``out`` gets the list as ``grasps.json`` and ``segments.csv``, and a picture
-    for each clip; ``json`` the list. Raises ``UsageError`` where there is nothing to do, and where two clips have the
-    same name.
-    """
-
-    def job(name: str, folder: Path) -> SegmentJob:
-        if out is not None:
-            out.mkdir(parents=True, exist_ok=True)
-        return SegmentJob(folder, cut, None if out is None else out / f"{name}.png")
-
-    in_order, failures = each_clip(paths, job, segment_one, workers, debug)
-    if in_order:
-        _print(in_order, out)
-    grasps = [grasp for one in in_order for grasp in one.listed]
-    tell_missing(cut, len(grasps))
-    if out is not None:
-        _write_csv(out / "segments.csv", [row for one in in_order for row in one.rows()])
-    for path in filter(None, (json, out and out / lists.FILE)):
-        lists.write(path, grasps, cut.record())
-    return 1 if failures else 0
-
-
 def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip | Outcome:
     """The grasps of one clip, drawn where a picture is wanted; or how it failed. Raises nothing."""
+    from getagrip.batch.job import failure
+    from getagrip.clip import read_clip
+    from getagrip.grasps.cut import as_listed
+
     try:
         clip = read_clip(job.clip)
         iou, grasps = job.cut.of(clip, partial(progress, "contact"))

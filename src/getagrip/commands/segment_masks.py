@@ -7,14 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from getagrip.batch.job import Outcome, Progress, failure
-from getagrip.clip import read_clip, segment_files
-from getagrip.clip.reading import read_header
 from getagrip.commands.each_clip import each_clip
-from getagrip.grasps import lists
-from getagrip.grasps.cut import as_listed
-from getagrip.grasps.definition import Definition
-from getagrip.grasps.lists import ListedGrasp
+from getagrip.errors import UsageError
 from getagrip.io import files
 from getagrip.io.counts import counted
 from getagrip.io.csv_tables import CsvTable
@@ -23,8 +17,12 @@ from getagrip.io.terminal import console, plain_table, report
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from getagrip.batch.job import Outcome, Progress
     from getagrip.clip import Clip
     from getagrip.clip.segment_files import SegmentList
+    from getagrip.commands.segment import Segment
+    from getagrip.grasps.definition import Definition
+    from getagrip.grasps.lists import ListedGrasp
     from getagrip.segmentation.found import FoundSegments
 
 SEGMENTS = "segments.json"
@@ -36,19 +34,15 @@ LEGEND = (
 
 
 @dataclass(frozen=True)
-class Write:
-    """That segments go into ``clip.json``, also in the place of others."""
-
-    overwrite: bool
-
-
-@dataclass(frozen=True)
 class SegmentJob:
     """A clip to find segments in."""
 
     clip: Path
     definition: Definition
-    write: Write | None = None
+    write: bool = False
+    """The segments go into ``clip.json``, too."""
+    overwrite: bool = False
+    """Also in the place of others."""
 
 
 @dataclass(frozen=True)
@@ -63,28 +57,25 @@ class SegmentedClip:
     grasps: tuple[ListedGrasp, ...]
 
 
-def find_in_clips(
-    paths: Sequence[Path],
-    definition: Definition,
-    out: Path | None,
-    json: Path | None,
-    write: Write | None,
-    workers: int | None,
-    debug: bool,
-) -> int:
+def find_in_clips(options: Segment) -> int:
     """Print the segments of clips, found in their masks, and write them to files; 1 if any clip failed, else 0.
 
-    A path is a clip, or a folder of clips. ``out`` gets the grasps as a list, all segments as ``segments.csv``, and as
-    ``clip.json`` has them, with margins, as ``segments.json``; ``json`` the list; ``write`` the clips' own. Raises
-    ``UsageError`` where there is nothing to do, and where two clips have the same name.
+    ``out`` gets the grasps as a list, all segments as ``segments.csv``, and as ``clip.json`` has them, with margins, as
+    ``segments.json``; ``json`` the list. Raises ``UsageError`` where there is nothing to do, and where two clips have
+    the same name.
     """
+    from getagrip.grasps import lists
+
+    if options.grasps.listed is not None:
+        raise UsageError("--list cannot be used with --from-masks")
+    definition, out = options.grasps.definition(contact_mm=10.0), options.out
 
     def job(_: str, folder: Path) -> SegmentJob:
-        if write is not None and folder not in paths:
+        if options.write and folder not in options.clips:
             files.refuse_link(folder)
-        return SegmentJob(folder, definition, write)
+        return SegmentJob(folder, definition, options.write, options.overwrite)
 
-    found, failures = each_clip(paths, job, find_one, workers, debug)
+    found, failures = each_clip(options.clips, job, find_one, options.workers, options.debug)
     if found:
         console().print(_table(found))
         print(LEGEND)
@@ -96,23 +87,27 @@ def find_in_clips(
     print(f"{counted(len(grasps), 'stable grasp')} in {held} of {counted(len(found), 'clip')}")
     if out is not None:
         _write(found, out)
-    for path in filter(None, (json, out and out / lists.FILE)):
+    for path in filter(None, (options.json, out and out / lists.FILE)):
         lists.write(path, grasps, {"found in": "masks", **asdict(definition)})
     return 1 if failures else 0
 
 
 def find_one(job: SegmentJob, progress: Progress = lambda *_: None) -> SegmentedClip | Outcome:
     """The segments of one clip, or how it failed. Raises nothing."""
+    from getagrip.batch.job import failure
+    from getagrip.clip import read_clip, segment_files
+    from getagrip.clip.reading import read_header
+    from getagrip.grasps.cut import as_listed
     from getagrip.segmentation.cut import segment_list
     from getagrip.segmentation.found import find_segments
 
     try:
         clip = read_clip(job.clip)
-        if job.write is not None:
-            segment_files.check_free(read_header(job.clip), job.write.overwrite)
+        if job.write:
+            segment_files.check_free(read_header(job.clip), job.overwrite)
         found = find_segments(clip, None, job.definition, progress=lambda part: progress("fits", part))
         listed = segment_list(clip, found)
-        if job.write is not None:
+        if job.write:
             segment_files.into_clip(read_header(job.clip), listed)
     except Exception as error:  # one clip's trouble must not end the others
         return failure(job.clip.name, error)

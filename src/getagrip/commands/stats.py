@@ -3,68 +3,88 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from getagrip.datasets.epic.tables import chosen_errata, read_grasps
+from tyro.conf import Positional, arg
+
+from getagrip.commands.command import Command
 from getagrip.errors import UsageError
-from getagrip.experiments import counts, durations
-from getagrip.experiments.counts import Counts
-from getagrip.experiments.durations import ALL, CategoryDurations, Fps
-from getagrip.grasps import lists
-from getagrip.io import files
+from getagrip.io import files, markdown
+from getagrip.io.arguments import OptionalFile, OptionalFolder, one_of
 from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import console, plain_table, report
+
+if TYPE_CHECKING:
+    from getagrip.experiments.counts import Counts
+    from getagrip.experiments.durations import CategoryDurations
 
 EPIC = "epic-grasps"
 HEADINGS = ("category", "avg [s]", "std [s]", "max [s]", "clips", "left", "right")
 
 
-def print_stats(
-    source: str,
-    table: Path | None,
-    errata: bool,
-    errata_file: Path | None,
-    fps: Fps | None,
-    out: Path | None,
-    json: Path | None,
-) -> int:
-    """Print how long the grasps of a dataset last and what it has, and write it to files; returns 0.
+@dataclass(frozen=True, kw_only=True)
+class Stats(Command):
+    """Print how long stable grasps last, category by category, and what a dataset has: the paper's dataset tables."""
 
-    ``source`` is ``epic-grasps``, and ``table`` its CSV, or ``source`` is a list of grasps, or a folder of clips with
-    one. ``out`` gets ``stats.md``, ``stats.csv`` and ``counts.csv``. Raises ``UsageError`` for calls that are neither,
-    and ``InputError``.
-    """
-    if source == EPIC:
-        if table is None:
-            raise UsageError(f"stats {EPIC}: got no file, expected its CSV")
-        chosen = chosen_errata(table, errata or errata_file is not None, errata_file)
-        if errata and chosen is None:
-            raise UsageError(f"--errata: got no {table.stem}_errata.csv beside {table}, expected it or --errata-file")
-        grasps = read_grasps(table, chosen)
-        lasting, counted = durations.of_epic(grasps, fps or "paper"), counts.of_epic(grasps)
-    else:
-        if table is not None:
-            raise UsageError(f"stats: got {source!r} and {table}, expected {EPIC} and its CSV, or one list of grasps")
-        if errata or errata_file is not None:
-            raise UsageError(f"--errata: got it for {source}, expected none: they are of {EPIC}")
-        if fps is not None:
-            raise UsageError(f"--fps: got {fps}, expected none: a list of grasps is in seconds")
-        folder = Path(source) if Path(source).is_dir() else None
-        path = Path(source) if folder is None else folder / lists.FILE
-        listed = lists.read(path, report).grasps
-        lasting, counted = durations.of_list(path, listed), counts.of_list(listed, folder)
-    rows = durations.durations(lasting)
-    if not rows:
-        print("no grasps")
-    else:
-        _print(rows)
-        print(", ".join(f"{number} {name}" for name, number in asdict(counted).items() if number is not None))
-    if out is not None:
-        _write(rows, counted, out)
-    if json is not None:
-        files.write_json(json, {"durations": [asdict(row) for row in rows], "counts": asdict(counted)})
-    return 0
+    source: Annotated[Positional[str], arg(metavar="epic-grasps|LIST")]
+    """epic-grasps, followed by its CSV; or a list of grasps, or the folder of clips that import wrote it into."""
+    csv: Annotated[Positional[Path | None], arg(metavar="[CSV]", help_behavior_hint="")] = None
+    """With epic-grasps: its table, as published."""
+    errata: bool = False
+    """epic-grasps: apply the errata that lie beside the table (<CSV>_errata.csv). The paper's table is without."""
+    errata_file: OptionalFile = None
+    """epic-grasps: the errata, where they lie elsewhere."""
+    fps: Annotated[
+        Literal["paper", "true"] | None, one_of("paper", "true"), arg(help_behavior_hint="(default: paper)")
+    ] = None
+    """epic-grasps: 50 frames per second in every video, as in the paper; or the rate at which EPIC numbers frames."""
+    out: OptionalFolder = None
+    """Write stats.md, stats.csv and counts.csv here."""
+    json: OptionalFile = None
+    """Write every number here, unrounded."""
+
+    def run(self) -> int:
+        """Print how long the grasps of a dataset last and what it has, and write it to files; returns 0.
+
+        Raises ``UsageError`` for calls that fit neither EPIC-Grasps nor a list, and ``InputError``.
+        """
+        from getagrip.datasets.epic.tables import chosen_errata, read_grasps
+        from getagrip.experiments import counts, durations
+        from getagrip.grasps import lists
+
+        if self.source == EPIC:
+            if self.csv is None:
+                raise UsageError(f"missing CSV: {EPIC} needs the table of its grasps")
+            chosen = chosen_errata(self.csv, self.errata or self.errata_file is not None, self.errata_file)
+            if self.errata and chosen is None:
+                lacking = self.csv.with_name(f"{self.csv.stem}_errata.csv")
+                raise UsageError(f"missing {lacking}: --errata needs it, or --errata-file")
+            grasps = read_grasps(self.csv, chosen)
+            lasting, counted = durations.of_epic(grasps, self.fps or "paper"), counts.of_epic(grasps)
+        else:
+            if self.csv is not None:
+                raise UsageError(f"{self.csv} cannot be used with {self.source}, only with {EPIC}")
+            if self.errata or self.errata_file is not None:
+                raise UsageError(f"--errata cannot be used with {self.source}, only with {EPIC}")
+            if self.fps is not None:
+                raise UsageError(f"--fps cannot be used with {self.source}: a list of grasps is in seconds")
+            folder = Path(self.source) if Path(self.source).is_dir() else None
+            path = Path(self.source) if folder is None else folder / lists.FILE
+            listed = lists.read(path, report).grasps
+            lasting, counted = durations.of_list(path, listed), counts.of_list(listed, folder)
+        rows = durations.durations(lasting)
+        if not rows:
+            print("no grasps")
+        else:
+            _print(rows)
+            print(", ".join(f"{number} {name}" for name, number in asdict(counted).items() if number is not None))
+        if self.out is not None:
+            _write(rows, counted, self.out)
+        if self.json is not None:
+            files.write_json(self.json, {"durations": [asdict(row) for row in rows], "counts": asdict(counted)})
+        return 0
 
 
 def _cells(row: CategoryDurations) -> list[str]:
@@ -75,6 +95,8 @@ def _cells(row: CategoryDurations) -> list[str]:
 
 def _print(rows: Sequence[CategoryDurations]) -> None:
     from rich.text import Text
+
+    from getagrip.experiments.durations import ALL
 
     shown = plain_table()
     for n, heading in enumerate(HEADINGS):
@@ -90,8 +112,9 @@ def _write(rows: Sequence[CategoryDurations], counted: Counts, out: Path) -> Non
     """The same as Markdown, and unrounded as CSV."""
     out.mkdir(parents=True, exist_ok=True)
     figures = {name: "-" if number is None else f"{number}" for name, number in asdict(counted).items()}
-    pages = [_grid(HEADINGS, [_cells(row) for row in rows]), _grid(list(figures), [list(figures.values())])]
-    files.write_text(out / "stats.md", "\n".join(pages))
+    grids: list[list[Sequence[str]]] = [[HEADINGS, *map(_cells, rows)], [list(figures), list(figures.values())]]
+    tables = ["\n".join(markdown.table(grid)) for grid in grids]
+    files.write_text(out / "stats.md", "\n\n".join(tables) + "\n")
     with files.new_text(out / "counts.csv") as stream:
         CsvTable(stream).write_rows([asdict(counted), asdict(counted).values()])
     with files.new_text(out / "stats.csv") as stream:
@@ -99,9 +122,3 @@ def _write(rows: Sequence[CategoryDurations], counted: Counts, out: Path) -> Non
         table.write_row(asdict(rows[0]) if rows else ())
         table.write_rows(asdict(row).values() for row in rows)
     print(out / "stats.md")
-
-
-def _grid(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown."""
-    lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]
-    return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)

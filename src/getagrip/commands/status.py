@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import heapq
-from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from getagrip.batch.entries import Entry, ledger_there
-from getagrip.batch.ledger_place import ledger_folder
-from getagrip.batch.summary import PROBABILITIES, badness, known_entries, number_of, shown_name, write_summary
+from tyro.conf import Positional, arg
+
+from getagrip.commands.command import Command
 from getagrip.errors import InputError, cleaned
+from getagrip.io.arguments import OptionalFolder, placed
 from getagrip.io.storage import Place
-from getagrip.io.terminal import console, plain_table, report, say
-from getagrip.probability import percent
+
+if TYPE_CHECKING:
+    from getagrip.batch.entries import Entry
 
 MOST = 40
 """Lines of the table; all clips are in ``summary.csv``."""
@@ -22,35 +24,54 @@ LONGEST = 100
 """Letters of a reason."""
 
 
-def status(out: Place, given: Path | None) -> int:
-    """Print how many clips are done, failed and left, and the worst of them; write summary and index page.
+@dataclass(frozen=True, kw_only=True)
+class Status(Command):
+    """Print what is done, failed and left of a folder that reconstruct is or was at work on, with each clip's IOU and
+    probabilities; write its summary.csv and index.html."""
 
-    ``given`` is the ledger's folder, where the user has named one; it is not changed. Raises ``InputError`` where there
-    is neither ledger nor result.
-    """
-    if isinstance(out, Path) and not out.is_dir():
-        raise InputError(out, "", "no such folder", "the folder of results of getagrip reconstruct")
-    with ledger_there(ledger_folder(out, given)) as ledger:
-        states = Counter(entry.state for entry in known_entries(ledger, out))
-        if not states:
-            raise InputError(
-                str(out), "", "neither a ledger nor a result", "the folder of results of getagrip reconstruct"
-            )
-        _print_table(heapq.nsmallest(MOST, known_entries(ledger, out), key=badness))
-        if (more := states.total() - MOST) > 0:
-            say(f"and {more} more, in summary.csv")
-        say(", ".join(f"{states[state]} {CALLED[state]}" for state in ("done", "failed", "open")))
-        try:
-            for path in write_summary(ledger, out):
-                say(str(path))
-        except OSError as error:
-            report(f"no summary is written: {error}")
-    return 0
+    folder: Annotated[Positional[Place], placed("DIR"), arg(metavar="DIR", help_behavior_hint="")]
+    """What reconstruct was given as --out."""
+    ledger: OptionalFolder = None
+    """The folder of its ledger, where reconstruct was given one. It is not changed."""
+
+    def run(self) -> int:
+        """Raises ``InputError`` where there is neither ledger nor result."""
+        import heapq
+        from collections import Counter
+
+        from getagrip.batch.entries import ledger_there
+        from getagrip.batch.ledger_place import ledger_folder
+        from getagrip.batch.summary import badness, known_entries, write_summary
+        from getagrip.io.terminal import report, say
+
+        out = self.folder
+        if isinstance(out, Path) and not out.is_dir():
+            raise InputError(out, "", "no such folder", "the folder of results of getagrip reconstruct")
+        with ledger_there(ledger_folder(out, self.ledger)) as ledger:
+            states = Counter(entry.state for entry in known_entries(ledger, out))
+            if not states:
+                raise InputError(
+                    str(out), "", "neither a ledger nor a result", "the folder of results of getagrip reconstruct"
+                )
+            _print_table(heapq.nsmallest(MOST, known_entries(ledger, out), key=badness))
+            if (more := states.total() - MOST) > 0:
+                say(f"and {more} more, in summary.csv")
+            say(", ".join(f"{states[state]} {CALLED[state]}" for state in ("done", "failed", "open")))
+            try:
+                for path in write_summary(ledger, out):
+                    say(str(path))
+            except OSError as error:
+                report(f"no summary is written: {error}")
+        return 0
 
 
 def _print_table(entries: list[Entry]) -> None:
     """A line for each clip: its state, IOU and probabilities, or why there are none."""
     from rich.text import Text
+
+    from getagrip.batch.summary import PROBABILITIES, number_of, shown_name
+    from getagrip.io.terminal import console, plain_table
+    from getagrip.probability import percent
 
     table = plain_table()
     for heading in ("clip", "", "IOU", "right in the hand", "in the camera", ""):

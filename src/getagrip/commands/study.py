@@ -3,47 +3,62 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from getagrip.batch.job import Outcome, Progress, failure
-from getagrip.clip import read_clip
 from getagrip.commands.each_clip import each_clip
-from getagrip.commands.segment import SegmentJob, tell_missing
-from getagrip.grasps import lists
-from getagrip.grasps.cut import Cut
-from getagrip.grasps.study import MEASURES, TIMES, Spread, StudiedGrasp, mean_curves, study_grasp
+from getagrip.commands.segment import GraspCommand, SegmentJob, tell_missing
 from getagrip.io import files
+from getagrip.io.arguments import Folder
 from getagrip.io.counts import counted
 from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import console, plain_table
 
+if TYPE_CHECKING:
+    from getagrip.batch.job import Outcome, Progress
+    from getagrip.grasps.cut import Cut
+    from getagrip.grasps.study import Spread, StudiedGrasp
+
 ALL = "All"
 
 
-def study_clips(paths: Sequence[Path], cut: Cut, out: Path, json: Path | None, workers: int | None, debug: bool) -> int:
-    """Study the stable grasps of clips, and write the measurements to a folder; 1 if any clip failed, else 0.
+@dataclass(frozen=True, kw_only=True)
+class Study(GraspCommand):
+    """Measure what changes within the stable grasps of clips with true poses, and outside them: the paper's study."""
 
-    A path is a clip, or a folder of clips. ``out`` gets ``study.png``, ``grasps.csv``, ``curves.csv``,
-    ``summary.csv`` and the list ``grasps.json``. Raises ``UsageError`` where there is nothing to do, and where two
-    clips have the same name.
-    """
-    done, failures = each_clip(paths, lambda _, folder: SegmentJob(folder, cut), study_one, workers, debug)
-    studied = [grasp for grasps in done for grasp in grasps]
-    tell_missing(cut, len(studied))
-    print(f"{counted(len(studied), 'stable grasp')} in {sum(map(bool, done))} of {counted(len(done), 'clip')}")
-    if studied:
-        _print(studied)
-        _write(studied, cut, len(done), out)
-    if json is not None:
-        files.write_json(json, _content(studied, cut))
-    return 1 if failures else 0
+    out: Folder
+    """Where study.png, grasps.csv, curves.csv, summary.csv and the list of grasps (grasps.json) go."""
+
+    def run(self) -> int:
+        """Study the stable grasps of clips, and write the measurements to a folder; 1 if any clip failed, else 0.
+
+        Raises ``UsageError`` where there is nothing to do, and where two clips have the same name.
+        """
+        cut = self.cut()
+
+        def job(_: str, folder: Path) -> SegmentJob:
+            return SegmentJob(folder, cut)
+
+        done, failures = each_clip(self.clips, job, study_one, self.workers, self.debug)
+        studied = [grasp for grasps in done for grasp in grasps]
+        tell_missing(cut, len(studied))
+        print(f"{counted(len(studied), 'stable grasp')} in {sum(map(bool, done))} of {counted(len(done), 'clip')}")
+        if studied:
+            _print(studied)
+            _write(studied, cut, len(done), self.out)
+        if self.json is not None:
+            files.write_json(self.json, _content(studied, cut))
+        return 1 if failures else 0
 
 
 def study_one(job: SegmentJob, progress: Progress = lambda *_: None) -> list[StudiedGrasp] | Outcome:
     """The grasps of one clip, measured; or how it failed. Raises nothing."""
+    from getagrip.batch.job import failure
+    from getagrip.clip import read_clip
+    from getagrip.grasps.study import study_grasp
+
     try:
         clip = read_clip(job.clip)
         iou, grasps = job.cut.of(clip, partial(progress, "contact"))
@@ -63,12 +78,16 @@ def by_category(studied: Sequence[StudiedGrasp]) -> Iterator[tuple[str, list[Stu
 
 def _spreads(studied: Sequence[StudiedGrasp], where: str) -> dict[str, Spread]:
     """Each measure over grasps, ``inside`` them or ``outside``."""
+    from getagrip.grasps.study import MEASURES, Spread
+
     return {name: Spread.of([getattr(one, where)[name] for one in studied]) for name in MEASURES}
 
 
 def _print(studied: Sequence[StudiedGrasp]) -> None:
     """Two tables: the approximations by category, and every measure inside and outside."""
     from rich.text import Text
+
+    from getagrip.grasps.study import MEASURES
 
     table = plain_table(title="error of the approximation, within grasps", title_style="")
     table.add_column("object", overflow="fold")
@@ -96,12 +115,16 @@ def _print(studied: Sequence[StudiedGrasp]) -> None:
 
 def _cell(spread: Spread, name: str) -> str:
     """Mean and spread as people read them."""
+    from getagrip.grasps.study import MEASURES
+
     factor, digits = MEASURES[name].factor, 1 if MEASURES[name].unit else 2
     return "-" if not spread.grasps else f"{spread.mean * factor:.{digits}f} ± {spread.std * factor:.{digits}f}"
 
 
 def _write(studied: Sequence[StudiedGrasp], cut: Cut, clips: int, out: Path) -> None:
     """The files of a study."""
+    from getagrip.grasps import lists
+    from getagrip.grasps.study import mean_curves
     from getagrip.view.study import write_study
 
     out.mkdir(parents=True, exist_ok=True)
@@ -132,6 +155,8 @@ def _grasp(one: StudiedGrasp) -> dict[str, Any]:
 
 def _curves(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, Any]]:
     """The mean curves, a line for each normalised time and measure, in SI units."""
+    from getagrip.grasps.study import TIMES, mean_curves
+
     for name, spreads in mean_curves(studied).items():
         for time, spread in zip(TIMES, spreads, strict=True):
             yield {"measure": name, "time": round(float(time), 6), **asdict(spread)}

@@ -91,7 +91,7 @@ class Arctic(TrackedDataset):
     def sources(self) -> list[Source]:
         """The sequences below ``root``, ARCTIC's folder of ``raw_seqs`` and ``meta``, or one that holds it."""
         if not 0 <= self.view < VIEWS:
-            raise UsageError(f"--view: got {self.view}, expected 0 (the camera on the head) to {VIEWS - 1}")
+            raise UsageError(f"--view must be 0 (the camera on the head) to {VIEWS - 1} (got {self.view})")
         mano = mano_tracks.mano_folder(self.mano, "ARCTIC")
         places = (self.root, self.root / "data", self.root / "arctic_data" / "data")
         base = next((place for place in places if (place / "raw_seqs").is_dir()), self.root)

@@ -63,7 +63,7 @@ class TrackedDataset(Dataset):
     def cut(self, note: Note) -> Cut:
         """How its sequences are cut. Raises ``UsageError`` for wrong options, ``InputError`` for a broken list."""
         if self.whole and self.grasps.listed is not None:
-            raise UsageError("--list and --whole: name one of them")
+            raise UsageError("--list cannot be used with --whole")
         return self.grasps.cut(note)
 
     def cut_record(self) -> dict[str, object] | None:

@@ -16,7 +16,6 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import HandTrack, Joint, World
-from getagrip.clip.provenance import Provenance, Source, assumed, estimated
 from getagrip.datasets.tracks import Track
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
@@ -24,6 +23,7 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.hands import generic
 from getagrip.hands.fit import fit_joints
 from getagrip.hands.model import HandModel, Side, hand_track
+from getagrip.provenance import Provenance, Source, assumed, estimated
 
 DISTANCE = 0.7
 """Of the assumed camera from the object's usual place [m]: about an arm's length."""

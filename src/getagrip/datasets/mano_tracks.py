@@ -25,11 +25,11 @@ def mano_folder(folder: Path | None, dataset: str) -> Path:
     """The folder with the user's MANO files. Raises ``UsageError`` where none is given or it holds none."""
     if folder is None:
         raise UsageError(
-            f"--mano: {dataset} holds its hands as parameters of MANO: got no folder, expected that of "
+            f"missing --mano: {dataset} holds its hands as parameters of MANO; the folder of "
             f"{' and '.join(FILES.values())} (https://mano.is.tue.mpg.de)"
         )
     if not any((folder / name).is_file() for name in FILES.values()):
-        raise UsageError(f"--mano: got {folder}, expected a folder that holds {' and '.join(FILES.values())}")
+        raise UsageError(f"--mano must be a folder that holds {' and '.join(FILES.values())} (got {folder})")
     return folder
 
 

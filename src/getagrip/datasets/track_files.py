@@ -36,7 +36,6 @@ from numpy import ndarray
 from tyro.conf import arg
 
 from getagrip.clip import Joint
-from getagrip.clip.provenance import assumed, measured
 from getagrip.datasets.cutting import TrackedDataset
 from getagrip.datasets.dataset import Note
 from getagrip.datasets.joint_tracks import Motion, PosedCamera, tracks
@@ -52,6 +51,7 @@ from getagrip.hands.fit import ORDERS
 from getagrip.hands.model import Side
 from getagrip.io import arrays
 from getagrip.io.files import inside, is_plain_name, shown
+from getagrip.provenance import assumed, measured
 
 SIDES: tuple[Side, ...] = ("left", "right")
 NAMES = ("category", "subject", "sequence")

@@ -15,7 +15,6 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.clip import FrameMasks, HandTrack, Joint, Segment, World
-from getagrip.clip.provenance import Provenance
 from getagrip.datasets.dataset import Note
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
@@ -24,6 +23,7 @@ from getagrip.grasps.lists import BETWEEN, ListedGrasp
 from getagrip.hands.model import Side
 from getagrip.io.counts import counted
 from getagrip.io.files import Json
+from getagrip.provenance import Provenance
 
 if TYPE_CHECKING:
     from getagrip.geometry.render import Surface
@@ -179,9 +179,7 @@ def subject_of(clip_name: str) -> str:
     """The person whose hand is in a clip. Raises ``UsageError`` for a name that no track has."""
     subject, between, rest = clip_name.partition(BETWEEN)
     if not (subject and between and rest):
-        raise UsageError(
-            f"clip {clip_name!r}: got no subject, expected <subject>{BETWEEN}<sequence>{BETWEEN}<object>..."
-        )
+        raise UsageError(f"clip's name must be <subject>{BETWEEN}<sequence>{BETWEEN}<object>... (got {clip_name!r})")
     return subject
 
 

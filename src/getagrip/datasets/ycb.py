@@ -20,7 +20,7 @@ def folder(root: Path, given: Path | None) -> Path:
     """The folder of the models: the one given, or else ``models`` in ``root``. Raises ``UsageError`` without it."""
     models = given or root / "models"
     if not models.is_dir():
-        raise UsageError(f"--meshes: got {models}, which is no folder, expected the folder of the YCB models")
+        raise UsageError(f"--meshes must be the folder of the YCB models (got {models}, which is no folder)")
     return models
 
 

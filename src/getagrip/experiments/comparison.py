@@ -103,7 +103,7 @@ def compare(scores: Sequence[Scores], variants: Sequence[Variant]) -> list[Table
 def groups(scores: Sequence[Scores]) -> list[str]:
     """The groups of clips that are independent: subjects where every clip has one and there are several, else clips."""
     subjects = [clip.subject for clip in scores]
-    return subjects if all(subjects) and len(set(subjects)) > 1 else [clip.clip for clip in scores]
+    return subjects if all(subjects) and len(set(subjects)) > 1 else [clip.name for clip in scores]
 
 
 def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of: Sequence[str]) -> Table:

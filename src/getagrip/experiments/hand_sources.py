@@ -36,9 +36,9 @@ class HandSource:
         """From ``NAME=FOLDER``. Raises ``UsageError``."""
         name, equals, folder = text.partition("=")
         if not (equals and folder and is_plain_name(name)):
-            raise UsageError(f"--hands: got {text!r}, expected NAME=FOLDER")
+            raise UsageError(f"--hands must be NAME=FOLDER (got {text!r})")
         if not Path(folder).is_dir():
-            raise UsageError(f"--hands: got {text!r}, expected a folder with clips, or with a .npz for each")
+            raise UsageError(f"--hands must be a folder with clips, or with a .npz for each (got {text!r})")
         return HandSource(name, Path(folder))
 
     def file(self, clip: str) -> Path:
@@ -129,7 +129,7 @@ def comparison(sources: Sequence[HandSource]) -> Ablation:
     names = [source.name for source in sources]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise UsageError(f"--hands: got {twice} twice, expected different names")
+        raise UsageError(f"--hands must be different names (got {twice} twice)")
     settings = tuple(Setting(source.name, change=WithHands(source, tuple(sources))) for source in sources)
     return Ablation("Hands, on the frames that all of them have", names[0], settings)
 

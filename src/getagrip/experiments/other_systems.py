@@ -25,11 +25,11 @@ def system_of(text: str) -> OtherSystem:
     """From ``NAME=FOLDER``. Raises ``UsageError``."""
     name, equals, folder = text.partition("=")
     if not (equals and folder and is_plain_name(name)):
-        raise UsageError(f"--with: got {text!r}, expected NAME=FOLDER")
+        raise UsageError(f"--with must be NAME=FOLDER (got {text!r})")
     if name in METHODS:
-        raise UsageError(f"--with: got the name {name!r}, expected another one than those of the methods")
+        raise UsageError(f"--with must be another name than those of the methods (got {name!r})")
     if not Path(folder).is_dir():
-        raise UsageError(f"--with: got {text!r}, expected a folder with poses for each clip")
+        raise UsageError(f"--with must be a folder with poses for each clip (got {text!r})")
     return OtherSystem(name, Path(folder))
 
 

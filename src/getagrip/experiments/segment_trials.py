@@ -5,17 +5,15 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from getagrip.batch.job import failure
 from getagrip.clip import Clip, Masks, read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, perturbed
 from getagrip.experiments.records import kept_or_made, made_of
 from getagrip.experiments.segment_scores import Matched, Span, matched
-from getagrip.experiments.sources import Sample
+from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.fitting.options import Options
 from getagrip.grasps.definition import Definition
 
@@ -29,36 +27,38 @@ CODE = ("segmentation", "experiments/segment_trials.py")
 
 
 @dataclass(frozen=True)
-class SequenceTrial:
-    """A sequence to find the grasps of."""
-
-    sample: Sample
-    noise: str
-    """Of ``NOISE``: of hands and masks."""
-    options: Options
-    results: Path
-    """A file for each sequence and direction goes here."""
-    overwrite: bool
-
-    @property
-    def name(self) -> str:
-        """The sequence's."""
-        return self.sample.name
-
-
-@dataclass(frozen=True)
-class SequenceScores:
+class SequenceScores(ClipScores):
     """What was found in a sequence."""
 
-    name: str
     by: dict[tuple[str, str], Matched] = field(default_factory=dict)
     """By direction and way; empty where it failed."""
     seconds: float = 0.0
     """Of the process, for one direction; the mean of both."""
-    failure: str = ""
-    trace: str = ""
     again: str = ""
     """Why it was made again, where what was there is no longer good."""
+
+
+@dataclass(frozen=True)
+class SequenceTrial(Trial[SequenceScores]):
+    """A sequence to find the grasps of; a file for it goes into ``results``."""
+
+    noise: str
+    """Of ``NOISE``: of hands and masks."""
+    options: Options
+
+    def failed(self, why: str, trace: str = "") -> SequenceScores:
+        return SequenceScores(self.name, failure=why, trace=trace)
+
+    def scores(self) -> SequenceScores:
+        by, seconds = {}, []
+        of = made_of(self.sample.folder, self.options, *CODE)
+        record, again = kept_or_made(self.results / f"{self.name}.json", of, self.overwrite, partial(_found, self))
+        for direction in DIRECTIONS:
+            here = record[direction]
+            seconds.append(float(here["seconds"]))
+            for way in WAYS:
+                by[direction, way] = matched(_spans(here["true"]), _spans(here[way]))
+        return SequenceScores(self.name, by, float(np.mean(seconds)), again)
 
 
 def reversed_in_time(clip: Clip, masks: Masks) -> tuple[Clip, Masks]:
@@ -71,30 +71,6 @@ def reversed_in_time(clip: Clip, masks: Masks) -> tuple[Clip, Masks]:
 def mirrored(spans: list[Span], frames: int) -> list[Span]:
     """Intervals of a sequence, in its reverse."""
     return [(frames - 1 - last, frames - 1 - first) for first, last in reversed(spans)]
-
-
-def run_sequence(trial: SequenceTrial) -> SequenceScores:
-    """Find the grasps of one sequence, unless that has been done by the same code. Raises nothing."""
-    try:
-        return _run(trial)
-    except Exception as error:  # one sequence's trouble must not end the others
-        outcome = failure(trial.sample.name, error)
-        return SequenceScores(trial.sample.name, failure=outcome.message, trace=outcome.trace)
-
-
-def _run(trial: SequenceTrial) -> SequenceScores:
-    sample, by, seconds = trial.sample, {}, []
-    if not sample.folder.exists() and sample.make is not None:
-        sample.make(sample.folder)
-    path = trial.results / f"{sample.name}.json"
-    of = made_of(sample.folder, trial.options, *CODE)
-    record, again = kept_or_made(path, of, trial.overwrite, partial(_found, trial))
-    for direction in DIRECTIONS:
-        here = record[direction]
-        seconds.append(float(here["seconds"]))
-        for way in WAYS:
-            by[direction, way] = matched(_spans(here["true"]), _spans(here[way]))
-    return SequenceScores(sample.name, by, float(np.mean(seconds)), again=again)
 
 
 def _found(trial: SequenceTrial) -> dict[str, Any]:

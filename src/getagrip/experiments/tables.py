@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from getagrip.experiments.comparison import ERRORS, Table
 from getagrip.experiments.statistics import LEVEL, Estimate
 from getagrip.experiments.trials import Scores
 from getagrip.experiments.variants import Variant
-from getagrip.io import files
 from getagrip.io.counts import counted
-from getagrip.io.csv_tables import CsvTable
+from getagrip.io.markdown import table as table_lines
 from getagrip.io.terminal import plain_table
 
 if TYPE_CHECKING:
@@ -152,16 +150,16 @@ def markdown(tables: Sequence[Table], title: str, about: Sequence[str], settings
         lines += _folded(SETTINGS, [f"- {line}" for line in settings])
         differences = _differences(table, MARKDOWN)
         if len(differences) > 1:
-            lines += _folded(DIFFERENCES, _grid(differences))
-        lines += _folded(MEDIANS, _grid(_errors(table, MARKDOWN)))
-        lines += _folded(DOUBTS, _grid(_findings(table, MARKDOWN)))
+            lines += _folded(DIFFERENCES, table_lines(differences))
+        lines += _folded(MEDIANS, table_lines(_errors(table, MARKDOWN)))
+        lines += _folded(DOUBTS, table_lines(_findings(table, MARKDOWN)))
     if tables[1:]:
         lines += _folded(CATEGORIES, [line for table in tables[1:] for line in _means(table)][:-1])
     return "\n".join(lines).rstrip() + "\n"
 
 
 def _means(table: Table) -> list[str]:
-    return [f"{_heading(table)}:", "", *_grid([_headings(table), *_body(table, MARKDOWN)]), ""]
+    return [f"{_heading(table)}:", "", *table_lines([_headings(table), *_body(table, MARKDOWN)]), ""]
 
 
 def _folded(title: str, lines: list[str]) -> list[str]:
@@ -173,11 +171,6 @@ def _heading(table: Table) -> str:
     contacts = {row.variant.contact.description for row in table.rows}
     contact = f", contact: {contacts.pop()}" if len(contacts) == 1 else ""
     return f"{table.title[:1].upper()}{table.title[1:]}: {counted(table.clips, 'clip')}{contact}"
-
-
-def _grid(rows: list[list[str]]) -> list[str]:
-    headings, *body = rows
-    return [f"| {' | '.join(cells)} |" for cells in (headings, ["---", *["---:"] * (len(headings) - 1)], *body)]
 
 
 def latex(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
@@ -202,54 +195,50 @@ def latex(tables: Sequence[Table], title: str, about: Sequence[str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_csv(tables: Sequence[Table], path: Path) -> None:
-    """One line for each table, row and column, unrounded, shares from 0 to 1."""
-    with files.new_text(path) as file:
-        lines = CsvTable(file)
-        numbers = ("mean", "low", "high", "clips")
-        lines.write_row(
-            ["table", "row", "column", *numbers, "rank", "against", *(f"difference_{key}" for key in numbers)]
-        )
-        for table in tables:
-            for column in (*table.columns, *table.folded):
-                for row, rank in zip(table.rows, table.ranks(column), strict=True):
-                    value, difference = row.values[column.label], row.differences.get(column.label)
-                    compared = ["", *[""] * 4] if difference is None else [row.variant.against, *_numbers(difference)]
-                    lines.write_row(
-                        [table.title, row.variant.label, column.label, *_numbers(value), rank or "", *compared]
-                    )
-            for row in table.rows:
-                for label, median in (*row.medians.items(), ("seconds", row.seconds)):
-                    lines.write_row([table.title, row.variant.label, f"{label} (median)", median, *[""] * 9])
+def csv_rows(tables: Sequence[Table]) -> list[list[object]]:
+    """The headings, and one line for each table, row and column, unrounded, shares from 0 to 1."""
+    numbers = ("mean", "low", "high", "clips")
+    lines: list[list[object]] = [
+        ["table", "row", "column", *numbers, "rank", "against", *(f"difference_{key}" for key in numbers)]
+    ]
+    for table in tables:
+        for column in (*table.columns, *table.folded):
+            for row, rank in zip(table.rows, table.ranks(column), strict=True):
+                value, difference = row.values[column.label], row.differences.get(column.label)
+                compared = ["", *[""] * 4] if difference is None else [row.variant.against, *_numbers(difference)]
+                lines.append([table.title, row.variant.label, column.label, *_numbers(value), rank or "", *compared])
+        for row in table.rows:
+            for label, median in (*row.medians.items(), ("seconds", row.seconds)):
+                lines.append([table.title, row.variant.label, f"{label} (median)", median, *[""] * 9])
+    return lines
 
 
 def _numbers(estimate: Estimate) -> list[float | int]:
     return [estimate.mean, estimate.low, estimate.high, estimate.clips]
 
 
-def write_clips_csv(scores: Sequence[Scores], variants: Sequence[Variant], path: Path) -> None:
-    """One line for each clip and variant: what it is, how it went, and every metric, unrounded."""
+def clips_csv_rows(scores: Sequence[Scores], variants: Sequence[Variant]) -> list[list[object]]:
+    """The headings, and one line for each clip and variant: what it is, how it went, and every metric, unrounded."""
     of = {variant.folder: variant for variant in variants}
     keys = list(dict.fromkeys(key for clip in scores for score in clip.scores for key in score.metrics))
-    with files.new_text(path) as file:
-        lines = CsvTable(file)
-        about = (
-            "clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "probability_right",
-            "probability_right_in_camera", "findings", "status",
-        )  # fmt: skip
-        lines.write_row([*about, *keys])
-        for clip in scores:
-            if clip.failure:
-                lines.write_row([clip.clip, *[""] * (len(about) - 2), f"failed: {clip.failure}", *[""] * len(keys)])
-            for score in clip.scores:
-                variant = of[score.variant]
-                status = f"failed: {score.status}" if score.failed else score.status
-                found = " ".join((*score.serious, *score.noted))
-                probable = [score.probability_right, score.probability_right_in_camera]
-                how = [score.seconds, score.energy, score.ambiguous, *probable, found, status]
-                metrics = [score.metrics.get(key, "") for key in keys]
-                what = [clip.clip, clip.category, clip.subject, variant.method, variant.step]
-                lines.write_row([*what, *how, *metrics])
+    about = (
+        "clip", "category", "subject", "method", "setting", "seconds", "energy", "ambiguous", "probability_right",
+        "probability_right_in_camera", "findings", "status",
+    )  # fmt: skip
+    lines: list[list[object]] = [[*about, *keys]]
+    for clip in scores:
+        if clip.failure:
+            lines.append([clip.name, *[""] * (len(about) - 2), f"failed: {clip.failure}", *[""] * len(keys)])
+        for score in clip.scores:
+            variant = of[score.variant]
+            status = f"failed: {score.status}" if score.failed else score.status
+            found = " ".join((*score.serious, *score.noted))
+            probable = [score.probability_right, score.probability_right_in_camera]
+            how = [score.seconds, score.energy, score.ambiguous, *probable, found, status]
+            metrics = [score.metrics.get(key, "") for key in keys]
+            what = [clip.name, clip.category, clip.subject, variant.method, variant.step]
+            lines.append([*what, *how, *metrics])
+    return lines
 
 
 def terminal(table: Table) -> RichTable:
@@ -297,7 +286,7 @@ def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, Any]
         ],
         "clips": [
             {
-                "clip": clip.clip,
+                "clip": clip.name,
                 "category": clip.category,
                 "subject": clip.subject,
                 "failure": clip.failure or None,

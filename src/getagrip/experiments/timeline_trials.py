@@ -6,16 +6,14 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from getagrip.batch.job import failure
 from getagrip.clip import read_clip, read_masks
 from getagrip.datasets.synthetic.noise import NOISE, Noise, perturbed
 from getagrip.errors import GetagripError
 from getagrip.experiments.records import kept_or_made, made_of
-from getagrip.experiments.sources import Sample
 from getagrip.experiments.timeline_scores import jumps, segment_scores
+from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.fitting.options import Options
 from getagrip.metrics.symmetry import find_symmetries
 
@@ -33,57 +31,38 @@ ALL = "all"
 
 
 @dataclass(frozen=True)
-class TimelineTrial:
-    """A timeline to reconstruct."""
-
-    sample: Sample
-    levels: tuple[str, ...]
-    """Of ``LEVELS``."""
-    options: Options
-    results: Path
-    """A folder for each level, with a file for each timeline, goes here."""
-    overwrite: bool
-
-    @property
-    def name(self) -> str:
-        """The timeline's."""
-        return self.sample.name
-
-
-@dataclass(frozen=True)
-class TimelineScores:
+class TimelineScores(ClipScores):
     """What was found."""
 
-    name: str
     category: str = ""
     by: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """By level and way: ``segments``, ``jumps`` [m] and ``seconds`` of CPU, or ``failure``."""
-    failure: str = ""
-    trace: str = ""
     again: str = ""
     """Why it was made again, where what was there is no longer good."""
 
 
-def run_timeline(trial: TimelineTrial) -> TimelineScores:
-    """Reconstruct one timeline, as far as that has not been done by the same code. Raises nothing."""
-    try:
-        return _run(trial)
-    except Exception as error:  # one timeline's trouble must not end the others
-        outcome = failure(trial.sample.name, error)
-        return TimelineScores(trial.sample.name, failure=outcome.message, trace=outcome.trace)
+@dataclass(frozen=True)
+class TimelineTrial(Trial[TimelineScores]):
+    """A timeline to reconstruct; a folder for each level, with a file for it, goes into ``results``."""
 
+    levels: tuple[str, ...]
+    """Of ``LEVELS``."""
+    options: Options
 
-def _run(trial: TimelineTrial) -> TimelineScores:
-    sample, by, category = trial.sample, dict[str, Any](), ""
-    of, again = made_of(sample.folder, trial.options, *CODE), dict[str, None]()
-    for level in trial.levels:
-        path = trial.results / level / f"{sample.name}.json"
-        record, why = kept_or_made(path, of, trial.overwrite, partial(_found, trial, level))
-        again |= {why: None} if why else {}
-        category = record["category"]
-        if record["by"]:
-            by[level] = record["by"]
-    return TimelineScores(sample.name, category, by, again="; ".join(again))
+    def failed(self, why: str, trace: str = "") -> TimelineScores:
+        return TimelineScores(self.name, failure=why, trace=trace)
+
+    def scores(self) -> TimelineScores:
+        by, category = dict[str, Any](), ""
+        of, again = made_of(self.sample.folder, self.options, *CODE), dict[str, None]()
+        for level in self.levels:
+            path = self.results / level / f"{self.name}.json"
+            record, why = kept_or_made(path, of, self.overwrite, partial(_found, self, level))
+            again |= {why: None} if why else {}
+            category = record["category"]
+            if record["by"]:
+                by[level] = record["by"]
+        return TimelineScores(self.name, category, by, "; ".join(again))
 
 
 def _found(trial: TimelineTrial, level: str) -> dict[str, Any]:

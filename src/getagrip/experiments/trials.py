@@ -21,7 +21,7 @@ from getagrip.errors import InputError
 from getagrip.evaluation.metric import SCA
 from getagrip.experiments.changes import AS_GIVEN
 from getagrip.experiments.other_systems import options_of, result_of
-from getagrip.experiments.sources import Sample
+from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.experiments.variants import Variant
 from getagrip.finding import read_findings
 from getagrip.io import code, files
@@ -37,21 +37,32 @@ other systems."""
 
 
 @dataclass(frozen=True)
-class Trial:
-    """A clip and the variants that are run on it."""
+class GraspTrial(Trial["Scores"]):
+    """A clip and the variants that are run on it; results go to ``results/<variant's folder>/<clip>``."""
 
-    sample: Sample
     variants: tuple[Variant, ...]
-    results: Path
-    """Results go to ``results/<variant's folder>/<clip>``."""
-    overwrite: bool
     contacts: tuple[ContactDefinition, ...] = CONTACT_DEFINITIONS
     """Those by which results are evaluated."""
 
-    @property
-    def name(self) -> str:
-        """The clip's."""
-        return self.sample.name
+    def failed(self, why: str, trace: str = "") -> Scores:
+        return Scores(self.name, failure=why, trace=trace)
+
+    def scores(self) -> Scores:
+        """Reconstruct and evaluate a clip with every variant: failures of these are part of the scores."""
+        clip = read_clip(self.sample.folder)
+        checksum = input_sha256(self.sample.folder)
+        scores, missing = dict[str, Score](), list[Variant]()
+        for variant in self.variants:
+            place = _place(self, variant)
+            there, _ = _good(self, variant, clip.name, _checksum(checksum, variant, clip.name))
+            if there is None or not _measured(there[1], self.contacts):
+                missing.append(variant)
+            else:
+                scores[variant.folder] = _score(variant, place, there[1])
+        if missing:
+            scores |= _made(self, clip, missing, checksum)
+        subject = str(clip.provenance.get("subject", ""))
+        return Scores(clip.name, clip.category, subject, clip.truth is not None, tuple(scores.values()), len(missing))
 
 
 @dataclass(frozen=True)
@@ -79,10 +90,9 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Scores:
+class Scores(ClipScores):
     """What all variants made of a clip."""
 
-    clip: str
     category: str = ""
     subject: str = ""
     """Who holds the object; empty where unknown."""
@@ -91,37 +101,9 @@ class Scores:
     scores: tuple[Score, ...] = ()
     made: int = 0
     """How many results are new."""
-    failure: str = ""
-    """Why there are no scores at all."""
-    trace: str = ""
 
 
-def run(trial: Trial) -> Scores:
-    """Reconstruct and evaluate a clip with every variant. Raises nothing: failures are part of the scores."""
-    sample = trial.sample
-    try:
-        if sample.make is not None and not sample.folder.exists():
-            sample.make(sample.folder)
-        clip = read_clip(sample.folder)
-        checksum = input_sha256(sample.folder)
-        scores, missing = dict[str, Score](), list[Variant]()
-        for variant in trial.variants:
-            place = _place(trial, variant)
-            there, _ = _good(trial, variant, clip.name, _checksum(checksum, variant, clip.name))
-            if there is None or not _measured(there[1], trial.contacts):
-                missing.append(variant)
-            else:
-                scores[variant.folder] = _score(variant, place, there[1])
-        if missing:
-            scores |= _made(trial, clip, missing, checksum)
-    except Exception as error:  # one clip's trouble must not end the others
-        outcome = failure(sample.name, error)
-        return Scores(sample.name, failure=outcome.message, trace=outcome.trace)
-    subject = str(clip.provenance.get("subject", ""))
-    return Scores(clip.name, clip.category, subject, clip.truth is not None, tuple(scores.values()), len(missing))
-
-
-def _made(trial: Trial, clip: Clip, variants: list[Variant], checksum: str) -> dict[str, Score]:
+def _made(trial: GraspTrial, clip: Clip, variants: list[Variant], checksum: str) -> dict[str, Score]:
     """The scores of variants without a result yet; masks are read once, and each change of the clip is made once."""
     masks, scores = read_masks(clip), dict[str, Score]()
 
@@ -138,7 +120,7 @@ def _made(trial: Trial, clip: Clip, variants: list[Variant], checksum: str) -> d
     return scores
 
 
-def _try(trial: Trial, variant: Variant, changed: tuple[Clip, Masks], masks: Masks, checksum: str) -> Score:
+def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks: Masks, checksum: str) -> Score:
     """Reconstruct, evaluate and write the result: against the clip as the variant has it, and the masks as they are.
 
     A method's error, and another system's files that are missing or wrong, become its score; else ``InputError`` is
@@ -187,7 +169,7 @@ def _score(variant: Variant, place: Path, record: dict[str, Any]) -> Score:
     )  # fmt: skip
 
 
-def _place(trial: Trial, variant: Variant) -> Path:
+def _place(trial: GraspTrial, variant: Variant) -> Path:
     """The folder of a variant's result."""
     return trial.results / variant.folder / trial.sample.name
 
@@ -203,7 +185,7 @@ def _checksum(checksum: str, variant: Variant, clip: str) -> str:
 
 
 def _good(
-    trial: Trial, variant: Variant, clip: str, checksum: str
+    trial: GraspTrial, variant: Variant, clip: str, checksum: str
 ) -> tuple[tuple[Reconstruction, dict[str, Any]] | None, str]:
     """A variant's result that is there, as ``good_result``; ``checksum`` is that of the clip as the variant has it."""
     options, place = options_of(variant, clip), _place(trial, variant)

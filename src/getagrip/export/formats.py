@@ -45,7 +45,7 @@ def export(scene: Scene, folder: str | Path, to: str, overwrite: bool = False) -
     Raises ``UsageError`` for an unknown format, or where the folder exists and may not be replaced.
     """
     if to not in FORMATS:
-        raise UsageError(f"--to: got {to!r}, expected one of {', '.join(FORMATS)}")
+        raise UsageError(f"unknown --to {to!r}; choose from {', '.join(FORMATS)}")
     folder = Path(folder)
     with files.new_folder(folder, (ABOUT,) if overwrite else ()) as new:
         about = scene.about(FORMATS[to](scene, new))

@@ -20,7 +20,7 @@ TIPS = (4, 8, 12, 16, 20)
 def joints_on_stage(scene: Scene, stage: Stage, to: str) -> Float[ndarray, "T 21 3"]:
     """The joints, z up [m]. Raises ``UsageError``, in the name of a format, where they are not known."""
     if scene.joints is None:
-        raise UsageError(f"--to {to}: got the clip {scene.name} without joints, expected 21 in hand.npz")
+        raise UsageError(f"missing joints in hand.npz of the clip {scene.name}: --to {to} needs 21")
     return se3.transform(stage.poses(scene)[1], scene.joints)
 
 

@@ -9,7 +9,6 @@ from getagrip.checks import RESULT_CHECKS, Solved, examine, read_signs
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Where
 from getagrip.clip import Clip
-from getagrip.clip.provenance import is_assumed
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
 from getagrip.fitting.misfit import misfit
@@ -18,9 +17,10 @@ from getagrip.fitting.other_size import other_size
 from getagrip.fitting.pose_spread import pose_spread
 from getagrip.fitting.problem import MethodResult, Problem
 from getagrip.probability import Probability
+from getagrip.provenance import is_assumed
 from getagrip.result import Candidates
 
-CHOICES = ("method", "inits", "init", "priors", "thorough", "seed", "frames", "every_frame")
+CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
 
 
@@ -95,7 +95,7 @@ def uncalibrated(options: Options, findings: Sequence[Finding]) -> str:
         return f"none is calibrated for {options.method}"
     if options.inits < Options.inits:
         return f"none is calibrated for fewer than {Options.inits} initial poses"
-    if options.priors is not None and options.priors.alone:
+    if options.priors_only:
         return "none is calibrated without uniform rotations among the initial poses"
     for option in fields(Options):
         if option.name not in CHOICES and (value := getattr(options, option.name)) != option.default:

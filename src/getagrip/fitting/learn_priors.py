@@ -64,7 +64,9 @@ class Priors:
         with files.new_folder(folder) as work:
             for category, side in sorted({*zip(self.category, self.side, strict=True)}):
                 if not files.is_plain_name(category):
-                    raise UsageError(f"{folder}: got poses of {files.shown(category)}, which cannot name a folder")
+                    raise UsageError(
+                        f"{folder} cannot be used with {files.shown(category)}, which cannot name a folder"
+                    )
                 (work / category).mkdir(exist_ok=True)
                 for n, T in enumerate(self.of(category, side)):
                     np.save(work / category / f"{side}_{n:03d}.npy", T)

@@ -1,14 +1,17 @@
-"""What a user may choose about a reconstruction."""
+"""What a user may choose about a reconstruction: each option once, for Python and for the command line."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from tyro.conf import Fixed, FlagConversionOff, Suppress, arg
 
 from getagrip.errors import UsageError
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import METHODS, method_of
+from getagrip.io.arguments import Flag, meant, parsed, switch
 from getagrip.io.choices import check_values
 
 Hands = Literal["corrected", "as-given"]
@@ -19,13 +22,16 @@ Init = Literal["uniform", "clusters", "priors"]
 
 @dataclass(frozen=True)
 class PriorsFile:
-    """A file or folder of initial poses (``pose_priors.given``)."""
+    """A file or folder of initial poses."""
 
     path: Path
-    sha256: str
-    """What it held when it was named: results say which initial poses they had."""
-    alone: bool = False
-    """Whether a search starts from its poses only, with no uniform rotations after them, as the paper's does."""
+    sha256: str = ""
+    """What it held when it was named (``pose_priors.identified``): results say which initial poses they had."""
+
+    @classmethod
+    def of(cls, text: str) -> PriorsFile:
+        """From a path, as a user types it."""
+        return cls(Path(meant(text)))
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,7 @@ class Departures:
 
     def __post_init__(self) -> None:
         if self.search and not self.optimiser:
-            raise UsageError("departures: got search without optimiser, whose stages are Levenberg-Marquardt's")
+            raise UsageError("missing departures.optimiser: the stages of departures.search are Levenberg-Marquardt's")
 
 
 TO_THE_LETTER = Departures()
@@ -71,62 +77,91 @@ WITH_FREE_SCALE = 2
 """Times as many initial poses where the scale is free: another size makes up for a wrong turn for longer."""
 
 
+def _methods(default: str) -> str:
+    """The methods that there are when help is shown."""
+    return f"(one of {', '.join(METHODS)}; default: {default})"
+
+
 @dataclass(frozen=True)
-class Options:
-    """How to reconstruct a clip.
+class SearchOptions:
+    """What methods that are compared have in common. Raises ``UsageError``."""
 
-    Attributes:
-        method: a name in ``methods.METHODS``: how the object may move in the hand, or a baseline.
-        inits: number of initial poses, twice as many where the scale is free (but for the paper's method to the
-            letter); more is slower and safer, fewer than 50 is unsafe.
-        init: where initial poses come from: uniform rotations only (``uniform``); before them, those that
-            ``init learn`` has learnt (``clusters``), or a folder of poses by category and side, as the authors have
-            theirs (``priors``).
-        priors: the file or folder of the poses of ``init``, and whether they stand alone; None for ``uniform``.
-        thorough: search two to three times as long, for the methods that fit all frames at once; no other changes.
-        seed: rotates the set of initial rotations; the same seed gives the same result.
-        frames: number of frames that are fitted together, sampled evenly from the clip.
-        every_frame: go on from these to every frame of the clip.
-        push: weight of E_push, the paper's lambda_2 without the focal length.
-        pull: weight of E_pull, the paper's lambda_3 without the focal length.
-        axis: where a hinge's axis may lie: anywhere (``free``), or through the origin of the hand frame
-            (``hand``).
-        occlusion: leave out pixels hidden by the hand (the paper's C_o).
-        hands: correct the given hands where they jump (``hand_jumps``) and by their own pixels (``hand_correction``),
-            or take them as they are given.
-        masks: leave out those that contradict the others (``soft-hinge`` and ``one-dof``), or believe all.
-        mesh: warp it where it is not the object's own (``soft-hinge`` and ``one-dof``), or take it as given.
-        departures: what ``paper`` does our way; no other method has a choice.
-    """
-
-    method: str = "soft-hinge"
-    inits: int = 50
+    inits: Annotated[int, arg(metavar="N")] = 50
+    """Number of initial poses, twice as many where the scale is free (but for the paper's method to the letter). More
+    is slower and safer, fewer than 50 is unsafe."""
     init: Init = "uniform"
-    priors: PriorsFile | None = None
-    thorough: bool = False
-    seed: int = 0
-    frames: int = 30
-    every_frame: bool = True
-    push: float = 0.1
-    pull: float = 0.1
+    """Rotations spread evenly (uniform); or first those that init learn has found (clusters) or that a folder holds by
+    category and side, as the authors of the paper keep theirs (priors), and even ones for the rest."""
+    priors: Annotated[
+        PriorsFile | None, parsed("PATH", PriorsFile.of, PriorsFile), arg(metavar="PATH", help_behavior_hint="")
+    ] = None
+    """For clusters, the file that init learn has written; for priors, the folder."""
+    priors_only: Flag = False
+    """Start from these poses alone, at most --inits, with no even rotations for the rest, as the paper does. A clip of
+    an object that has none fails."""
+    thorough: Flag = False
+    """Search two to three times as long, for the methods that fit all frames at once."""
+    hands: Annotated[Hands, switch("as-given"), arg(name="given-hands", help_behavior_hint="")] = "corrected"
+    """Do not refine the hands. By default they are aligned to the hand's pixels (masks/hand, else masks/ignore) where
+    they disagree, and interpolated in frames in which they jump."""
+    masks: Annotated[GivenMasks, switch("as-given"), arg(name="given-masks", help_behavior_hint="")] = "checked"
+    """Use all masks. By default soft-hinge and one-dof leave out those that contradict the masks of other frames."""
+    mesh: Annotated[GivenMesh, switch("as-given"), arg(name="given-mesh", help_behavior_hint="")] = "fitted"
+    """Take the mesh as it is. By default soft-hinge and one-dof deform it where the masks show that it is only of the
+    object's kind."""
+    seed: Annotated[int, arg(metavar="S")] = 0
+    """Rotates the set of initial rotations. The same seed gives the same result."""
+
+    def __post_init__(self) -> None:
+        check_values(self)
+        if self.inits < 1:
+            raise UsageError(f"inits must be 1 or more (got {self.inits})")
+        if self.seed < 0:
+            raise UsageError(f"seed must be 0 or more (got {self.seed})")
+        if self.init == "uniform" and (self.priors is not None or self.priors_only):
+            which = "--priors" if self.priors is not None else "--priors-only"
+            raise UsageError(f"{which} cannot be used with --init uniform, only with --init clusters or priors")
+        if self.init != "uniform" and self.priors is None:
+            raise UsageError(f"missing --priors: --init {self.init} needs a file or folder")
+        if self.priors is not None and not self.priors.sha256:
+            from getagrip.fitting.pose_priors import identified
+
+            object.__setattr__(self, "priors", identified(self.priors.path, self.init))
+
+
+@dataclass(frozen=True)
+class Options(SearchOptions):
+    """How to reconstruct a clip. Raises ``UsageError``."""
+
+    method: Annotated[str, arg(metavar="METHOD", help_behavior_hint=_methods)] = "soft-hinge"
+    """How the object may move in the hand. soft-hinge: about one axis, with small deviations; one-dof: about one axis
+    exactly; static: not at all; dynamic: freely in each frame. paper is the paper's method to the letter, slow;
+    paper-static and paper-dynamic likewise. The others are baselines."""
     axis: Literal["free", "hand"] = "free"
-    occlusion: bool = True
-    hands: Hands = "corrected"
-    masks: GivenMasks = "checked"
-    mesh: GivenMesh = "fitted"
-    departures: Departures = TO_THE_LETTER
+    """Where the latent axis of one-dof and soft-hinge may lie: anywhere (free), or through the origin of the hand frame
+    (hand), as the paper's Eq. 3 has it."""
+    frames: Annotated[int, arg(metavar="N")] = 30
+    """Fit N frames together, sampled evenly from the clip. More is slower, and safer where the motion is fast."""
+    every_frame: Annotated[bool, FlagConversionOff, switch(False), arg(name="sampled-only", help_behavior_hint="")] = (
+        True
+    )
+    """Leave it at these frames. Otherwise the others follow: each is fitted to its own mask, what all frames share held
+    still, or interpolated where no mask shows the object."""
+    push: Annotated[float, Suppress, Fixed] = 0.1
+    """Weight of E_push, the paper's lambda_2 without the focal length."""
+    pull: Annotated[float, Suppress, Fixed] = 0.1
+    """Weight of E_pull, the paper's lambda_3 without the focal length."""
+    occlusion: Annotated[bool, Suppress, Fixed] = True
+    """Leave out pixels hidden by the hand (the paper's C_o)."""
+    departures: Annotated[Departures, Suppress, Fixed] = TO_THE_LETTER
+    """What ``paper`` does our way; no other method has a choice."""
 
     def __post_init__(self) -> None:
         method_of(self.method)
-        check_values(self)
+        super().__post_init__()
         if self.departures != TO_THE_LETTER and self.method != "paper":
-            raise UsageError(f"departures: got some with method {self.method!r}, expected none but with 'paper'")
-        if self.inits < 1 or self.frames < 2:
-            raise UsageError(f"inits and frames: got {self.inits} and {self.frames}, expected at least 1 and 2")
-        if (self.init == "uniform") != (self.priors is None):
-            wanted = "none for uniform rotations" if self.init == "uniform" else f"a file or folder for {self.init}"
-            raise UsageError(f"priors: got {self.priors and self.priors.path}, expected {wanted}")
-        if self.seed < 0:
-            raise UsageError(f"seed: got {self.seed}, expected 0 or more")
+            raise UsageError(f"departures cannot be used with method {self.method!r}, only with 'paper'")
+        if self.frames < 2:
+            raise UsageError(f"frames must be 2 or more (got {self.frames})")
         if not (0 <= self.push < math.inf and 0 <= self.pull < math.inf):
-            raise UsageError(f"push and pull: got {self.push} and {self.pull}, expected finite weights of 0 or more")
+            raise UsageError(f"push and pull must be finite and 0 or more (got {self.push} and {self.pull})")

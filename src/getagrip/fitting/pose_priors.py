@@ -32,9 +32,9 @@ FARTHEST = 2.0
 """Largest plausible distance of an object's origin from that of the hand frame [m]."""
 
 
-def given(path: Path, init: Init, alone: bool = False) -> PriorsFile:
-    """The file or folder that a user names for a way of starting, and its checksum. Raises ``InputError``."""
-    return PriorsFile(path, files.sha256(_parts(path, init)), alone)
+def identified(path: Path, init: Init) -> PriorsFile:
+    """The file or folder that a user names for a way of starting, with its checksum. Raises ``InputError``."""
+    return PriorsFile(path, files.sha256(_parts(path, init)))
 
 
 def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tuple[str, ...]]:
@@ -57,10 +57,10 @@ def poses_for(clip: Clip, options: Options) -> tuple[Float[ndarray, "k 4 4"], tu
         priors = learnt
         _refuse_own(path, priors, clip)
     poses = priors.of(clip.category, clip.side)[: options.inits]
-    more = "no others" if options.priors.alone else f"{options.inits - len(poses)} uniform rotations"
+    more = "no others" if options.priors_only else f"{options.inits - len(poses)} uniform rotations"
     if not len(poses):
         none = f"no poses of {files.plain(clip.category)} in a {clip.side} hand"
-        if options.priors.alone:
+        if options.priors_only:
             raise InputError(path, "", f"{none}{without}", "some, or uniform rotations as well (no --priors-only)")
         return poses, (f"{path.name}{without} has {none}: {more}",)
     whence = "" if priors.clips else ", which does not say what they were learnt from"
@@ -88,7 +88,7 @@ def _refuse_own(path: Path, priors: Priors, clip: Clip) -> None:
 @lru_cache(maxsize=4)
 def _read(file: PriorsFile, init: Init) -> Priors | LearntGrasps:
     """The poses or grasps of a file or folder, checked. Raises ``InputError``."""
-    if given(file.path, init).sha256 != file.sha256:
+    if identified(file.path, init).sha256 != file.sha256:
         raise InputError(file.path, "", "another content than a moment ago", "a file that stays as it is")
     return read_learnt(file.path) if init == "clusters" else read_folder(file.path)
 

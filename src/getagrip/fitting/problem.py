@@ -12,7 +12,6 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, Masks, observed_frames, read_masks, read_observed
 from getagrip.clip.occlusion import occluded_by_hand
-from getagrip.clip.provenance import assumptions
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting import pose_priors
 from getagrip.fitting.contact import MARGIN
@@ -26,6 +25,7 @@ from getagrip.fitting.options import WITH_FREE_SCALE, Options
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.geometry.warp import Warp
 from getagrip.io.counts import counted
+from getagrip.provenance import assumptions
 from getagrip.result import Axis, Status
 
 CONTACT_IF_FITTED = 4.0
@@ -98,8 +98,7 @@ class Problem:
     @property
     def inits(self) -> int:
         """How many initial poses the object in the hand has: those given, if they stand alone."""
-        priors = self.options.priors
-        return self.options.inits if priors is None or not priors.alone else len(self.prior_poses)
+        return len(self.prior_poses) if self.options.priors_only else self.options.inits
 
     def at(self, clip: Clip, masks: Masks) -> Problem:
         """The same problem in other frames of its clip, with the masks that are given for them.

@@ -11,7 +11,6 @@ from threadpoolctl import threadpool_limits
 
 from getagrip.checks import INPUT_CHECKS, LEAST_IOU, Evidence, examine
 from getagrip.clip import Clip, Masks, check_clip, check_masks
-from getagrip.clip.provenance import assumptions
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.doubted_masks import fitted_to_believed
@@ -21,6 +20,7 @@ from getagrip.fitting.judge import judge, probabilities
 from getagrip.fitting.methods import METHODS
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem, prepare
+from getagrip.provenance import assumptions
 from getagrip.result import Candidates, Reconstruction, Status
 
 AMBIGUOUS = 1.05
@@ -48,7 +48,7 @@ def reconstruct(
     """
     options = options or Options()
     if threads < 1:
-        raise UsageError(f"threads: got {threads}, expected 1 or more")
+        raise UsageError(f"threads must be 1 or more (got {threads})")
     check_clip(clip)
     if masks is not None:
         check_masks(clip, masks)

@@ -132,7 +132,7 @@ def write_mesh(mesh: Mesh, path: str | Path) -> Path:
     """Write a mesh as .obj, .ply, .stl or .glb, and return its path. Raises ``UsageError`` for other suffixes."""
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
-        raise UsageError(f"{path}: got the suffix {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
+        raise UsageError(f"unknown suffix {path.suffix!r} of {path}; choose from {', '.join(SUFFIXES)}")
     if path.suffix.lower() == ".obj":
         files.write_bytes(path, obj_content(mesh.vertices, mesh.faces))
         return path

@@ -37,11 +37,11 @@ class Definition:
     def __post_init__(self) -> None:
         check_values(self)
         if not 0.0 <= self.tau < 1.0:
-            raise UsageError(f"tau: got {self.tau:g}, expected at least 0 and below 1")
+            raise UsageError(f"tau must be at least 0 and below 1 (got {self.tau:g})")
         if not 0.0 <= self.contact <= 0.05:
-            raise UsageError(f"contact: got {1e3 * self.contact:g} mm, expected 0 to 50 mm")
+            raise UsageError(f"contact must be 0 to 50 mm (got {1e3 * self.contact:g} mm)")
         if self.shortest < 1:
-            raise UsageError(f"shortest: got {self.shortest}, expected 1 frame or more")
+            raise UsageError(f"shortest must be 1 frame or more (got {self.shortest})")
 
     @property
     def description(self) -> str:

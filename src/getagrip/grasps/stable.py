@@ -173,9 +173,9 @@ def stable_grasps(
     Raises ``UsageError`` for tau outside [0, 1), ``shortest`` below 1, and an unknown rule.
     """
     if not 0.0 <= tau < 1.0:
-        raise UsageError(f"tau: got {tau:g}, expected at least 0 and below 1")
+        raise UsageError(f"tau must be at least 0 and below 1 (got {tau:g})")
     if shortest < 1:
-        raise UsageError(f"shortest: got {shortest}, expected 1 frame or more")
+        raise UsageError(f"shortest must be 1 frame or more (got {shortest})")
     if rule == "all-pairs":
         return _longest_first(_earliest_starts(iou, tau), shortest)
     if rule == "first":
@@ -185,7 +185,7 @@ def stable_grasps(
     if rule == "touch":
         touched = [iou[rows, rows].diagonal() > 0.0 for rows in _blocks(len(iou))]
         return _runs(np.concatenate(touched or [np.zeros(0, dtype=bool)]), shortest)
-    raise UsageError(f"rule: got {rule!r}, expected one of {', '.join(RULES)}")
+    raise UsageError(f"unknown rule {rule!r}; choose from {', '.join(RULES)}")
 
 
 def _blocks(frames: int) -> Iterator[slice]:

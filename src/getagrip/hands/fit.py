@@ -191,20 +191,20 @@ def _place(model: HandModel, Y: Float[ndarray, "T 21 3"]) -> Float[ndarray, "T 4
 
 def _checked(joints_cam: Float[ndarray, "..."], order: JointOrder) -> Float[ndarray, "T 21 3"]:
     if order not in ORDERS:
-        raise UsageError(f"joint order: got {order!r}, expected one of {', '.join(ORDERS)}")
+        raise UsageError(f"unknown joint order {order!r}; choose from {', '.join(ORDERS)}")
     Y = np.asarray(joints_cam, dtype=float)
     if Y.ndim != 3 or Y.shape[1:] != (21, 3) or len(Y) == 0:
-        raise UsageError(f"joints: got an array of shape {Y.shape}, expected (T, 21, 3) with T > 0")
+        raise UsageError(f"joints must be of shape (T, 21, 3) with T > 0 (got {Y.shape})")
     bad = np.flatnonzero(~np.isfinite(Y).all(axis=(1, 2)))
     if bad.size:
-        raise UsageError(f"joints: got NaN or infinite numbers in {bad.size} frames (first: {bad[0]}); leave them out")
+        given = f"NaN or infinite numbers in {bad.size} frames, first {bad[0]}"
+        raise UsageError(f"joints must be finite (got {given}); leave these frames out")
     if np.abs(Y).max() > FARTHEST:
-        raise UsageError(f"joints: got a coordinate of {np.abs(Y).max():.4g} m, expected at most {FARTHEST:g}")
+        raise UsageError(f"joints must be at most {FARTHEST:g} m away (got a coordinate of {np.abs(Y).max():.4g} m)")
     Y = Y[:, ORDERS[order]]
     palm = np.linalg.norm(Y[:, 9] - Y[:, 0], axis=1)
     if palm.min() < 0.03 or palm.max() > 0.25:
-        raise UsageError(
-            f"joints: got hands with {1e3 * palm.min():.3g} to {1e3 * palm.max():.3g} mm from wrist to middle knuckle, "
-            "expected 30 to 250 mm; is the unit the metre, is the order right?"
-        )
+        given = f"{1e3 * palm.min():.3g} to {1e3 * palm.max():.3g} mm"
+        asked = "is the unit the metre, is the order right?"
+        raise UsageError(f"joints must be 30 to 250 mm from wrist to middle knuckle (got {given}); {asked}")
     return Y

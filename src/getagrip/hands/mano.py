@@ -90,7 +90,7 @@ class Mano:
             values = np.asarray(values) @ self.components[:count]
         elif encoding != "axis_angle" or count != 45:
             raise UsageError(
-                f"MANO pose: got {count} numbers as {encoding!r}, expected 45 as 'axis_angle' or 1 to 45 as 'pca'"
+                f"MANO pose must be 45 numbers as 'axis_angle' or 1 to 45 as 'pca' (got {count} as {encoding!r})"
             )
         return np.asarray(values) + (0.0 if flat_hand_mean else self.mean)
 

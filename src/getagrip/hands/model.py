@@ -114,7 +114,7 @@ class HandModel:
         count = len(self.shape_names)
         shape = np.zeros(count) if shape is None else np.asarray(shape, dtype=float)
         if shape.ndim == 0 or shape.shape[-1] != count:
-            raise UsageError(f"{self.name} hand: got a shape of size {shape.shape}, expected (..., {count})")
+            raise UsageError(f"shape of the {self.name} hand must be of size (..., {count}) (got {shape.shape})")
         return ShapedHand(
             model=self,
             vertices=self.template + np.tensordot(shape, self.shape_directions, axes=(-1, 2)),
@@ -145,7 +145,7 @@ class ShapedHand:
         model = self.model
         pose = np.zeros(45) if pose is None else np.asarray(pose, dtype=float)
         if pose.ndim == 0 or pose.shape[-1] != 45:
-            raise UsageError(f"{model.name} hand: got a pose of size {pose.shape}, expected (..., 45)")
+            raise UsageError(f"pose of the {model.name} hand must be of size (..., 45) (got {pose.shape})")
         R = se3.exp_so3(pose.reshape(*pose.shape[:-1], 15, 3))
         vertices = self.vertices
         if model.pose_directions is not None:
@@ -235,9 +235,9 @@ def hand_track(posed: PosedHand, T_cam_hand: Float[ndarray, "T 4 4"]) -> HandTra
     """
     T = len(T_cam_hand)
     if posed.vertices.shape[:-2] not in {(), (1,), (T,)}:
-        raise UsageError(f"got hands of size {posed.vertices.shape} for {T} frames, expected ({T}, V, 3) or (V, 3)")
+        raise UsageError(f"hands must be of size ({T}, V, 3) or (V, 3) for {T} frames (got {posed.vertices.shape})")
     if T_cam_hand.shape != (T, 4, 4) or not se3.is_rigid(T_cam_hand).all():
-        raise UsageError(f"got T_cam_hand of size {T_cam_hand.shape}, expected ({T}, 4, 4) rigid motions")
+        raise UsageError(f"T_cam_hand must be ({T}, 4, 4) rigid motions (got the size {T_cam_hand.shape})")
     return HandTrack(
         vertices=np.array(np.broadcast_to(posed.vertices, (T, *posed.vertices.shape[-2:]))),
         faces=posed.faces,

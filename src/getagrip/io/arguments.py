@@ -6,8 +6,9 @@ A reader declares its options once, in its own dataclass. The command line takes
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from tyro.conf import FlagCreatePairsOff, arg
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
@@ -21,6 +22,8 @@ OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")
 Flag = Annotated[bool, FlagCreatePairsOff, arg(help_behavior_hint="")]
 
 
+T = TypeVar("T")
+
 PATHS = ConstructorRegistry()
 """How paths are read, of all commands."""
 
@@ -33,19 +36,19 @@ def _path(of: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Path | None] | None
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar="PATH",
-        instance_from_str=lambda words: Path(_meant(words[0])),
+        instance_from_str=lambda words: Path(meant(words[0])),
         is_instance=lambda value: value is None or isinstance(value, Path),
         str_from_instance=lambda value: [str(value)],
     )
 
 
-def _meant(text: str) -> str:
+def meant(text: str) -> str:
     """A path as a user means it: shells expand ``~`` at the beginning of a word only, not in ``--out=~/results``.
 
     Raises ``ValueError`` for an empty text, as of a variable that is not set: as a path it would be the current folder.
     """
     if not text:
-        raise ValueError("got an empty text, expected a path; . is the current folder")
+        raise ValueError("must be a path (got an empty text); . is the current folder")
     return os.path.expanduser(text)
 
 
@@ -54,9 +57,31 @@ def placed(metavar: str) -> PrimitiveConstructorSpec[Place]:
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=metavar,
-        instance_from_str=lambda words: place(_meant(words[0])),
+        instance_from_str=lambda words: place(meant(words[0])),
         is_instance=lambda value: isinstance(value, Path | Remote),
         str_from_instance=lambda value: [str(value)],
+    )
+
+
+def parsed(metavar: str, parse: Callable[[str], T], kind: type[T]) -> PrimitiveConstructorSpec[T | None]:
+    """A value of a ``kind`` that is made from one word, or nothing. What ``parse`` raises ends the call."""
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda words: parse(words[0]),
+        is_instance=lambda value: value is None or isinstance(value, kind),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+def switch(value: T) -> PrimitiveConstructorSpec[T]:
+    """A flag that sets an option to a value."""
+    return PrimitiveConstructorSpec(
+        nargs=0,
+        metavar="",
+        instance_from_str=lambda _: value,
+        is_instance=lambda _: True,
+        str_from_instance=lambda _: [],
     )
 
 
@@ -73,7 +98,7 @@ def one_of(*choices: str) -> PrimitiveConstructorSpec[str | None]:
 
 
 def numbers(count: int, metavar: str) -> PrimitiveConstructorSpec[tuple[float, ...] | None]:
-    """So many numbers, or nothing."""
+    """A number of numbers, or nothing."""
     return PrimitiveConstructorSpec(
         nargs=count,
         metavar=metavar,

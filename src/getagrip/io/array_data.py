@@ -63,7 +63,7 @@ def check_ids(name: str, ids: Int[ndarray, "..."], count: int) -> None:
     """Raise ``UsageError`` for vertex ids of a mesh that has no such vertices."""
     if ids.size and (ids.min() < 0 or ids.max() >= count):
         bad = ids.min() if ids.min() < 0 else ids.max()
-        raise UsageError(f"{name}: got the vertex id {bad}, expected 0 to {count - 1}")
+        raise UsageError(f"{name} must be vertex ids from 0 to {count - 1} (got {bad})")
 
 
 def as_array(
@@ -77,10 +77,10 @@ def as_array(
     known = [int(axis) if axis.isdecimal() else lengths.get(axis) for axis in axes]
     expected = str(tuple(axis if n is None else n for axis, n in zip(axes, known, strict=True))).replace("'", "")
     if not isinstance(value, ndarray | PackedMasks):
-        raise UsageError(f"{name}: got {files.shown(value)}, expected an array of {called} of shape {expected}")
+        raise UsageError(f"{name} must be an array of {called} of shape {expected} (got {files.shown(value)})")
     fits = value.ndim == len(axes) and all(n in (None, m) for n, m in zip(known, value.shape, strict=True))
     if not fits or value.dtype.kind not in numpy_kinds:
-        raise UsageError(f"{name}: got {value.dtype} of shape {value.shape}, expected {called} of shape {expected}")
+        raise UsageError(f"{name} must be {called} of shape {expected} (got {value.dtype} of shape {value.shape})")
     lengths |= zip(axes, value.shape, strict=True)
     return value if isinstance(value, PackedMasks) else np.asarray(value, dtype)  # type: ignore[return-value]
 

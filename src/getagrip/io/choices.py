@@ -13,7 +13,7 @@ from getagrip.errors import UsageError
 def check_word(name: str, given: object, words: object) -> None:
     """Raise ``UsageError`` for what is none of the words of a ``Literal``."""
     if not (isinstance(given, str) and given in get_args(words)):
-        raise UsageError(f"{name}: got {given!r}, expected one of {', '.join(get_args(words))}")
+        raise UsageError(f"unknown {name} {given!r}; choose from {', '.join(get_args(words))}")
 
 
 def check_values(options: object) -> None:
@@ -27,9 +27,9 @@ def check_values(options: object) -> None:
         if get_origin(hint) is Literal:
             check_word(name, value, hint)
         elif hint is int and (not isinstance(value, Integral) or isinstance(value, bool)):
-            raise UsageError(f"{name}: got {value!r}, expected a whole number")
+            raise UsageError(f"{name} must be a whole number (got {value!r})")
         elif hint is float and not (isinstance(value, Real) and math.isfinite(value)):
-            raise UsageError(f"{name}: got {value!r}, expected a finite number")
+            raise UsageError(f"{name} must be a finite number (got {value!r})")
 
 
 @cache

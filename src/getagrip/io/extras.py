@@ -17,6 +17,6 @@ def load(module: str, extra: str, option: str = "") -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         raise UsageError(
-            f"{option or f'--to {extra}'}: got no module {module!r} ({error}), expected it: "
+            f"missing module {module!r} ({error}): {option or f'--to {extra}'} needs it; "
             f"pip install 'getagrip[{extra}]'"
         ) from error

@@ -198,7 +198,7 @@ def check_folder(option: str, folder: Path) -> None:
         )  # permissions alone are not enough: /proc, full disks
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
-        raise UsageError(f"{option}: got {folder}, expected a folder that can be written ({reason})") from error
+        raise UsageError(f"{option} must be a folder that can be written (got {folder}: {reason})") from error
 
 
 def check_file(option: str, file: Path) -> None:
@@ -212,13 +212,13 @@ def check_file(option: str, file: Path) -> None:
             file.open("ab").close()
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
-        raise UsageError(f"{option}: got {file}, expected a file that can be written ({reason})") from error
+        raise UsageError(f"{option} must be a file that can be written (got {file}: {reason})") from error
 
 
 def refuse_link(path: Path) -> None:
     """Raise ``UsageError`` where a folder in which something is to be written is a link."""
     if path.is_symlink():
-        raise UsageError(f"{path}: is a link, and nothing is written through one; expected a folder or a free name")
+        raise UsageError(f"{path} must be a folder or a free name (got a link, and nothing is written through one)")
 
 
 def folder_inside(folder: Path, *names: str) -> Path:

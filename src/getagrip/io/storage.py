@@ -60,7 +60,7 @@ class Remote:
             try:
                 entries = fs.ls(path, detail=True)
             except FileNotFoundError as error:
-                raise UsageError(f"{self}: got no such folder or bucket, expected one that can be read") from error
+                raise UsageError(f"{self}: no such folder or bucket") from error
             there = ((_name(entry), entry["type"] == "directory") for entry in entries)
             return sorted((name, is_folder) for name, is_folder in there if name and name != self.name)
 
@@ -147,7 +147,7 @@ class Remote:
         except UsageError:
             raise
         except GetagripError as error:
-            raise UsageError(f"{option}: got {self}, expected a folder that can be written ({error})") from error
+            raise UsageError(f"{option} must be a folder that can be written (got {self}: {error})") from error
 
     def _listed(self, fs: AbstractFileSystem, root: str, leave_out: Sequence[str]) -> dict[str, files.Json]:
         """What the store says of each file below it, by name, checked."""
@@ -193,10 +193,10 @@ class Remote:
             fs, path = core.url_to_fs(self.url, use_listings_cache=False, **http_store.options(self.url))
         except ImportError as error:
             advice = f"pip install 'getagrip[{extra}]'" if kind in EXTRAS else "install fsspec's library for it"
-            raise UsageError(f"{self}: got no library for {kind}:// ({error}), expected one: {advice}") from error
+            raise UsageError(f"missing library for {kind}:// ({error}), which {self} needs: {advice}") from error
         except ValueError as error:
-            expected = "one that fsspec knows, such as s3:// and gs://"
-            raise UsageError(f"{self}: got an address of kind {kind}, expected {expected}") from error
+            known = "those that fsspec knows, such as s3:// and gs://"
+            raise UsageError(f"unknown kind of address {kind!r} of {self}; choose from {known}") from error
         return fs, str(path).rstrip("/")
 
     @contextmanager
@@ -249,7 +249,7 @@ def check_size(source: str, sizes: Sequence[int]) -> None:
 def on_disk(option: str, given: Place) -> Path:
     """A path, of an option that takes no other. Raises ``UsageError``."""
     if isinstance(given, Remote):
-        raise UsageError(f"{option}: got {given}, expected only folders on a disk with it")
+        raise UsageError(f"{option} cannot be used with {given}, only with folders on a disk")
     return given
 
 

@@ -78,7 +78,7 @@ def at_millimetres(thresholds: Sequence[float]) -> tuple[ContactDefinition, ...]
     """The paper's definition, by object vertices, at thresholds of 0 to 50 mm. Raises ``UsageError`` for others."""
     bad = next((mm for mm in thresholds if not 0.0 <= mm <= LARGEST_MM), None)
     if bad is not None:
-        raise UsageError(f"--contact: got {bad:g} mm, expected 0 to {LARGEST_MM:g} mm")
+        raise UsageError(f"--contact must be 0 to {LARGEST_MM:g} mm (got {bad:g} mm)")
     return tuple(dict.fromkeys(ContactDefinition("object", mm / 1e3) for mm in thresholds))
 
 

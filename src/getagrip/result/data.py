@@ -124,13 +124,13 @@ class Reconstruction(ArrayData):
         if not self.message:
             object.__setattr__(self, "message", self.status.sentence)
         if len(self.frames) != len(self.T_hand_obj):
-            given = f"got {len(self.frames)} names"
-            raise UsageError(f"Reconstruction.frames: {given}, expected {len(self.T_hand_obj)}, as many as T_hand_obj")
+            frames = f"{len(self.T_hand_obj)} names, as many as T_hand_obj"
+            raise UsageError(f"Reconstruction.frames must be {frames} (got {len(self.frames)})")
         if not self.frame_kind:
             object.__setattr__(self, "frame_kind", ("sampled",) * len(self.frames))
         if len(self.frame_kind) != len(self.frames) or not {*self.frame_kind} <= {*get_args(FrameKind)}:
             expected = f"one of {', '.join(get_args(FrameKind))} for each frame"
-            raise UsageError(f"Reconstruction.frame_kind: got {self.frame_kind}, expected {expected}")
+            raise UsageError(f"Reconstruction.frame_kind must be {expected} (got {self.frame_kind})")
 
     @property
     def probabilities(self) -> dict[str, Probability]:

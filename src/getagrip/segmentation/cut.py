@@ -11,12 +11,12 @@ from jaxtyping import Int
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
-from getagrip.clip.provenance import assumed
 from getagrip.clip.segment_files import SegmentList, with_segments
 from getagrip.clip.writing import fill_folder
 from getagrip.grasps.cut import as_listed
 from getagrip.grasps.lists import BETWEEN
 from getagrip.io import files
+from getagrip.provenance import assumed
 from getagrip.segmentation.found import STILL, FoundSegment, FoundSegments
 
 

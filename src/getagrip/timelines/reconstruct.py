@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_limits
 from getagrip.checks import INPUT_CHECKS, LEAST_IOU, Evidence, calibration, examine
 from getagrip.checks.of_timeline import WITH_HAND, examine_timeline, name_of
 from getagrip.clip import Clip, Masks, Segment, check_clip, check_masks, read_masks
-from getagrip.clip.provenance import assumptions
 from getagrip.errors import GetagripError, UsageError
 from getagrip.finding import Finding
 from getagrip.fitting import reconstruct as grasp
@@ -26,6 +25,7 @@ from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.probability import Probability
+from getagrip.provenance import assumptions
 from getagrip.result import Candidates, Reconstruction, SegmentResult, Status
 from getagrip.timelines.footage import Footage, held
 from getagrip.timelines.joint import joint
@@ -76,7 +76,7 @@ def reconstruct(
     if not clip.segments:
         return grasp.reconstruct(clip, masks, options, progress, threads)
     if options.method != METHOD:
-        raise UsageError(f"method: got {options.method!r}, expected {METHOD!r} for a clip with segments")
+        raise UsageError(f"method must be {METHOD!r} for a clip with segments (got {options.method!r})")
     check_clip(clip)
     if masks is None:
         masks = read_masks(clip)

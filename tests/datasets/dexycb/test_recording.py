@@ -63,10 +63,10 @@ def test_the_table_is_the_world_where_extrinsics_are_there(root):
     T_table_cam = sequence.read().T_table_cam
     np.testing.assert_allclose(T_master_tag @ T_table_cam, T_master_cam, atol=1e-12)
     write_extrinsics(root, 1.1 * T_master_cam, T_master_tag)
-    with pytest.raises(InputError, match=f"{path}: extrinsics.{SERIALS[0]}: got a matrix that is no rigid motion"):
+    with pytest.raises(InputError, match=rf"extrinsics.{SERIALS[0]} must be .*got a matrix that is no rigid"):
         sequence.read()
     path.write_text("extrinsics: {}")
-    with pytest.raises(InputError, match="expected 12 numbers"):
+    with pytest.raises(InputError, match="must be 12 numbers"):
         sequence.read()
 
 
@@ -164,7 +164,7 @@ def test_broken_packed_files_are_named(pack, key, value, named):
 
 def test_sequences_of_absurd_lengths_are_refused(pack, monkeypatch):
     monkeypatch.setattr(files, "MOST_FRAMES", FRAMES - 1)
-    with pytest.raises(InputError, match=f"offset: got a sequence of {FRAMES} frames"):
+    with pytest.raises(InputError, match=f"offset must be .*got a sequence of {FRAMES} frames"):
         find(pack[0])
 
 

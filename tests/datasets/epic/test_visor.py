@@ -83,7 +83,7 @@ def test_frame_numbers_move_as_the_mapping_says(tmp_path: Path) -> None:
     assert moved(140) == 138
     assert [moved(n, (140, 150)) for n in (140, 141, 144, 147, 150)] == [138, 139, 142, 144, 147]  # the nearer end's
     assert moved(160) == 160  # nothing is known
-    with pytest.raises(InputError, match="P02_01: got no such key"):
+    with pytest.raises(InputError, match="missing P02_01"):
         visor.read_mapping(path, "P02_01")
     assert visor.find_mapping(tmp_path / "nowhere") is None
     assert visor.read_mapping(None, V).number(visor.Frame(7, False, ())) == 7
@@ -147,7 +147,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, refused: Callable[..., str], cha
     [
         ("", "the end of the file"),
         ("[]", "'{'"),
-        ('{"info": 1}', "video_annotations: got no such key"),
+        ('{"info": 1}', "missing video_annotations"),
         ('{"video_annotations": 3}', "video_annotations"),
         ('{"video_annotations": [3]}', "video_annotations[0]"),
         ('{"video_annotations": [{"image": {}', "cut short"),

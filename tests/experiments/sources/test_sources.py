@@ -4,24 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
 from getagrip.batch import progress
 from getagrip.batch.limits import Limits
-from getagrip.batch.plan import Shard
+from getagrip.batch.shard import Shard
 from getagrip.batch.share import Share
 from getagrip.clip import write_clip
 from getagrip.errors import GetagripError, InputError, UsageError
-from getagrip.experiments.sources import names_in, samples, source_of
+from getagrip.experiments.sources import names_in, samples
+from getagrip.experiments.sources.dexycb import DexYcb
+from getagrip.experiments.sources.folder import ClipFolder
 from getagrip.experiments.sources.recorded import Recorded
+from getagrip.experiments.sources.synthetic import Synthetic
 from getagrip.grasps import lists
 from helpers.library import Library, Shelf
 from helpers.scenes import SHORT, scene
 
 
 def test_a_folder_of_synthetic_clips_belongs_to_one_preset(tmp_path: Path) -> None:
-    clean, clips = source_of("synthetic"), tmp_path / "clips"
+    clean, clips = Synthetic(), tmp_path / "clips"
     found, _ = samples(clean, clips, None, debug=False)
     assert len({sample.name for sample in found}) == len(found) > 100
     assert not list(clips.glob("*/"))  # clips are made when they are needed
@@ -30,15 +34,15 @@ def test_a_folder_of_synthetic_clips_belongs_to_one_preset(tmp_path: Path) -> No
     train = {sample.name for sample in samples(replace(clean, split="train"), clips, None, debug=False)[0]}
     assert both - train == {sample.name for sample in found}
     two = frozenset({found[3].name, "teapot"})
-    chosen, failed = samples(source_of("synthetic", only=two), clips, None, debug=False)
+    chosen, failed = samples(Synthetic(only=two), clips, None, debug=False)
     assert [sample.name for sample in chosen] == [found[3].name]
     assert [(outcome.name, outcome.message) for outcome in failed] == [
         ("teapot", "no such clip of synthetic, clean, clips by name")
     ]
-    with pytest.raises(UsageError, match=r"--split: got validation and --only"):
-        source_of("synthetic", only=two, split="validation")
+    with pytest.raises(UsageError, match="--split validation cannot be used with --only"):
+        Synthetic(only=two, split="validation")
     with pytest.raises(UsageError, match="another dataset"):
-        samples(source_of("synthetic", preset="wild"), clips, None, debug=False)
+        samples(Synthetic(preset="wild"), clips, None, debug=False)
 
 
 def test_a_folder_that_could_not_be_claimed_is_nobodys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,11 +55,11 @@ def test_a_folder_that_could_not_be_claimed_is_nobodys(tmp_path: Path, monkeypat
     with monkeypatch.context() as patch:
         patch.setattr("getagrip.io.files.write_json", torn)
         with pytest.raises(OSError, match="no space left"):
-            source_of("synthetic", preset="wild").claim(tmp_path)
+            Synthetic(preset="wild").claim(tmp_path)
     assert list(tmp_path.iterdir()) == []
-    source_of("synthetic").claim(tmp_path)
+    Synthetic().claim(tmp_path)
     with pytest.raises(UsageError, match="holds clips of another dataset"):
-        source_of("synthetic", preset="wild").claim(tmp_path)
+        Synthetic(preset="wild").claim(tmp_path)
 
 
 def test_names_are_read_one_a_line(tmp_path: Path) -> None:
@@ -64,12 +68,14 @@ def test_names_are_read_one_a_line(tmp_path: Path) -> None:
     assert names_in(path) == {"a", "b--1"}
     for text in ("", "a\n../b\n"):
         path.write_text(text)
-        with pytest.raises(InputError, match="expected names of clips, one a line"):
+        with pytest.raises(InputError, match="must be names of clips, one a line"):
             names_in(path)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Shelves(Recorded):
+    dataset: ClassVar[str] = "shelves"
+
     def reader(self, root: Path) -> Library:
         return Library(shelves=(Shelf("s1--a--can"), Shelf("s1--b--can")))
 
@@ -78,7 +84,7 @@ def test_a_dataset_is_imported_first_which_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(progress, "EVERY", 0.0)
-    source = Shelves("shelves", root=tmp_path, split="all")
+    source = Shelves(root=tmp_path, split="all")
     assert len(samples(source, tmp_path / "clips", 1, debug=False)[0]) == 1
     said = capsys.readouterr().err
     assert said.startswith("shelves: all clips are imported first")
@@ -94,7 +100,7 @@ def test_an_import_is_shared_as_the_call_is_but_for_its_shard(tmp_path: Path, mo
         return 1
 
     monkeypatch.setattr("getagrip.batch.imports.import_clips", imported)
-    source = Shelves("shelves", root=tmp_path, split="all")
+    source = Shelves(root=tmp_path, split="all")
     of_call = Share(workers=2, engine="ray", limits=Limits(60.0), shard=Shard(2, 2), ledger=tmp_path, fail_fast=True)
     with pytest.raises(GetagripError, match="shelves: not all could be imported, and --fail-fast ends the call"):
         samples(source, tmp_path / "clips", None, False, of_call)
@@ -102,7 +108,7 @@ def test_an_import_is_shared_as_the_call_is_but_for_its_shard(tmp_path: Path, mo
 
 
 def test_only_what_is_named_is_imported(tmp_path: Path) -> None:
-    source = Shelves("shelves", root=tmp_path, split="all", only=frozenset({"s1--b--can-0"}))
+    source = Shelves(root=tmp_path, only=frozenset({"s1--b--can-0"}))
     for _ in range(2):
         assert [sample.name for sample in samples(source, tmp_path / "clips", None, debug=False)[0]] == ["s1--b--can-0"]
         assert [path.parent.name for path in tmp_path.glob("clips/*/clip.json")] == ["s1--b--can-0"]
@@ -115,7 +121,7 @@ def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
     for n in range(7):
         name = f"subject-{n}--sequence--can"
         write_clip(replace(clip, name=name), masks, folder / name)
-    source = source_of("dexycb", root=tmp_path)
+    source = DexYcb(root=tmp_path)
     (folder / "imported").touch()  # as if from somewhere
     part = {
         which: [sample.name[8] for sample in samples(replace(source, split=which), folder, None, debug=False)[0]]
@@ -125,7 +131,7 @@ def test_subjects_of_dexycb_are_split(tmp_path: Path) -> None:
 
 
 def test_the_list_beside_clips_says_what_contact_is(tmp_path: Path) -> None:
-    source = source_of(str(tmp_path))
+    source = ClipFolder(folder=tmp_path)
     assert source.contact_mm == 10.0
     lists.write(tmp_path / "grasps.json", [], {"contact": 0.0})
     assert source.contact_mm == 0.0

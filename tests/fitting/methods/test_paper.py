@@ -70,7 +70,7 @@ def test_a_search_needs_its_optimiser() -> None:
 
 
 def test_other_methods_have_no_departures() -> None:
-    with pytest.raises(UsageError, match="departures: got some with method 'one-dof'"):
+    with pytest.raises(UsageError, match="departures cannot be used with method 'one-dof'"):
         Options(method="one-dof", departures=Departures(push=True))
 
 

@@ -21,7 +21,7 @@ from helpers.clips import small_clip
 
 
 def test_an_unknown_method_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(UsageError, match="got 'hinge', expected one of one-dof, soft-hinge"):
+    with pytest.raises(UsageError, match="unknown method 'hinge'; choose from one-dof, soft-hinge"):
         Options(method="hinge")
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy import ndarray
 
-from getagrip.clip.provenance import estimated
+from getagrip.hands.trackers.choosing import one_each
 from getagrip.hands.trackers.estimates import Estimate, Parameters, Request
-from getagrip.hands.trackers.reading import one_each
+from getagrip.provenance import estimated
 from helpers.estimator_files import SIZE, K
 
 SHAPE = np.random.default_rng(0).uniform(-0.06, 0.06, (21, 3))

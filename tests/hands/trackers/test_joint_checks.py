@@ -45,7 +45,7 @@ def test_order_auto(tmp_path: Path, side: str) -> None:
         assert np.abs(joints_of(hands) - known.joints).max() < 0.01
         assert f"order {order}, a guess" in str(hands.provenance["hands_scale"])
     write_npz(path, {"joints": known.joints[:, np.random.default_rng(0).permutation(21)]})
-    with pytest.raises(InputError, match="expected one order that fits"):
+    with pytest.raises(InputError, match="must be one order that fits"):
         read([path], Joints("auto"), request(side))  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="openpose, ho3d or auto"):
         read([path], Joints(), request(side))  # type: ignore[arg-type]

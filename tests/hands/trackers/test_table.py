@@ -33,7 +33,7 @@ def test_what_no_file_states_is_asked_for(tmp_path: Path) -> None:
 def test_trackers_are_chosen_by_name() -> None:
     for name, tracker in TRACKERS.items():
         assert choose(name) is tracker
-    with pytest.raises(UsageError, match="'hammer', expected one of hamer, wilor, hawor, frankmocap, mano, joints"):
+    with pytest.raises(UsageError, match="unknown --from 'hammer'; choose from hamer, wilor, hawor, frankmocap, mano,"):
         choose("hammer")
 
 
@@ -53,5 +53,5 @@ def test_the_command_takes_what_the_table_lists(run: Run) -> None:
 def test_options_of_another_tracker_are_refused() -> None:
     given = TRACKERS | {"hawor": HaWoR(estimator_focal=600.0)}
     assert choose("hawor", given) == HaWoR(600.0)
-    with pytest.raises(UsageError, match=r"--estimator-focal: got 600\.0, expected none: it belongs to --from hawor"):
+    with pytest.raises(UsageError, match=r"--estimator-focal cannot be used with .*: it belongs to --from hawor"):
         choose("hamer", given)

@@ -70,7 +70,7 @@ class DexYcb(TrackedDataset):
         if not self.timelines:
             return super().parts(note)
         if self.whole or self.grasps.listed is not None:
-            raise UsageError("--timelines: got --whole or --list as well, expected one of them")
+            raise UsageError("--timelines cannot be used with --whole or --list")
         definition = self.grasps.definition()
         of = partial(timelines.pieces, definition=definition)
         return [CutSource(source, of, definition.shortest) for source in self.sources()]

@@ -15,7 +15,6 @@ from numpy import ndarray
 
 from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Segment, World
 from getagrip.clip.plausible import check_intrinsics
-from getagrip.clip.provenance import Provenance, Source, assumed, estimated, from_arrays, measured, of_provenance
 from getagrip.clip.reading import read_hand
 from getagrip.clip.timeline import at_frames
 from getagrip.clip.writing import without_hand
@@ -30,6 +29,7 @@ from getagrip.geometry.mesh_files import SUFFIXES, read_mesh
 from getagrip.grasps.states import painted
 from getagrip.io import arrays, json_stream
 from getagrip.io.files import shown
+from getagrip.provenance import Provenance, Source, assumed, estimated, from_arrays, measured, of_provenance
 
 SIZE = visor.DENSE_SIZE
 """Width and height of the clips' images [px]: those of VISOR's dense annotations."""

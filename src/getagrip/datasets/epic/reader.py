@@ -15,7 +15,6 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from getagrip.clip import Clip, Masks, Segment
-from getagrip.clip.provenance import is_assumed
 from getagrip.datasets.dataset import Dataset, Draft, Missing, Note, Part
 from getagrip.datasets.epic import clips, fields, visor
 from getagrip.datasets.epic.images import Frames, Images, Video
@@ -25,6 +24,7 @@ from getagrip.grasps import timelines as lists
 from getagrip.io.arguments import Folder, OptionalFile, OptionalFolder
 from getagrip.io.counts import counted
 from getagrip.io.files import read_bytes, shown
+from getagrip.provenance import is_assumed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,11 +87,11 @@ class EpicGrasps(Dataset):
         """What becomes clips; a grasp of the table has no segments. Raises ``UsageError`` and ``InputError``."""
         if self.timelines is None:
             if self.metric is not None:
-                raise UsageError(f"--metric: got {self.metric}, expected none without --timelines")
+                raise UsageError("--metric cannot be used without --timelines")
             return [EpicTimeline(grasp, ()) for grasp in self.grasps()]
         if self.cameras is None or self.metric is None:
             raise UsageError(
-                "--timelines: got no --cameras or no --metric, expected both: static segments need a world"
+                "missing --cameras or --metric: --timelines needs both, since static segments need a world"
             )
         found = read_timelines(self.timelines, self.grasps(), note)
         metric = [one for one in found if (self.metric / f"{one.span.video}.json").is_file()]
@@ -105,15 +105,15 @@ class EpicGrasps(Dataset):
             return partial(Frames, self.frames)
         if self.videos is not None and self.frames is None:
             return partial(Video, self.videos)
-        raise UsageError("--frames or --videos: name one of them, the folder of EPIC-KITCHENS' images or videos")
+        raise UsageError("missing --frames or --videos: EPIC-KITCHENS' images, or its videos, not both")
 
     def _check_camera(self) -> None:
         """Raise ``UsageError`` for options that do not go together, and for an absurd focal length."""
         if self.cameras is not None and self.focal is not None:
-            raise UsageError("--cameras and --focal: name one of them")
+            raise UsageError("--cameras cannot be used with --focal")
         width = clips.SIZE[0]
         if self.focal is not None and not 0.05 * width <= self.focal <= 100 * width:
-            raise UsageError(f"--focal: got {self.focal:g}, expected pixels of images {width} wide")
+            raise UsageError(f"--focal must be in pixels of images {width} wide (got {self.focal:g})")
 
     def advice(self, made: Sequence[Mapping[str, object]], handless: int) -> Iterator[str]:
         """How to come by what is guessed or missing."""

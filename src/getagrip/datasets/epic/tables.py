@@ -98,7 +98,7 @@ def chosen_errata(path: Path, wanted: bool, file: Path | None) -> Path | None:
     Raises ``UsageError`` for a file that is named though no errata are ``wanted``.
     """
     if file is not None and not wanted:
-        raise UsageError(f"--errata-file: got {file}, expected none with --no-errata")
+        raise UsageError("--errata-file cannot be used with --no-errata")
     return (file or errata_beside(path)) if wanted else None
 
 

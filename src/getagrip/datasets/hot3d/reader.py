@@ -64,7 +64,7 @@ class Hot3d(TrackedDataset):
         cut = self.cut(note)
         listed = cut.listed
         if listed is None and self.first_frame is not None:
-            raise UsageError(f"--first-frame: got {self.first_frame}, expected none without --list")
+            raise UsageError("--first-frame cannot be used without --list")
         lengths = {} if listed is None else listed.lengths
         if self.timelines:
             cut = self._of_timelines(cut)
@@ -80,7 +80,7 @@ class Hot3d(TrackedDataset):
     def _of_timelines(self, cut: Cut) -> Cut:
         """How grasps are found in timelines, or their list. Raises ``UsageError`` and ``InputError``."""
         if self.whole:
-            raise UsageError("--timelines and --whole: name one of them")
+            raise UsageError("--timelines cannot be used with --whole")
         if cut.listed is not None and not cut.listed.timelines:
             assert self.grasps.listed is not None
             raise InputError(self.grasps.listed, "", "a list of grasps", "one of timelines, as hot3d_hit.json")

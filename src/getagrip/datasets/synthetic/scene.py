@@ -95,11 +95,11 @@ def noise_seed(category: str, seed: int) -> list[int]:
 def make_scene(category: str, seed: int, options: SceneOptions) -> Scene:
     """The scene, without noise. Raises ``UsageError`` as ``synthesise`` does."""
     if category not in CATEGORIES:
-        raise UsageError(f"category: got {category!r}, expected one of {', '.join(sorted(CATEGORIES))}")
+        raise UsageError(f"unknown category {category!r}; choose from {', '.join(sorted(CATEGORIES))}")
     if seed < 0:
-        raise UsageError(f"seed: got {seed}, expected 0 or more")
+        raise UsageError(f"seed must be 0 or more (got {seed})")
     if options.frames < 2:
-        raise UsageError(f"frames: got {options.frames}, expected at least 2")
+        raise UsageError(f"frames must be at least 2 (got {options.frames})")
     kind = CATEGORIES[category]
     rng, moves = np.random.default_rng([seed, *category.encode()]).spawn(2)
     stretch = 1.0 + options.vary * rng.uniform(-1.0, 1.0, 3)

@@ -54,3 +54,7 @@ class SceneOptions(Noise):
 
     def __post_init__(self) -> None:
         check_values(self)
+
+
+DEMO = SceneOptions(hand_jitter_deg=0.5, hand_jitter_mm=0.5, mask_ragged_px=0.7)
+"""Of ``getagrip demo``: small noise on hands and masks; 30 frames, 1-DoF motion with a small residual."""

@@ -46,11 +46,11 @@ def split(name: Split, preset: str = "clean") -> list[tuple[str, int, SceneOptio
     Raises ``UsageError`` for an unknown split or preset.
     """
     if name not in SEEDS:
-        raise UsageError(f"split: got {name!r}, expected one of {', '.join(get_args(Split))}")
+        raise UsageError(f"unknown split {name!r}; choose from {', '.join(get_args(Split))}")
     if preset in RENAMED:
         raise UsageError(f"--preset: {preset!r} is now called {RENAMED[preset]!r}: its noise is no tracker's")
     if preset not in PRESETS:
-        raise UsageError(f"--preset: got {preset!r}, expected one of {', '.join(PRESETS)}")
+        raise UsageError(f"unknown --preset {preset!r}; choose from {', '.join(PRESETS)}")
     rng = np.random.default_rng(list(f"synthetic {name}".encode()))
     clips = []
     for c, category in enumerate(CATEGORIES):

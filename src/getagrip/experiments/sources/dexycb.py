@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from getagrip.experiments.sources.recorded import Recorded
-from getagrip.experiments.sources.timelines import Timelines
+from getagrip.experiments.sources.timelines import Preset, Timelines
+from getagrip.io.arguments import OptionalFolder
 
 if TYPE_CHECKING:
     from getagrip.datasets.dataset import Dataset
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DexYcb(Recorded):
-    """DexYCB's grasps."""
+    """DexYCB's visible stable grasps."""
 
-    meshes: Path | None = None
-    """Where the YCB models are; None: in ``root``."""
+    dataset: ClassVar[str] = "dexycb"
+
+    meshes: OptionalFolder = None
+    """The folder of the YCB models, where they are not in --root."""
 
     def reader(self, root: Path) -> Dataset:
         from getagrip.datasets.dexycb import reader
@@ -26,9 +30,11 @@ class DexYcb(Recorded):
         return reader.DexYcb(root=root, meshes=self.meshes)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DexYcbTimelines(Timelines, DexYcb):
     """DexYCB's sequences, not cut, with their true segments."""
+
+    dataset: ClassVar[str] = "dexycb-timelines"
 
     def reader(self, root: Path) -> Dataset:
         from getagrip.datasets.dexycb import reader
@@ -36,14 +42,15 @@ class DexYcbTimelines(Timelines, DexYcb):
         return reader.DexYcb(root=root, meshes=self.meshes, timelines=True)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DexYcbSequences(DexYcbTimelines):
-    """The same, for grasps that are to be found."""
+    """DexYCB's sequences, not cut, whose grasps are to be found without 3D labels."""
 
-    preset: str = "none"
-    """Noise of hands and masks, of ``NOISE``."""
+    dataset: ClassVar[str] = "dexycb-segments"
+    preset: Preset = "none"
+    """Noise of hands and masks: none, moderate, strong or estimated."""
 
-    def __post_init__(self) -> None:
+    def presets(self) -> Collection[str]:
         from getagrip.datasets.synthetic.noise import NOISE
 
-        self.check(NOISE)
+        return NOISE

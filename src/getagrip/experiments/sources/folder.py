@@ -4,25 +4,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from tyro.conf import Positional, arg
 
 from getagrip.errors import UsageError
-from getagrip.experiments.sources.source import ClipSource, Sample, Split
+from getagrip.experiments.sources.source import ClipSource, Sample
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
     from getagrip.batch.share import Share
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ClipFolder(ClipSource):
-    """A folder of clips, or a clip: ``dataset`` is its path. It has no splits."""
+    """Clips of your own, with ground truth or without."""
 
-    split: Split = "all"
+    dataset: ClassVar[str] = "clips"
+    folder: Annotated[Positional[Path], arg(metavar="DIR")]
+    """A folder of clips, a clip, or a pattern in quotes."""
 
     def __post_init__(self) -> None:
-        if self.split != "all":
-            raise UsageError(f"--split: got {self.split} for a folder of clips, expected all")
+        super().__post_init__()
+        if self.split not in (None, "all"):
+            raise UsageError(f"--split {self.split} cannot be used with a folder of clips, which has no splits")
 
     @property
     def title(self) -> str:
@@ -33,7 +38,7 @@ class ClipFolder(ClipSource):
         """That by which the clips were cut, as the list beside them says: 0 mm on ARCTIC, 10 mm on HOI4D."""
         from getagrip.grasps import lists
 
-        path = Path(self.dataset) / lists.FILE
+        path = self.folder / lists.FILE
         cut = lists.read_cut(path) if path.is_file() else None
         contact = cut.get("contact") if isinstance(cut, dict) else None
         return super().contact_mm if contact is None else 1e3 * lists.metres(path, "cut.contact", contact)
@@ -41,5 +46,5 @@ class ClipFolder(ClipSource):
     def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.batch.plan import by_name
 
-        found, failed = by_name([Path(self.dataset)])
+        found, failed = by_name([self.folder])
         return [Sample(name, path) for name, path in sorted(found.items())], failed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from getagrip.experiments.sources.timelines import Timelines
 
@@ -12,9 +12,11 @@ if TYPE_CHECKING:
     from getagrip.datasets.dataset import Dataset
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Hot3dTimelines(Timelines):
     """HOT3D's timelines by the true poses; the head moves."""
+
+    dataset: ClassVar[str] = "hot3d-timelines"
 
     def reader(self, root: Path) -> Dataset:
         from getagrip.datasets.hot3d import reader

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from getagrip.errors import GetagripError, UsageError
 from getagrip.experiments.sources.source import ClipSource, Sample
 from getagrip.io import files
+from getagrip.io.arguments import OptionalFolder
 from getagrip.io.terminal import report
 
 if TYPE_CHECKING:
@@ -18,12 +19,12 @@ if TYPE_CHECKING:
     from getagrip.datasets.dataset import Dataset
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Recorded(ClipSource):
     """A dataset's grasps; clips of a subject are all for training, or all for testing."""
 
-    root: Path | None = None
-    """Where the dataset is."""
+    root: OptionalFolder = None
+    """The dataset's folder, as for import."""
 
     def reader(self, root: Path) -> Dataset:
         """What imports it."""
@@ -35,12 +36,13 @@ class Recorded(ClipSource):
 
     def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:
         from getagrip.batch.imports import import_clips
-        from getagrip.batch.plan import ALL, by_name
+        from getagrip.batch.plan import by_name
+        from getagrip.batch.shard import ALL
         from getagrip.batch.share import ALONE
         from getagrip.datasets.tracks import subject_of
 
         if self.root is None:
-            raise UsageError(f"--root: got nothing, expected the folder of {self.dataset}")
+            raise UsageError(f"missing --root: the folder of {self.dataset}")
         self.claim(clips)
         done = clips / "imported"
         missing = self.only is None or any(not (clips / name).exists() for name in self.only)
@@ -60,7 +62,7 @@ class Recorded(ClipSource):
         subject = {name: subject_of(name) for name in found}
         train = self.training({*subject.values()})
         splits = {name: ("all", "train" if subject[name] in train else "validation") for name in found}
-        chosen = [name for name in sorted(found) if self.split in splits[name]]
+        chosen = [name for name in sorted(found) if self.part in splits[name]]
         if found and not chosen:
-            raise UsageError(f"--split: got {self.split}, expected another: no clip of {self.dataset} is in it")
+            raise UsageError(f"--split {self.part} cannot be used with {self.dataset}: no clip of it is in that part")
         return [Sample(name, found[name]) for name in chosen], failed

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from getagrip.errors import UsageError
+from tyro.conf import arg
+
+from getagrip.errors import InputError, UsageError
+from getagrip.io import files
+from getagrip.io.arguments import meant, one_of, parsed
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
@@ -26,20 +30,51 @@ class Sample:
     """Makes the folder where it is not there."""
 
 
-@dataclass(frozen=True)
-class ClipSource:
-    """Where the clips of a benchmark come from. The fields of a subclass are options of ``getagrip bench``."""
+def names_in(path: Path) -> frozenset[str]:
+    """The names of clips that a text file holds, one a line. Raises ``InputError``."""
+    lines = files.read_bytes(path, files.LARGEST_JSON).decode("utf-8", "replace").splitlines()
+    names = frozenset(filter(None, map(str.strip, lines)))
+    bad = next((name for name in names if not files.is_plain_name(name)), None)
+    if bad is not None or not names:
+        given = "no names" if bad is None else f"the name {files.shown(bad)}"
+        raise InputError(path, "", given, "names of clips, one a line")
+    return names
 
-    dataset: str
+
+def _only(text: str) -> frozenset[str]:
+    return names_in(Path(meant(text)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipSource:
+    """Where the clips of a benchmark come from. The fields of a subclass are options of its ``getagrip bench``."""
+
+    dataset: ClassVar[str]
     """What the user calls it."""
-    split: Split = "validation"
-    only: frozenset[str] | None = None
-    """Names of the clips to use, and to import, of ``split`` "all"; None: all."""
+    split: Annotated[
+        Split | None,
+        one_of("train", "validation", "all"),
+        arg(help_behavior_hint="(default: validation; all of a folder)"),
+    ] = None
+    """Which part of a dataset: train is for tuning, validation for choosing."""
+    only: Annotated[
+        frozenset[str] | None, parsed("FILE", _only, frozenset), arg(metavar="FILE", help_behavior_hint="")
+    ] = None
+    """Use the clips that FILE names, one a line; of a dataset no others are imported."""
+
+    def __post_init__(self) -> None:
+        if self.split is not None and self.only is not None:
+            raise UsageError(f"--split {self.split} cannot be used with --only, which names the clips")
+
+    @property
+    def part(self) -> Split:
+        """The split that is used."""
+        return self.split or ("validation" if self.only is None else "all")
 
     @property
     def title(self) -> str:
         """The clips, for the head of a page."""
-        part = "both splits" if self.split == "all" else f"{self.split} split"
+        part = "both splits" if self.part == "all" else f"{self.part} split"
         return f"{self.description}, {part if self.only is None else 'clips by name'}"
 
     @property
@@ -67,13 +102,12 @@ class ClipSource:
 
         Raises ``UsageError`` where another one does, or this one with other options.
         """
-        from getagrip.io import files
-
         options = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("split", "only")}
-        mine = {name: str(value.resolve()) if isinstance(value, Path) else value for name, value in options.items()}
+        mine = {"dataset": self.dataset}
+        mine |= {name: str(value.resolve()) if isinstance(value, Path) else value for name, value in options.items()}
         note = files.folder_inside(clips.parent, clips.name) / "source.json"
         if not note.exists():
             with files.new_file(note) as part:
                 files.write_json(part, mine)
         elif files.read_json(note) != mine:
-            raise UsageError(f"--out: {clips} holds clips of another dataset, as {note.name} there says; name another")
+            raise UsageError(f"--out cannot be used with {self.dataset}: {clips} holds clips of another dataset")

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from tyro.conf import arg
 
 from getagrip.experiments.sources.source import ClipSource, Sample
 
@@ -15,12 +17,15 @@ if TYPE_CHECKING:
     from getagrip.datasets.synthetic.scene_options import SceneOptions
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Synthetic(ClipSource):
-    """The clips of ``getagrip.datasets.synthetic.splits``."""
+    """Synthetic clips, made as they are needed."""
 
-    preset: str = "clean"
-    """What is known of them: a key of ``PRESETS``."""
+    dataset: ClassVar[str] = "synthetic"
+
+    preset: Annotated[str, arg(metavar="NAME")] = "clean"
+    """What is done to the input. clean: nothing; moderate, strong or estimated: noise of hands and masks; wild:
+    moderate noise, and a mean shape of unknown scale; measured: that, and deformed, with motion as measured."""
 
     @property
     def description(self) -> str:
@@ -31,7 +36,7 @@ class Synthetic(ClipSource):
         from getagrip.datasets.synthetic.splits import SEEDS, split
 
         found = []
-        for part in SEEDS if self.split == "all" else (self.split,):
+        for part in SEEDS if self.part == "all" else (self.part,):
             for category, seed, options in split(part, self.preset):
                 name = clip_name(category, seed, options)
                 found.append(Sample(name, clips / name, partial(_make, category, seed, options)))

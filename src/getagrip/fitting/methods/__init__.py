@@ -45,7 +45,7 @@ class Method:
 def method_of(name: str) -> Method:
     """The method of a name. Raises ``UsageError`` for one that is not in ``METHODS``."""
     if name not in METHODS:
-        raise UsageError(f"method: got {name!r}, expected one of {', '.join(METHODS)}")
+        raise UsageError(f"unknown method {name!r}; choose from {', '.join(METHODS)}")
     return METHODS[name]
 
 

@@ -12,10 +12,10 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.numbering import check_numbers
-from getagrip.clip.provenance import Source
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import MIRROR, Side
+from getagrip.provenance import Source
 
 ONE_CAMERA = "one camera determines neither the size nor the depth of a hand"
 ROUNDED = 0.05

@@ -23,7 +23,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip.provenance import estimated
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side, mirrored_pose
@@ -33,6 +32,7 @@ from getagrip.hands.trackers.records import Record, numbers
 from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.hands.trackers.weak_perspective import WeakPerspective
 from getagrip.io.files import shown
+from getagrip.provenance import estimated
 
 CROP = 224.0
 """Side of FrankMocap's crops [px]."""
@@ -77,7 +77,7 @@ def mean_pose(folder: Path | None, side: Side) -> Float[ndarray, "45"]:
     model = load_mano(folder, "right")
     if model is None:
         what = "FrankMocap's poses are relative to the mean pose, which stands in them"
-        raise UsageError(f"--mano: got nothing, expected the folder of your MANO files: {what}")
+        raise UsageError(f"missing --mano: the folder of your MANO files: {what}")
     return mirrored_pose(model.mean) if side == "left" else model.mean
 
 

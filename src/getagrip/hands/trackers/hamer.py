@@ -32,7 +32,6 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.clip.provenance import Basis, Source
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands.model import MIRROR, Side
@@ -51,6 +50,7 @@ from getagrip.hands.trackers.tracker import Tracker, per_image
 from getagrip.hands.trackers.weak_perspective import WeakPerspective, hamer_focal, vitdet_side
 from getagrip.io import files
 from getagrip.io.arguments import one_of
+from getagrip.provenance import Basis, Source
 
 MINI = ("wilor_preds", "hamer_preds")
 """Where the records of WiLoR-mini and hamer-mini have the network's output."""

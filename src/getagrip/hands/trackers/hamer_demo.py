@@ -20,7 +20,6 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip.naming import frame_of
-from getagrip.clip.provenance import estimated
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.obj import parse_obj
 from getagrip.hands.model import MIRROR, Side
@@ -30,6 +29,7 @@ from getagrip.hands.trackers.hand import load_mano, mano_joints, network_model
 from getagrip.hands.trackers.tracker import no_name
 from getagrip.hands.trackers.weak_perspective import WeakPerspective, hamer_focal
 from getagrip.io import arrays, files
+from getagrip.provenance import estimated
 
 JOINTS = "_3dkeypoints"
 BATCH = 8
@@ -100,7 +100,7 @@ def _hand(saved: Saved, frame: int, person: int, request: Request, only: Side | 
         joints = joints if side == "right" else (joints - origin) * MIRROR + origin
     else:
         raise UsageError(
-            f"--mano: got nothing, expected the folder of MANO_RIGHT.pkl: {saved.mesh} has no joints. "
+            f"missing --mano: the folder of MANO_RIGHT.pkl: {saved.mesh} has no joints. "
             "Or run HaMeR's demo with --save_keypoints, too, and give both"
         )
     assert path is not None

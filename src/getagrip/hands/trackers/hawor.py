@@ -19,7 +19,6 @@ from tyro.conf import arg
 
 from getagrip.clip.naming import frame_of
 from getagrip.clip.numbering import counted_elsewhere
-from getagrip.clip.provenance import estimated
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.trackers import records
@@ -27,6 +26,7 @@ from getagrip.hands.trackers.estimates import Camera, Estimate, Estimates, Param
 from getagrip.hands.trackers.records import Record, numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_rows
 from getagrip.hands.trackers.weak_perspective import WeakPerspective
+from getagrip.provenance import estimated
 
 KEYS = ("init_root_orient", "init_hand_pose", "init_trans", "init_betas")
 
@@ -44,7 +44,7 @@ class HaWoR(Tracker):
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """The hand in those of the files' frames that the clip has."""
         if self.estimator_focal is None:
-            raise UsageError("--estimator-focal: got nothing, expected the focal length that HaWoR was run with [px]")
+            raise UsageError("missing --estimator-focal: the focal length that HaWoR was run with [px]")
         found = []
         for path in paths:
             record = records.read(path)

@@ -10,7 +10,6 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from getagrip.clip.provenance import assumed
 from getagrip.errors import InputError, UsageError
 from getagrip.hands.fit import ORDERS
 from getagrip.hands.trackers import records
@@ -20,6 +19,7 @@ from getagrip.hands.trackers.records import numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
 from getagrip.io import files
 from getagrip.io.arguments import one_of
+from getagrip.provenance import assumed
 
 DEPTH = assumed("joints before the camera, as the file has them; that it was the clip's camera is a guess")
 
@@ -37,9 +37,7 @@ class Joints(Tracker):
     def read(self, paths: Sequence[Path], request: Request) -> Estimates:
         """The joints in those of the file's frames that the clip has."""
         if self.order is None:
-            raise UsageError(
-                "--order: got nothing, expected openpose, ho3d or auto: the order of the joints is in no file"
-            )
+            raise UsageError("missing --order (openpose, ho3d or auto): the order of the joints is in no file")
         path = only_file(paths, "joints")
         record = records.read(path)
         points = numbers(path, record, "joints", (-1, 21, 3))

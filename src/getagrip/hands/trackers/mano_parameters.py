@@ -17,7 +17,6 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import arg
 
-from getagrip.clip.provenance import assumed
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.hands.mano import Mano
@@ -27,6 +26,7 @@ from getagrip.hands.trackers.hand import load_mano
 from getagrip.hands.trackers.records import Record, numbers
 from getagrip.hands.trackers.tracker import Tracker, frames_of_rows, only_file
 from getagrip.io.arguments import one_of
+from getagrip.provenance import assumed
 
 Encoding = Literal["axis-angle", "pca", "matrix"]
 Mean = Literal["flat", "mean"]
@@ -50,7 +50,7 @@ class ManoParameters(Tracker):
         if self.pose is None or self.mean is None:
             missing = "--pose" if self.pose is None else "--mean"
             choices = "axis-angle, pca or matrix" if self.pose is None else "flat or mean"
-            raise UsageError(f"{missing}: got nothing, expected {choices}: what MANO's pose numbers are is in no file")
+            raise UsageError(f"missing {missing} ({choices}): what MANO's pose numbers are is in no file")
         path = only_file(paths, "parameters")
         record = records.read(path)
         hands = parameters(path, record, self.pose, self.mean, load_mano(request.mano, request.side))
@@ -84,5 +84,5 @@ def _flat(values: Float[ndarray, "T P"], encoding: Encoding, mean: Mean, model: 
         return values
     if model is None:
         what = "principal components" if encoding == "pca" else "the mean pose"
-        raise UsageError(f"--mano: got nothing, expected the folder of your MANO files: {what} stand in them")
+        raise UsageError(f"missing --mano: the folder of your MANO files: {what} stand in them")
     return model.pose(values, "pca" if encoding == "pca" else "axis_angle", flat_hand_mean=mean == "flat")

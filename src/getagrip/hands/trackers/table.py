@@ -32,10 +32,10 @@ def choose(name: str, given: Mapping[str, Tracker] = TRACKERS) -> Tracker:
     Raises ``UsageError`` for an unknown name, and for options that are given to another tracker.
     """
     if name not in given:
-        raise UsageError(f"--from: got {name!r}, expected one of {', '.join(given)}")
+        raise UsageError(f"unknown --from {name!r}; choose from {', '.join(given)}")
     for other, tracker in given.items():
         for option, value in vars(tracker).items():
             if other != name and value != vars(TRACKERS[other])[option]:
                 dashed = option.replace("_", "-")
-                raise UsageError(f"--{dashed}: got {value}, expected none: it belongs to --from {other}, not {name}")
+                raise UsageError(f"--{dashed} cannot be used with --from {name}: it belongs to --from {other}")
     return given[name]

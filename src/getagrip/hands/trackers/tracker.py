@@ -93,5 +93,5 @@ def frames_of_rows(path: Path, record: records.Record, count: int, request: Requ
 def only_file(paths: Sequence[Path], what: str) -> Path:
     """The one file that is given. Raises ``UsageError`` for several."""
     if len(paths) != 1:
-        raise UsageError(f"FILE: got {len(paths)} files, expected one, with the {what} of all frames")
+        raise UsageError(f"FILE must be one, with the {what} of all frames (got {len(paths)} files)")
     return paths[0]

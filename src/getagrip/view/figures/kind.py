@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import numpy as np
 from tyro.conf import arg
 
-from getagrip.clip.provenance import assumptions
 from getagrip.errors import GetagripError, UsageError
 from getagrip.fitting.methods import method_of
+from getagrip.provenance import assumptions
 from getagrip.view.given import GivenResult
 from getagrip.view.shown import View
 

@@ -1,0 +1,130 @@
+"""Files of what has been marked and labelled: each person's lists, their agreement, and what clips are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from getagrip.annotate import export
+from getagrip.annotate.agreement import Agreement, agreements
+from getagrip.annotate.background import BackgroundJob
+from getagrip.annotate.marks import GRASP, Mark
+from getagrip.annotate.project import Project
+from getagrip.annotate.versions import RefusedError
+from getagrip.errors import GetagripError
+from getagrip.io import files
+from getagrip.io.counts import counted
+from getagrip.io.csv_tables import CsvTable
+from getagrip.io.terminal import progress_bar, report
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+
+def write_labels(project: Project) -> int:
+    """Write each labelled grasp's labels and, where they suffice, hand and masks; 1 where one could not be made."""
+    status = 0
+    written: set[str] = set()
+    for grasp in project.labelled():
+        if grasp.name in written:
+            report(f"{grasp.name}: left out: another grasp of the same frames and hand is written")
+            status = 1
+            continue
+        written.add(grasp.name)
+        given = project.labelling.labels(grasp)
+        frames = counted(given.last - given.first + 1, "frame")
+        print(f"{grasp.name}: making the hand and the masks of {frames} ...", flush=True)
+        try:
+            with progress_bar(counted=True) as bar:
+                command = project.labelling.write(grasp, given, JobOnBar(bar, grasp.name))
+        except GetagripError as error:
+            report(f"{grasp.name}: labels only: {error}")
+            status = 1
+            continue
+        made = project.labelling.out / grasp.name
+        print(f"{made}: hand.npz and masks of {frames}; a clip is made of them, with the object's mesh, by\n{command}")
+    return status
+
+
+class JobOnBar(BackgroundJob):
+    """Work that a bar shows."""
+
+    def __init__(self, bar: Progress, name: str) -> None:
+        super().__init__("files")
+        self._bar, self._task = bar, bar.add_task(name, total=None)
+
+    def report(self, done: int, total: int) -> None:
+        self._bar.update(self._task, completed=done, total=total)
+
+
+def write_files(project: Project, out: Path) -> int:
+    """Write ``grasps-<annotator>.csv`` and ``.json`` for each person, ``discards.csv`` and ``agreement.json``.
+
+    Of whole interactions also ``segments-<annotator>.json``. Returns 1 where segments overlap or a finished grasp is of
+    neither hand, else 0.
+    """
+    known, status = project.known(), 0
+    others = len(project.store.marks.standing()) - len(known)
+    if others:
+        report(f"{others} marks belong to other footage: left out")
+    for name in sorted({mark.annotator for mark in known}):
+        own = [mark for mark in known if mark.annotator == name]
+        rows = export.intervals(own, project.tasks)
+        table = out / f"grasps-{name}.csv"
+        files.write_text(table, export.epic_csv(own, project.tasks))
+        files.write_json(table.with_suffix(".json"), rows)
+        print(f"{name}: list of {counted(len(rows), 'grasp')}, {table} and .json")
+        listed = export.grasps(own)
+        marked = [mark for mark in own if mark.start is not None and mark.state == GRASP]
+        if unfinished := [mark for mark in marked if mark not in listed]:
+            report(f"{name}: {not_listed(unfinished)}")
+            status = max(status, int(any(mark.interval and not mark.side for mark in unfinished)))
+        status = max(status, write_segments(project, out, name))
+    with files.new_text(out / "discards.csv") as stream:
+        discards = (row.values() for row in export.discards(known, project.tasks))
+        CsvTable(stream).write_rows([("task", "clip", "annotator", "reason"), *discards])
+    found = agreements(known)
+    files.write_json(out / "agreement.json", [asdict(one) for one in found])
+    for one in found:
+        print(in_words(one))
+    return status
+
+
+def not_listed(unfinished: Sequence[Mark]) -> str:
+    """What grasps lack to be in the list."""
+    lacks = {
+        "mark the end": any(mark.end is None for mark in unfinished),
+        "state the hand": any(not mark.side for mark in unfinished),
+        "name the kind of object": any(not mark.category for mark in unfinished),
+    }
+    todo = " and ".join(what for what, lacking in lacks.items() if lacking)
+    grasps, it = counted(len(unfinished), "grasp is", "grasps are"), "it" if len(unfinished) == 1 else "them"
+    return f"{grasps} not in this list: {todo} on the page to have {it} there, too"
+
+
+def write_segments(project: Project, out: Path, annotator: str) -> int:
+    """Write ``segments-<annotator>.json`` of whole interactions; 1 where segments of one overlap, else 0."""
+    listed, status = {}, 0
+    for one in project.interactions(annotator):
+        try:
+            listed[one.task.key] = one.listed().fields
+        except RefusedError as error:
+            report(f"{annotator}: segments of {one.task.key} left out: {error}")
+            status = 1
+        for hint in one.hints():
+            report(f"{annotator}: {one.task.key}: {hint}")
+    if listed:
+        files.write_json(out / f"segments-{annotator}.json", listed)
+        print(f"{annotator}: segments of {counted(len(listed), 'clip')}, {out / f'segments-{annotator}.json'}")
+    return status
+
+
+def in_words(one: Agreement) -> str:
+    """The agreement of two people in a line."""
+    reached = "no grasps to compare"
+    if one.iou is not None:
+        reached = f"mean temporal IOU {100 * one.iou:.1f} % of {counted(one.grasps, 'grasp')}"
+    discards = f"both discarded {one.both_discarded}, one of them {one.one_discarded}"
+    return f"{one.first} and {one.second}, {one.tasks} tasks: {reached}; {discards}"

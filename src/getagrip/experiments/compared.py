@@ -1,0 +1,45 @@
+"""What a benchmark of grasps compares: options of ``getagrip bench``, light to load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import arg
+
+from getagrip.fitting.methods import METHODS
+
+if TYPE_CHECKING:
+    Method = str
+else:
+    Method = Literal[tuple(METHODS)]
+
+
+def _ablations(_: str) -> str:
+    """The names that an option takes, loaded only to show its help."""
+    from getagrip.experiments.settings import ABLATIONS
+
+    return f"(one of {', '.join(ABLATIONS)}; default: none)"
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Methods, or settings of methods, hands or other systems."""
+
+    methods: Annotated[tuple[Method, ...], arg(help_behavior_hint="(default: all but paper...)")] = ()
+    """Methods to compare. Ablations compare one-dof and soft-hinge by default, departures the paper's. All but the
+    paper's, which are slow and run where they are named."""
+    ablation: Annotated[str | None, arg(metavar="NAME", help_behavior_hint=_ablations)] = None
+    """Compare settings of each method, instead of the methods as they are."""
+    hands: Annotated[tuple[str, ...], arg(metavar="NAME=DIR...", help_behavior_hint="")] = ()
+    """Compare hands of several estimators for the same clips, on the frames that all have: DIR holds clips of the same
+    names, or a hand file <clip>.npz for each (import hands --out)."""
+    others: Annotated[tuple[str, ...], arg(name="with", metavar="NAME=DIR...", help_behavior_hint="")] = ()
+    """Other systems' results as further rows: DIR holds poses of each clip by its name, as for evaluate --poses, or
+    result folders."""
+    contact: Annotated[
+        tuple[float, ...],
+        arg(metavar="MM...", help_behavior_hint="(default: 10; of a folder that import made, as its clips were cut)"),
+    ] = ()
+    """Points of the object within MM of the hand's surface are in contact, in SCA, SCA-ADD and SCA-IOU; rows for each
+    MM. The paper's is 0 on ARCTIC."""

@@ -1,0 +1,162 @@
+"""``getagrip bench`` on clips of grasps: clips x variants, then tables and, for an ablation, a plot."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from getagrip.batch.entries import Entry
+from getagrip.batch.job import Outcome
+from getagrip.errors import UsageError, unknown
+from getagrip.experiments.compared import Compared
+from getagrip.experiments.comparison import compare, groups
+from getagrip.experiments.hand_sources import HandSource, comparison
+from getagrip.experiments.other_systems import system_of, system_variants
+from getagrip.experiments.settings import ABLATIONS, Ablation
+from getagrip.experiments.sources import ClipSource, Sample
+from getagrip.experiments.stamp import stamp
+from getagrip.experiments.tables import as_json, clips_csv_rows, csv_rows, latex, markdown, terminal
+from getagrip.experiments.trial import Benchmark, Page, Trial
+from getagrip.experiments.trials import GraspTrial, Scores
+from getagrip.experiments.variants import Variant, ablation_variants, method_variants
+from getagrip.fitting.methods import method_of
+from getagrip.fitting.options import WITH_FREE_SCALE, Options
+from getagrip.io import files, leftovers
+from getagrip.io.counts import counted
+from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, at_millimetres
+from getagrip.result import software
+
+
+@dataclass(frozen=True)
+class GraspBenchmark(Benchmark[Scores]):
+    """Methods, or settings of methods, on the grasps of a source. Raises ``UsageError``, and ``InputError``."""
+
+    source: ClipSource
+    options: Options
+    """What all variants have in common."""
+    compared: Compared
+
+    def __post_init__(self) -> None:
+        ablation = self.compared.ablation
+        if ablation is not None and ablation not in ABLATIONS:
+            raise unknown("--ablation", ablation, ABLATIONS)
+        if ablation is not None and self.compared.hands:
+            raise UsageError("--ablation cannot be used with --hands")
+        if self.compared.others and (ablation is not None or self.compared.hands):
+            raise UsageError("--with cannot be used with --ablation or --hands")
+        _ = self.variants
+
+    @cached_property
+    def contacts(self) -> tuple[ContactDefinition, ...]:
+        """The definitions of contact in the tables."""
+        return at_millimetres(self.compared.contact or (self.source.contact_mm,))
+
+    @cached_property
+    def settings(self) -> Ablation | None:
+        """What is compared besides methods."""
+        if self.compared.hands:
+            return comparison([HandSource.of(text) for text in self.compared.hands])
+        return None if self.compared.ablation is None else ABLATIONS[self.compared.ablation]
+
+    @property
+    def name(self) -> str:
+        """What the files of the tables are called."""
+        return "hands" if self.compared.hands else self.compared.ablation or "methods"
+
+    @cached_property
+    def variants(self) -> list[Variant]:
+        """The rows of the tables."""
+        methods = self.compared.methods
+        if self.settings is None:
+            systems = [system_of(text) for text in self.compared.others]
+            ours = method_variants(methods, self.options, self.contacts)
+            return ours + system_variants(systems, self.options, self.contacts)
+        return ablation_variants(self.name, methods, self.options, self.contacts, self.settings)
+
+    def trials(self, samples: Sequence[Sample], results: Path, overwrite: bool) -> list[Trial[Scores]]:
+        distinct = tuple({variant.folder: variant for variant in self.variants}.values())
+        for variant in distinct:
+            leftovers.sweep(files.folder_inside(results, variant.folder))
+        contacts = tuple(dict.fromkeys((*CONTACT_DEFINITIONS, *self.contacts)))
+        return [GraspTrial(sample, results, overwrite, distinct, contacts) for sample in samples]
+
+    def failures(self, scores: Scores) -> list[Outcome]:
+        """The clip, or each of its variants."""
+        label = {variant.folder: variant.label for variant in self.variants}
+        failed = [score for score in scores.scores if score.failed]
+        own = [Outcome(f"{scores.name}: {label[score.variant]}", "failed", score.status) for score in failed]
+        return super().failures(scores) + own
+
+    def line(self, scores: Scores) -> str:
+        if scores.failure:
+            return ""
+        failed = sum(score.failed for score in scores.scores)
+        done = f"{scores.made - failed} done, {len(scores.scores) - scores.made} already done"
+        again = Counter(score.again for score in scores.scores if score.again)
+        why = "".join(f"; {count} done again, since {reason}" for reason, count in again.items())
+        return f"{scores.name}: {done}{f', {failed} failed' if failed else ''}{why}"
+
+    def entry(self, scores: Scores) -> Entry:
+        """Failed where it could not be read, or no process could do it."""
+        failed = sum(score.failed for score in scores.scores)
+        why = scores.failure or (f"{failed} of {len(scores.scores)} rows failed" if failed else "")
+        return Entry("", "failed" if scores.failure else "done" if scores.made else "kept", why)
+
+    def page(self, scores: Sequence[Scores]) -> Page | None:
+        tables = compare(scores, self.variants)
+        title = "Methods" if self.settings is None else self.settings.title
+        about, settings = _about(self, scores), _settings(self, scores)
+        texts = {".md": markdown(tables, title, about, settings), ".tex": latex(tables, title, about + settings)}
+        rows = {"-clips.csv": clips_csv_rows(scores, self.variants), ".csv": csv_rows(tables)}
+        plotted = (tables[0], title) if tables and self.settings is not None else None
+        shown = terminal(tables[0]) if tables else ""
+        return Page(self.name, shown, texts, rows, as_json(tables, scores), plotted)
+
+
+def _about(bench: GraspBenchmark, scores: Sequence[Scores]) -> list[str]:
+    """What was run, and when."""
+    good = sum(bool(clip.scores) for clip in scores)
+    skipped = f", {len(scores) - good} failed and skipped" if good < len(scores) else ""
+    return [f"{bench.source.title}: {counted(good, 'clip')}{skipped}; made {stamp()}"]
+
+
+def _settings(bench: GraspBenchmark, scores: Sequence[Scores]) -> list[str]:
+    """How the numbers were made and are to be read, in sentences."""
+    good = [clip for clip in scores if clip.scores]
+    drawn = groups(good) if good else []
+    together = len(set(drawn)) < len(drawn)
+    units = counted(len(drawn), "clip")
+    if together:
+        units = f"{counted(len(set(drawn)), 'subject')}, all clips of one together"
+    versions = ", ".join(f"{key} {version}" for key, version in software().items())
+    return [
+        f"{_initial_poses(bench)}, {_frames(bench.options)}, seed {bench.options.seed}; the same frames, masks and "
+        "evaluation for all",
+        "per cent, means over clips, the best bold, the second best underlined; s: median seconds for a clip",
+        f"in brackets: 95 % intervals by Student's t over {units}",
+        f"contact: {' and '.join(contact.description for contact in bench.contacts)}, unless the row says otherwise; a "
+        "method that fails on a clip scores 0 there",
+        versions,
+    ]
+
+
+def _frames(options: Options) -> str:
+    """Which frames are evaluated, in words."""
+    return f"{options.frames} frames" + (" and the others that follow them" if options.every_frame else "")
+
+
+def _initial_poses(bench: GraspBenchmark) -> str:
+    """How many initial poses the search has, and which, in words."""
+    options, thorough = bench.options, ", thorough" if bench.options.thorough else ""
+    kind: str = options.init
+    if options.priors is not None:
+        more = "no others" if options.priors_only else "then uniform"
+        kind = f"{options.init} of {options.priors.path.name}, sha256 {options.priors.sha256[:12]}, {more}"
+    published = [v.method for v in bench.variants if v.system is None and method_of(v.method).as_published]
+    but = f", but for {' and '.join(dict.fromkeys(published))}" if published else ""
+    free = f"{WITH_FREE_SCALE * options.inits} where the scale is free{but}"
+    most = "at most " if options.priors_only else ""
+    return f"{most}{options.inits} initial poses ({kind}{thorough}; {free})"

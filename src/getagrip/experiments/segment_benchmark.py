@@ -1,0 +1,116 @@
+"""``getagrip bench dexycb-segments``: grasps found in whole sequences without 3D labels of the object."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from getagrip.datasets.tracks import subject_of
+from getagrip.experiments.segment_scores import Matched, Summary, summary
+from getagrip.experiments.segment_trials import DEFINITION, DIRECTIONS, WAYS, SequenceScores, SequenceTrial
+from getagrip.experiments.sources import Sample
+from getagrip.experiments.sources.dexycb import DexYcbSequences
+from getagrip.experiments.stamp import stamp
+from getagrip.experiments.statistics import resamples
+from getagrip.experiments.trial import Benchmark, Page, Trial
+from getagrip.fitting.options import Options
+from getagrip.io import files, markdown
+from getagrip.io.counts import counted
+
+HEADINGS = ("", "sequences", "grasps", "tIoU", "F1@.5", "F1@.7", "start", "end", "missed", "false")
+COLUMNS = ("sequence", "direction", "way", "true", "found", "tiou", "start", "end")
+"""Of the table of sequences."""
+DRAWS = 400
+"""Bootstrap resamples of F1, which is no mean."""
+
+
+@dataclass(frozen=True)
+class SegmentBenchmark(Benchmark[SequenceScores]):
+    """Find the grasps of every sequence."""
+
+    source: DexYcbSequences
+    options: Options
+
+    def trials(self, samples: Sequence[Sample], results: Path, overwrite: bool) -> list[Trial[SequenceScores]]:
+        noise = self.source.preset
+        folder = files.folder_inside(results, noise)
+        return [SequenceTrial(sample, folder, overwrite, noise, self.options) for sample in samples]
+
+    def line(self, scores: SequenceScores) -> str:
+        return f"{scores.name}: done again, since {scores.again}" if scores.again else ""
+
+    def page(self, scores: Sequence[SequenceScores]) -> Page | None:
+        scores = [one for one in scores if not one.failure]
+        if not scores:
+            return None
+        rows = _rows(scores)
+        grid: list[Sequence[str]] = [HEADINGS]
+        for label, matched in rows.items():
+            subjects = [subject_of(one.name) for one in scores for _ in range(len(matched) // len(scores))]
+            grid.append((label, *_cells(matched, subjects)))
+        about = [
+            f"{self.source.title}: {counted(len(scores), 'sequence')}; noise of hands and masks: {self.source.preset}",
+            f"a stable grasp: {DEFINITION.description}",
+            "tIoU: mean over true grasps, missed ones 0; F1: grasps with a tIoU of at least .5, .7; start, end: mean "
+            "absolute errors of those that something overlaps, in frames; false: sequences without a grasp in which "
+            "one is found",
+            f"in brackets: 95 % intervals from {DRAWS} bootstrap resamples of the subjects",
+            f"{np.median([one.seconds for one in scores]):.1f} s of CPU per sequence and direction (median)",
+            f"made {stamp()}",
+        ]
+        text = markdown.page("Grasps found without 3D labels", grid, about)
+        content = {"noise": self.source.preset, "rows": {label: asdict(summary(own)) for label, own in rows.items()}}
+        return Page(self.source.preset, text, {".md": text}, {"-sequences.csv": _csv_rows(scores)}, content)
+
+
+def _csv_rows(scores: Sequence[SequenceScores]) -> list[Sequence[object]]:
+    """Every sequence's numbers, the headings first."""
+    lines: list[Sequence[object]] = [COLUMNS]
+    for one in scores:
+        for (direction, way), of in one.by.items():
+            for match in of.matches or (None,):
+                numbers = ("", "", "") if match is None else (match.tiou, match.start, match.end)
+                lines.append((one.name, direction, way, len(of.matches), of.found, *numbers))
+    return lines
+
+
+def _rows(scores: Sequence[SequenceScores]) -> dict[str, list[Matched]]:
+    """The rows of the table: every way, in each direction and in both."""
+    out = {}
+    for way, label in WAYS.items():
+        for directions in (DIRECTIONS[:1], DIRECTIONS[1:], DIRECTIONS):
+            words = "both" if len(directions) > 1 else directions[0]
+            out[f"{label}, {words}"] = [one.by[direction, way] for one in scores for direction in directions]
+    return out
+
+
+def _cells(rows: Sequence[Matched], subjects: Sequence[str]) -> tuple[str, ...]:
+    """A row's numbers as text."""
+    all_ = summary(rows)
+    low, high = _interval(rows, subjects, lambda s: s.tiou)
+    low1, high1 = _interval(rows, subjects, lambda s: s.f1[0])
+    return (
+        str(all_.sequences),
+        str(all_.true),
+        f"{all_.tiou:.3f} [{low:.3f}, {high:.3f}]",
+        f"{all_.f1[0]:.3f} [{low1:.3f}, {high1:.3f}]",
+        f"{all_.f1[1]:.3f}",
+        f"{all_.start:.1f}",
+        f"{all_.end:.1f}",
+        str(all_.missed),
+        f"{all_.false[0]} of {all_.false[1]}",
+    )
+
+
+def _interval(
+    rows: Sequence[Matched], subjects: Sequence[str], statistic: Callable[[Summary], float]
+) -> tuple[float, float]:
+    """Of a statistic, when subjects are drawn anew with all their sequences."""
+    values = []
+    for weights in resamples(subjects)[:DRAWS]:
+        values.append(statistic(summary([row for row, n in zip(rows, weights, strict=True) for _ in range(int(n))])))
+    low, high = np.nanquantile(values, [0.025, 0.975])
+    return float(low), float(high)

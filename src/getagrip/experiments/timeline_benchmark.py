@@ -1,0 +1,95 @@
+"""``getagrip bench dexycb-timelines``, ``hot3d-timelines``: from table to hand, reconstructed by true segments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from getagrip.datasets.tracks import subject_of
+from getagrip.errors import UsageError
+from getagrip.experiments.sources import Sample
+from getagrip.experiments.sources.timelines import Timelines
+from getagrip.experiments.stamp import stamp
+from getagrip.experiments.statistics import estimate
+from getagrip.experiments.timeline_trials import ALL, LEVELS, TimelineScores, TimelineTrial
+from getagrip.experiments.trial import Benchmark, Page, Trial
+from getagrip.fitting.options import Options
+from getagrip.io import files, markdown
+from getagrip.io.counts import counted
+
+HEADINGS = ("hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, grasp", "jump, mm", "SCA", "s")
+
+
+@dataclass(frozen=True)
+class TimelineBenchmark(Benchmark[TimelineScores]):
+    """Reconstruct every timeline every way."""
+
+    source: Timelines
+    options: Options
+
+    def trials(self, samples: Sequence[Sample], results: Path, overwrite: bool) -> list[Trial[TimelineScores]]:
+        preset = self.source.preset
+        levels = tuple(LEVELS) if preset == ALL else (preset,)
+        for level in levels:
+            files.folder_inside(results, level)
+        return [TimelineTrial(sample, results, overwrite, levels, self.options) for sample in samples]
+
+    def line(self, scores: TimelineScores) -> str:
+        return f"{scores.name}: done again, since {scores.again}" if scores.again else ""
+
+    def page(self, scores: Sequence[TimelineScores]) -> Page | None:
+        """Raises ``UsageError`` where no timeline has both a static segment and a stable grasp."""
+        done = [one for one in scores if not one.failure]
+        whole = [one for one in done if one.by]
+        if done and not whole:
+            lacking = "a timeline with both a static segment and a stable grasp"
+            raise UsageError(f"missing {lacking} in {self.source.dataset}: none of {counted(len(done), 'timeline')}")
+        if not whole:
+            return None
+        grid: list[Sequence[str]] = [HEADINGS]
+        grid += [(level, way, *_cells(whole, level, way)) for level, ways in whole[0].by.items() for way in ways]
+        about = [
+            f"{self.source.title}: {len(whole)} of {len(done)} sequences, those with a static segment and a stable "
+            "grasp",
+            "static, between, grasp: per cent of segments whose mean ADD up to symmetries, in the camera frame, is "
+            "below 10 % of the diameter; grasp, ADD: without symmetries; a way that fails scores 0",
+            "hands: exact, moderate and strong noise, masks exact; ragged: strong noise, and masks off by 1 px",
+            "jump: median over links of how far the object moves from one segment to the next beyond its true motion",
+            "SCA: mean over grasps, object vertices within 10 mm of the hand that was found",
+            "s: median seconds of CPU for a timeline, reading not included",
+            "in brackets: 95 % intervals by Student's t over the subjects",
+            f"{self.options.inits} initial poses, seed {self.options.seed}; made {stamp()}",
+        ]
+        text = markdown.page("Timelines", grid, about, words=2)
+        return Page(self.source.preset, text, {".md": text}, {}, {one.name: one.by for one in whole})
+
+
+def _cells(scores: Sequence[TimelineScores], level: str, way: str) -> list[str]:
+    """A row's numbers as text."""
+    found: list[tuple[TimelineScores, dict[str, Any]]] = [(one, one.by[level][way]) for one in scores]
+    cells = [_share(found, kind, "right_sym") for kind in ("static", "between", "grasp")]
+    cells.append(_share(found, "grasp", "right"))
+    cells.append(_share([(one, of) for one, of in found if "mug" in one.category], "grasp", "right_sym"))
+    gaps = [jump for _, of in found for jump in of.get("jumps", [])]
+    sca = [s["sca"] for _, of in found for s in of.get("segments", []) if s["sca"] is not None]
+    seconds = [of["seconds"] for _, of in found]
+    cells += [f"{1e3 * np.median(gaps):.1f}" if gaps else "–", f"{100 * np.mean(sca):.1f}" if sca else "–"]
+    return [*cells, f"{np.median(seconds):.1f}"]
+
+
+def _share(found: Sequence[tuple[TimelineScores, dict[str, Any]]], kind: str, key: str) -> str:
+    """Per cent of the segments of a kind, with an interval; a failed timeline counts as one wrong segment."""
+    values, subjects = [], []
+    for one, of in found:
+        right = [float(s[key]) for s in of.get("segments", []) if s["kind"] == kind] if "segments" in of else [0.0]
+        values += right
+        subjects += [subject_of(one.name)] * len(right)
+    if not values:
+        return "–"
+    value = estimate(np.array(values), subjects)
+    interval = "" if np.isnan(value.low) else f" [{100 * value.low:.0f}, {100 * value.high:.0f}]"
+    return f"{100 * value.mean:.1f}{interval} (n = {value.clips})"

@@ -1,0 +1,137 @@
+"""What every benchmark shares: a trial of each clip, in any process, and the page that their scores give."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from getagrip.batch.entries import Entry
+from getagrip.batch.job import Outcome, failure
+from getagrip.experiments.sources import Sample
+from getagrip.io import files
+from getagrip.io.csv_tables import CsvTable
+from getagrip.io.terminal import console
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from getagrip.experiments.comparison import Table as ComparisonTable
+
+
+@dataclass(frozen=True)
+class ClipScores:
+    """What came of a clip; ``failure`` says why there are no scores."""
+
+    name: str
+    failure: str = field(default="", kw_only=True)
+    trace: str = field(default="", kw_only=True)
+
+
+S = TypeVar("S", bound=ClipScores)
+
+
+@dataclass(frozen=True)
+class Trial(Generic[S]):
+    """A clip of a benchmark, and what is done with it."""
+
+    sample: Sample
+    results: Path
+    """The folder that keeps what is made, by its name in it."""
+    overwrite: bool
+
+    @property
+    def name(self) -> str:
+        """The clip's."""
+        return self.sample.name
+
+    def scores(self) -> S:
+        """Do it, as far as that has not been done by the same code; the clip is there. Raises any error."""
+        raise NotImplementedError
+
+    def failed(self, why: str, trace: str = "") -> S:
+        """The scores of a clip that could not be done."""
+        raise NotImplementedError
+
+
+def run(trial: Trial[S]) -> S:
+    """The scores of a clip, which is made where it is not there yet. Raises nothing."""
+    sample = trial.sample
+    try:
+        if sample.make is not None and not sample.folder.exists():
+            sample.make(sample.folder)
+        return trial.scores()
+    except Exception as error:  # one clip's trouble must not end the others
+        outcome = failure(sample.name, error)
+        return trial.failed(outcome.message, outcome.trace)
+
+
+def lost(trial: Trial[S], why: str) -> S:
+    """The scores of a clip that no process could do."""
+    return trial.failed(why)
+
+
+class Benchmark(Generic[S]):
+    """What is done with every clip, and how the scores are shown. Made before anything is read: calls are checked."""
+
+    def trials(self, samples: Sequence[Sample], results: Path, overwrite: bool) -> list[Trial[S]]:
+        """A trial for each clip."""
+        raise NotImplementedError
+
+    def page(self, scores: Sequence[S]) -> Page | None:
+        """What is shown of the scores of all clips, by name; nothing where there are none."""
+        raise NotImplementedError
+
+    def failures(self, scores: S) -> list[Outcome]:
+        """What failed of a clip."""
+        return [Outcome(scores.name, "failed", scores.failure, scores.trace)] if scores.failure else []
+
+    def line(self, scores: S) -> str:
+        """What was done with a clip, in words; nothing where that needs no words."""
+        return ""
+
+    def entry(self, scores: S) -> Entry:
+        """What the ledger is to say of a clip."""
+        return Entry("", "failed" if scores.failure else "done", scores.failure)
+
+
+@dataclass(frozen=True)
+class Page:
+    """Tables on the screen and as files."""
+
+    name: str
+    """How the files' names begin."""
+    shown: str | Table
+    texts: Mapping[str, str]
+    """By the end of a file's name, as ".md"."""
+    rows: Mapping[str, Sequence[Sequence[object]]]
+    """Of CSV, the heading first, unrounded; by the end of a file's name."""
+    content: Any
+    """Every number, for --json."""
+    plotted: tuple[ComparisonTable, str] | None = None
+    """What a plot shows, and its title."""
+
+    def write(self, out: Path, json: Path | None) -> list[Path]:
+        """Show it, and write its files into a folder, and ``json``; returns them."""
+        if isinstance(self.shown, str):
+            print(self.shown, end="")
+        else:
+            console().print(self.shown)
+        written = []
+        for end, lines in self.rows.items():
+            written.append(out / f"{self.name}{end}")
+            with files.new_text(written[-1]) as stream:
+                CsvTable(stream).write_rows(lines)
+        for end, text in self.texts.items():
+            written.append(out / f"{self.name}{end}")
+            files.write_text(written[-1], text)
+        if self.plotted is not None:
+            from getagrip.experiments.plots import plot
+
+            written.append(out / f"{self.name}.png")
+            plot(*self.plotted, written[-1])
+        if json is not None:
+            files.write_json(json, self.content)
+            written.append(json)
+        return written

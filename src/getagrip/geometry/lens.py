@@ -1,0 +1,29 @@
+"""The camera as a user states it: options of several commands, light to load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from tyro.conf import arg
+
+from getagrip.io.arguments import Flag, numbers
+
+
+@dataclass(frozen=True)
+class Lens:
+    """What is known of the camera; at most one of the three."""
+
+    K: Annotated[
+        tuple[float, float, float, float] | None, numbers(4, "FX FY CX CY"), arg(name="K", help_behavior_hint="")
+    ] = None
+    """The camera's focal lengths and principal point [px]."""
+    focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None
+    """Instead of K, the focal length; the principal point is in the middle."""
+    guess_focal: Flag = False
+    """Guess it. Depths and sizes are guesses then, too."""
+
+    @property
+    def given(self) -> bool:
+        """Whether there is anything."""
+        return self.K is not None or self.focal is not None or self.guess_focal
