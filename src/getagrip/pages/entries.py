@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from getagrip.clip import read_clip
 from getagrip.errors import GetagripError
 from getagrip.evaluation import read_with_clip
 from getagrip.fitting.methods import METHODS
+from getagrip.io.files import Json
 from getagrip.pictures.given import GivenResult, at_common_frames, distinct, hand_alone, true_view
 from getagrip.pictures.shown import View
 from getagrip.result import Reconstruction, read_record, read_result
@@ -27,7 +27,7 @@ class Column:
 
     label: str
     view: View
-    record: dict[str, Any]
+    record: Json
 
 
 @dataclass(frozen=True)

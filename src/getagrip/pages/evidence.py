@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -97,7 +96,7 @@ def numbers(view: View) -> list[Numbers]:
     return out
 
 
-def compared(view: View) -> dict[str, Any]:
+def compared(view: View) -> dict[str, object]:
     """A table of all candidates, and what speaks for and against each, as the page shows them."""
     known = numbers(view)
     rows = [[str(rank + 1), *_cells(it)] for rank, it in enumerate(known)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterable
-from typing import Any
 
 import cv2
 import numpy as np
@@ -21,7 +20,7 @@ PICTURE, QUALITY = 480, 78
 """Side [px] and JPEG quality of the images."""
 
 
-def drawn(view: View, n: int, crops: Crops, k: int) -> dict[str, Any]:
+def drawn(view: View, n: int, crops: Crops, k: int) -> dict[str, object]:
     """Frame ``n`` in window ``k``: the image, and the contours of the object, the hands, the truth and the mask."""
     outlines = {"hand": _contour(view.hands(n), view, n, crops, k)}
     if view.posed:

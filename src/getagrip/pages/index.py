@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from posixpath import commonpath
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -75,7 +74,7 @@ def row(folder: str, view: View, evaluation: Evaluation, page: bool) -> IndexRow
 
 
 def row_without_clip(
-    folder: str, result: Reconstruction, metrics: Mapping[str, Any], problem: str, page: bool = False
+    folder: str, result: Reconstruction, metrics: Mapping[str, object], problem: str, page: bool = False
 ) -> IndexRow:
     """The row of a result whose clip is not read: with the metrics of its ``result.json``, and why there are no more.
 
