@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from getagrip.errors import InputError, cleaned
-from getagrip.io.files import shown
+from getagrip.io.files import Json, shown
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ KINDS: dict[str, tuple[type, ...]] = {
 }  # fmt: skip
 
 
-def read_findings(path: Path, given: list[Any]) -> tuple[Finding, ...]:
+def read_findings(path: Path, given: Sequence[Json]) -> tuple[Finding, ...]:
     """The findings of a ``result.json``. Raises ``InputError``."""
     for n, item in enumerate(given):
         if not isinstance(item, dict) or not all(isinstance(item.get(key), kind) for key, kind in KINDS.items()):
@@ -45,9 +45,11 @@ def read_findings(path: Path, given: list[Any]) -> tuple[Finding, ...]:
     return tuple(Finding(**{key: item[key] for key in KINDS}) for item in given)
 
 
-def read_checks(path: Path, given: dict[str, Any], key: str = "checks") -> dict[str, float]:
+def read_checks(path: Path, given: Mapping[str, object], key: str = "checks") -> dict[str, float]:
     """Measured values by name, as the ``key`` of a ``result.json`` has them; NaN for null. Raises ``InputError``."""
+    out = {}
     for name, value in given.items():
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+        if isinstance(value, bool) or not isinstance(value, int | float | None):
             raise InputError(path, f"{key}.{shown(name)}", shown(value), "a number, or null")
-    return {name: float("nan") if value is None else float(value) for name, value in given.items()}
+        out[name] = float("nan") if value is None else float(value)
+    return out

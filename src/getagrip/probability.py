@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from getagrip.errors import InputError
 from getagrip.io.files import shown
@@ -44,12 +43,16 @@ def percent(value: float) -> str:
 KINDS: dict[str, tuple[type, ...]] = {"value": (int, float), "meaning": (str,), "beyond": (list,)}
 
 
-def read_probability(path: Path, given: Any, key: str = "probability_right") -> Probability | None:
+def read_probability(path: Path, given: object, key: str = "probability_right") -> Probability | None:
     """That of a ``result.json`` under a key; None for null. Raises ``InputError``."""
     if given is None:
         return None
-    known = isinstance(given, dict) and all(isinstance(given.get(part), kind) for part, kind in KINDS.items())
-    if not known or isinstance(given["value"], bool) or not all(isinstance(name, str) for name in given["beyond"]):
+    if (
+        not isinstance(given, dict)
+        or not all(isinstance(given.get(part), kind) for part, kind in KINDS.items())
+        or isinstance(given["value"], bool)
+        or not all(isinstance(name, str) for name in given["beyond"])
+    ):
         raise InputError(path, key, shown(given), f"an object with {', '.join(KINDS)}, or null")
     if not 0.0 <= given["value"] <= 1.0:
         raise InputError(path, f"{key}.value", shown(given["value"]), "0 to 1")

@@ -13,8 +13,7 @@ import pytest
 
 from getagrip.errors import InputError, UsageError
 from getagrip.export import Scene, export
-from getagrip.export.lerobot import CAMERA, STATE, rate
-from getagrip.export.lerobot_stats import image_stats, statistics
+from getagrip.export.lerobot import CAMERA, STATE, image_stats, rate, statistics
 from getagrip.export.stage import Stage
 from getagrip.geometry import se3
 from getagrip.io.images import write_image

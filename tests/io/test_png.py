@@ -15,7 +15,7 @@ from PIL import Image
 
 from getagrip.clip.label_choice import read_labels
 from getagrip.errors import InputError
-from getagrip.io.png import read_colour_png, read_png
+from getagrip.io.images import read_colour_png, read_png
 
 Refused = Callable[..., str]
 SIZE = (13, 9)

@@ -8,12 +8,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from getagrip.batch.kept import good_result
-from getagrip.batch.made_by import made_by
+from getagrip.batch.kept import good_result, made_by
 from getagrip.clip import input_sha256, read_clip
 from getagrip.errors import GetagripError, InputError, cleaned
 from getagrip.finding import Finding
-from getagrip.io.own_code import place
+from getagrip.io.code import place
 from getagrip.probability import Probability
 from getagrip.result import Reconstruction, write_result
 from getagrip.result.segments import probabilities_of_grasps

@@ -6,11 +6,16 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from getagrip.batch.made_by import KEY, UNKNOWN
 from getagrip.errors import InputError, UsageError
+from getagrip.fitting.methods import OURS, Method, method_of
 from getagrip.io import files
-from getagrip.result import Reconstruction, is_result, read_result
+from getagrip.io.code import UnknownSourceError, checksum
+from getagrip.result import Reconstruction, is_result, read_result, software
 
+KEY = "method_code"
+"""Of a record's ``software``: the checksum of a method from outside."""
+UNKNOWN = "unknown"
+"""The checksum of a method whose source cannot be found: its results are never kept."""
 OTHER = {
     "input_sha256": "another clip",
     "method": "another method",
@@ -21,6 +26,23 @@ OTHER = {
     KEY: "another source of its method",
 }
 """In what a record may differ, by its key."""
+_CHECKSUMS: dict[str, tuple[Method, str]] = {}
+"""Of methods from outside, as their files were when they were first asked for: what changes later does not run here."""
+
+
+def made_by(method: str, *also: str) -> dict[str, str]:
+    """``result.software``, and of a method that is not the package's own a checksum of its code (``io.code``)."""
+    there = method_of(method)
+    if there is OURS.get(method):
+        return software(*also)
+    known, code = _CHECKSUMS.get(method, (None, ""))
+    if known is not there:
+        try:
+            code = checksum((there.fit, there.has_axis, there.checks_masks, there.as_published))
+        except UnknownSourceError:
+            code = UNKNOWN
+        _CHECKSUMS[method] = there, code
+    return software(*also) | {KEY: code}
 
 
 def good_result(

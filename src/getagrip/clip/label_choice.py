@@ -16,7 +16,7 @@ from numpy import ndarray
 from getagrip.clip.data import FrameMasks
 from getagrip.clip.mask_request import MOST_NAMED, MaskRequest, without_object
 from getagrip.errors import InputError, UsageError
-from getagrip.io.png import open_png
+from getagrip.io.images import open_png
 
 ALPHA = "the alpha channel was taken for the mask, in images"
 MOST_COLOURS = 64

@@ -13,7 +13,7 @@ from numpy import ndarray
 from getagrip.clip.data import Clip, FrameMasks, Masks
 from getagrip.errors import InputError
 from getagrip.io import files
-from getagrip.io.png import read_png
+from getagrip.io.images import read_png
 
 
 def read_masks(clip: Clip) -> Masks:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
@@ -18,6 +18,7 @@ from getagrip.grasps.options import GraspOptions
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile, OptionalFolder
 from getagrip.io.counts import counted
+from getagrip.io.files import Json
 from getagrip.io.terminal import console, plain_table, report
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ class SegmentedClip:
     listed: tuple[ListedGrasp, ...]
     """The same, as lists have them."""
 
-    def rows(self) -> Iterator[dict[str, Any]]:
+    def rows(self) -> Iterator[Json]:
         """What ``segments.csv`` has of each grasp, by ``COLUMNS``."""
         for (start, end), grasp in zip(self.grasps, self.listed, strict=True):
             row = {"start": start, "end": end} | grasp.row()
@@ -139,7 +140,7 @@ def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> Segmen
         clip = read_clip(job.clip)
         iou, grasps = job.cut.of(clip, partial(progress, "contact"))
         if job.picture is not None:
-            from getagrip.view.matrix import write_matrix
+            from getagrip.pictures.matrix import write_matrix
 
             subtitle = f"{clip.side} hand, {clip.category}  ·  {job.cut.description}"
             write_matrix(job.picture, iou, grasps, clip.fps, job.cut.definition.tau, clip.name, subtitle)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from getagrip.commands.each_clip import each_clip
 from getagrip.errors import UsageError
 from getagrip.io import files
 from getagrip.io.counts import counted
+from getagrip.io.files import Json
 from getagrip.io.terminal import console, plain_table, report
 
 if TYPE_CHECKING:
@@ -49,9 +50,9 @@ class SegmentedClip:
     """What was found in a clip."""
 
     clip: str
-    rows: tuple[dict[str, Any], ...]
+    rows: tuple[Json, ...]
     """One for each segment, by ``COLUMNS``."""
-    fields: dict[str, Any]
+    fields: Json
     """As ``segments.json`` has it."""
     grasps: tuple[ListedGrasp, ...]
 
@@ -115,7 +116,7 @@ def find_one(job: SegmentJob, progress: Progress = lambda *_: None) -> Segmented
     return SegmentedClip(clip.name, tuple(_rows(clip, found)), _fields(listed, found), grasps)
 
 
-def _rows(clip: Clip, found: FoundSegments) -> list[dict[str, Any]]:
+def _rows(clip: Clip, found: FoundSegments) -> list[Json]:
     """The segments, by ``COLUMNS``."""
     return [
         {
@@ -134,7 +135,7 @@ def _rows(clip: Clip, found: FoundSegments) -> list[dict[str, Any]]:
     ]
 
 
-def _fields(listed: SegmentList, found: FoundSegments) -> dict[str, Any]:
+def _fields(listed: SegmentList, found: FoundSegments) -> Json:
     """The segments as ``clip.json`` has them, and beside them the margins and what was assumed."""
     return listed.fields | {"margins": [one.margin for one in found.segments], "notes": list(found.notes)}
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from getagrip.commands.each_clip import each_clip
 from getagrip.commands.segment import GraspCommand, SegmentJob, tell_missing
@@ -124,7 +124,7 @@ def _write(studied: Sequence[StudiedGrasp], cut: Cut, clips: int, out: Path) -> 
     """The files of a study."""
     from getagrip.grasps import lists
     from getagrip.grasps.study import mean_curves
-    from getagrip.view.study import write_study
+    from getagrip.pictures.study import write_study
 
     out.mkdir(parents=True, exist_ok=True)
     _write_csv(out / "grasps.csv", (_grasp(one) for one in studied))
@@ -135,7 +135,7 @@ def _write(studied: Sequence[StudiedGrasp], cut: Cut, clips: int, out: Path) -> 
     print(write_study(out / "study.png", mean_curves(studied), title, cut.description))
 
 
-def _grasp(one: StudiedGrasp) -> dict[str, Any]:
+def _grasp(one: StudiedGrasp) -> dict[str, object]:
     """A grasp on one line, in SI units."""
     axis = {f"axis_{name}_{x}": v for name in ("point", "direction") for x, v in zip("xyz", getattr(one.hinge, name))}  # noqa: B905
     return {
@@ -152,7 +152,7 @@ def _grasp(one: StudiedGrasp) -> dict[str, Any]:
     }
 
 
-def _curves(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, Any]]:
+def _curves(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, object]]:
     """The mean curves, a line for each normalised time and measure, in SI units."""
     from getagrip.grasps.study import TIMES, mean_curves
 
@@ -161,7 +161,7 @@ def _curves(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, Any]]:
             yield {"measure": name, "time": round(float(time), 6), **asdict(spread)}
 
 
-def _summary(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, Any]]:
+def _summary(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, object]]:
     """Every measure inside and outside, by category, in SI units."""
     for category, grasps in by_category(studied):
         for where in ("inside", "outside"):
@@ -169,7 +169,7 @@ def _summary(studied: Sequence[StudiedGrasp]) -> Iterator[dict[str, Any]]:
                 yield {"object": category, "where": where, "measure": name, **asdict(spread)}
 
 
-def _content(studied: Sequence[StudiedGrasp], cut: Cut) -> dict[str, Any]:
+def _content(studied: Sequence[StudiedGrasp], cut: Cut) -> dict[str, object]:
     """Everything, for ``--json``."""
     return {
         "cut": cut.record(),
@@ -180,6 +180,6 @@ def _content(studied: Sequence[StudiedGrasp], cut: Cut) -> dict[str, Any]:
     }
 
 
-def _write_csv(path: Path, rows: Iterable[dict[str, Any]]) -> None:
+def _write_csv(path: Path, rows: Iterable[dict[str, object]]) -> None:
     lines = list(rows)
     files.write_csv(path, [lines[0], *(line.values() for line in lines)])

@@ -42,7 +42,7 @@ from getagrip.hands.model import Side
 from getagrip.io import arrays, pickles
 from getagrip.io.arguments import OptionalFolder
 from getagrip.io.files import read_bytes, read_json, shown
-from getagrip.io.png import read_colour_png
+from getagrip.io.images import read_colour_png
 
 PAPER = GraspOptions(tau=0.3, contact_mm=10.0, shortest=FEWEST)
 """The paper's stable grasps of HOI4D: it states no shortest length."""

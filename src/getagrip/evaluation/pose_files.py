@@ -20,7 +20,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -28,6 +27,7 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.io import arrays, files
+from getagrip.io.files import Json
 
 SUFFIXES = (".csv", ".npz", ".npy", ".json", ".txt")
 ALONE = (".txt", ".npy", ".json")
@@ -119,7 +119,7 @@ def _json(path: Path) -> PoseFile:
     return PoseFile(path, np.concatenate(T), tuple(content))
 
 
-def _record(path: Path, given: Mapping[str, Any]) -> PoseFile:
+def _record(path: Path, given: Mapping[str, object]) -> PoseFile:
     """Poses by name."""
     key = next((key for key in ("T_cam_obj", "T_hand_obj") if key in given), None)
     if key is None:
@@ -167,7 +167,7 @@ def _bop_results(path: Path) -> PoseFile:
     return PoseFile(path, np.array([T for _, T in best.values()]), tuple(best), by_place=True)
 
 
-def _bop_truth(path: Path, content: Mapping[str, Any]) -> PoseFile:
+def _bop_truth(path: Path, content: Json) -> PoseFile:
     """BOP's ``scene_gt``, or estimates in that layout."""
     T = np.tile(np.eye(4), (len(content), 1, 1))
     for n, (image, objects) in enumerate(content.items()):

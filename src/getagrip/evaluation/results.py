@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote_to_bytes
 
 import numpy as np
@@ -21,6 +20,7 @@ from getagrip.evaluation.grasps import contact_in_grasps
 from getagrip.evaluation.metric import METRICS, SCA, Metric, measure
 from getagrip.geometry.mesh import Mesh
 from getagrip.io import files
+from getagrip.io.files import Json
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition, ContactDistances, contact_distances
 from getagrip.metrics.mask import MaskIou, iou_of_poses
 from getagrip.metrics.pose import ObjectTrack
@@ -200,7 +200,7 @@ class _ResultComparison(Comparison):
         return contact_distances(self.found, tracks, given.vertices, given.faces, self.reach)
 
 
-def clip_of(folder: Path, result: Reconstruction, record: dict[str, Any], clips: str | Path | None) -> Clip:
+def clip_of(folder: Path, result: Reconstruction, record: Json, clips: str | Path | None) -> Clip:
     """The clip that a result was made from."""
     if clips is not None:
         places = [Path(clips) / result.clip, Path(clips)]

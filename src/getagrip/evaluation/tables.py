@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from getagrip.errors import cleaned
 from getagrip.evaluation.metric import METRICS, SCA, TRUE_SCA, mean_of
 from getagrip.evaluation.results import Evaluation
+from getagrip.io.files import Json
 from getagrip.io.terminal import plain_table
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 
@@ -21,7 +22,7 @@ _OF_OBJECT, _OF_HAND = ContactDefinition("object", 0.010), ContactDefinition("ha
 """Definitions of contact in the table of results: that of reports and benchmarks, and the one that any mesh has."""
 
 
-def summary(evaluations: Sequence[Evaluation]) -> dict[str, Any]:
+def summary(evaluations: Sequence[Evaluation]) -> Json:
     """The evaluations; for each metric, its mean over the clips that have it and their number; the same by method."""
     return {
         "samples": [evaluation.fields() for evaluation in evaluations],
@@ -36,7 +37,7 @@ def by_method(evaluations: Sequence[Evaluation]) -> dict[str, list[Evaluation]]:
     return {method: [e for e in evaluations if e.method == method] for method in methods}
 
 
-def _means(evaluations: Sequence[Evaluation]) -> dict[str, dict[str, Any]]:
+def _means(evaluations: Sequence[Evaluation]) -> dict[str, Json]:
     keys = list(dict.fromkeys(key for evaluation in evaluations for key in evaluation.metrics))
     columns = {key: np.array([e.metrics.get(key, np.nan) for e in evaluations], dtype=float) for key in keys}
     return {

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from getagrip.clip import Clip, Masks, observed_frames
 from getagrip.clip.sampling import frame_indices
@@ -44,7 +43,7 @@ def system_variants(
     return by_contact(rows, contacts)
 
 
-def options_of(variant: Variant, clip: str) -> dict[str, Any]:
+def options_of(variant: Variant, clip: str) -> dict[str, object]:
     """The options of a variant; of another system's results with the checksum of their files, empty where none are."""
     options = asdict(variant.options)
     if variant.system is None:

@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from getagrip.batch.kept import damaged, difference, without_source
-from getagrip.batch.made_by import KEY, UNKNOWN, made_by
+from getagrip.batch.kept import KEY, UNKNOWN, damaged, difference, made_by, without_source
 from getagrip.clip import input_sha256
 from getagrip.errors import InputError
 from getagrip.fitting.options import Options
 from getagrip.io import files
+from getagrip.io.files import Json
 
 KEYS = {"inputs": "another clip", "options": "other options", "software": "other code or other libraries"}
 """What a record says that it was made of, and how it is called where that differs."""
 
 
-def made_of(clip: Path, options: Options, *code: str) -> dict[str, Any]:
+def made_of(clip: Path, options: Options, *code: str) -> Json:
     """What a record is made of; ``code`` are parts of the package that a reconstruction does not depend on."""
     return {"inputs": input_sha256(clip), "options": asdict(options), "software": made_by(options.method, *code)}
 
 
-def kept_or_made(
-    path: Path, of: Mapping[str, Any], overwrite: bool, make: Callable[[], dict[str, Any]]
-) -> tuple[dict[str, Any], str]:
+def kept_or_made(path: Path, of: Json, overwrite: bool, make: Callable[[], Json]) -> tuple[Json, str]:
     """The record in a file, if it is good, else one that is made and written; and why one that was there was not good.
 
     The reason is empty where there was none, and with ``overwrite``.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from getagrip.experiments.segment_scores import Matched, Span, matched
 from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.fitting.options import Options
 from getagrip.grasps.definition import Definition
+from getagrip.io.files import Json
 
 DIRECTIONS = ("forwards", "in reverse")
 DEFINITION = Definition(contact=0.010)
@@ -73,7 +73,7 @@ def mirrored(spans: list[Span], frames: int) -> list[Span]:
     return [(frames - 1 - last, frames - 1 - first) for first, last in reversed(spans)]
 
 
-def _found(trial: SequenceTrial) -> dict[str, Any]:
+def _found(trial: SequenceTrial) -> Json:
     """What is true and what is found, by direction."""
     from getagrip.segmentation.found import find_segments, moving_runs
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from getagrip.experiments.comparison import ERRORS, Table
 from getagrip.experiments.statistics import LEVEL, Estimate
@@ -252,7 +252,7 @@ def terminal(table: Table) -> RichTable:
     return out
 
 
-def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, Any]:
+def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, object]:
     """Every number, unrounded: the tables' and each clip's."""
     return {
         "level": LEVEL,

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from getagrip.batch.entries import Entry
 from getagrip.batch.job import Outcome, failure
 from getagrip.experiments.sources import Sample
 from getagrip.io import files
+from getagrip.io.files import Json
 from getagrip.io.terminal import console
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ class Page:
     """By the end of a file's name, as ".md"."""
     rows: Mapping[str, Sequence[Sequence[object]]]
     """Of CSV, the heading first, unrounded; by the end of a file's name."""
-    content: Any
+    content: Json
     """Every number, for --json."""
     plotted: tuple[ComparisonTable, str] | None = None
     """What a plot shows, and its title."""

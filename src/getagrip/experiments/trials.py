@@ -6,17 +6,15 @@ A result is kept as a result folder, its metrics in ``result.json``, so that the
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from getagrip.batch.job import failure
-from getagrip.batch.kept import good_result
-from getagrip.batch.made_by import made_by
+from getagrip.batch.kept import good_result, made_by
 from getagrip.clip import Clip, Masks, input_sha256, read_clip, read_masks
 from getagrip.errors import InputError
 from getagrip.evaluation.metric import SCA
@@ -26,6 +24,7 @@ from getagrip.experiments.trial import ClipScores, Trial
 from getagrip.experiments.variants import Variant
 from getagrip.finding import read_findings
 from getagrip.io import code, files
+from getagrip.io.files import Json
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 from getagrip.probability import read_probability
 from getagrip.result import Reconstruction, read_record, software, write_result
@@ -148,13 +147,13 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
     return replace(_score(variant, place, read_record(place)), again=why)
 
 
-def _measured(record: Mapping[str, Any], contacts: Sequence[ContactDefinition]) -> bool:
+def _measured(record: Json, contacts: Sequence[ContactDefinition]) -> bool:
     """Whether a result was evaluated by this code, by all these definitions; else only that is done again."""
     by_this = record["software"].get("evaluation") == code.fingerprint(EVALUATION)
     return by_this and all(SCA.key(contact) in record["metrics"] for contact in contacts)
 
 
-def _score(variant: Variant, place: Path, record: dict[str, Any]) -> Score:
+def _score(variant: Variant, place: Path, record: Json) -> Score:
     """The score that a result's record holds."""
     metrics = {key: np.nan if value is None else float(value) for key, value in record["metrics"].items()}
     of_all = (record["seconds"]["total"], record["energy"]["total"])
@@ -187,7 +186,7 @@ def _checksum(checksum: str, variant: Variant, clip: str) -> str:
 
 def _good(
     trial: GraspTrial, variant: Variant, clip: str, checksum: str
-) -> tuple[tuple[Reconstruction, dict[str, Any]] | None, str]:
+) -> tuple[tuple[Reconstruction, Json] | None, str]:
     """A variant's result that is there, as ``good_result``; ``checksum`` is that of the clip as the variant has it."""
     options, place = options_of(variant, clip), _place(trial, variant)
     return good_result(place, checksum, variant.method, options, _made_by(variant), trial.overwrite)

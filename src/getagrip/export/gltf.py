@@ -8,7 +8,7 @@ targets, one for each frame, of which one at a time has the weight 1. While a ha
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Float32, Int, Shaped
@@ -18,6 +18,9 @@ from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, MovingHand, Scene
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import vertex_normals
 from getagrip.io import files
+
+if TYPE_CHECKING:
+    import pygltflib
 
 FILE = "scene.glb"
 
@@ -63,7 +66,7 @@ def _bending(hand: MovingHand) -> Float[ndarray, "S V 3"]:
     return bent if np.abs(bent).max() > 1e-7 else bent[:0]
 
 
-def _extras(scene: Scene) -> dict[str, Any]:
+def _extras(scene: Scene) -> dict[str, object]:
     """What glTF has no place for: the frames, their times and kinds, the notes."""
     return {
         "units": "metres",
@@ -86,7 +89,7 @@ def _mesh(
     faces: Int[ndarray, "F 3"],
     material: int,
     moved: Float[ndarray, "S V 3"] | None = None,
-) -> Any:
+) -> pygltflib.Mesh:
     """A mesh; ``moved`` are the displacements of its morph targets."""
     from pygltflib import Attributes, Mesh, Primitive
 
@@ -109,7 +112,9 @@ def _rising(time: Float[ndarray, "T"]) -> Float32[ndarray, "T"]:
     return out
 
 
-def _channel(animation: Any, time: int, values: int, node: int, path: str, between: str = "LINEAR") -> None:
+def _channel(
+    animation: pygltflib.Animation, time: int, values: int, node: int, path: str, between: str = "LINEAR"
+) -> None:
     """Let a node's property go through values."""
     from pygltflib import AnimationChannel, AnimationChannelTarget, AnimationSampler
 
@@ -124,8 +129,8 @@ class _Buffers:
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
-        self._views: list[Any] = []
-        self._accessors: list[Any] = []
+        self._views: list[pygltflib.BufferView] = []
+        self._accessors: list[pygltflib.Accessor] = []
         self._size = 0
 
     def add(self, values: Shaped[ndarray, "..."], bounds: bool = False, corners: bool = False) -> int:
@@ -149,7 +154,7 @@ class _Buffers:
         self._size += len(content)
         return len(self._accessors) - 1
 
-    def into(self, gltf: Any) -> None:
+    def into(self, gltf: pygltflib.GLTF2) -> None:
         """Put all into a file."""
         from pygltflib import Buffer
 

@@ -11,17 +11,16 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Shaped, UInt8
 from numpy import ndarray
 
 from getagrip.export.bones import JOINTS
-from getagrip.export.lerobot_stats import image_stats, statistics
 from getagrip.export.palm import joints_on_stage, pose7
 from getagrip.export.scene import Scene
 from getagrip.export.stage import Stage
@@ -29,12 +28,19 @@ from getagrip.io import extras, files
 from getagrip.io.images import read_image
 from getagrip.io.videos import write_video
 
+if TYPE_CHECKING:
+    import pyarrow
+from collections.abc import Iterable
+
 VERSION = "v3.0"
 CHUNK, FILE = {"chunk_index": 0, "file_index": 0}, "chunk-{chunk_index:03d}/file-{file_index:03d}"
 DATA, EPISODES = f"data/{FILE}.parquet", f"meta/episodes/{FILE}.parquet"
 VIDEO, CAMERA = "videos/{video_key}/" + f"{FILE}.mp4", "observation.images.camera"
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 STATE = [*(f"wrist_{name}" for name in POSE), *(f"{joint}_{axis}" for joint in JOINTS for axis in "xyz")]
+QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
+MOST_PIXELS = 200_000
+"""Of an image that are looked at, as many as a small one has."""
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
@@ -42,14 +48,14 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     extras.load("pyarrow", "lerobot")
     stage = Stage.of(scene)
     fps, columns = rate(scene), _columns(scene, stage)
-    features: dict[str, Any] = {
+    features: dict[str, object] = {
         name: {"dtype": _dtype(values), "shape": list(values.shape[1:]) or [1], "names": _names(name)}
         for name, values in columns.items()
     }
     stats = {name: statistics(values) for name, values in columns.items() if values.dtype.kind != "U"}
     task = f"hold the {scene.category} with the {scene.side} hand"
     count = len(scene.frames)
-    episode: dict[str, Any] = {
+    episode: dict[str, object] = {
         "episode_index": 0,
         "tasks": [task],
         "length": count,
@@ -109,7 +115,7 @@ class Pictures:
         for path in self.paths:
             yield read_image(path, self.given)[:height, :width]
 
-    def feature(self, fps: int) -> dict[str, Any]:
+    def feature(self, fps: int) -> dict[str, object]:
         """How LeRobot describes the video."""
         width, height = self.size
         about = {"height": height, "width": width, "codec": "h264", "pix_fmt": "yuv420p", "is_depth_map": False}
@@ -153,7 +159,7 @@ def _dtype(values: Shaped[ndarray, "T ..."]) -> str:
     return "string" if values.dtype.kind == "U" else str(values.dtype)
 
 
-def _info(fps: int, count: int, features: dict[str, Any], has_video: bool) -> dict[str, Any]:
+def _info(fps: int, count: int, features: dict[str, object], has_video: bool) -> dict[str, object]:
     return {
         "codebase_version": VERSION,
         "robot_type": "human_hand",
@@ -171,11 +177,11 @@ def _info(fps: int, count: int, features: dict[str, Any], has_video: bool) -> di
     }
 
 
-def _write_table(path: Path, columns: dict[str, Any], metadata: dict[bytes, bytes] | None = None) -> None:
+def _write_table(path: Path, columns: Mapping[str, object], metadata: dict[bytes, bytes] | None = None) -> None:
     """Write a Parquet file; arrays with several numbers in a row become lists of that length."""
     pa, parquet = extras.load("pyarrow", "lerobot"), extras.load("pyarrow.parquet", "lerobot")
 
-    def column(values: Any) -> Any:
+    def column(values: object) -> pyarrow.Array:
         if isinstance(values, ndarray) and values.ndim == 2:
             return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
         return pa.array(values.tolist() if isinstance(values, ndarray) and values.dtype.kind == "U" else values)
@@ -190,7 +196,7 @@ def _write_table(path: Path, columns: dict[str, Any], metadata: dict[bytes, byte
 def _write_tasks(path: Path, task: str) -> None:
     """LeRobot reads tasks with pandas, as a table whose index is the task: pandas finds that in the metadata."""
 
-    def about(name: str, kind: str, numpy_type: str) -> dict[str, Any]:
+    def about(name: str, kind: str, numpy_type: str) -> dict[str, object]:
         return {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy_type, "metadata": None}
 
     columns = [about("task_index", "int64", "int64"), about("task", "unicode", "object")]
@@ -198,5 +204,35 @@ def _write_tasks(path: Path, task: str) -> None:
     _write_table(path, {"task_index": [0], "task": [task]}, {b"pandas": json.dumps(pandas).encode()})
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     return value.tolist() if isinstance(value, ndarray) else value
+
+
+def statistics(values: Shaped[ndarray, "T ..."]) -> dict[str, Shaped[ndarray, "..."]]:
+    """Of numbers over all frames, a number for each entry."""
+    rows = values.reshape(len(values), -1).astype(float)
+    low, high, mean, std = rows.min(axis=0), rows.max(axis=0), rows.mean(axis=0), rows.std(axis=0)
+    quantiles = {f"q{round(100 * q):02d}": np.quantile(rows, q, axis=0) for q in QUANTILES}
+    return {"min": low, "max": high, "mean": mean, "std": std, "count": np.array([len(rows)]), **quantiles}
+
+
+def image_stats(images: Iterable[UInt8[ndarray, "H W 3"]]) -> dict[str, Shaped[ndarray, "..."]]:
+    """Of the three channels over all images, from 0 to 1, as arrays (3, 1, 1)."""
+    histogram, count = np.zeros((3, 256)), 0
+    for image in images:
+        step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / MOST_PIXELS)))
+        histogram += [np.bincount(image[::step, ::step, k].ravel(), minlength=256) for k in range(3)]
+        count += 1
+    levels = np.arange(256) / 255.0
+    share = histogram / histogram.sum(axis=1, keepdims=True)
+    mean = share @ levels
+    there = [np.flatnonzero(of) for of in histogram]
+    total = np.cumsum(share, axis=1)
+    out = {
+        "min": levels[[of[0] for of in there]],
+        "max": levels[[of[-1] for of in there]],
+        "mean": mean,
+        "std": np.sqrt(np.maximum(share @ levels**2 - mean**2, 0.0)),
+        **{f"q{round(100 * q):02d}": levels[np.argmax(total >= q, axis=1)] for q in QUANTILES},
+    }
+    return {key: value.reshape(3, 1, 1) for key, value in out.items()} | {"count": np.array([count])}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -44,7 +42,7 @@ def pose7(T: Float[ndarray, "T 4 4"], last: str) -> Float[ndarray, "T 7"]:
     return np.concatenate([t, q] if last == "wxyz" else [np.roll(q, -1, axis=1), t], axis=1)
 
 
-def besides(scene: Scene) -> dict[str, Any]:
+def besides(scene: Scene) -> dict[str, ndarray]:
     """Arrays that the programs pass over: all poses, times and how each frame's pose was found."""
     return {
         **scene.poses,

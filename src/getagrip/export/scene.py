@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -181,7 +181,7 @@ class Scene:
         """The hand's vertices in the camera frame [m]."""
         return self.hand.in_camera
 
-    def about(self, written: dict[str, str]) -> dict[str, Any]:
+    def about(self, written: dict[str, str]) -> files.Json:
         """What goes beside the files of any format, as ``about.json``."""
         return {
             "clip": self.name,
@@ -203,7 +203,7 @@ class Scene:
         }
 
 
-def _about_hand(hand: MovingHand) -> dict[str, Any]:
+def _about_hand(hand: MovingHand) -> dict[str, object]:
     """Where a hand is, and in which frames that is known."""
     return {"known": hand.known, "T_cam_hand": hand.T_cam_hand, "joints_cam": hand.joints_in_camera}
 

@@ -7,8 +7,9 @@ look along -z with y up.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,6 +18,9 @@ from numpy import ndarray
 from getagrip.export.scene import HAND_COLOUR, OBJECT_COLOUR, MovingHand, Scene
 from getagrip.export.stage import Stage
 from getagrip.io import extras
+
+if TYPE_CHECKING:
+    from pxr import Gf, Usd, Vt
 
 FILE = "scene.usdc"
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -62,7 +66,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
     }
 
 
-def _describe(root: Any, scene: Scene, on_stage: Stage, codes: list[float]) -> None:
+def _describe(root: Usd.Prim, scene: Scene, on_stage: Stage, codes: list[float]) -> None:
     """What USD has no place for: notes; in time, the frames' names, how their poses were found, and all poses."""
     Sdf = extras.load("pxr.Sdf", "usd")
     notes = {"clip": scene.name, "method": scene.method, "frame": on_stage.words, "notes": "\n".join(scene.notes)}
@@ -80,7 +84,7 @@ def _describe(root: Any, scene: Scene, on_stage: Stage, codes: list[float]) -> N
             attribute.Set(_matrix(matrix), code)
 
 
-def _moving(stage: Any, path: str, T: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
+def _moving(stage: Usd.Stage, path: str, T: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
     """A node whose transform is sampled in time."""
     UsdGeom = extras.load("pxr.UsdGeom", "usd")
     op = UsdGeom.Xform.Define(stage, path).AddTransformOp()
@@ -88,7 +92,7 @@ def _moving(stage: Any, path: str, T: Float[ndarray, "T 4 4"], codes: list[float
         op.Set(_matrix(matrix), code)
 
 
-def _hand(stage: Any, hand: MovingHand, T_stage_hand: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
+def _hand(stage: Usd.Stage, hand: MovingHand, T_stage_hand: Float[ndarray, "T 4 4"], codes: list[float]) -> None:
     """A hand's transform, mesh and joints; invisible while it is not known."""
     UsdGeom = extras.load("pxr.UsdGeom", "usd")
     path = f"/clip/{hand.name}"
@@ -107,12 +111,12 @@ def _hand(stage: Any, hand: MovingHand, T_stage_hand: Float[ndarray, "T 4 4"], c
 
 
 def _mesh(
-    stage: Any,
+    stage: Usd.Stage,
     path: str,
     faces: Int[ndarray, "F 3"],
     colour: tuple[float, float, float],
     vertices: Float[ndarray, "T V 3"],
-    codes: list[Any],
+    codes: Sequence[float | Usd.TimeCode],
 ) -> None:
     """A mesh of triangles, its points at some times."""
     UsdGeom, Vt = extras.load("pxr.UsdGeom", "usd"), extras.load("pxr.Vt", "usd")
@@ -126,7 +130,7 @@ def _mesh(
         mesh.CreateExtentAttr().Set(_points(np.stack([points.min(axis=0), points.max(axis=0)])), code)
 
 
-def _camera(stage: Any, scene: Scene, on_stage: Stage, codes: list[float]) -> None:
+def _camera(stage: Usd.Stage, scene: Scene, on_stage: Stage, codes: list[float]) -> None:
     """The clip's camera: apertures in tenths of a unit for the image's width and height."""
     UsdGeom, Gf = extras.load("pxr.UsdGeom", "usd"), extras.load("pxr.Gf", "usd")
     camera = UsdGeom.Camera.Define(stage, "/clip/camera")
@@ -144,9 +148,9 @@ def _camera(stage: Any, scene: Scene, on_stage: Stage, codes: list[float]) -> No
         camera.CreateVerticalApertureOffsetAttr().Set(float((K[1, 2] - height / 2.0) * tall), code)
 
 
-def _points(points: Float[ndarray, "V 3"]) -> Any:
+def _points(points: Float[ndarray, "V 3"]) -> Vt.Vec3fArray:
     return extras.load("pxr.Vt", "usd").Vec3fArray.FromNumpy(np.ascontiguousarray(points, dtype=np.float32))
 
 
-def _matrix(T: Float[ndarray, "4 4"]) -> Any:
+def _matrix(T: Float[ndarray, "4 4"]) -> Gf.Matrix4d:
     return extras.load("pxr.Gf", "usd").Matrix4d(np.ascontiguousarray(T.T))

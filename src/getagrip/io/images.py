@@ -1,4 +1,9 @@
-"""Images as files: each written whole or with an error; read only where they have the size that they should have."""
+"""Images as files: each written whole or with an error; read only where they have the size that they should have.
+
+Sizes are checked before memory is taken, and damaged files are refused. Decoders return what there is of a file that is
+cut short or damaged. Pillow decodes PNG here: it can check every checksum first, and says how many bits a pixel has. Of
+a JPEG a scan of a few bytes may take as long as a whole image, so they are counted first.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +19,11 @@ from numpy import ndarray
 
 from getagrip.errors import InputError
 from getagrip.io import files
-from getagrip.io.png import LARGEST, read_colour_png
+from getagrip.io.files import read_bytes
 
 if TYPE_CHECKING:
     from PIL.JpegImagePlugin import JpegImageFile
+    from PIL.PngImagePlugin import PngImageFile
 
 QUALITY = 92
 """Of JPEG images, of 100."""
@@ -25,7 +31,21 @@ MOST_SCANS = 100
 """Passes over an image: 1 to 4 of plain ones, about 10 of those that load step by step."""
 _MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])", re.DOTALL)
 """What begins a segment, wherever a decoder looks for one: in coded data, FF is followed by 00 or D0 to D7."""
-SCAN, END = 0xDA, 0xD9
+SCAN, LAST = 0xDA, 0xD9
+LARGEST = 64 * 2**20
+"""Limit of a file in bytes."""
+END = b"\0\0\0\0IEND\xaeB`\x82"
+"""The last chunk of every PNG."""
+COLOURS = {
+    "1": "grey",
+    "L": "grey",
+    "I": "grey",
+    "P": "palette",
+    "LA": "grey and alpha",
+    "RGB": "RGB",
+    "RGBA": "RGB and alpha",
+}
+"""What Pillow calls the colours of a PNG, and what errors call them."""
 
 
 def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
@@ -112,10 +132,55 @@ def open_jpeg(path: Path, key: str, content: bytes) -> JpegImageFile:
     from PIL.JpegImagePlugin import JpegImageFile
 
     scans, at = 0, 2
-    while (marker := _MARKER.search(content, at)) and content[marker.start() + 1] != END:
+    while (marker := _MARKER.search(content, at)) and content[marker.start() + 1] != LAST:
         scans += content[marker.start() + 1] == SCAN
         if scans > MOST_SCANS:
             raise InputError(path, f"{key} scans".strip(), f"more than {MOST_SCANS}", "at most that")
         length = int.from_bytes(content[marker.end() : marker.end() + 2], "big")
         at = marker.end() + max(length, 2)  # as libjpeg goes on; of a scan, before its coded data
     return JpegImageFile(io.BytesIO(content))
+
+
+def read_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
+    """An 8-bit image of one channel and of the given (width, height). Raises ``InputError``."""
+    image, colours, bits = open_png(path, size)
+    if (colours, bits) != ("grey", 8):
+        raise InputError(path, "channels", f"{bits} bit {colours}", "8 bit, one channel (grey)")
+    return np.array(image)
+
+
+def read_colour_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
+    """Red, green and blue of a PNG of the given (width, height), also of one with a palette. Raises ``InputError``."""
+    image, colours, bits = open_png(path, size)
+    if bits > 8:
+        raise InputError(path, "channels", f"{bits} bit {colours}", "8 bit")
+    if image.mode == "RGB":
+        return np.array(image)
+    return np.ascontiguousarray(np.asarray(image.convert("RGBA"))[..., :3])  # by RGBA, palettes may be transparent
+
+
+def open_png(path: Path, size: tuple[int, int]) -> tuple[PngImageFile, str, int]:
+    """A whole PNG of the given (width, height), decoded; its kind of colours and the bits of each channel.
+
+    Raises ``InputError``.
+    """
+    from PIL.PngImagePlugin import PngImageFile
+
+    content = read_bytes(path, LARGEST)
+    try:
+        stream = io.BytesIO(content)
+        header = PngImageFile(stream)
+        colours, _, bits = str(header.tile[0].args).partition(";")
+        if header.size != size:
+            given, expected = (f"{width} x {height}" for width, height in (header.size, size))
+            raise InputError(path, "size", f"{given} pixels", f"{expected}, the size of the images")
+        header.verify()  # up to the head of the last chunk
+        if content[stream.tell() - 8 :] != END:
+            raise InputError(path, "", "a PNG that does not end where it should", "a whole PNG file")
+        image = PngImageFile(io.BytesIO(content))
+        image.load()
+    except InputError:
+        raise
+    except Exception as error:  # Pillow raises whatever its parsers meet
+        raise InputError(path, "", f"a damaged file, or no PNG ({error})", "a whole PNG file") from error
+    return image, COLOURS[colours], 1 if colours == "1" else int(bits.rstrip("B") or 8)

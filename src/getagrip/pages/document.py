@@ -14,7 +14,6 @@ import json
 import zlib
 from collections.abc import Mapping, Sequence
 from importlib import resources
-from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -29,7 +28,7 @@ LEAST = 8
 ESCAPED = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 
 
-def document(title: str, body: str, scripts: Sequence[str], data: Mapping[str, Any], asks: bool = False) -> str:
+def document(title: str, body: str, scripts: Sequence[str], data: Mapping[str, object], asks: bool = False) -> str:
     """The page: ``body`` and ``scripts`` are files of ``parts/``; if it ``asks``, it may load more from its server."""
     style = _part("page.css")
     codes = [_part(name) for name in scripts]
@@ -54,13 +53,13 @@ def document(title: str, body: str, scripts: Sequence[str], data: Mapping[str, A
     )
 
 
-def to_script(data: Mapping[str, Any]) -> str:
+def to_script(data: Mapping[str, object]) -> str:
     """JSON that can stand in a script element: it holds nothing that ends or begins an element."""
     compact = json.dumps(json.loads(files.to_json(data)), separators=(",", ":"), ensure_ascii=True)
     return compact.translate(ESCAPED)
 
 
-def pack(arrays: Mapping[str, ndarray]) -> tuple[dict[str, Any], str]:
+def pack(arrays: Mapping[str, ndarray]) -> tuple[dict[str, dict[str, object]], str]:
     """Where each array is (type, shape, offset in bytes), and all of them, deflated, as base64."""
     where, parts, size = {}, [], 0
     for name, values in arrays.items():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from getagrip.finding import Finding
 from getagrip.metrics.contact import pairwise_iou, stable_contact_area
 from getagrip.metrics.mask import iou_of_poses
 from getagrip.metrics.pose import ObjectTrack, pose_errors
-from getagrip.view.shown import View
+from getagrip.pictures.shown import View
 
 HEAD = ("", "energy", "IOU %", "gap mm", "depth mm", "SCA %", "ADD mm")
 TOUCHING = 0.010
@@ -97,7 +96,7 @@ def numbers(view: View) -> list[Numbers]:
     return out
 
 
-def compared(view: View) -> dict[str, Any]:
+def compared(view: View) -> dict[str, object]:
     """A table of all candidates, and what speaks for and against each, as the page shows them."""
     known = numbers(view)
     rows = [[str(rank + 1), *_cells(it)] for rank, it in enumerate(known)]

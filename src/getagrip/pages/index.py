@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from posixpath import commonpath
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -20,13 +19,13 @@ from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import method_of
 from getagrip.io import files
 from getagrip.pages.document import document
-from getagrip.pages.pictures import jpeg
+from getagrip.pages.frames import jpeg
 from getagrip.pages.report import CONTACT, MAIN
+from getagrip.pictures.shown import View
+from getagrip.pictures.stills import overlay, turned
+from getagrip.pictures.tiles import input_windows
 from getagrip.probability import LEAST
 from getagrip.result import Reconstruction
-from getagrip.view.shown import View
-from getagrip.view.stills import overlay, turned
-from getagrip.view.tiles import input_windows
 
 THUMBNAIL, QUALITY = 220, 72
 """Side of each of the two pictures of a result [px], and their JPEG quality."""
@@ -75,7 +74,7 @@ def row(folder: str, view: View, evaluation: Evaluation, page: bool) -> IndexRow
 
 
 def row_without_clip(
-    folder: str, result: Reconstruction, metrics: Mapping[str, Any], problem: str, page: bool = False
+    folder: str, result: Reconstruction, metrics: Mapping[str, object], problem: str, page: bool = False
 ) -> IndexRow:
     """The row of a result whose clip is not read: with the metrics of its ``result.json``, and why there are no more.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,21 +13,21 @@ from getagrip.evaluation.metric import ADD_MM, ADD_SYM_CAM_MM, ADD_SYM_MM, ROTAT
 from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import method_of
 from getagrip.io import files
+from getagrip.io.files import Json
 from getagrip.metrics.contact import ContactDefinition
 from getagrip.pages import motion
 from getagrip.pages.document import document, pack
-from getagrip.pages.pictures import PICTURE, drawn, outline
+from getagrip.pages.frames import PICTURE, drawn, outline
 from getagrip.pages.tables import meanings, tables, unit_of
+from getagrip.pictures.candidates import candidate
+from getagrip.pictures.curves import angle_curve, seconds
+from getagrip.pictures.gap import coarse, gap
+from getagrip.pictures.shown import View
+from getagrip.pictures.stills import steady_windows
+from getagrip.pictures.style import AXIS, FOUND, HAND_LINE, INK, STATE, TRUE
+from getagrip.pictures.touched import BORDER, finer
 from getagrip.probability import RIGHT
 from getagrip.result import Reconstruction
-from getagrip.view.candidates import candidate
-from getagrip.view.curves import angle_curve, seconds
-from getagrip.view.gap import coarse, gap
-from getagrip.view.shown import View
-from getagrip.view.stills import steady_windows
-from getagrip.view.style import AXIS, FOUND, HAND_LINE, INK, STATE, TRUE
-from getagrip.view.touched import BORDER, finer
-from getagrip.view.world import called
 
 FRAMES = 120
 """Frames that a page plays, at most; of longer clips as many, evenly sampled, and the worst."""
@@ -44,7 +43,7 @@ PLOTTED: Mapping[str, Metric] = {"ADD, symmetries allowed": ADD_SYM_MM}
 """Metrics of each frame that are plotted where they are known."""
 
 
-def write_page(view: View, evaluation: Evaluation, record: Mapping[str, Any], path: Path) -> Path:
+def write_page(view: View, evaluation: Evaluation, record: Json, path: Path) -> Path:
     """Write the page of a result and return its path.
 
     ``evaluation`` is what ``evaluate`` gives for it, ``record`` the content of its ``result.json``. Raises
@@ -82,7 +81,7 @@ def _shown(view: View) -> Int[ndarray, "n"]:
     return np.array(sorted(chosen))
 
 
-def over_time(view: View, shown: Int[ndarray, "n"]) -> dict[str, Any]:
+def over_time(view: View, shown: Int[ndarray, "n"]) -> Json:
     """What all results of a page share: the times of all frames, which of them are shown, and the segments."""
     names, kinds = view.result.frames, view.result.frame_kind
     return {
@@ -90,7 +89,7 @@ def over_time(view: View, shown: Int[ndarray, "n"]) -> dict[str, Any]:
         "times": seconds(view),
         "frames": [{"n": n, "name": names[n], "kind": kinds[n]} for n in shown.tolist()],
         "segments": [
-            {"words": called(view, s)[0], "colour": STATE[s.state], "first": s.first, "last": s.last}
+            {"words": view.called(s)[0], "colour": STATE[s.state], "first": s.first, "last": s.last}
             for s in view.clip.segments
         ],
         "size": PICTURE,
@@ -99,7 +98,7 @@ def over_time(view: View, shown: Int[ndarray, "n"]) -> dict[str, Any]:
     }
 
 
-def described(view: View, label: str, evaluation: Evaluation, record: Mapping[str, Any]) -> dict[str, Any]:
+def described(view: View, label: str, evaluation: Evaluation, record: Json) -> Json:
     """What the page says of a result."""
     return {
         **_summary(view, label, record),
@@ -113,7 +112,7 @@ def described(view: View, label: str, evaluation: Evaluation, record: Mapping[st
     }
 
 
-def _summary(view: View, label: str, record: Mapping[str, Any]) -> dict[str, Any]:
+def _summary(view: View, label: str, record: Json) -> Json:
     """What the page says in words."""
     result, clip = view.result, view.clip
     hand = f"a {clip.side} hand" if clip.other_hand is None else "both hands"
@@ -170,7 +169,7 @@ def _main(metrics: Mapping[str, float], of_grasps: bool) -> list[dict[str, str]]
     return out
 
 
-def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[str, Any]]:
+def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[str, object]]:
     """Curves over all frames of the result that take no time."""
     if not view.posed:
         return []
@@ -179,7 +178,7 @@ def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[st
     if curve.true is not None and not view.of_truth:
         angles.append(_line("ground truth", np.degrees(curve.true), TRUE))
     iou = _line("IOU", 100 * view.result.iou, FOUND)
-    plots: list[dict[str, Any]] = [{"title": curve.title, "unit": "°", "lines": angles}]
+    plots: list[dict[str, object]] = [{"title": curve.title, "unit": "°", "lines": angles}]
     if not view.of_truth and not np.isnan(view.result.iou).all():
         plots.append({"title": "overlap with the mask, IOU", "unit": "%", "lines": [iou], "upTo": (80, 100)})
     for title, metric in PLOTTED.items():
@@ -189,11 +188,11 @@ def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[st
     return plots
 
 
-def gap_plot(values: Float[ndarray, "T"]) -> dict[str, Any]:
+def gap_plot(values: Float[ndarray, "T"]) -> Json:
     """The curve that takes time, of distances [m]."""
     line = _line("gap", 1e3 * values, HAND_LINE)
     return {"title": "gap of hand and object", "unit": "mm", "lines": [line], "upTo": (0, 0)}
 
 
-def _line(name: str, values: Float[ndarray, "T"], colour: str) -> dict[str, Any]:
+def _line(name: str, values: Float[ndarray, "T"], colour: str) -> Json:
     return {"name": name, "values": np.round(values, 3), "colour": colour}

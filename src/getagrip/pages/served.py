@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -18,18 +17,19 @@ from getagrip.errors import GetagripError
 from getagrip.evaluation.results import Evaluation
 from getagrip.geometry.camera import Crops, project
 from getagrip.geometry.mesh import Mesh
+from getagrip.io.files import Json
 from getagrip.pages import motion
 from getagrip.pages.document import document, pack
 from getagrip.pages.entries import Column, Entry
 from getagrip.pages.evidence import compared
-from getagrip.pages.pictures import PICTURE, drawn
+from getagrip.pages.frames import PICTURE, drawn
 from getagrip.pages.report import SCRIPTS, described, gap_plot, over_time
-from getagrip.view.candidates import candidate
-from getagrip.view.gap import coarse, gap
-from getagrip.view.shown import View
-from getagrip.view.stills import ROOM, STEADY, smoothed
-from getagrip.view.tiles import input_windows
-from getagrip.view.touched import finer
+from getagrip.pictures.candidates import candidate
+from getagrip.pictures.gap import coarse, gap
+from getagrip.pictures.shown import View
+from getagrip.pictures.stills import ROOM, STEADY, smoothed
+from getagrip.pictures.tiles import input_windows
+from getagrip.pictures.touched import finer
 
 SAMPLED = 20
 """Frames whose masks are read before any is shown; candidates are compared in them."""
@@ -51,7 +51,7 @@ class Shown:
         view = coarse(column.view)
         return Shown(column, view, finer(view))
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> Json:
         """What is the same in all frames."""
         metrics = {k: float(v) for k, v in self.column.record.get("metrics", {}).items() if isinstance(v, int | float)}
         arrays, packed = pack(motion.fixed(self.view, self.surface))
@@ -64,7 +64,7 @@ class Shown:
         more = {"result": bool(self.column.record), "masked": self.at(self.sampled[:1]).masks is not None}
         return {**said, **more, "arrays": arrays, "packed": packed}
 
-    def frame(self, rank: int, n: int) -> dict[str, Any]:
+    def frame(self, rank: int, n: int) -> dict[str, object]:
         """A frame with one of the candidates."""
         view = candidate(self.at(np.array([n])), rank)
         arrays, packed = pack(motion.moving(view, self.surface))
@@ -119,21 +119,21 @@ class Library:
         data = {"entries": [entry.label for entry in self.entries], "first": self.first}
         return document("getagrip view", "viewer.html", SCRIPTS, data, asks=True).encode()
 
-    def entry(self, n: int) -> dict[str, Any]:
+    def entry(self, n: int) -> dict[str, object]:
         """All that is the same in all frames of an entry."""
 
-        def made() -> dict[str, Any]:
+        def made() -> dict[str, object]:
             columns = self._opened(n)
             view = columns[0].view
             return {**over_time(view, np.arange(len(view.clip))), "columns": [column.about() for column in columns]}
 
         return self._frames.submit(made).result()
 
-    def frame(self, n: int, column: int, rank: int, frame: int) -> dict[str, Any]:
+    def frame(self, n: int, column: int, rank: int, frame: int) -> dict[str, object]:
         """A frame of a column, with one of the candidates in the result's place."""
         return self._frames.submit(lambda: self._opened(n)[column].frame(rank, frame)).result()
 
-    def gap(self, n: int, column: int) -> dict[str, Any]:
+    def gap(self, n: int, column: int) -> dict[str, object]:
         """The curve of a column that takes time."""
         view = self._shown(n, column).view
         if not view.posed:
@@ -142,7 +142,7 @@ class Library:
         parts = [view.at(names[first : first + AT_ONCE]) for first in range(0, len(names), AT_ONCE)]
         return gap_plot(np.concatenate([self._measured.submit(gap, part).result() for part in parts]))
 
-    def candidates(self, n: int, column: int) -> dict[str, Any]:
+    def candidates(self, n: int, column: int) -> dict[str, object]:
         """What speaks for and against the candidates of a column."""
         shown = self._shown(n, column)
         return self._measured.submit(lambda: compared(shown.at(shown.sampled, with_hand=True))).result()

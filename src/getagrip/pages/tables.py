@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -11,16 +10,17 @@ from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
 from getagrip.checks.of_timeline import JUMP
 from getagrip.evaluation.metric import METRICS, Metric
 from getagrip.evaluation.results import Evaluation
+from getagrip.io.files import Json
 from getagrip.metrics.contact import CONTACT_DEFINITIONS
+from getagrip.pictures.shown import View
 from getagrip.result import Reconstruction
-from getagrip.view.shown import View
 
 CHECKS = {check.name: check for check in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP)}
 SAID = {"iou": "iou, in the crop", "iou_soft": "iou_soft, in the crop"}
 """Metrics whose keys could be taken for the IOU at the top of the page."""
 
 
-def tables(view: View, evaluation: Evaluation, record: Mapping[str, Any]) -> list[dict[str, Any]]:
+def tables(view: View, evaluation: Evaluation, record: Json) -> list[dict[str, object]]:
     """Tables as ``parts/report.js`` reads them: a title, names of columns or none, and rows of texts."""
     result = view.result
     known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
@@ -36,7 +36,7 @@ def tables(view: View, evaluation: Evaluation, record: Mapping[str, Any]) -> lis
         "Checks (docs/checks.md)": _checked(result.checks),
         "Energy [px²]": _rows(result.energy),
         "Time [s]": _rows(result.seconds),
-        "Options": [*_rows(result.options), ["seed", str(result.seed)]],
+        "Options": [*_rows(result.options), ["seed", str(result.seed)]] if result.options else [],
         "Sources of the clip": _rows(view.clip.provenance),
         "Software": _rows(record.get("software", {})),
     }
@@ -68,6 +68,6 @@ def _checked(checks: Mapping[str, float]) -> list[list[str]]:
     return out
 
 
-def _rows(content: Mapping[str, Any]) -> list[list[str]]:
+def _rows(content: Mapping[str, object]) -> list[list[str]]:
     """Names and values as texts."""
     return [[str(key), f"{value:.4g}" if isinstance(value, float) else str(value)] for key, value in content.items()]

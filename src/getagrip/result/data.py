@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -104,7 +104,7 @@ class Reconstruction(ArrayData):
     ambiguous: bool
     seconds: dict[str, float]
     message: str = ""
-    options: dict[str, Any] = field(default_factory=dict)
+    options: dict[str, object] = field(default_factory=dict)
     seed: int = 0
     notes: tuple[str, ...] = ()
     assumptions: dict[str, str] = field(default_factory=dict)

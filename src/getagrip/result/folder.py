@@ -6,7 +6,6 @@ import platform
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Shaped
@@ -29,7 +28,7 @@ def write_result(
     result: Reconstruction,
     folder: str | Path,
     input_sha256: str = "",
-    metrics: dict[str, Any] | None = None,
+    metrics: Mapping[str, object] | None = None,
     clip_folder: str | Path | None = None,
     overwrite: bool = False,
     made_by: Mapping[str, str] | None = None,
@@ -81,10 +80,10 @@ def _arrays(result: Reconstruction) -> dict[str, Shaped[ndarray, "..."]]:
 def _fields(
     result: Reconstruction,
     input_sha256: str,
-    metrics: dict[str, Any] | None,
+    metrics: Mapping[str, object] | None,
     clip_folder: str | Path | None,
     made_by: Mapping[str, str],
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """What ``result.json`` says."""
     return {
         "version": VERSION,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +14,7 @@ from getagrip.finding import read_checks, read_findings
 from getagrip.geometry import se3
 from getagrip.geometry.warp import MONOMIALS, Warp
 from getagrip.io import arrays, files
+from getagrip.io.files import Json
 from getagrip.probability import read_probability
 from getagrip.result.data import Axis, Candidates, FrameKind, Reconstruction
 from getagrip.result.folder import AXIS, VERSION, WARP
@@ -29,7 +30,7 @@ ARRAYS = (
     "candidate_T_hand_obj", "candidate_scale", "candidate_energy", *WARP,
 )  # fmt: skip
 """What ``result.npz`` holds."""
-OPTIONAL: dict[str, Any] = {
+OPTIONAL: Json = {
     "ambiguous": False, "message": "", "notes": [], "assumptions": {}, "findings": [], "checks": {}, "signs": {},
     "probability_right": None, "probability_right_in_camera": None, "segments": [],
 }  # fmt: skip
@@ -57,7 +58,7 @@ FIELDS: dict[str, tuple[type, str]] = {
 """Keys of ``result.json``, each with its type."""
 
 
-def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
+def read_result(folder: str | Path) -> tuple[Reconstruction, Json]:
     """Read and check a result folder: the reconstruction, and ``result.json`` as it stands. Raises ``InputError``."""
     folder = Path(folder)
     fields = read_record(folder)
@@ -115,7 +116,7 @@ def read_result(folder: str | Path) -> tuple[Reconstruction, dict[str, Any]]:
     return result, fields
 
 
-def read_record(folder: str | Path) -> dict[str, Any]:
+def read_record(folder: str | Path) -> Json:
     """The checked content of a result's ``result.json``. Raises ``InputError``."""
     folder = Path(folder)
     if not folder.is_dir():
@@ -151,7 +152,7 @@ def _check_texts(path: Path, given: dict[str, object]) -> None:
             raise InputError(path, key, files.shown(value), "a text")
 
 
-def _of_version_1(fields: dict[str, Any]) -> dict[str, Any]:
+def _of_version_1(fields: Json) -> Json:
     """What version 1 said otherwise: a sentence for a status, and guesses among the notes."""
     guesses = {f"note {n}": note for n, note in enumerate(fields["notes"], start=1) if "guess" in note.lower()}
     status = Status.of_sentence(fields["status"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -54,11 +53,15 @@ class SegmentResult(ArrayData):
     checks: dict[str, float] = field(default_factory=dict)
     probability_right: Probability | None = None
 
-    def fields(self) -> dict[str, Any]:
+    def fields(self) -> dict[str, object]:
         """As ``result.json`` holds it."""
-        known: dict[str, Any] = {"side": self.side, "T_world_obj": self.T_world_obj, "followed": self.by_masks or None}
+        known: dict[str, object] = {
+            "side": self.side,
+            "T_world_obj": self.T_world_obj,
+            "followed": self.by_masks or None,
+        }
         known |= {"axis_point": self.axis_point, "axis_direction": self.axis_direction}
-        out: dict[str, Any] = {"state": self.state, "first": self.first, "last": self.last, "iou": self.iou}
+        out: dict[str, object] = {"state": self.state, "first": self.first, "last": self.last, "iou": self.iou}
         out |= {key: value for key, value in known.items() if value is not None}
         if self.state == "grasp":
             out |= {"signs": self.signs, "probability_right": self.probability_right}
@@ -71,12 +74,12 @@ def probabilities_of_grasps(segments: Sequence[SegmentResult]) -> str:
     return f"probability that its grasps are right: {', '.join(each)}" if each else ""
 
 
-def read_segments(path: Path, given: list[Any]) -> tuple[SegmentResult, ...]:
+def read_segments(path: Path, given: list[object]) -> tuple[SegmentResult, ...]:
     """The segments in a ``result.json``. Raises ``InputError``."""
     return tuple(_read(path, f"segments[{n}]", segment) for n, segment in enumerate(given))
 
 
-def _read(path: Path, key: str, given: Any) -> SegmentResult:
+def _read(path: Path, key: str, given: object) -> SegmentResult:
     if not isinstance(given, dict) or not all(isinstance(given.get(k), str) for k in ("state", "first", "last")):
         raise InputError(path, key, shown(given), "an object with state, first and last")
     if given.get("side") not in (None, "left", "right"):

@@ -20,7 +20,7 @@ from getagrip.geometry.camera import project
 from getagrip.hands import generic
 from getagrip.hands.model import root_transform
 from getagrip.hands.trackers.estimates import Estimate, Request
-from getagrip.io.png import read_png
+from getagrip.io.images import read_png
 from getagrip.provenance import Source, assumed
 
 COVERED = 0.1
