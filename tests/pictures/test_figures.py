@@ -22,10 +22,8 @@ from getagrip.pictures.figures import GivenResult
 from getagrip.pictures.figures.aligned import RAMP, Aligned, _overlay
 from getagrip.pictures.figures.contact import Contact
 from getagrip.pictures.figures.gallery import Gallery
-from getagrip.pictures.figures.hands import Hands
 from getagrip.pictures.figures.kind import summary
-from getagrip.pictures.figures.methods import Methods
-from getagrip.pictures.figures.rows import numbers
+from getagrip.pictures.figures.rows import Hands, Methods, numbers
 from getagrip.pictures.looking import looking
 from getagrip.pictures.shown import View
 from getagrip.pictures.style import AXIS, FOUND, HAND_LINE
