@@ -25,7 +25,8 @@ from numpy import ndarray
 
 PACKAGE = Path(__file__).resolve().parents[1]
 ABOVE = (
-    "cli", "commands", "annotate", "experiments", "batch", "pages", "view", "export", "segmentation", "evaluation",
+    "cli", "commands", "annotate", "experiments", "batch", "pages", "film", "pictures", "export", "segmentation",
+    "evaluation",
 )  # fmt: skip
 """Parts that a reconstruction does not import: those above ``fitting`` (docs/architecture.md), but for ``timelines``,
 where ``reconstruct`` is; and ``evaluation``."""
@@ -56,7 +57,7 @@ def fingerprint(*also: str) -> str:
     total = hashlib.sha256()
     for path in sorted((*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.json"))):
         name = path.relative_to(PACKAGE).as_posix()
-        if name.split("/")[0] not in ABOVE or f"{name}/".startswith(tuple(f"{part}/" for part in also)):
+        if name.split("/")[0].removesuffix(".py") not in ABOVE or f"{name}/".startswith(tuple(f"{part}/" for part in also)):
             content = path.read_bytes()
             total.update(f"{name}\0{len(content)}\0".encode())
             total.update(content)
