@@ -4,7 +4,8 @@
     {{ TABLE.ROW.COLUMN difference }}        its difference from the row that it is compared with; "absolute": unsigned
     {{ table TABLE columns=A,B rows=GLOB }}  a table of some columns (all), of the rows that a glob names (all); words
                                              behind it: "interval", "difference" (of pairs), "notes"
-    {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera
+    {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera;
+                                             METHOD=TABLE: of one that was run on exact input only, in a table of methods
     {{ methods COLUMN }}                     a column of all methods, by set of clips
     {{ made TABLE }}                         at which commit, when, by which command
 
@@ -151,6 +152,9 @@ def inputs(name: str, *methods: str) -> str:
     """How often methods are right, in the hand and in the camera, with a row for each kind of input."""
     found, lines = store.read(name), []
     rows = {str(row["label"]): row for row in found.rows}
+    for method, of in (each.split("=") for each in methods if "=" in each):
+        rows[f"{method}, exact"] = store.read(of).row(method)
+    methods = tuple(method.partition("=")[0] for method in methods)
     for setting, words in INPUTS.items():
         those = [rows.get(f"{method}, {setting}", {}) for method in methods]
         if any(those):

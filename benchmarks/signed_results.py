@@ -178,7 +178,7 @@ def read(file: Path) -> list[Row]:
         table = csv.DictReader(stream)
         given = table.fieldnames or ()
         if given and tuple(given) != COLUMNS:
-            sys.exit(f"{file}: columns {', '.join(given)}, expected {', '.join(COLUMNS)}; name another OUT")
+            sys.exit(f"{file}: columns must be {', '.join(COLUMNS)} (got {', '.join(given)}); name another OUT")
         return list(table)
 
 

@@ -41,8 +41,8 @@ def unknown(what: str, given: object, known: Iterable[object]) -> UsageError:
 class InputError(GetagripError):
     """A file is missing, malformed or holds impossible values (exit status 1).
 
-    The message, on one line, reads ``<file>: <key> must be <expected> (got <given>)``; ``<file>: missing <key>``; or
-    ``... cannot be used ...``, of what is expected to be none in such a place.
+    The message, on one line, reads ``<file>: <key> must be <expected> (got <given>)``, with advice behind a semicolon;
+    ``<file>: missing <key>``; or ``... cannot be used ...``, of what is expected to be none in such a place.
     """
 
     def __init__(self, path: str | Path, key: str, given: str, expected: str) -> None:
@@ -64,4 +64,5 @@ def _wrong(key: str, given: str, expected: str) -> str:
         return f": missing {key}{asked}" if key and given in ABSENT else f"{named}: {given}{asked}"
     if expected.startswith(("none with ", "none without ")):
         return f"{named} cannot be used {expected.removeprefix('none ')}"
-    return f"{named} {verb} {expected} (got {given})"
+    allowed, semicolon, advice = expected.partition("; ")
+    return f"{named} {verb} {allowed} (got {given}){semicolon}{advice}"

@@ -173,7 +173,7 @@ def test_an_archive_on_a_disk_has_an_address(run: Run, tmp_path: Path) -> None:
     (tmp_path / "mug.zip").write_bytes(b"PK")
     status, _, err = run("reconstruct", tmp_path / "mug.zip", "--out", tmp_path / "out")
     assert status == 1
-    assert "mug.zip must be a clip, or a folder of clips; reconstruct reads" in err
+    assert "mug.zip must be a clip, or a folder of clips (got an archive); reconstruct reads" in err
     assert err.strip().endswith(f"local://{tmp_path}/mug.zip")
 
 

@@ -163,7 +163,7 @@ def test_joints_that_do_not_fit_the_clip_are_refused_in_plain_words(
         assert main([*command, "--clip", str(made / "cup")]) == 1
         err = capsys.readouterr().err
         assert words in err
-        assert err.splitlines()[-1].count(", expected ") == 1
+        assert err.splitlines()[-1].count(" must be ") == 1
 
 
 @pytest.mark.slow

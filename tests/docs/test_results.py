@@ -11,10 +11,11 @@ from benchmarks import cite, results, store
 from benchmarks.release import BENCHES
 from benchmarks.store import Column, Table
 from getagrip.experiments.comparison import compare
-from getagrip.experiments.tables import markdown, write_clips_csv, write_csv
+from getagrip.experiments.tables import clips_csv_rows, csv_rows, markdown
 from getagrip.experiments.trials import Scores
 from getagrip.experiments.variants import ablation_variants, method_variants
 from getagrip.fitting.options import Options
+from getagrip.io import files
 from helpers.pages import PAGES
 from helpers.paths import ROOT
 from helpers.scores import score
@@ -109,8 +110,8 @@ def test_the_output_of_a_bench_becomes_a_table(tmp_path: Path) -> None:
     scores = [Scores(f"c{n}", "can", "", True, (score("one-dof", n % 2), score("soft-hinge", 1.0))) for n in range(6)]
     tables, folder = compare(scores, variants), tmp_path / "dexycb"
     folder.mkdir()
-    write_csv(tables, folder / "methods.csv")
-    write_clips_csv(scores, variants, folder / "methods-clips.csv")
+    files.write_csv(folder / "methods.csv", csv_rows(tables))
+    files.write_csv(folder / "methods-clips.csv", clips_csv_rows(scores, variants))
     about, settings = ["dexycb: 6 clips; made 2026-11-25, commit abc"], ["seed 0", "python 3.11"]
     (folder / "methods.md").write_text(markdown(tables, "Methods", about, settings))
     (name, table) = next(iter(results.found(folder).items()))
@@ -132,8 +133,8 @@ def test_counts_are_found_where_the_method_differs_from_row_to_row(tmp_path: Pat
     scores = [Scores(f"c{n}", "can", "", True, tuple(score(v.folder, n % 2) for v in variants)) for n in range(4)]
     tables, folder = compare(scores, variants), tmp_path / "synthetic"
     folder.mkdir()
-    write_csv(tables, folder / "departures.csv")
-    write_clips_csv(scores, variants, folder / "departures-clips.csv")
+    files.write_csv(folder / "departures.csv", csv_rows(tables))
+    files.write_csv(folder / "departures-clips.csv", clips_csv_rows(scores, variants))
     (folder / "departures.md").write_text(markdown(tables, "Departures", [], []))
     table = results.found(folder)["synthetic-departures"]
     assert [row["label"] for row in table.rows][::8] == ["paper, to the letter", "paper, + soft hinge"]

@@ -14,7 +14,7 @@ import pytest
 
 from getagrip.clip import Clip, Masks, write_clip
 from getagrip.commands.evaluate import Evaluate
-from getagrip.commands.evaluate_poses import pose_jobs
+from getagrip.commands.evaluate_others import pose_jobs
 from getagrip.errors import UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.other_poses import poses_of

@@ -65,7 +65,7 @@ def mesh(suffix: str) -> Reader:
         trimesh.Trimesh(shape.vertices, shape.faces).export(folder / f"a{suffix}")
 
     def read(folder: Path) -> None:
-        own_mesh.own_mesh(own_mesh.MeshRequest(folder / f"a{suffix}", 100.0, None, False))
+        own_mesh.own_mesh(own_mesh.MeshOptions(folder / f"a{suffix}", size_mm=100.0))
         parse_mesh(folder / f"a{suffix}")
         read_mesh(folder / f"a{suffix}")
 

@@ -14,7 +14,7 @@ from fuzz.reader import SHARED, Reader
 from getagrip.clip import Clip, Masks, Segment, input_sha256, read_clip, read_masks, segment_files, write_clip
 from getagrip.clip.data import World
 from getagrip.clip.reading import read_header
-from getagrip.commands.new_clip import _HandFile
+from getagrip.commands.hand_file import HandFile
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.results import read_evaluated
 from getagrip.experiments.hand_sources import HandSource, WithHands
@@ -116,7 +116,7 @@ def hands(folder: Path) -> None:
 
 
 def use_hands(folder: Path) -> None:
-    _HandFile.of(folder / "small.npz").at(np.arange(4, 8), "right")
+    HandFile.of(folder / "small.npz").at(tuple(f"{n:06d}" for n in range(4, 8)), "right", None)
     clip, masks = small_clip()
     source = HandSource("name", folder)
     WithHands(source, (source,))(replace(clip, frames=("5", "6", "7")), masks, 0)

@@ -154,9 +154,9 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
 @pytest.mark.parametrize("words", REFUSED)
 def test_what_does_not_fit_is_named(words: str) -> None:
     make, field = REFUSED[words]
-    with pytest.raises(UsageError, match=", expected ") as caught:
+    with pytest.raises(UsageError, match=r" must be |missing ") as caught:
         make()
-    assert str(caught.value).startswith(f"{field}: ")
+    assert field in str(caught.value)
     assert words in str(caught.value)
 
 

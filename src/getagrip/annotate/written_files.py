@@ -16,7 +16,6 @@ from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError
 from getagrip.io import files
 from getagrip.io.counts import counted
-from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import progress_bar, report
 
 if TYPE_CHECKING:
@@ -82,9 +81,8 @@ def write_files(project: Project, out: Path) -> int:
             report(f"{name}: {not_listed(unfinished)}")
             status = max(status, int(any(mark.interval and not mark.side for mark in unfinished)))
         status = max(status, write_segments(project, out, name))
-    with files.new_text(out / "discards.csv") as stream:
-        discards = (row.values() for row in export.discards(known, project.tasks))
-        CsvTable(stream).write_rows([("task", "clip", "annotator", "reason"), *discards])
+    discards = (row.values() for row in export.discards(known, project.tasks))
+    files.write_csv(out / "discards.csv", [("task", "clip", "annotator", "reason"), *discards])
     found = agreements(known)
     files.write_json(out / "agreement.json", [asdict(one) for one in found])
     for one in found:

@@ -165,12 +165,12 @@ def claim_folder(out: Path, cut: Mapping[str, object] | None) -> None:
     if path.exists():
         if cut is None or lists.read_cut(path) != cut:
             here = "no grasps" if cut is None else files.shown(dict(cut))
-            given = f"{out}, which holds clips cut as {path.name} there says, not {here}"
-            raise UsageError(f"--out: got {given}, expected another folder")
+            why = f"it holds clips cut as {path.name} there says, not {here}"
+            raise UsageError(f"--out {out} cannot be used with this import: {why}")
     elif cut is not None:
         if next(out.glob("*/clip.json"), None) is not None:
-            given = f"{out}, which holds clips and no {path.name} that says how they were cut"
-            raise UsageError(f"--out: got {given}, expected another folder")
+            why = f"it holds clips and no {path.name} that says how they were cut"
+            raise UsageError(f"--out {out} cannot be used with this import: {why}")
         out.mkdir(parents=True, exist_ok=True)
         lists.write(path, [], cut)
 

@@ -17,7 +17,6 @@ from tyro.conf import OmitArgPrefixes, subcommand
 
 from getagrip import __version__
 from getagrip.cli.names import joined
-from getagrip.cli.view import View
 from getagrip.commands.annotate import Annotate
 from getagrip.commands.bench import Benches, with_source
 from getagrip.commands.command import Command
@@ -34,6 +33,7 @@ from getagrip.commands.segment import Segment
 from getagrip.commands.stats import Stats
 from getagrip.commands.status import Status
 from getagrip.commands.study import Study
+from getagrip.commands.view import View
 from getagrip.errors import GetagripError, UsageError, cleaned
 from getagrip.io.arguments import PATHS
 from getagrip.io.terminal import Silence

@@ -99,5 +99,5 @@ def label_value(text: str, option: str) -> int:
     except ValueError:
         value = -1
     if not 0 <= value < 2**24:
-        raise UsageError(f"{option}: got {text!r}, expected a label as 3, or a colour as #ff0000")
+        raise UsageError(f"{option} must be a label as 3, or a colour as #ff0000 (got {text!r})")
     return value

@@ -16,7 +16,6 @@ from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.arguments import File, Folder, OptionalFile
 from getagrip.io.counts import counted
-from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import progress_bar
 
 if TYPE_CHECKING:
@@ -92,11 +91,11 @@ class EpicCandidates(Command):
 def _write_table(path: Path, found: Sequence[candidates.Candidate]) -> None:
     """Write candidates as a table with ``COLUMNS``, as EPIC-Grasps has them: -1 for more than one contact."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with files.new_text(path) as stream:
-        table = CsvTable(stream)
-        table.write_row(COLUMNS)
-        for one in found:
-            contact = one.contacts[0] if len(one.contacts) == 1 else -1
-            bounds = one.start_bound, one.end_bound
-            hand = f"{one.side} hand"
-            table.write_row([one.video, *bounds, contact, hand, one.category, one.entity, f"{one.name}.mp4"])
+    rows = (
+        (
+            one.video, one.start_bound, one.end_bound, one.contacts[0] if len(one.contacts) == 1 else -1,
+            f"{one.side} hand", one.category, one.entity, f"{one.name}.mp4",
+        )
+        for one in found
+    )  # fmt: skip
+    files.write_csv(path, [COLUMNS, *rows])

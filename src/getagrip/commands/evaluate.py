@@ -12,15 +12,14 @@ from tyro.conf import arg
 from getagrip.batch.share import FEW
 from getagrip.commands.command import ClipsFolder, Command, Results
 from getagrip.errors import InputError, UsageError
-from getagrip.evaluation.results import Evaluation
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile, OptionalFolder, one_of
 from getagrip.io.terminal import console, progress_bar, report
 
 if TYPE_CHECKING:
     from getagrip.batch.job import Outcome
-    from getagrip.commands.evaluate_meshes import MeshJob
-    from getagrip.commands.evaluate_poses import PoseJob
+    from getagrip.commands.evaluate_others import OtherJob
+    from getagrip.evaluation.results import Evaluation
 
 Evaluated: TypeAlias = "tuple[Evaluation | None, list[Outcome]]"
 """All metrics, and what could not be read."""
@@ -71,8 +70,7 @@ class Evaluate(Command):
         """
         from getagrip.batch.clips import print_outcome
         from getagrip.batch.job import failure
-        from getagrip.commands.evaluate_meshes import mesh_jobs
-        from getagrip.commands.evaluate_poses import pose_jobs
+        from getagrip.commands.evaluate_others import evaluate_other, mesh_jobs, pose_jobs
         from getagrip.evaluation import contact_tables, results_table, summary
 
         jobs: list[ResultJob] = []
@@ -89,7 +87,7 @@ class Evaluate(Command):
                 evaluations += [] if made is None else [made]
                 problems += failed
             frames = {made.clip: tuple(made.frames) for made in evaluations}
-            others: list[MeshJob | PoseJob] = [] if self.meshes is None else [*mesh_jobs(self, frames)]
+            others = [] if self.meshes is None else mesh_jobs(self, frames)
             others += [] if self.poses is None else pose_jobs(self, frames)
             of_others = bar.add_task("of other systems", total=len(others), visible=bool(others))
             for made, failed in _in_order(evaluate_other, others, lambda: bar.advance(of_others)):
@@ -124,7 +122,7 @@ def _print_doubts(made: Evaluation) -> None:
         report(f"{made.method}, {made.clip}: {doubt}")
 
 
-J = TypeVar("J", "ResultJob", "MeshJob | PoseJob")
+J = TypeVar("J", "ResultJob", "OtherJob")
 
 
 def _in_order(work: Callable[[J], Evaluated], jobs: Sequence[J], advance: Callable[[], None]) -> list[Evaluated]:
@@ -147,14 +145,6 @@ def _done(work: Callable[[J], Evaluated], jobs: Sequence[J]) -> Iterator[tuple[J
     if len(jobs) <= FEW or cores() == 1:
         return ((job, work(job)) for job in jobs)
     return in_processes(work, jobs, min(len(jobs), cores()))
-
-
-def evaluate_other(job: MeshJob | PoseJob) -> Evaluated:
-    """The metrics of another system's meshes or poses, or why there are none. Raises nothing."""
-    from getagrip.commands.evaluate_meshes import MeshJob, evaluate_clip_meshes
-    from getagrip.commands.evaluate_poses import evaluate_clip_poses
-
-    return evaluate_clip_meshes(job) if isinstance(job, MeshJob) else evaluate_clip_poses(job)
 
 
 def evaluate_one(job: ResultJob) -> Evaluated:

@@ -21,7 +21,6 @@ from getagrip.geometry.lens import Lens
 from getagrip.io import files
 from getagrip.io.arguments import Flag, Folder, OptionalFile
 from getagrip.io.terminal import report
-from getagrip.provenance import Provenance, Source, is_assumed, measured, warn_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int, UInt8
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from getagrip.clip.mask_request import MaskReader
     from getagrip.clip.segment_files import SegmentList
     from getagrip.commands.hand_file import HandFile, HandsInClip
+    from getagrip.provenance import Provenance, Source
 
 MOST_FRAMES = 20_000
 """Of a clip; a stable grasp of minutes."""
@@ -201,6 +201,7 @@ def _camera(lens: Lens, hands: HandFile | None, size: tuple[int, int]) -> tuple[
     """The command's camera or, without one, the hand file's."""
     from getagrip.clip.intrinsics import intrinsics
     from getagrip.clip.plausible import check_intrinsics
+    from getagrip.provenance import measured
 
     if lens.given or hands is None or hands.K is None:
         return intrinsics(lens, size)
@@ -285,6 +286,7 @@ def _check(made: Path, masks: bool, out: Path) -> None:
 def _summary(clip: Clip, given: NewClip, hands: HandsInClip | None, out: Path) -> int:
     """Print what was made, what is a guess and what is missing; 3 where something is."""
     from getagrip.clip.camera_of_image import doubt
+    from getagrip.provenance import is_assumed, warn_of
 
     print(f"{out}: {len(clip)} frames")
     if hands and len(hands.rows) < len(clip):

@@ -11,13 +11,13 @@ from tyro.conf import arg
 from getagrip.errors import InputError, UsageError
 from getagrip.io.arguments import Flag, one_of
 from getagrip.io.counts import counted
-from getagrip.provenance import Source, assumed
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
     from numpy import ndarray
 
     from getagrip.geometry.mesh import Mesh
+    from getagrip.provenance import Source
 
 Unit = Literal["mm", "cm", "m", "in"]
 METRES: dict[Unit, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
@@ -97,6 +97,7 @@ def _shape(request: MeshOptions) -> tuple[Float[ndarray, "..."], Int[ndarray, ".
     """Vertices, faces, and where they come from."""
     from getagrip.datasets.synthetic.categories import CATEGORIES
     from getagrip.geometry.mesh_files import SUFFIXES, parse_mesh
+    from getagrip.provenance import Source, assumed
 
     if request.kind is not None:
         made = CATEGORIES[request.kind].make()
@@ -119,6 +120,7 @@ def _rescaled(
 
     from getagrip.geometry.mesh import diameter
     from getagrip.geometry.mesh_files import LARGEST, SMALLEST
+    from getagrip.provenance import Source, assumed
 
     sizes = {"--size-mm": request.size_mm, "--diameter-mm": request.diameter_mm}
     stated = [(option, value) for option, value in sizes.items() if value is not None]

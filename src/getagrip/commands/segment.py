@@ -18,7 +18,6 @@ from getagrip.grasps.options import GraspOptions
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile, OptionalFolder
 from getagrip.io.counts import counted
-from getagrip.io.csv_tables import CsvTable
 from getagrip.io.files import Json
 from getagrip.io.terminal import console, plain_table, report
 
@@ -94,7 +93,8 @@ class Segment(GraspCommand):
         grasps = [grasp for one in in_order for grasp in one.listed]
         tell_missing(cut, len(grasps))
         if self.out is not None:
-            _write_csv(self.out / "segments.csv", [row for one in in_order for row in one.rows()])
+            rows = (row.values() for one in in_order for row in one.rows())
+            files.write_csv(self.out / "segments.csv", [COLUMNS, *rows])
         for path in filter(None, (self.json, self.out and self.out / lists.FILE)):
             lists.write(path, grasps, cut.record())
         return 1 if failures else 0
@@ -185,11 +185,3 @@ def _table(found: Sequence[SegmentedClip]) -> Table:
         if not one.grasps:
             table.add_row(*name, "-", "-", "-")
     return table
-
-
-def _write_csv(path: Path, rows: Sequence[Json]) -> None:
-    """Write the grasps as a table with ``COLUMNS``."""
-    with files.new_text(path) as stream:
-        table = CsvTable(stream)
-        table.write_row(COLUMNS)
-        table.write_rows(row.values() for row in rows)

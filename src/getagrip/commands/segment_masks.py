@@ -11,7 +11,6 @@ from getagrip.commands.each_clip import each_clip
 from getagrip.errors import UsageError
 from getagrip.io import files
 from getagrip.io.counts import counted
-from getagrip.io.csv_tables import CsvTable
 from getagrip.io.files import Json
 from getagrip.io.terminal import console, plain_table, report
 
@@ -161,9 +160,6 @@ def _table(found: Sequence[SegmentedClip]) -> Table:
 def _write(found: Sequence[SegmentedClip], out: Path) -> None:
     """All segments, into the folder."""
     out.mkdir(parents=True, exist_ok=True)
-    with files.new_text(out / "segments.csv") as stream:
-        table = CsvTable(stream)
-        table.write_row(COLUMNS)
-        table.write_rows(row.values() for one in found for row in one.rows)
+    files.write_csv(out / "segments.csv", [COLUMNS, *(row.values() for one in found for row in one.rows)])
     files.write_json(out / SEGMENTS, {one.clip: one.fields for one in found})
     print(out / "segments.csv", out / SEGMENTS, sep="\n")

@@ -13,7 +13,6 @@ from getagrip.commands.command import Command
 from getagrip.errors import UsageError
 from getagrip.io import files, markdown
 from getagrip.io.arguments import OptionalFile, OptionalFolder, one_of
-from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import console, plain_table, report
 
 if TYPE_CHECKING:
@@ -115,10 +114,7 @@ def _write(rows: Sequence[CategoryDurations], counted: Counts, out: Path) -> Non
     grids: list[list[Sequence[str]]] = [[HEADINGS, *map(_cells, rows)], [list(figures), list(figures.values())]]
     tables = ["\n".join(markdown.table(grid)) for grid in grids]
     files.write_text(out / "stats.md", "\n\n".join(tables) + "\n")
-    with files.new_text(out / "counts.csv") as stream:
-        CsvTable(stream).write_rows([asdict(counted), asdict(counted).values()])
-    with files.new_text(out / "stats.csv") as stream:
-        table = CsvTable(stream)
-        table.write_row(asdict(rows[0]) if rows else ())
-        table.write_rows(asdict(row).values() for row in rows)
+    files.write_csv(out / "counts.csv", [asdict(counted), asdict(counted).values()])
+    heading = asdict(rows[0]) if rows else ()
+    files.write_csv(out / "stats.csv", [heading, *(asdict(row).values() for row in rows)])
     print(out / "stats.md")

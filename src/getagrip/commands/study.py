@@ -13,7 +13,6 @@ from getagrip.commands.segment import GraspCommand, SegmentJob, tell_missing
 from getagrip.io import files
 from getagrip.io.arguments import Folder
 from getagrip.io.counts import counted
-from getagrip.io.csv_tables import CsvTable
 from getagrip.io.terminal import console, plain_table
 
 if TYPE_CHECKING:
@@ -183,5 +182,4 @@ def _content(studied: Sequence[StudiedGrasp], cut: Cut) -> dict[str, object]:
 
 def _write_csv(path: Path, rows: Iterable[dict[str, object]]) -> None:
     lines = list(rows)
-    with files.new_text(path) as stream:
-        CsvTable(stream).write_rows([lines[0], *(line.values() for line in lines)])
+    files.write_csv(path, [lines[0], *(line.values() for line in lines)])

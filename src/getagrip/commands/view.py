@@ -4,43 +4,71 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import filterfalse
 from pathlib import Path
+from typing import Annotated
 
-from getagrip.batch.clips import print_outcome
-from getagrip.batch.job import failure
+from tyro.conf import Positional, arg
+
+from getagrip.commands.command import ClipsFolder, Command
 from getagrip.commands.evaluate import of_batch
-from getagrip.errors import InputError
-from getagrip.pages.entries import entries
-from getagrip.pages.served import Library
-from getagrip.pages.server import Server
+from getagrip.errors import InputError, UsageError
+from getagrip.io.terminal import say
 
 RESULTS, CLIPS = ("", "*", "*/*"), ("", "*")
 """Where results and clips are looked for below a path: a result, results, results of several methods."""
 
 
-def view(paths: Sequence[Path], clips: Path | None, port: int | None, host: str, debug: bool) -> int:
-    """Serve the page; 1 if any of the paths could not be read, else 0.
+@dataclass(frozen=True, kw_only=True)
+class View(Command):
+    """Look at results and clips in 3D, moving, on a page that only those who have its address can open."""
 
-    Raises ``UsageError`` for a port that is taken or an address that is not this machine's, and ``InputError`` where
-    nothing can be shown.
-    """
-    problems: list[Exception] = []
-    results, alone = found(paths, problems)
-    library = Library(entries(results, alone, clips, problems.append), problems.append)
-    if library.first is None:
-        if len(problems) > 1:
-            print(f"{len(problems)} problems, of which the first is:", file=sys.stderr)
-        raise problems[0]
-    for problem in problems:
-        print_outcome(failure("", problem), debug)
-    with Server(library, port, host) as server:
-        print(f"open {server.url}\nCtrl-C ends", flush=True)
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            print()
-    return 1 if problems else 0
+    paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="PATH...", help_behavior_hint="")] = ()
+    """Results, clips, or folders of them. Results of one clip stand side by side; several clips are listed, the worst
+    results first."""
+    clips: ClipsFolder = None
+    """A clip, or the folder that holds the clips by name."""
+    port: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 8770, or a free one)")] = None
+    """Where the page is served."""
+    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
+    """The address of this machine that the page is served at. By default other machines cannot reach it: forward the
+    port with ssh -L (docs/view.md)."""
+
+    def check(self) -> None:
+        super().check()
+        if not self.paths:
+            raise UsageError("missing PATH: name at least one result, clip, or folder of them")
+
+    def run(self) -> int:
+        """Serve the page; 1 if any of the paths could not be read, else 0.
+
+        Raises ``UsageError`` for a port that is taken or an address that is not this machine's, and ``InputError``
+        where nothing can be shown.
+        """
+        from getagrip.batch.clips import print_outcome
+        from getagrip.batch.job import failure
+        from getagrip.pages.entries import entries
+        from getagrip.pages.served import Library
+        from getagrip.pages.server import Server
+
+        say(f"reading {', '.join(map(str, self.paths))} ...")  # to load what draws takes seconds, too
+        problems: list[Exception] = []
+        results, alone = found(self.paths, problems)
+        library = Library(entries(results, alone, self.clips, problems.append), problems.append)
+        if library.first is None:
+            if len(problems) > 1:
+                print(f"{len(problems)} problems, of which the first is:", file=sys.stderr)
+            raise problems[0]
+        for problem in problems:
+            print_outcome(failure("", problem), self.debug)
+        with Server(library, self.port, self.host) as server:
+            print(f"open {server.url}\nCtrl-C ends", flush=True)
+            try:
+                server.serve_forever()
+            except KeyboardInterrupt:
+                print()
+        return 1 if problems else 0
 
 
 def found(paths: Sequence[Path], problems: list[Exception]) -> tuple[list[Path], list[Path]]:

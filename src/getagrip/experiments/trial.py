@@ -11,7 +11,6 @@ from getagrip.batch.entries import Entry
 from getagrip.batch.job import Outcome, failure
 from getagrip.experiments.sources import Sample
 from getagrip.io import files
-from getagrip.io.csv_tables import CsvTable
 from getagrip.io.files import Json
 from getagrip.io.terminal import console
 
@@ -122,8 +121,7 @@ class Page:
         written = []
         for end, lines in self.rows.items():
             written.append(out / f"{self.name}{end}")
-            with files.new_text(written[-1]) as stream:
-                CsvTable(stream).write_rows(lines)
+            files.write_csv(written[-1], lines)
         for end, text in self.texts.items():
             written.append(out / f"{self.name}{end}")
             files.write_text(written[-1], text)

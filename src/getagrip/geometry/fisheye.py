@@ -56,7 +56,7 @@ class Fisheye624:
         if numbers.shape == (16,):
             numbers = np.delete(numbers, 1)  # HOT3D's tools, too, read one focal length
         if numbers.shape != (15,) or not np.isfinite(numbers).all() or numbers[0] <= 0:
-            raise ValueError("expected 15 or 16 finite numbers, the first, the focal length, positive")
+            raise ValueError(f"must be 15 or 16 finite numbers, a focal length above 0 first (got {numbers.tolist()})")
         return cls(float(numbers[0]), numbers[1:3] + 0.5, numbers[3:9], numbers[9:11], numbers[11:15], size)
 
     def project(self, X_cam: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 2"]:
@@ -151,7 +151,7 @@ def pinhole(camera: Fisheye624, focal: float, size: tuple[int, int], quarter_tur
     upright, as they are mounted on their side.
     """
     if not 0.0 < focal < np.inf or min(size) < 1:
-        raise ValueError("expected a positive focal length and size")
+        raise ValueError("focal length and size must be above 0")
     K = np.array([[focal, 0.0, size[0] / 2.0], [0.0, focal, size[1] / 2.0], [0.0, 0.0, 1.0]])
     # The picture turns clockwise when the camera turns counter-clockwise: its x axis goes to the old -y (up).
     R = np.linalg.matrix_power(np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), quarter_turns % 4)

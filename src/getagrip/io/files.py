@@ -16,7 +16,7 @@ import os
 import secrets
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from pathlib import Path, PurePosixPath
@@ -24,7 +24,7 @@ from typing import Any, TextIO
 
 from getagrip.errors import InputError, UsageError, legible
 from getagrip.io import leftovers
-from getagrip.io.csv_tables import cell_text
+from getagrip.io.csv_tables import CsvTable, cell_text
 
 Json = dict[str, Any]
 """A JSON object: whoever reads one checks its values."""
@@ -120,6 +120,12 @@ def read_any_json(path: Path) -> object:
         return value
     except (ValueError, RecursionError) as error:  # RecursionError: nested thousands deep
         raise InputError(path, "", f"text that is no JSON ({error})", "JSON") from error
+
+
+def write_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
+    """Write a table, its headings first. Whoever reads the file meanwhile sees the old one or the new one."""
+    with new_text(path) as stream:
+        CsvTable(stream).write_rows(rows)
 
 
 def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tuple[str, dict[str, str]]]]:

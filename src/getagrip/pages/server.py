@@ -59,8 +59,8 @@ class Server(ThreadingHTTPServer):
             if port is None and isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
                 super().__init__((host, 0), _Handler)
             else:
-                given = f"--port, --host: got {PORT if port is None else port}, {host}"
-                raise UsageError(f"{given}, expected a free port of this machine ({error})") from error
+                given = f"{PORT if port is None else port}, {host}: {error}"
+                raise UsageError(f"--port, --host must be a free port of this machine (got {given})") from error
 
     @property
     def url(self) -> str:

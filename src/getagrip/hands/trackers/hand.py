@@ -10,10 +10,10 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import HandTrack
-from getagrip.errors import InputError, UsageError
+from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.hands import generic, mano
-from getagrip.hands.fit import fit_joints
+from getagrip.hands.fit import JointsError, fit_joints
 from getagrip.hands.model import (
     ORDER_21,
     HandModel,
@@ -108,9 +108,8 @@ def fitted(path: Path, side: Side, joints: Float[ndarray, "T 21 3"]) -> tuple[Ha
     """The generic hand fitted to joints before the camera [m], in this package's order. Raises ``InputError``."""
     try:
         fit = fit_joints(generic.load(side), joints, "openpose")
-    except UsageError as error:
-        given, _, expected = str(error).removeprefix("joints: got ").partition(", expected ")
-        raise InputError(path, "joints", given, expected or "the 21 joints of a hand [m]") from error
+    except JointsError as error:
+        raise InputError(path, "joints", error.given, error.expected) from error
     off = 1e3 * np.sqrt(np.mean(fit.residuals**2))
     return fit.hand, f"the generic hand fitted to the estimator's joints ({off:.1f} mm off, root mean square)"
 

@@ -60,7 +60,7 @@ class Gallery(Kind):
     def check(self) -> None:
         super().check()
         if not 1 <= self.n <= MOST:
-            raise UsageError(f"--n: got {self.n}, expected 1 to {MOST}")
+            raise UsageError(f"--n must be 1 to {MOST} (got {self.n})")
 
     def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
         name, metric = METRICS[self.by]

@@ -35,9 +35,7 @@ class Hands(Kind):
         views = at_common_frames(read)
         methods = {view.result.method for view in views}
         if len(methods) > 1:
-            raise UsageError(
-                f"RESULT: got results of {' and '.join(sorted(methods))}, expected one method; see methods"
-            )
+            raise UsageError(f"RESULT must be of one method (got {' and '.join(sorted(methods))}); see methods")
         names = distinct([given for given, _ in read])
         rows = [Row(name, numbers(view, contact), view) for name, view in zip(names, views, strict=True)]
         under = "  ·  ".join([summary(views[0]), f"SCA: {contact.description}"])

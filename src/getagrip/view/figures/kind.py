@@ -42,17 +42,17 @@ class Kind:
     def check(self) -> None:
         """Raise ``UsageError`` for options that make no figure."""
         if not DPI[0] <= self.dpi <= DPI[1]:
-            raise UsageError(f"--dpi: got {self.dpi}, expected {DPI[0]} to {DPI[1]}")
+            raise UsageError(f"--dpi must be {DPI[0]} to {DPI[1]} (got {self.dpi})")
         frames = getattr(self, "frames", 1)
         if not 1 <= frames <= MOST_FRAMES:
-            raise UsageError(f"--frames: got {frames}, expected 1 to {MOST_FRAMES}")
+            raise UsageError(f"--frames must be 1 to {MOST_FRAMES} (got {frames})")
 
 
 def the_one(results: Sequence[GivenResult], kind: str) -> View:
     """The result of a figure that shows one. Raises ``UsageError`` for more."""
     if len(results) != 1:
         first = ", ".join(str(given.folder) for given in results[:2])
-        raise UsageError(f"RESULT: got {len(results)} results ({first}, ...), expected one for the figure {kind!r}")
+        raise UsageError(f"RESULT must be one for the figure {kind!r} (got {len(results)}: {first}, ...)")
     return results[0].read()
 
 

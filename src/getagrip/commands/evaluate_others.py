@@ -1,0 +1,116 @@
+"""``getagrip evaluate --poses``, ``--meshes``: what another system says of clips."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from getagrip.batch.job import Outcome, failure
+from getagrip.clip import Clip, find_masks, read_clip
+from getagrip.clip.naming import number_of
+from getagrip.clip.reading import read_name
+from getagrip.errors import InputError
+from getagrip.evaluation import evaluate, evaluate_meshes
+from getagrip.evaluation.meshes import MeshFrame, read_meshes
+from getagrip.evaluation.other_poses import OtherSystem, poses_of
+from getagrip.evaluation.pose_files import SUFFIXES
+from getagrip.evaluation.results import Evaluation
+from getagrip.geometry import mesh_files
+
+if TYPE_CHECKING:
+    from getagrip.commands.evaluate import Evaluate
+
+Frames = Mapping[str, tuple[str, ...]]
+"""By the names of clips: the frames to evaluate, where not all are."""
+
+
+@dataclass(frozen=True)
+class OtherJob:
+    """The poses or meshes of one clip to evaluate."""
+
+    folder: Path
+    """The file, or the folder."""
+    clip: Path
+    method: str
+    frames: Frames
+    first: int | None
+    """The number of the first frame's pose or mesh; None where they have the frames' numbers."""
+    mesh_frame: MeshFrame | None = None
+    """That of meshes; None for poses."""
+
+
+def mesh_jobs(options: Evaluate, frames: Frames) -> list[OtherJob]:
+    """A job for each clip with meshes: ``<clip>/<frame>.obj``, or those of one clip. Raises ``InputError``."""
+    root, where = options.meshes, options.clips
+    assert root is not None
+    assert where is not None
+    if not root.is_dir():
+        raise InputError(root, "", "no such folder", "a folder of meshes, <clip>/<frame>.obj")
+    inside = sorted(root.iterdir())
+    one = any(path.suffix.lower() in mesh_files.SUFFIXES for path in inside)
+    folders = [root] if one else [path for path in inside if path.is_dir()]
+    if not folders:
+        raise InputError(root, "", "no meshes in it or in its folders", "<clip>/<frame>.obj")
+    the_clip = (where / "clip.json").is_file()
+    if the_clip and len(folders) > 1:
+        raise InputError(where, "", "one clip", f"the folder of the clips of {len(folders)} folders of meshes")
+    how = root.resolve().name, frames, options.first, options.mesh_frame
+    return [OtherJob(folder, where if the_clip else where / folder.name, *how) for folder in folders]
+
+
+def pose_jobs(options: Evaluate, frames: Frames) -> list[OtherJob]:
+    """A job for each clip with poses, of one clip or of many by name. Raises ``InputError`` where there are none."""
+    root, where = options.poses, options.clips
+    assert root is not None
+    assert where is not None
+    method = root.resolve().stem if root.is_file() else root.resolve().name
+    how = method, frames, options.first
+    if not root.exists():
+        raise InputError(root, "", "no such file or folder", "poses of the object")
+    if (where / "clip.json").is_file():
+        name, one = read_name(where), root
+        if root.is_dir() and any((root / f"{name}{suffix}").exists() for suffix in ("", *SUFFIXES)):
+            one = OtherSystem(method, root).of_clip(name)
+        return [OtherJob(one, where, *how)]
+    if root.is_file():
+        return [OtherJob(root, where / root.stem, *how)]
+    places = [path for path in sorted(root.iterdir()) if path.is_dir() or path.suffix.lower() in SUFFIXES]
+    if not places:
+        raise InputError(root, "", "no poses in it", f"<clip>/, or <clip> with one of {', '.join(SUFFIXES)}")
+    clips = [where / (path.name if path.is_dir() else path.stem) for path in places]
+    if len(frames) == 1 and not any(clip.exists() for clip in clips):  # files of single frames
+        return [OtherJob(root, where / next(iter(frames)), *how)]
+    return [OtherJob(path, clip, *how) for path, clip in zip(places, clips, strict=True)]
+
+
+def evaluate_other(job: OtherJob) -> tuple[Evaluation | None, list[Outcome]]:
+    """All metrics of what another system says of a clip, and what could not be read. Raises nothing."""
+    try:
+        clip = read_clip(job.clip)
+        return _poses(job, clip) if job.mesh_frame is None else _meshes(job, clip, job.mesh_frame)
+    except Exception as error:  # one clip's trouble must not end the others
+        return None, [failure("" if isinstance(error, InputError) else str(job.folder), error)]
+
+
+def _poses(job: OtherJob, clip: Clip) -> tuple[Evaluation, list[Outcome]]:
+    masks = find_masks(clip)
+    result = poses_of(job.folder, job.method, clip, masks, job.first)
+    if clip.name in job.frames:
+        index = clip.index_of(job.frames[clip.name])
+        result, clip, masks = result.take(index), clip.take(index), masks and masks.take(index)
+    made = evaluate(result, clip, masks)
+    return replace(made, findings=(*made.findings, *result.notes[1:])), []
+
+
+def _meshes(job: OtherJob, clip: Clip, mesh_frame: MeshFrame) -> tuple[Evaluation, list[Outcome]]:
+    first, begin = job.first, clip.frames[0]
+    if clip.name in job.frames:
+        clip = clip.take(np.array([clip.frames.index(frame) for frame in job.frames[clip.name]]))
+    if first is not None:  # of the first of these frames
+        first += (number_of(clip.frames[0]) or 0) - (number_of(begin) or 0)
+    meshes, errors = read_meshes(job.folder, clip, mesh_frame, first)
+    return evaluate_meshes(meshes, clip, find_masks(clip), job.method), [failure("", error) for error in errors]
