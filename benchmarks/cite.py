@@ -5,7 +5,7 @@
     {{ table TABLE columns=A,B rows=GLOB }}  a table of some columns (all), of the rows that a glob names (all); words
                                              behind it: "interval", "difference" (of pairs), "notes"
     {{ inputs TABLE METHOD... }}             how often methods are right with each kind of input, in hand and camera;
-                                             METHOD=TABLE: of one that was run on exact input only, in a table of methods
+                                             METHOD=TABLE: of one that was run on exact input only
     {{ methods COLUMN }}                     a column of all methods, by set of clips
     {{ made TABLE }}                         at which commit, when, by which command
 

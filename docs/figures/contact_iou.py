@@ -12,7 +12,7 @@ from getagrip.datasets.synthetic.scene_options import SceneOptions
 from getagrip.geometry import se3
 from getagrip.grasps.definition import Definition
 from getagrip.grasps.stable import segment
-from getagrip.view.matrix import write_matrix
+from getagrip.pictures.matrix import write_matrix
 
 OUT = Path(__file__).resolve().parents[1] / "images" / "contact_iou.png"
 FRAMES = 300

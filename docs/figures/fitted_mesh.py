@@ -13,8 +13,8 @@ import numpy as np
 
 import getagrip
 from getagrip.datasets.synthetic.splits import split
-from getagrip.view.shown import View
-from getagrip.view.stills import overlay, steady_windows
+from getagrip.pictures.shown import View
+from getagrip.pictures.stills import overlay, steady_windows
 
 SIDE, FRAMES = 260, (3, 10, 17, 25)
 CATEGORY, WHICH = "mug", 2

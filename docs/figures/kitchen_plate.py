@@ -15,8 +15,8 @@ import numpy as np
 from getagrip.clip import read_clip, read_masks
 from getagrip.geometry.camera import crops_around
 from getagrip.geometry.render import render_rgb
+from getagrip.pictures.shown import View
 from getagrip.result import read_result
-from getagrip.view.shown import View
 
 OUT = Path(__file__).parent.parent / "images" / "kitchen-plate.png"
 SHOWN = 6

@@ -23,14 +23,14 @@ from getagrip.clip import Clip, FrameMasks, HandTrack, Masks, Segment, Truth, Wo
 from getagrip.datasets.synthetic.noise import NOISE, perturbed
 from getagrip.datasets.synthetic.scene import make_scene
 from getagrip.datasets.synthetic.scene_options import SceneOptions
+from getagrip.film import write_film
 from getagrip.fitting.options import Options
 from getagrip.geometry import se3
 from getagrip.geometry.render import render_rgb, true_masks
 from getagrip.hands import generic
+from getagrip.pictures.shown import View
 from getagrip.result import write_result
 from getagrip.timelines.reconstruct import reconstruct
-from getagrip.view.film import write_film
-from getagrip.view.shown import View
 
 PICTURE = Path(__file__).resolve().parents[1] / "images" / "timeline.webp"
 WIDTH, QUALITY = 720, 60

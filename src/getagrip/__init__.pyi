@@ -21,6 +21,7 @@ from .geometry.mesh import Mesh as Mesh
 from .geometry.mesh_files import read_mesh as read_mesh
 from .geometry.mesh_files import write_mesh as write_mesh
 from .geometry.warp import Warp as Warp
+from .pictures.report import write_report as write_report
 from .provenance import Source as Source
 from .result import Axis as Axis
 from .result import Candidates as Candidates
@@ -30,6 +31,5 @@ from .result import Status as Status
 from .result import read_result as read_result
 from .result import write_result as write_result
 from .timelines.reconstruct import reconstruct as reconstruct
-from .view.report import write_report as write_report
 
 __version__: str

@@ -11,8 +11,8 @@ from getagrip.clip import input_sha256
 from getagrip.commands.report import results_below
 from getagrip.errors import InputError
 from getagrip.finding import Finding
+from getagrip.pictures.report import report_figure
 from getagrip.result import write_result
-from getagrip.view.report import report_figure
 from helpers.command_line import Run
 from helpers.egg_and_mug import egg_and_mug, perfect, written
 

@@ -22,8 +22,8 @@ from getagrip.grasps.definition import Definition
 from getagrip.grasps.stable import OPENED, contact_iou, contact_sets, fragments, segment
 from getagrip.metrics.contact import contact_distances
 from getagrip.metrics.pose import ObjectTrack
-from getagrip.view.matrix import write_matrix
-from getagrip.view.style import FOUND
+from getagrip.pictures.matrix import write_matrix
+from getagrip.pictures.style import FOUND
 from helpers.clips import box, small_clip
 from helpers.command_line import Run
 from helpers.pictures import pixels_of, read_picture

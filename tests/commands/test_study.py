@@ -17,8 +17,8 @@ from getagrip.clip import write_clip
 from getagrip.errors import InputError
 from getagrip.geometry import se3
 from getagrip.grasps.study import MEASURES, TIMES, study
-from getagrip.view.study import INSIDE
-from getagrip.view.style import AXIS, FOUND
+from getagrip.pictures.study import INSIDE
+from getagrip.pictures.style import AXIS, FOUND
 from helpers.pictures import pixels_of, read_picture
 from helpers.turning import turning
 

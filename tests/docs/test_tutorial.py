@@ -14,8 +14,8 @@ from getagrip.commands import demo
 from getagrip.datasets.synthetic import scene_options
 from getagrip.datasets.synthetic.scene import clip_name
 from getagrip.datasets.synthetic.splits import PRESETS
+from getagrip.pictures.style import AXIS
 from getagrip.result import read_result
-from getagrip.view.style import AXIS
 from helpers.command_line import Run
 from helpers.pages import commands
 from helpers.paths import ROOT

@@ -21,8 +21,8 @@ from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.mesh_files import write_mesh
 from getagrip.io import files
 from getagrip.metrics.contact import CONTACT_DEFINITIONS, SIDES
+from getagrip.pictures.shown import View
 from getagrip.result import write_result
-from getagrip.view.shown import View
 from helpers.egg_and_mug import FRAMES, perfect, same, written
 
 CAM = {"add_success": "add_cam_success", "add_sym_mm": "add_sym_cam_mm", "add_sym_success": "add_sym_cam_success"}

@@ -22,8 +22,8 @@ from getagrip.fitting.solve import evaluate, minimise
 from getagrip.geometry import se3
 from getagrip.geometry.mesh import Mesh
 from getagrip.geometry.warp import Warp
+from getagrip.pictures.shown import View
 from getagrip.result import read_result, write_result
-from getagrip.view.shown import View
 from helpers.scenes import scene, scores
 
 STRETCH = np.array([1.15, 0.88, 1.0])

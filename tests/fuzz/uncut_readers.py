@@ -24,7 +24,6 @@ from getagrip.pages.report import write_page
 from getagrip.result import SegmentResult, read_record, write_result
 from getagrip.segmentation.found import find_segments
 from getagrip.timelines.reconstruct import reconstruct
-from getagrip.view.shown import View
 from helpers.clips import small_clip
 from helpers.true_result import true_result
 

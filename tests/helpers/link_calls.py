@@ -26,9 +26,9 @@ from getagrip.fitting.options import Options
 from getagrip.grasps.cut import as_listed
 from getagrip.hands import generic
 from getagrip.io import arrays
+from getagrip.pictures.figures import FIGURES
 from getagrip.result import Reconstruction, write_result
 from getagrip.segmentation.found import FoundSegment, FoundSegments
-from getagrip.view.figures import FIGURES
 from helpers.clip_inputs import AHEAD, K, everything, write_inputs
 from helpers.clips import small_clip
 from helpers.labelled_scene import circle, joints, write_scene
@@ -147,8 +147,8 @@ def quicken(monkeypatch: pytest.MonkeyPatch) -> None:
         "segmentation.found.find_segments": found,
         "timelines.reconstruct.reconstruct": fitted,
         "pages.server.Server.serve_forever": ended,
-        "view.film._pictures": lambda _: iter(np.zeros((2, 576, 1080, 3), np.uint8)),
-        "view.report.report_figure": drawn,
+        "film._pictures": lambda _: iter(np.zeros((2, 576, 1080, 3), np.uint8)),
+        "pictures.report.report_figure": drawn,
     }
     for place, trifle in places.items():
         monkeypatch.setattr(f"getagrip.{place}", trifle)

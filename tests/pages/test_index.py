@@ -9,7 +9,7 @@ import pytest
 
 from getagrip.evaluation import evaluate
 from getagrip.pages import row, row_without_clip
-from getagrip.view.shown import View
+from getagrip.pictures.shown import View
 from helpers.egg_and_mug import egg_and_mug, perfect
 
 

@@ -18,13 +18,14 @@ import pytest
 
 from getagrip.clip import input_sha256, write_clip
 from getagrip.errors import UsageError
+from getagrip.io.serving import LOOPBACK
 from getagrip.pages import served
 from getagrip.pages.entries import TRUTH, entries
 from getagrip.pages.report import write_page
 from getagrip.pages.served import Library
-from getagrip.pages.server import LOOPBACK, Server
+from getagrip.pages.server import Server
+from getagrip.pictures.shown import View
 from getagrip.result import read_record, write_result
-from getagrip.view.shown import View
 from helpers.two_candidates import two_candidates
 
 pytestmark = pytest.mark.slow
@@ -198,7 +199,7 @@ def test_answers_are_kept_by_nobody_and_framed_by_nobody(server: Server) -> None
     for path in ("", "entry/0", "nothing"):
         head = answer(server, f"/{server.secret}/{path}")[2]
         assert head["Cache-Control"] == "no-store"
-        assert head["Content-Security-Policy"] == "frame-ancestors 'none'"
+        assert "frame-ancestors 'none'; base-uri 'none'" in head["Content-Security-Policy"]
         assert head["Cross-Origin-Resource-Policy"] == "same-origin"
         assert "Access-Control-Allow-Origin" not in head
     page = answer(server, f"/{server.secret}/")[1].decode()

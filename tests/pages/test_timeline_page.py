@@ -10,8 +10,8 @@ import pytest
 
 from getagrip.evaluation import evaluate
 from getagrip.pages import write_page
+from getagrip.pictures.shown import View
 from getagrip.result import SegmentResult
-from getagrip.view.shown import View
 from helpers.browser import IN_BROWSER
 from helpers.egg_and_mug import perfect
 from helpers.timelines import COMES, LIES, timeline

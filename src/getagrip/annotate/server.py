@@ -18,7 +18,6 @@ from contextlib import suppress
 from hmac import compare_digest
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files as package_files
 from pathlib import Path
 from urllib.parse import parse_qs, quote, urlsplit
@@ -26,21 +25,19 @@ from urllib.parse import parse_qs, quote, urlsplit
 from getagrip.annotate.project import Project
 from getagrip.annotate.versions import RefusedError
 from getagrip.errors import GetagripError, InputError, UsageError
+from getagrip.io.serving import LOOPBACK, OF_PAGE, Handler, QuietServer
 
-ADDRESS = "127.0.0.1"
-NAMES = (ADDRESS, "localhost")
+NAMES = (LOOPBACK, "localhost")
 """What this machine is called by its own browser."""
 PORT, PORTS = 8765, 20
+"""The first of the ports that are tried where none is named, and how many of them."""
 SHORTEST = 20
 """Letters of a token."""
-"""The first of the ports that are tried where none is named, and how many of them."""
 CLOSED = "open the address that getagrip annotate has printed: the token in it is missing here"
 LARGEST_BODY = 256 * 2**10
 """Bytes of a request."""
 MOST_PASSED_OVER = 64 * 2**20
 """Bytes of a request that is too large: of more the connection is closed."""
-PATIENCE = 60.0
-"""A connection without requests is closed after so long [s]."""
 STYLES = ("page", "labels")
 SCRIPTS = (
     "app", "grasps", "joints", "labelling", "labels", "outlines", "overlay", "page", "panel", "player", "saving",
@@ -72,21 +69,15 @@ FILES = {"/grasps.csv": "csv", "/grasps.json": "json", "/segments.json": "segmen
 """What an annotator has marked, as files."""
 REPORTS = {"/report.png": "image/png", "/report.html": "text/html; charset=utf-8"}
 """Of a grasp's result."""
-OF_REPORT = {"Content-Security-Policy": "frame-ancestors 'none'; base-uri 'none'"}
-"""The page of a result names in itself which of its scripts may run, and loads nothing."""
-HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
+OF_SCRIPTS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'"
 }
+"""Of the page whose scripts are files of ours."""
 
 
-class Server(ThreadingHTTPServer):
+class Server(QuietServer):
     """Serves one project."""
 
-    daemon_threads = True
     closed = False
 
     def __init__(self, project: Project, port: int, token: str = "") -> None:
@@ -97,14 +88,14 @@ class Server(ThreadingHTTPServer):
         self.project, self.token = project, token or secrets.token_urlsafe(18)
         self.cookie = f"getagrip-{project.name}"
         try:
-            super().__init__((ADDRESS, port), _Handler)
+            super().__init__((LOOPBACK, port), _Handler)
         except (OSError, OverflowError) as error:
             raise UsageError(f"--port must be a free port (got {port}: {error})") from error
 
     @property
     def url(self) -> str:
         """Where the page is, for who may open it."""
-        return f"http://{ADDRESS}:{self.server_port}/?token={self.token}"
+        return f"http://{LOOPBACK}:{self.server_port}/?token={self.token}"
 
     def admits(self, token: str) -> bool:
         """Whether a token is this server's."""
@@ -114,9 +105,6 @@ class Server(ThreadingHTTPServer):
         """Listen no more, and answer nothing more on connections that are still open."""
         self.closed = True
         super().server_close()
-
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Say nothing of connections that end early."""
 
 
 def first_free(project: Project, token: str) -> Server:
@@ -147,13 +135,8 @@ def kept_token(path: Path) -> str:
     return token
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(Handler):
     server: Server
-    protocol_version = "HTTP/1.1"
-    server_version, sys_version = "getagrip", ""
-    timeout = PATIENCE
-    wbufsize = -1  # an answer in one piece: in two, the second waits for the first to be acknowledged
-    disable_nagle_algorithm = True
 
     def do_GET(self) -> None:
         """Answer with the page, a frame, or data."""
@@ -171,27 +154,27 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             if (reason := self._foreign()) is not None:
                 self.close_connection = True
-                self._send_json({"error": reason}, HTTPStatus.FORBIDDEN)
+                self.send_json({"error": reason}, HTTPStatus.FORBIDDEN)
             elif not self._may_enter():
                 self.close_connection = True
-                self._send_json({"error": CLOSED}, HTTPStatus.UNAUTHORIZED)
+                self.send_json({"error": CLOSED}, HTTPStatus.UNAUTHORIZED)
             else:
                 act()
         except RefusedError as error:
-            self._send_json({"error": str(error)}, HTTPStatus.CONFLICT)
+            self.send_json({"error": str(error)}, HTTPStatus.CONFLICT)
         except InputError as error:
-            self._send_json({"error": str(error)}, HTTPStatus.UNPROCESSABLE_ENTITY)
+            self.send_json({"error": str(error)}, HTTPStatus.UNPROCESSABLE_ENTITY)
         except (GetagripError, ValueError) as error:
-            self._send_json({"error": str(error)}, HTTPStatus.BAD_REQUEST)
+            self.send_json({"error": str(error)}, HTTPStatus.BAD_REQUEST)
         except ConnectionError:
             self.close_connection = True
         except (OSError, sqlite3.Error) as error:  # a full disk, a file that is locked: the page keeps and tries again
             self.close_connection = True
-            self._send_json({"error": str(error)}, HTTPStatus.SERVICE_UNAVAILABLE)
+            self.send_json({"error": str(error)}, HTTPStatus.SERVICE_UNAVAILABLE)
         except Exception as error:  # without an answer the page would try for ever
             self.close_connection = True
             words = f"an error of the program: {type(error).__name__}: {error}"
-            self._send_json({"error": words}, HTTPStatus.INTERNAL_SERVER_ERROR)
+            self.send_json({"error": words}, HTTPStatus.INTERNAL_SERVER_ERROR)
 
     def _foreign(self) -> str | None:
         """Why a request is refused before it is looked at."""
@@ -224,27 +207,27 @@ class _Handler(BaseHTTPRequestHandler):
         project = self.server.project
         if url.path == "/" and "token" in asked:  # out of the address, which others may come to see
             kept = f"{self.server.cookie}={self.server.token}; Path=/; HttpOnly; SameSite=Lax"
-            self._send(b"", "text/plain", {"Location": "/", "Set-Cookie": kept}, HTTPStatus.SEE_OTHER)
+            self.send(b"", "text/plain", {"Location": "/", "Set-Cookie": kept}, HTTPStatus.SEE_OTHER)
         elif url.path in PAGE:
             name, kind = PAGE[url.path]
             content = (package_files("getagrip.annotate") / "page" / name).read_bytes()
-            self._send(content, f"{kind}; charset=utf-8")
+            self.send(content, f"{kind}; charset=utf-8", OF_SCRIPTS)
         elif url.path == "/frame":
             image, time, number = project.frame(asked.get("task"), _whole(asked.get("n")), "whole" in asked)
-            self._send(image, "image/jpeg", {"X-Time": f"{time:.6f}", "X-Number": str(number)})
+            self.send(image, "image/jpeg", {"X-Time": f"{time:.6f}", "X-Number": str(number)})
         elif url.path in DATA:
-            self._send_json(DATA[url.path](project, asked))
+            self.send_json(DATA[url.path](project, asked))
         elif url.path == "/labels.json":
             text, name = project.labels_file(asked)
             self._send_file(text, "json", name)
         elif url.path in REPORTS:
             name = url.path.removeprefix("/")
-            self._send(project.result_file(asked, name), REPORTS[url.path], OF_REPORT)
+            self.send(project.result_file(asked, name), REPORTS[url.path], OF_PAGE)
         elif url.path in FILES:
             text = project.exported(FILES[url.path], asked.get("annotator"))
             self._send_file(text, url.path.rpartition(".")[2], f"{asked.get('annotator')}-{url.path[1:]}")
         else:
-            self._send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
+            self.send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
 
     def _post(self) -> None:
         length = _whole(self.headers.get("Content-Length"))
@@ -261,31 +244,15 @@ class _Handler(BaseHTTPRequestHandler):
         if not isinstance(content, dict):
             raise UsageError("body must be a JSON object")
         if content.get("project", self.server.project.name) != self.server.project.name:
-            self._send_json({"error": "another database of marks is open"}, HTTPStatus.SERVICE_UNAVAILABLE)
+            self.send_json({"error": "another database of marks is open"}, HTTPStatus.SERVICE_UNAVAILABLE)
         elif self.path in CHANGES:
-            self._send_json(getattr(self.server.project, CHANGES[self.path])(content))
+            self.send_json(getattr(self.server.project, CHANGES[self.path])(content))
         else:
-            self._send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
+            self.send_json({"error": "no such page"}, HTTPStatus.NOT_FOUND)
 
     def _send_file(self, text: str, kind: str, name: str) -> None:
         head = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(name)}"}
-        self._send(text.encode(), f"text/{kind}; charset=utf-8", head)
-
-    def _send_json(self, content: dict[str, object], status: HTTPStatus = HTTPStatus.OK) -> None:
-        self._send(json.dumps(content, allow_nan=False).encode(), "application/json", status=status)
-
-    def _send(
-        self, content: bytes, kind: str, head: dict[str, str] | None = None, status: HTTPStatus = HTTPStatus.OK
-    ) -> None:
-        self.send_response(status)
-        own = {"Content-Type": kind, "Content-Length": str(len(content))}
-        for key, value in {**HEADERS, **own, **(head or {})}.items():
-            self.send_header(key, value)
-        self.end_headers()
-        self.wfile.write(content)
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Print nothing for each request."""
+        self.send(text.encode(), f"text/{kind}; charset=utf-8", head)
 
 
 def _whole(text: str | None) -> int:

@@ -36,9 +36,9 @@ class Demo(Command):
         from getagrip.io import files
         from getagrip.io.terminal import console, progress_bar
         from getagrip.pages import write_page
+        from getagrip.pictures.report import write_report
+        from getagrip.pictures.shown import View
         from getagrip.result import read_record, write_result
-        from getagrip.view.report import write_report
-        from getagrip.view.shown import View
 
         screen = console()
         with progress_bar() as bar:

@@ -19,9 +19,9 @@ from getagrip.commands.evaluate import results_in
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 from getagrip.io.arguments import File
-from getagrip.view.figures import FIGURES, GivenResult, Kind
-from getagrip.view.given import is_clip
-from getagrip.view.style import letters
+from getagrip.pictures.figures import FIGURES, GivenResult, Kind
+from getagrip.pictures.given import is_clip
+from getagrip.pictures.style import letters
 
 SUFFIXES = (".png", ".pdf")
 

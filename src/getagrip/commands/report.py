@@ -127,11 +127,11 @@ def report_one(job: ReportJob) -> Reported:
 def _written(job: ReportJob) -> IndexRow:
     """Write the pages of a result."""
     from getagrip.evaluation import evaluate, read_evaluated
+    from getagrip.film import write_film
     from getagrip.pages import row, write_page
+    from getagrip.pictures.report import write_report
+    from getagrip.pictures.shown import View
     from getagrip.result import read_record
-    from getagrip.view.film import write_film
-    from getagrip.view.report import write_report
-    from getagrip.view.shown import View
 
     folder, request = job.folder, job.request
     result, clip, masks = read_evaluated(folder, request.clips)

@@ -140,7 +140,7 @@ def segment_one(job: SegmentJob, progress: Progress = lambda *_: None) -> Segmen
         clip = read_clip(job.clip)
         iou, grasps = job.cut.of(clip, partial(progress, "contact"))
         if job.picture is not None:
-            from getagrip.view.matrix import write_matrix
+            from getagrip.pictures.matrix import write_matrix
 
             subtitle = f"{clip.side} hand, {clip.category}  ·  {job.cut.description}"
             write_matrix(job.picture, iou, grasps, clip.fps, job.cut.definition.tau, clip.name, subtitle)

@@ -124,7 +124,7 @@ def _write(studied: Sequence[StudiedGrasp], cut: Cut, clips: int, out: Path) -> 
     """The files of a study."""
     from getagrip.grasps import lists
     from getagrip.grasps.study import mean_curves
-    from getagrip.view.study import write_study
+    from getagrip.pictures.study import write_study
 
     out.mkdir(parents=True, exist_ok=True)
     _write_csv(out / "grasps.csv", (_grasp(one) for one in studied))

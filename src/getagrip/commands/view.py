@@ -13,11 +13,9 @@ from tyro.conf import Positional, arg
 
 from getagrip.commands.command import ClipsFolder, Command
 from getagrip.commands.evaluate import of_batch
+from getagrip.commands.report import results_below
 from getagrip.errors import InputError, UsageError
 from getagrip.io.terminal import say
-
-RESULTS, CLIPS = ("", "*", "*/*"), ("", "*")
-"""Where results and clips are looked for below a path: a result, results, results of several methods."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,17 +70,15 @@ class View(Command):
 
 
 def found(paths: Sequence[Path], problems: list[Exception]) -> tuple[list[Path], list[Path]]:
-    """The folders of results, and of clips where there are no results, that paths stand for."""
+    """The folders of results anywhere below paths, and of clips where there are no results."""
     results: list[Path] = []
     clips: list[Path] = []
     for path in filterfalse(of_batch, paths):
-        below = [sorted(file.parent for file in path.glob(f"{depth}/result.json".lstrip("/"))) for depth in RESULTS]
-        alone = [sorted(file.parent for file in path.glob(f"{depth}/clip.json".lstrip("/"))) for depth in CLIPS]
-        if any(below):
-            results += next(folders for folders in below if folders)
-        elif any(alone):
-            clips += next(folders for folders in alone if folders)
-        else:
+        below = results_below(path, may_lack=True) if path.is_dir() else []
+        alone = [path] if (path / "clip.json").exists() else sorted(file.parent for file in path.glob("*/clip.json"))
+        results += below
+        clips += [] if below else alone
+        if not below and not alone:
             given = "neither result.json nor clip.json in it or below" if path.is_dir() else "no such folder"
             problems.append(InputError(path, "", given, "a result, a clip, or a folder of them"))
     return results, clips

@@ -1,4 +1,4 @@
-"""Results as HTML pages that open from disk: each is one file, which asks for nothing else."""
+"""Results as HTML pages: files that open from disk and ask for nothing else, and the served page of `getagrip view`."""
 
 from getagrip.pages.index import IndexRow, row, row_without_clip, write_index
 from getagrip.pages.report import write_page

@@ -14,11 +14,11 @@ from getagrip.errors import GetagripError
 from getagrip.evaluation import read_with_clip
 from getagrip.fitting.methods import METHODS
 from getagrip.io.files import Json
+from getagrip.pictures.given import GivenResult, at_common_frames, distinct, hand_alone, true_view
+from getagrip.pictures.shown import View
 from getagrip.result import Reconstruction, read_record, read_result
-from getagrip.view.given import GivenResult, at_common_frames, distinct, hand_alone, true_view
-from getagrip.view.shown import View
 
-TRUTH = "ground truth"
+TRUTH, ALONE = "ground truth", "the hand alone: no result and no ground truth"
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,9 @@ class Entry:
         """A column for each result, at the frames that all of them have, without masks. Raises ``InputError``."""
         if self.clip is not None:
             clip = read_clip(self.clip)
-            alone = clip.truth is None
-            return [Column(clip.name if alone else TRUTH, hand_alone(clip) if alone else true_view(self.clip), {})]
+            return [
+                Column(ALONE, hand_alone(clip), {}) if clip.truth is None else Column(TRUTH, true_view(self.clip), {})
+            ]
         given = [GivenResult(folder, self.clips) for folder in self.results]
         read = [(one, View.of(*read_with_clip(one.folder, one.clips), None)) for one in given]
         views, names = at_common_frames(read), labels([view for _, view in read], distinct(given))

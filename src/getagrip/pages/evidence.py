@@ -14,7 +14,7 @@ from getagrip.finding import Finding
 from getagrip.metrics.contact import pairwise_iou, stable_contact_area
 from getagrip.metrics.mask import iou_of_poses
 from getagrip.metrics.pose import ObjectTrack, pose_errors
-from getagrip.view.shown import View
+from getagrip.pictures.shown import View
 
 HEAD = ("", "energy", "IOU %", "gap mm", "depth mm", "SCA %", "ADD mm")
 TOUCHING = 0.010

@@ -19,13 +19,13 @@ from getagrip.evaluation.results import Evaluation
 from getagrip.fitting.methods import method_of
 from getagrip.io import files
 from getagrip.pages.document import document
-from getagrip.pages.pictures import jpeg
+from getagrip.pages.frames import jpeg
 from getagrip.pages.report import CONTACT, MAIN
+from getagrip.pictures.shown import View
+from getagrip.pictures.stills import overlay, turned
+from getagrip.pictures.tiles import input_windows
 from getagrip.probability import LEAST
 from getagrip.result import Reconstruction
-from getagrip.view.shown import View
-from getagrip.view.stills import overlay, turned
-from getagrip.view.tiles import input_windows
 
 THUMBNAIL, QUALITY = 220, 72
 """Side of each of the two pictures of a result [px], and their JPEG quality."""

@@ -7,11 +7,11 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.geometry.mesh import Mesh
-from getagrip.view.candidates import candidate
-from getagrip.view.shown import View
-from getagrip.view.stills import smoothed
-from getagrip.view.tiles import axis_points
-from getagrip.view.touched import BORDER, distances
+from getagrip.pictures.candidates import candidate
+from getagrip.pictures.shown import View
+from getagrip.pictures.stills import smoothed
+from getagrip.pictures.tiles import axis_points
+from getagrip.pictures.touched import BORDER, distances
 
 CONTACT, MOST = 0.010, 0.020
 """Distance of surfaces that counts as contact at first, and the largest that can be chosen [m]."""
@@ -78,14 +78,14 @@ def moving(view: View, surface: Mesh) -> dict[str, ndarray]:
 
 
 def _extent(view: View) -> float:
-    """Diameter of hands and object together, the median over the frames in which both hands are known, if any are."""
+    """Diameter of hands and object together, in nine of ten frames; of two hands, those that have both."""
     shown = [(len(view.hands(n)), n) for n in range(len(view.clip))]
     most = max(shown)[0]
     sizes = []
     for n in [n for count, n in shown if count == most]:
         around = [*(vertices for vertices, _ in view.hands(n)), *([view.object(n)] if view.posed else [])]
         sizes.append(np.linalg.norm(np.ptp(np.concatenate(around), axis=0)))
-    return float(np.median(sizes))
+    return float(np.quantile(sizes, 0.9))
 
 
 def _near(distance: Float[ndarray, "T V"]) -> Float[ndarray, "T V"]:

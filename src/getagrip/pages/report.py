@@ -17,18 +17,17 @@ from getagrip.io.files import Json
 from getagrip.metrics.contact import ContactDefinition
 from getagrip.pages import motion
 from getagrip.pages.document import document, pack
-from getagrip.pages.pictures import PICTURE, drawn, outline
+from getagrip.pages.frames import PICTURE, drawn, outline
 from getagrip.pages.tables import meanings, tables, unit_of
+from getagrip.pictures.candidates import candidate
+from getagrip.pictures.curves import angle_curve, seconds
+from getagrip.pictures.gap import coarse, gap
+from getagrip.pictures.shown import View
+from getagrip.pictures.stills import steady_windows
+from getagrip.pictures.style import AXIS, FOUND, HAND_LINE, INK, STATE, TRUE
+from getagrip.pictures.touched import BORDER, finer
 from getagrip.probability import RIGHT
 from getagrip.result import Reconstruction
-from getagrip.view.candidates import candidate
-from getagrip.view.curves import angle_curve, seconds
-from getagrip.view.gap import coarse, gap
-from getagrip.view.shown import View
-from getagrip.view.stills import steady_windows
-from getagrip.view.style import AXIS, FOUND, HAND_LINE, INK, STATE, TRUE
-from getagrip.view.touched import BORDER, finer
-from getagrip.view.world import called
 
 FRAMES = 120
 """Frames that a page plays, at most; of longer clips as many, evenly sampled, and the worst."""
@@ -90,7 +89,7 @@ def over_time(view: View, shown: Int[ndarray, "n"]) -> Json:
         "times": seconds(view),
         "frames": [{"n": n, "name": names[n], "kind": kinds[n]} for n in shown.tolist()],
         "segments": [
-            {"words": called(view, s)[0], "colour": STATE[s.state], "first": s.first, "last": s.last}
+            {"words": view.called(s)[0], "colour": STATE[s.state], "first": s.first, "last": s.last}
             for s in view.clip.segments
         ],
         "size": PICTURE,

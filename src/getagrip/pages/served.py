@@ -22,14 +22,14 @@ from getagrip.pages import motion
 from getagrip.pages.document import document, pack
 from getagrip.pages.entries import Column, Entry
 from getagrip.pages.evidence import compared
-from getagrip.pages.pictures import PICTURE, drawn
+from getagrip.pages.frames import PICTURE, drawn
 from getagrip.pages.report import SCRIPTS, described, gap_plot, over_time
-from getagrip.view.candidates import candidate
-from getagrip.view.gap import coarse, gap
-from getagrip.view.shown import View
-from getagrip.view.stills import ROOM, STEADY, smoothed
-from getagrip.view.tiles import input_windows
-from getagrip.view.touched import finer
+from getagrip.pictures.candidates import candidate
+from getagrip.pictures.gap import coarse, gap
+from getagrip.pictures.shown import View
+from getagrip.pictures.stills import ROOM, STEADY, smoothed
+from getagrip.pictures.tiles import input_windows
+from getagrip.pictures.touched import finer
 
 SAMPLED = 20
 """Frames whose masks are read before any is shown; candidates are compared in them."""

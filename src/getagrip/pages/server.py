@@ -15,17 +15,15 @@ import re
 import secrets
 from collections.abc import Callable
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from getagrip.errors import GetagripError, UsageError
 from getagrip.io import files
+from getagrip.io.serving import LOOPBACK, OF_PAGE, Handler, QuietServer
 from getagrip.pages.served import Library
 
-PORT, LOOPBACK = 8770, "127.0.0.1"
+PORT = 8770
 """Where the page is served, if that is free."""
-PATIENCE = 60.0
-"""A connection without requests is closed after so long [s]."""
 ASKED: dict[str, tuple[Callable[..., dict[str, Any]], int]] = {
     "entry": (Library.entry, 1),
     "frame": (Library.frame, 4),
@@ -33,19 +31,10 @@ ASKED: dict[str, tuple[Callable[..., dict[str, Any]], int]] = {
     "candidates": (Library.candidates, 2),
 }
 """What a path may ask for, and by how many numbers."""
-HEADERS = {
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "frame-ancestors 'none'",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-}
 
 
-class Server(ThreadingHTTPServer):
+class Server(QuietServer):
     """Serves one library."""
-
-    daemon_threads = True
 
     def __init__(self, library: Library, port: int | None = None, host: str = LOOPBACK) -> None:
         """Listen on a port, 0 for any free one; without one on ``PORT``, or on any free one if that is taken.
@@ -78,17 +67,9 @@ class Server(ThreadingHTTPServer):
             return False
         return True
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of connections that end early."""
 
-
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(Handler):
     server: Server
-    protocol_version = "HTTP/1.1"
-    server_version, sys_version = "getagrip", ""
-    timeout = PATIENCE
-    wbufsize = -1  # an answer in one piece: in two, the second waits for the first to be acknowledged
-    disable_nagle_algorithm = True
 
     def do_GET(self) -> None:
         """Answer with the page or a part of it; errors become one line of JSON, never a traceback."""
@@ -98,7 +79,7 @@ class _Handler(BaseHTTPRequestHandler):
             elif (rest := self._below_secret()) is None:
                 self._refuse("this page opens only at the whole address that getagrip view has printed")
             elif rest == "":
-                self._send(self.server.library.page(), "text/html")
+                self.send(self.server.library.page(), "text/html; charset=utf-8", OF_PAGE)
             elif self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
                 self._refuse("requests from other sites are refused")
             else:
@@ -127,21 +108,8 @@ class _Handler(BaseHTTPRequestHandler):
         except IndexError:
             self._refuse("no such page", HTTPStatus.NOT_FOUND)
             return
-        self._send(json.dumps(json.loads(files.to_json(content))).encode(), "application/json")
+        self.send_json(json.loads(files.to_json(content)))
 
     def _refuse(self, why: str, status: HTTPStatus = HTTPStatus.FORBIDDEN) -> None:
         self.close_connection = True
-        self._send(json.dumps({"error": why}).encode(), "application/json", status)
-
-    def _send(self, content: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
-        self.send_response(status)
-        about = {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(content))}
-        for key, value in {**HEADERS, **about}.items():
-            self.send_header(key, value)
-        if self.close_connection:
-            self.send_header("Connection", "close")
-        self.end_headers()
-        self.wfile.write(content)
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Print nothing for each request."""
+        self.send_json({"error": why}, status)

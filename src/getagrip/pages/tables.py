@@ -12,8 +12,8 @@ from getagrip.evaluation.metric import METRICS, Metric
 from getagrip.evaluation.results import Evaluation
 from getagrip.io.files import Json
 from getagrip.metrics.contact import CONTACT_DEFINITIONS
+from getagrip.pictures.shown import View
 from getagrip.result import Reconstruction
-from getagrip.view.shown import View
 
 CHECKS = {check.name: check for check in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP)}
 SAID = {"iou": "iou, in the crop", "iou_soft": "iou_soft, in the crop"}
@@ -36,7 +36,7 @@ def tables(view: View, evaluation: Evaluation, record: Json) -> list[dict[str, o
         "Checks (docs/checks.md)": _checked(result.checks),
         "Energy [px²]": _rows(result.energy),
         "Time [s]": _rows(result.seconds),
-        "Options": [*_rows(result.options), ["seed", str(result.seed)]],
+        "Options": [*_rows(result.options), ["seed", str(result.seed)]] if result.options else [],
         "Sources of the clip": _rows(view.clip.provenance),
         "Software": _rows(record.get("software", {})),
     }

@@ -121,6 +121,7 @@ class Column {
 
   show(place, { picture, outlines, arrays }) {
     this.unread("");
+    this.part(".picture").hidden = false;
     this.part(".picture").src = `data:image/jpeg;base64,${picture}`;
     for (const [name, group] of Object.entries(this.paths)) {
       for (const path of group.children) path.setAttribute("d", outlines[name] || "");

@@ -181,7 +181,7 @@ async function show(shown, source) {
   segmentBar(shown, player);
   plots(columns, shown, player);
   byId("more").replaceChildren(...columns.map((column) => column.more(several)));
-  byId("footer").textContent = `getagrip ${shown.columns[0].version}. Metres and radians inside; angles here in degrees, distances in millimetres.`;
+  byId("footer").textContent = `${["getagrip", shown.columns[0].version].join(" ").trim()}. Metres and radians inside; angles here in degrees, distances in millimetres.`;
   await player.show(0);
   document.body.classList.remove("waiting");
   document.body.dataset.ready = columns.every(({ viewer }) => viewer) ? "3d" : "flat";

@@ -176,12 +176,15 @@ class Viewer {
 
   ghost(surface, T_eye_mesh) {
     const { gl } = this;
+    gl.enable(gl.POLYGON_OFFSET_FILL);
+    gl.polygonOffset(1, 8);  // a little behind what it agrees with, lest the two flicker
     gl.colorMask(false, false, false, false);  // depth first, or one would look through it into itself
     this.part(surface, T_eye_mesh, SHOWN.truth);
     gl.colorMask(true, true, true, true);
     gl.depthFunc(gl.EQUAL);
     this.part(surface, T_eye_mesh, SHOWN.truth, { opacity: 0.55 });
     gl.depthFunc(gl.LESS);
+    gl.disable(gl.POLYGON_OFFSET_FILL);
   }
 
   part(surface, T_eye_mesh, colour, { opacity = 1, lit = 1, coloured = false } = {}) {

@@ -1,0 +1,60 @@
+"""Pictures in pages: JPEG, and contours over them as SVG draws them."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from getagrip.errors import GetagripError
+from getagrip.geometry.camera import Crops
+from getagrip.geometry.render import Surface
+from getagrip.pictures.shown import View
+from getagrip.pictures.tiles import image_in, intrinsics_of, mask_lines, silhouette_lines
+
+PICTURE, QUALITY = 480, 78
+"""Side [px] and JPEG quality of the images."""
+
+
+def drawn(view: View, n: int, crops: Crops, k: int) -> dict[str, object]:
+    """Frame ``n`` in window ``k``: the image, and the contours of the object, the hands, the truth and the mask."""
+    outlines = {"hand": _contour(view.hands(n), view, n, crops, k)}
+    if view.posed:
+        outlines["object"] = outline(view, n, crops, k)
+    if not view.of_truth and (true := view.true()) is not None:
+        outlines["true"] = outline(true, n, crops, k)
+    if view.masks is not None:
+        lines = mask_lines(view.masks.object[n])
+        outlines["observed"] = paths((line - crops.corner[k]) * crops.zoom for line in lines)
+    return {"picture": jpeg(image_in(view, n, crops, k), QUALITY), "outlines": outlines}
+
+
+def outline(view: View, n: int, crops: Crops, k: int) -> str:
+    """The contour of the posed object."""
+    return _contour([(view.object(n), view.clip.mesh.faces)], view, n, crops, k)
+
+
+def _contour(surfaces: Iterable[Surface], view: View, n: int, crops: Crops, k: int) -> str:
+    K = intrinsics_of(view, n, crops, k)
+    return "".join(paths(silhouette_lines(*surface, K, crops.size)) for surface in surfaces)
+
+
+def jpeg(picture: UInt8[ndarray, "H W 3"], quality: int) -> str:
+    """An RGB picture as JPEG, in base64."""
+    done, content = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not done:
+        raise GetagripError(f"a picture of {picture.shape[1]}x{picture.shape[0]} px could not be written as JPEG")
+    return base64.b64encode(content.tobytes()).decode("ascii")
+
+
+def paths(lines: Iterable[Float[ndarray, "_n 2"]]) -> str:
+    """Closed lines as SVG draws them, without points that hardly change them."""
+    out = []
+    for line in lines:
+        kept = cv2.approxPolyDP(line.astype(np.float32)[:, None], 0.3, closed=True)[:, 0]
+        out.append("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in kept) + "Z")
+    return "".join(out)

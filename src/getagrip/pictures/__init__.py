@@ -1,0 +1,1 @@
+"""Pictures of results (matplotlib): reports, figures, contact matrices, the study; what pages and films draw with."""

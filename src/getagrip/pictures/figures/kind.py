@@ -1,0 +1,100 @@
+"""What all kinds of figures share: results in, a matplotlib figure out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import numpy as np
+from tyro.conf import arg
+
+from getagrip.errors import GetagripError, UsageError
+from getagrip.fitting.methods import method_of
+from getagrip.pictures.given import GivenResult
+from getagrip.pictures.shown import View
+from getagrip.provenance import assumptions
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Fail = Callable[[Exception], None]
+"""Called with what is wrong with a result that is left out."""
+Count = Annotated[int, arg(metavar="N")]
+Millimetres = Annotated[float, arg(metavar="MM")]
+MOST_FRAMES = 12
+DPI = 40, 600
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of figure; its fields are the options, its docstring is the help."""
+
+    draws_truth: ClassVar[bool] = False
+    """Whether it takes a clip as well, and then draws the ground truth."""
+    dpi: Annotated[int, arg(metavar="N")] = 130
+    """Pixels an inch."""
+
+    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
+        """The figure. Raises ``GetagripError`` where there is nothing that it could show."""
+        raise NotImplementedError
+
+    def check(self) -> None:
+        """Raise ``UsageError`` for options that make no figure."""
+        if not DPI[0] <= self.dpi <= DPI[1]:
+            raise UsageError(f"--dpi must be {DPI[0]} to {DPI[1]} (got {self.dpi})")
+        frames = getattr(self, "frames", 1)
+        if not 1 <= frames <= MOST_FRAMES:
+            raise UsageError(f"--frames must be 1 to {MOST_FRAMES} (got {frames})")
+
+
+def the_one(results: Sequence[GivenResult], kind: str) -> View:
+    """The result of a figure that shows one. Raises ``UsageError`` for more."""
+    if len(results) != 1:
+        first = ", ".join(str(given.folder) for given in results[:2])
+        raise UsageError(f"RESULT must be one for the figure {kind!r} (got {len(results)}: {first}, ...)")
+    return results[0].read()
+
+
+def readable(results: Sequence[GivenResult], fail: Fail) -> list[tuple[GivenResult, View]]:
+    """The results that can be read; the others go to ``fail``. Raises the error where there is only one."""
+    out: list[tuple[GivenResult, View]] = []
+    for given in results:
+        try:
+            out.append((given, given.read()))
+        except (GetagripError, OSError) as error:
+            if len(results) == 1:
+                raise
+            fail(error)
+    return out
+
+
+def evenly(count: int, total: int) -> list[int]:
+    """So many of the numbers 0, 1, ..., total - 1, from the first to the last; all where there are fewer."""
+    return [int(n) for n in np.unique(np.linspace(0, total - 1, count).round())]
+
+
+def summary(view: View) -> str:
+    """Method, object and hand, number of frames, and what is a guess, in a line."""
+    label = "ground truth" if view.of_truth else method_of(view.result.method).label
+    return "  ·  ".join([label, *about(view)])
+
+
+def about(view: View) -> list[str]:
+    """Object and hand, number of frames, and what is a guess."""
+    clip = view.clip
+    return [f"{clip.category} in a {clip.side} hand", view.frames_in_words, *guesses(view)]
+
+
+def guesses(view: View) -> list[str]:
+    """What is a guess, in words; nothing where nothing is."""
+    keys = list(assumptions(view.clip.provenance))
+    known = ["scale"] * (view.clip.scale == "free") + ["shape"] * (view.result.warp is not None) + keys
+    return [f"guessed: {', '.join(known)}"] if known else []
+
+
+def doubts(view: View) -> list[str]:
+    """How many findings a result has (docs/checks.md), in words; nothing where it has none."""
+    count, serious = len(view.result.findings), sum(finding.serious for finding in view.result.findings)
+    words = f"{count} finding{'s' if count > 1 else ''}" + (f", {serious} serious" if serious else "")
+    return [words] if count else []

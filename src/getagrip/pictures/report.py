@@ -1,0 +1,174 @@
+"""One picture of a reconstruction: over the images, from the camera and from the side, and the motion over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from getagrip.clip import Clip, Masks, check_masks
+from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, ROTATION_SYM
+from getagrip.fitting.methods import method_of
+from getagrip.io import files
+from getagrip.pictures.curves import angle_curve, seconds
+from getagrip.pictures.shown import View
+from getagrip.pictures.style import AXIS, FAINT, FOUND, INK, LINE, PAPER, TRUE, letters
+from getagrip.pictures.tiles import over_image, rendered, windows
+from getagrip.probability import percent
+from getagrip.result import Reconstruction
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TILES = 5
+"""Frames shown."""
+TILE = 320
+"""Side of a tile [px]."""
+LETTERS = 150
+"""In a line of a finding."""
+SHOWN = {"ADD": ADD_MM, "ADD sym.": ADD_SYM_MM, "rotation": ROTATION_SYM}
+"""Metrics in the title, each under a short name."""
+
+
+def write_report(
+    result: Reconstruction,
+    clip: Clip,
+    masks: Masks | None,
+    path: str | Path,
+    metrics: Mapping[str, float] | None = None,
+) -> Path:
+    """Write ``report_figure`` as a PNG and return its path. Raises as it does."""
+    figure = report_figure(result, clip, masks, metrics)
+    with files.new_file(Path(path)) as part:
+        figure.savefig(part, format="png", facecolor="white")
+    return Path(path)
+
+
+def report_figure(
+    result: Reconstruction, clip: Clip, masks: Masks | None, metrics: Mapping[str, float] | None = None
+) -> Figure:
+    """The picture as a matplotlib figure: three rows of tiles, one tile per frame shown, above two plots over time.
+
+    ``clip`` and ``masks`` may have more frames than the result. ``metrics`` are those of ``evaluate``; those in
+    ``SHOWN`` are shown if given. Images are read from the clip's folder where it has them; without images the masks are
+    drawn. Raises ``InputError`` for a frame of the result that is none of the clip's, and ``UsageError`` for masks of
+    another clip or an unknown method.
+    """
+    if masks is not None:
+        check_masks(clip, masks)
+    index = clip.index_of(result.frames)
+    view = View.of(result, clip.take(index), None if masks is None else masks.take(index))
+    return _draw(view, metrics or {})
+
+
+def _draw(view: View, metrics: Mapping[str, float]) -> Figure:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with letters():
+        left, right, gap, tile = 0.62, 0.25, 0.08, 2.3  # inches
+        width = left + right + TILES * tile + (TILES - 1) * gap
+        found = [str(finding) for finding in view.result.findings]
+        lines = [line for text in found for line in wrap(text, LETTERS)]
+        head, foot, plots, between = 1.22 + 0.2 * len(lines), 0.48, 1.75, 0.62
+        height = head + 3 * tile + 2 * gap + between + plots + foot
+        figure = Figure(figsize=(width, height), dpi=130)
+        FigureCanvasAgg(figure)
+
+        def place(x: float, top: float, w: float, h: float) -> Axes:
+            return figure.add_axes((x / width, 1.0 - (top + h) / height, w / width, h / height))
+
+        _title(figure, view, metrics, left / width, 1.0 - 0.2 / height, 0.27 / height)
+        figure.text(left / width, 1.0 - 1.02 / height, "\n".join(lines), color=FOUND, fontsize=9.5, va="top")
+        frames = np.unique(np.linspace(0, len(view.result.frames) - 1, TILES).round().astype(int))
+        crops = windows([view], frames, TILE)
+        rows = ("input and fitted contour", "result, from the camera", "result, from the side")
+        for row, label in enumerate(rows):
+            top = head + row * (tile + gap)
+            figure.text(0.35 / width, 1.0 - (top + tile / 2) / height, label, rotation=90, ha="center", va="center")
+            for k, n in enumerate(frames):
+                axes = place(left + k * (tile + gap), top, tile, tile)
+                axes.set(xticks=[], yticks=[], xlim=(0, TILE), ylim=(TILE, 0), facecolor=PAPER)
+                if row == 0:
+                    over_image(axes, view, int(n), crops, k)
+                    axes.set_title(view.result.frames[n], fontsize=8.5, color=FAINT, pad=4)
+                else:
+                    rendered(axes, view, int(n), crops, k, from_side=row == 2)
+        top = head + 3 * tile + 2 * gap + between
+        half = (width - left - right - 0.75) / 2.0
+        _angle_plot(place(left, top, half, plots), view)
+        _iou_plot(place(left + half + 0.75, top, half, plots), view)
+    return figure
+
+
+def _title(figure: Figure, view: View, metrics: Mapping[str, float], x: float, y: float, step: float) -> None:
+    result, clip = view.result, view.clip
+    title = figure.text(x, y, clip.name, fontsize=15, fontweight="bold", va="top")
+    facts = [
+        method_of(result.method).label,
+        view.frames_in_words,
+        f"{clip.side} hand" if clip.other_hand is None else "both hands",
+        *view.size_in_words,
+    ]
+    line = figure.text(x, y - 1.25 * step, "  ·  ".join(facts), color=FAINT, fontsize=9.5, va="top")
+    figure.text(x, y - 2.0 * step, result.message, color=INK, fontsize=9.5, va="top")
+
+    numbers = [("IOU", f"{100 * result.mean_iou:.1f} %")]
+    if known := result.probabilities:
+        frames = (f"{where.split()[-1]}{'*' if one.beyond else ''}" for where, one in known.items())
+        numbers.append((f"probability: {', '.join(frames)}", ", ".join(percent(one.value) for one in known.values())))
+    for name, metric in SHOWN.items():
+        if metric.name in metrics:
+            unit = "°" if metric.unit == "deg" else f" {metric.unit}"
+            numbers.append((name, f"{metric.text(metrics[metric.name])}{unit}"))
+    if "total" in result.seconds:
+        numbers.append(("time", f"{result.seconds['total']:.2f} s"))
+    right = end = 0.98
+    for name, number in numbers[::-1]:
+        value = figure.text(right, y, number, fontsize=15, va="top", ha="right")
+        label = figure.text(right, y - 1.25 * step, name, fontsize=9.5, color=FAINT, va="top", ha="right")
+        widest = max(text.get_window_extent().width for text in (value, label))
+        end = right - widest / figure.bbox.width - 0.012
+        right = min(right - 0.092, end)
+    for text, size, room in ((title, 15.0, right - x), (line, 9.5, end - x)):
+        too_wide = text.get_window_extent().width / figure.bbox.width / room
+        text.set_fontsize(size / max(too_wide, 1.0))
+    if result.ambiguous:
+        warning = "ambiguous: another pose explains the masks almost as well"
+        figure.text(0.98, y - 2.0 * step, warning, color=FOUND, fontsize=9.5, va="top", ha="right")
+
+
+def _plain(axes: Axes, title: str) -> None:
+    axes.set_title(title, loc="left", fontsize=9.5, color=INK, pad=6)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.grid(axis="y", color=LINE, linewidth=0.6)
+    axes.tick_params(length=0)
+    axes.set_xlabel("time [s]")
+    axes.margins(x=0.01)
+
+
+def _angle_plot(axes: Axes, view: View) -> None:
+    t, curve = seconds(view), angle_curve(view)
+    _plain(axes, f"{curve.title} [°]")
+    if curve.true is not None:
+        axes.plot(t, np.degrees(curve.true), color=TRUE, linewidth=1.4, linestyle=(0, (4, 2)), label="ground truth")
+    axes.plot(t, np.degrees(curve.found), color=AXIS, linewidth=2.0, label="reconstructed")
+    if curve.true is not None:
+        axes.legend(frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 0.98), borderpad=0.0)
+
+
+def _iou_plot(axes: Axes, view: View) -> None:
+    _plain(axes, "overlap of the object with its mask (IOU)")
+    t, iou = seconds(view), view.result.iou
+    axes.axhline(view.result.mean_iou, color=LINE, linewidth=1.2)
+    axes.plot(t, iou, color=FOUND, linewidth=2.0)
+    sampled = view.result.frames_of("sampled")
+    if len(sampled) < len(t):
+        axes.plot(t[sampled], iou[sampled], ".", color=FOUND, markersize=5, label="fitted together")
+        axes.legend(frameon=False, loc="lower right", bbox_to_anchor=(1.0, 0.98), borderpad=0.0)
+    axes.set_ylim(min(0.8, float(np.floor(10.0 * np.nanmin(iou)) / 10.0)), 1.0)

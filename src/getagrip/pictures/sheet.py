@@ -1,0 +1,96 @@
+"""A figure that is laid out in inches from its top left corner, with titles, square tiles and a legend."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from getagrip.pictures.style import FAINT, INK, LINE, PAPER
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+HEAD = 0.78
+"""Height of the title and the line under it [in]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A figure and its size [in]; ``dpi`` pixels an inch."""
+
+    figure: Figure
+    width: float
+    height: float
+    dpi: int
+
+    @staticmethod
+    def of(width: float, height: float, dpi: int) -> Sheet:
+        """An empty one; its size is rounded up to whole pixels."""
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        width, height = np.ceil(width * dpi) / dpi, np.ceil(height * dpi) / dpi
+        figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
+        FigureCanvasAgg(figure)
+        return Sheet(figure, width, height, dpi)
+
+    def pixels(self, inches: float) -> int:
+        """Pixels of a length."""
+        return round(inches * self.dpi)
+
+    def axes(self, x: float, top: float, width: float, height: float) -> Axes:
+        """Axes at a place."""
+        return self.figure.add_axes(
+            (x / self.width, 1.0 - (top + height) / self.height, width / self.width, height / self.height)
+        )
+
+    def tile(self, x: float, top: float, side: float, size: int | None = None) -> Axes:
+        """Square axes without ticks, which count pixels of a picture of ``size`` (default: the tile's own)."""
+        size = size or self.pixels(side)
+        axes = self.axes(x, top, side, side)
+        axes.set(xticks=[], yticks=[], xlim=(0, size), ylim=(size, 0), facecolor=PAPER)
+        return axes
+
+    def text(self, x: float, top: float, words: str, within: float = np.inf, **style: Any) -> None:
+        """Words at a place, as they are: a dollar sign in a name begins no formula.
+
+        Words that are wider than ``within`` [in] are shortened in the middle: names of clips differ at their ends.
+        """
+        style = {"va": "top", "color": INK} | style
+        text = self.figure.text(x / self.width, 1.0 - top / self.height, words, parse_math=False, **style)
+        kept = len(words)
+        while kept > 1 and text.get_window_extent().width > within * self.dpi:
+            kept -= 1
+            text.set_text(f"{words[: (kept + 1) // 2].rstrip()}...{words[len(words) - kept // 2 :].lstrip()}")
+
+    def title(self, words: str, under: str) -> None:
+        """What the figure shows, and a line under it; ``HEAD`` is their height."""
+        self.text(0.25, 0.17, words, self.width - 0.4, fontsize=13, fontweight="bold")
+        self.text(0.25, 0.47, under, self.width - 0.4, fontsize=9.5, color=FAINT)
+
+    def legend(self, x: float, top: float, entries: Sequence[tuple[str, str]], style: str = "line") -> None:
+        """Colours and what each means, side by side: as lines, dots or squares."""
+        from matplotlib.lines import Line2D
+
+        looks: dict[str, dict[str, Any]] = {
+            "line": {"linewidth": 2.0},
+            "dots": {"linewidth": 2.0, "linestyle": (0, (1, 1.2))},
+            "square": {"linewidth": 0.0, "marker": "s", "markersize": 8.0},
+        }
+        handles = [Line2D([], [], color=colour, **looks[style]) for colour, _ in entries]
+        axes = self.axes(x, top, self.width - x - 0.1, 0.22)
+        axes.set_axis_off()
+        axes.legend(
+            handles, [words for _, words in entries], loc="center left", bbox_to_anchor=(0.0, 0.5), ncols=len(entries),
+            frameon=False, borderpad=0.0, borderaxespad=0.0, handlelength=1.6, columnspacing=1.6,
+        )  # fmt: skip
+
+
+def frame(axes: Axes, colour: str = LINE, width: float = 0.8) -> None:
+    """A border of a colour around axes."""
+    for spine in axes.spines.values():
+        spine.set(edgecolor=colour, linewidth=width)

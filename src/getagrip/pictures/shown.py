@@ -1,0 +1,123 @@
+"""What pictures show: a result with its clip and its masks, at the same frames."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from getagrip.clip import Clip, Masks, Segment
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh
+from getagrip.geometry.render import Surface
+from getagrip.result import Reconstruction
+
+
+@dataclass(frozen=True)
+class View:
+    """A result with its clip and masks at the result's frames; the clip's hand is where the result has it, and its mesh
+    of the shape that the result has found.
+    """
+
+    clip: Clip
+    masks: Masks | None
+    result: Reconstruction
+    given_mesh: Mesh | None = None
+    """The mesh as it was given, which the ground truth poses; None where it is the clip's."""
+    of_truth: bool = False
+    """Whether the result is the clip's ground truth, given its form (``true_view``)."""
+    posed: bool = True
+    """Whether the object's poses are known; else there is the hand alone (``hand_alone``)."""
+
+    @property
+    def frames_in_words(self) -> str:
+        """How many frames there are and, where they differ, how their poses were found."""
+        counts = Counter(self.result.frame_kind)
+        kinds = ", ".join(f"{count} {kind}" for kind, count in counts.most_common())
+        return f"{len(self.result.frames)} frames" + (f" ({kinds})" if len(counts) > 1 else "")
+
+    @property
+    def size_in_words(self) -> list[str]:
+        """What is known, and what guessed, of the object's size and shape."""
+        size = f"scale {self.result.scale:.3f} is a guess" if self.clip.scale == "free" else "scale known"
+        return [size, *["shape is a guess"] * (self.result.warp is not None)]
+
+    def called(self, segment: Segment) -> tuple[str, ...]:
+        """What a segment is called, and what else where there is less room."""
+        words = segment.state if segment.side is None else f"{segment.state}, {segment.side} hand"
+        followed = {segment.first for segment in self.result.segments if segment.by_masks}
+        by_masks = self.clip.frames[segment.first] in followed
+        return (f"{words}, by masks only",) if by_masks else (words, segment.state)
+
+    def hand(self, n: int) -> Float[ndarray, "V 3"]:
+        """The hand in the camera frame [m]."""
+        return se3.transform(self.clip.hand.T_cam_hand[n], self.clip.hand.vertices[n])
+
+    def hands(self, n: int) -> list[Surface]:
+        """The hands in the camera frame: the clip's own, and the other one in the frames in which it is known."""
+        other = self.clip.other_hand
+        shown = [(self.hand(n), self.clip.hand.faces)]
+        if other is not None and other.known[n]:
+            shown.append((se3.transform(other.track.T_cam_hand[n], other.track.vertices[n]), other.track.faces))
+        return shown
+
+    def by_other_hand(self) -> View | None:
+        """The same with the other hand for the clip's own, in the frames in which it is known; None without any."""
+        seen = self.clip.held_by(self.clip.other_side)
+        known = np.flatnonzero(self.clip.hand_known(self.clip.other_side))
+        if seen is None or not len(known):
+            return None
+        T_hand_obj = se3.inverse(seen.hand.T_cam_hand) @ self.clip.hand.T_cam_hand @ self.result.T_hand_obj
+        result = replace(self.result, T_hand_obj=T_hand_obj, T_cam_hand=None, T_cam_other_hand=None, axis=None)
+        return replace(self, clip=seen, result=result).at([self.result.frames[n] for n in known])
+
+    def object(self, n: int) -> Float[ndarray, "V 3"]:
+        """The reconstructed object in the camera frame [m]."""
+        T_cam_obj = self.clip.hand.T_cam_hand[n] @ self.result.T_hand_obj[n]
+        return se3.transform(T_cam_obj, self.result.scale * self.clip.mesh.vertices)
+
+    @staticmethod
+    def of(result: Reconstruction, clip: Clip, masks: Masks | None) -> View:
+        """A result with a clip and masks at its frames, its hand and mesh as they are to be drawn."""
+        light = clip.light()
+        seen = light.warped(result.warp).with_hand_at(result.T_cam_hand, result.T_cam_other_hand)
+        return View(seen, masks, result, light.mesh)
+
+    def image_file(self, n: int) -> Path | None:
+        """The frame's image, where the clip has one."""
+        return self.clip.image_file(n)
+
+    def at(self, frames: Sequence[str]) -> View:
+        """The same at some of the result's frames, in the given order."""
+        place = {name: n for n, name in enumerate(self.result.frames)}
+        index = np.array([place[name] for name in frames])
+        result, axis = self.result, self.result.axis
+        taken = replace(
+            result,
+            frames=tuple(frames),
+            T_hand_obj=result.T_hand_obj[index],
+            T_cam_hand=None if result.T_cam_hand is None else result.T_cam_hand[index],
+            T_cam_other_hand=None if result.T_cam_other_hand is None else result.T_cam_other_hand[index],
+            iou=result.iou[index],
+            frame_kind=tuple(result.frame_kind[n] for n in index),
+            axis=None if axis is None else replace(axis, angle=axis.angle[index]),
+            candidates=replace(result.candidates, T_hand_obj=result.candidates.T_hand_obj[:, index]),
+        )
+        masks = None if self.masks is None else self.masks.take(index)
+        return replace(self, clip=self.clip.take(index), masks=masks, result=taken)
+
+    def true(self) -> View | None:
+        """The ground truth in place of the result; None where it is not known."""
+        truth = self.clip.truth
+        if truth is None:
+            return None
+        T_hand_obj = se3.inverse(truth.T_cam_hand) @ truth.T_cam_obj
+        hand = replace(self.clip.hand, vertices=truth.hand_vertices, T_cam_hand=truth.T_cam_hand)
+        result = replace(self.result, T_hand_obj=T_hand_obj, T_cam_hand=None, scale=truth.scale, axis=None, findings=())
+        clip = replace(self.clip, hand=hand, mesh=self.given_mesh or self.clip.mesh)
+        return View(clip, self.masks, replace(result, warp=None))

@@ -1,0 +1,212 @@
+"""Tiles of pictures: a result over the image, and rendered from the camera or turned, with its latent axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+
+from getagrip.geometry import se3
+from getagrip.geometry.camera import Crops, bounding_boxes, project
+from getagrip.geometry.depth import covered, depth_and_face
+from getagrip.geometry.render import Surface, render_rgb
+from getagrip.io.images import read_image
+from getagrip.pictures.shown import View
+from getagrip.pictures.style import (
+    AXIS,
+    BLANK,
+    FOUND,
+    HAND,
+    HAND_LINE,
+    HIDDEN,
+    IGNORED,
+    OBJECT,
+    OBSERVED,
+    PAPER_RGB,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SIDE_VIEW = np.radians(80.0)
+"""The turned view looks from this far to the left."""
+BEYOND = 1.10
+"""Windows are so many times as large as what they are to show."""
+AxisLine = tuple[Float[ndarray, "n 2"], Bool[ndarray, "n"]]
+"""The latent axis in a picture: its points [px], and which of them nothing hides."""
+
+
+def windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crops:
+    """Square windows of one size around hand and object of all views, which show the same frames of the same clip."""
+    boxes = []
+    for n in frames:
+        uv = np.concatenate([project(v.clip.K[n], np.concatenate([v.hand(n), v.object(n)])) for v in views])
+        boxes.append(np.concatenate([uv.min(axis=0), uv.max(axis=0)]))
+    return _crops(np.array(boxes), size)
+
+
+def input_windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crops:
+    """The same around the hands and the observed masks, so that an object far off makes nothing small."""
+    boxes = []
+    for n in frames:
+        uv = [project(view.clip.K[n], view.hand(n)) for view in views]
+        for masks in (view.masks for view in views if view.masks is not None and view.masks.object[n].any()):
+            uv.append(bounding_boxes(masks.object[n : n + 1]).reshape(2, 2).astype(float))
+        corners = np.concatenate(uv)
+        boxes.append(np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
+    return _crops(np.array(boxes), size)
+
+
+def _crops(boxes: Float[ndarray, "n 4"], size: int) -> Crops:
+    low, high = np.split(boxes, 2, axis=1)
+    side = BEYOND * float((high - low).max())
+    return Crops(corner=(low + high - side) / 2.0, side=side, size=size)
+
+
+def over_image(axes: Axes, view: View, n: int, crops: Crops, k: int, with_hand: bool = False) -> None:
+    """The image or the masks in window ``k``, and the contour of the reconstructed object; of the hand, if wanted."""
+    show(axes, image_in(view, n, crops, k))
+    K = intrinsics_of(view, n, crops, k)
+    if with_hand:
+        for hand in view.hands(n):
+            contour(axes, *hand, K, crops.size, HAND_LINE)
+    contour(axes, view.object(n), view.clip.mesh.faces, K, crops.size, FOUND)
+
+
+def image_in(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
+    """The image or the masks of frame ``n`` in window ``k``."""
+    shift = -crops.corner[k] * crops.zoom
+    centre = shift + crops.zoom / 2.0 - 0.5  # cv2 counts from the centre of the first pixel
+    warp = np.array([[crops.zoom, 0.0, centre[0]], [0.0, crops.zoom, centre[1]]])
+    size = (crops.size, crops.size)
+    picture = cv2.warpAffine(
+        _image(view, n), warp, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=BLANK
+    )
+    return np.asarray(picture, dtype=np.uint8)
+
+
+def rendered(axes: Axes, view: View, n: int, crops: Crops, k: int, from_side: bool) -> None:
+    """Hand, object and axis in window ``k``, from the camera; or from the side, at the same scale if it fits."""
+    picture, line = posed(view, n, crops, k, from_side)
+    show(axes, picture)
+    if line is not None:
+        _draw_line(axes, *line)
+
+
+def posed(
+    view: View, n: int, crops: Crops, k: int, from_side: bool
+) -> tuple[UInt8[ndarray, "size size 3"], AxisLine | None]:
+    """A picture of hand and object in window ``k``, as ``rendered`` shows it, and the axis in it, if there is one."""
+    K, size = intrinsics_of(view, n, crops, k), crops.size
+    hand, held = view.hand(n), view.object(n)
+    T_view_cam = np.eye(4)
+    if from_side:
+        both = np.concatenate([hand, held])
+        middle = (both.min(axis=0) + both.max(axis=0)) / 2.0
+        R = se3.exp_so3(np.array([0.0, -SIDE_VIEW, 0.0]))
+        T_view_cam = se3.rigid(R, np.array([0.0, 0.0, np.linalg.norm(middle)]) - R @ middle)
+        K = np.array([[K[0, 0], 0.0, size / 2.0], [0.0, K[1, 1], size / 2.0], [0.0, 0.0, 1.0]])
+    others = [(se3.transform(T_view_cam, v), faces) for v, faces in view.hands(n)[1:]]
+    hand, held = se3.transform(T_view_cam, hand), se3.transform(T_view_cam, held)
+    if from_side:  # an object far before or behind the hand would be cut off
+        reach = np.abs(project(K, np.concatenate([hand, held])) - size / 2.0).max()
+        K[:2, :2] *= min(1.0, 0.48 * size / reach)
+    meshes = [(hand, view.clip.hand.faces, HAND), (held, view.clip.mesh.faces, OBJECT)]
+    meshes += [(*other, HAND) for other in others]
+    picture = render_rgb(meshes, K, (size, size), PAPER_RGB)
+    if view.result.axis is None:
+        return picture, None
+    line = se3.transform(T_view_cam @ view.clip.hand.T_cam_hand[n], axis_points(view))
+    return picture, _visible(line, [mesh[:2] for mesh in meshes], K, size)
+
+
+def axis_points(view: View) -> Float[ndarray, "n 3"]:
+    """The latent axis as a line through the object, in the hand frame [m]."""
+    axis, mesh, scale = view.result.axis, view.clip.mesh, view.result.scale
+    assert axis is not None
+    middle = se3.transform(view.result.T_hand_obj, scale * mesh.centre[None])[:, 0].mean(axis=0)
+    nearest = axis.point + axis.direction * float((middle - axis.point) @ axis.direction)
+    return np.asarray(nearest + np.linspace(-0.85, 0.85, 400)[:, None] * scale * mesh.diameter * axis.direction)
+
+
+def axis_line(
+    axes: Axes, line: Float[ndarray, "n 3"], surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: int
+) -> None:
+    """A line in the frame of the view: whole where it is visible, dots where one of the surfaces is in front of it."""
+    _draw_line(axes, *_visible(line, surfaces, K, size))
+
+
+def _visible(line: Float[ndarray, "n 3"], surfaces: Sequence[Surface], K: Float[ndarray, "3 3"], size: int) -> AxisLine:
+    """Where a line is in a picture, and where none of the surfaces is in front of it."""
+    line = line[line[:, 2] > 0.05]
+    uv = project(K, line)
+    depth = np.min([depth_and_face(*surface, K, (size, size))[0] for surface in surfaces], axis=0)
+    column, row = np.clip(np.floor(uv).astype(int), 0, size - 1).T
+    return uv, line[:, 2] < depth[row, column] + 1e-3
+
+
+def _draw_line(axes: Axes, uv: Float[ndarray, "n 2"], visible: Bool[ndarray, "n"]) -> None:
+    axes.plot(*np.where(visible[:, None], uv, np.nan).T, color="white", linewidth=3.0, alpha=0.7)
+    axes.plot(*np.where(visible[:, None], uv, np.nan).T, color=AXIS, linewidth=1.6)
+    axes.plot(*np.where(visible[:, None], np.nan, uv).T, color=HIDDEN, linewidth=1.3, linestyle=(0, (1, 1.6)))
+
+
+def show(axes: Axes, picture: UInt8[ndarray, "H W 3"]) -> None:
+    """A picture that fills a tile."""
+    size = len(picture)
+    axes.imshow(picture, extent=(0, size, size, 0), interpolation="antialiased")
+
+
+def contour(
+    axes: Axes,
+    vertices: Float[ndarray, "_V 3"],
+    faces: Int[ndarray, "_F 3"],
+    K: Float[ndarray, "3 3"],
+    size: int,
+    colour: str,
+    halo: bool = True,
+) -> None:
+    """The boundary of a surface's silhouette; with a halo it stands out from any image."""
+    for line in silhouette_lines(vertices, faces, K, size):
+        if halo:
+            axes.plot(*line.T, color="white", linewidth=2.6, alpha=0.8, solid_joinstyle="round")
+        axes.plot(*line.T, color=colour, linewidth=1.3, solid_joinstyle="round")
+
+
+def silhouette_lines(
+    vertices: Float[ndarray, "_V 3"], faces: Int[ndarray, "_F 3"], K: Float[ndarray, "3 3"], size: int
+) -> list[Float[ndarray, "_n 2"]]:
+    """The closed lines that bound a surface's silhouette in a picture [px]."""
+    fine = np.diag([2.0, 2.0, 1.0]) @ K  # else the contour shows the picture's pixels
+    return [line / 2.0 for line in mask_lines(covered(vertices, faces, fine, (2 * size, 2 * size)))]
+
+
+def intrinsics_of(view: View, n: int, crops: Crops, k: int) -> Float[ndarray, "3 3"]:
+    """Of window ``k``, which shows frame ``n``."""
+    return np.asarray(replace(crops, corner=crops.corner[k : k + 1]).intrinsics(view.clip.K[n : n + 1])[0])
+
+
+def _image(view: View, n: int) -> UInt8[ndarray, "H W 3"]:
+    """The frame's image where the clip has one, else its masks in colours."""
+    file = view.image_file(n)
+    if file is not None:
+        return read_image(file, view.clip.size)
+    width, height = view.clip.size
+    picture = np.full((height, width, 3), BLANK, dtype=np.uint8)
+    if view.masks is not None:
+        ignored = view.masks.ignore[n]
+        picture[ignored & ~ignored.all()] = IGNORED  # all of them: the mask is not known
+        picture[view.masks.object[n]] = OBSERVED
+    return picture
+
+
+def mask_lines(mask: Bool[ndarray, "H W"]) -> list[Float[ndarray, "_n 2"]]:
+    """Closed boundary lines of a mask, in pixel coordinates."""
+    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    lines = [contour[:, 0].astype(float) + 0.5 for contour in contours if len(contour) > 8]
+    return [np.concatenate([line, line[:1]]) for line in lines]

@@ -1,0 +1,122 @@
+"""The surfaces of hand and object, coloured by where they touch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from numpy import ndarray
+
+from getagrip.geometry import se3
+from getagrip.geometry.mesh import Mesh, vertex_normals
+from getagrip.geometry.render import render_rgb
+from getagrip.geometry.subdivide import edge_length, subdivided
+from getagrip.metrics.contact import close_holes, moving_distance
+from getagrip.pictures.looking import looking
+from getagrip.pictures.shown import View
+from getagrip.pictures.style import FOUND, PAPER_RGB
+
+ONCE, SHARE = ("#c9cdcf", FOUND), ("#c9cdcf", "#f0c05a", FOUND)
+"""Colours of a surface: out of contact and in contact; and by the share of frames in contact, from 0 to 1."""
+VERTICES = 12_000
+"""Vertices, about, of the object's coloured surface."""
+BORDER = 0.0015
+"""Colours change over so far to both sides of the border of contact [m], lest they show the faces."""
+BESIDE = np.radians(50.0)
+"""The hand is seen from the side that touches, turned so far to the one side and to the other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Touched:
+    """A surface in a frame of its own, and where it is in contact in each of T frames.
+
+    Attributes:
+        vertices: (T, V, 3) [m].
+        faces: (F, 3) vertex ids.
+        contact: (T, V) 1 in contact, 0 not; between the two along the border, over twice ``BORDER``.
+        sides: (2, 3) two directions to look from.
+        up: (3,) the direction that is upwards in pictures.
+    """
+
+    vertices: Float[ndarray, "T V 3"]
+    faces: Int[ndarray, "F 3"]
+    contact: Float[ndarray, "T V"]
+    sides: Float[ndarray, "2 3"]
+    up: Float[ndarray, "3"]
+
+    def at_frame(self, n: int, side: int, size: int) -> UInt8[ndarray, "size size 3"]:
+        """A picture of frame ``n`` from a side, in the colours ``ONCE``."""
+        return self._picture(n, self.contact[n], ONCE, side, size)
+
+    def over_all(self, side: int, size: int) -> UInt8[ndarray, "size size 3"]:
+        """The share of frames on the surface as it is in the middle one, in the colours ``SHARE``."""
+        return self._picture(len(self.vertices) // 2, self.contact.mean(axis=0), SHARE, side, size)
+
+    def _picture(
+        self, n: int, share: Float[ndarray, "V"], ramp: Sequence[str], side: int, size: int
+    ) -> UInt8[ndarray, "size size 3"]:
+        from matplotlib.colors import LinearSegmentedColormap
+
+        colours = LinearSegmentedColormap.from_list("share", ramp)(share)[:, :3]
+        eye = looking(self.vertices[n], self.sides[side], self.up, size)
+        posed = se3.transform(eye.T_view_frame, self.vertices[n])
+        return render_rgb([(posed, self.faces, colours)], eye.K, (size, size), PAPER_RGB)
+
+
+def touched(view: View, threshold: float) -> tuple[Touched, Touched]:
+    """The object in its own frame, scaled, and the hand in the hand frame; in contact within ``threshold`` [m]."""
+    clip, T_hand_obj = view.clip, view.result.T_hand_obj
+    surface, T = finer(view), len(T_hand_obj)
+    held, faces, hand = view.result.scale * surface.vertices, surface.faces, clip.hand.vertices
+    on_object, on_hand = (
+        np.clip(0.5 + (threshold - d) / (2 * BORDER), 0.0, 1.0) for d in distances(view, surface, threshold + BORDER)
+    )
+
+    middle = T // 2
+    R_hand = clip.hand.T_cam_hand[middle, :3, :3].T  # camera to hand
+    R_obj = T_hand_obj[middle, :3, :3].T @ R_hand
+    most = _outwards(held, faces, on_object, -R_obj[:, 2])
+    palm = _outwards(hand[middle], clip.hand.faces, on_hand, -R_hand[:, 2])
+    fingers = hand[middle, clip.hand.regions["middle"]].mean(axis=0) - hand[middle].mean(axis=0)
+    about = fingers / max(float(np.linalg.norm(fingers)), 1e-9)
+    beside = np.array([se3.exp_so3(sign * BESIDE * about) @ palm for sign in (-1.0, 1.0)])
+    return (
+        Touched(np.tile(held, (T, 1, 1)), faces, on_object, np.array([most, -most]), _upright(-R_obj[:, 1], most)),
+        Touched(hand, clip.hand.faces, on_hand, beside, fingers),
+    )
+
+
+def finer(view: View) -> Mesh:
+    """The object's mesh with about ``VERTICES`` vertices, whose triangles can follow the border of contact."""
+    mesh = view.clip.mesh
+    return Mesh(*subdivided(mesh.vertices, mesh.faces, edge_length(float(mesh.vertex_areas.sum()), VERTICES)))
+
+
+def distances(view: View, surface: Mesh, reach: float) -> tuple[Float[ndarray, "T V"], Float[ndarray, "T W"]]:
+    """Of the vertices of ``surface`` to the hand, and of the hand's to the object, exact up to ``reach`` [m]."""
+    scale, hand, faces = view.result.scale, view.clip.hand.vertices, view.clip.hand.faces
+    coarse, T_hand_obj = scale * view.clip.mesh.vertices, view.result.T_hand_obj
+    in_hand = se3.transform(T_hand_obj, scale * surface.vertices)
+    in_object = se3.transform(se3.inverse(T_hand_obj), hand)
+    to_hand = moving_distance(in_hand, *close_holes(hand, faces), reach)
+    return to_hand, moving_distance(in_object, np.tile(coarse, (len(hand), 1, 1)), view.clip.mesh.faces, reach)
+
+
+def _outwards(
+    vertices: Float[ndarray, "V 3"],
+    faces: Int[ndarray, "F 3"],
+    contact: Float[ndarray, "T V"],
+    instead: Float[ndarray, "3"],
+) -> Float[ndarray, "3"]:
+    """The mean direction in which the surface faces where it is in contact; another where it never is."""
+    mean = contact.mean(axis=0) @ vertex_normals(vertices, faces)
+    return np.asarray(mean if np.linalg.norm(mean) > 1e-9 else instead)
+
+
+def _upright(up: Float[ndarray, "3"], side: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
+    """The axis of the object's frame that is nearest to ``up``, of those that are well seen from ``side``."""
+    across = np.abs(side) < 0.8 * np.linalg.norm(side)
+    best = int(np.argmax(np.abs(up) * across))
+    return np.asarray(np.eye(3)[best] * (1.0 if up[best] >= 0.0 else -1.0))

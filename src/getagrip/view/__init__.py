@@ -1,1 +1,0 @@
-"""Pictures of results, of contact matrices and of the study; in `live`, the page of `getagrip view`."""
