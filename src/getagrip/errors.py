@@ -51,7 +51,7 @@ class InputError(GetagripError):
         super().__init__(cleaned(" ".join(f"{path}{_wrong(key, short, expected)}".split())))
 
 
-ABSENT = ("nothing", "no such key", "no such array", "no such file")
+ABSENT = ("nothing", "no such key", "no such array")
 """What is given where something is missing that has a name."""
 
 

@@ -21,7 +21,12 @@ TYPED = 4
 
 @dataclass(frozen=True)
 class Source:
-    """Where something comes from, in words, and its basis."""
+    """Where something comes from, in words, and its basis.
+
+    Attributes:
+        text: the words.
+        basis: how far it can be relied on.
+    """
 
     text: str
     basis: Basis = "measured"

@@ -147,7 +147,7 @@ def test_what_cannot_be_fitted_is_refused() -> None:
     few = np.full((21, 2), np.nan)
     few[: FEWEST - 1] = 100.0
     for clicks, words in (
-        ({}, "no frame"),
+        ({}, "missing joints"),
         ({50: held("right", 0).uv[0]}, "frame 50"),
         ({3: few}, f"got {FEWEST - 1}"),
         ({3: np.full((21, 2), np.inf)}, "finite"),

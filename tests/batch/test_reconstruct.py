@@ -134,8 +134,8 @@ def test_of_clips_that_share_a_name_only_these_fail(clips: Path, tmp_path: Path,
     status, printed, err = run("reconstruct", clips, "--out", tmp_path / "out")
     assert (status, sorted(fitted)) == (1, ["b", LONG])
     assert "2 done, 0 already done, 2 failed" in printed
-    assert f"failed: a: {clips / 'a'}: name: got" in err
-    assert f"failed: a: {clips / 'copied'}: name: got" in err
+    assert f"failed: a: {clips / 'a'}: name must be" in err
+    assert f"failed: a: {clips / 'copied'}: name must be" in err
 
 
 def test_fail_fast_begins_no_other_clip(clips: Path, tmp_path: Path, run: Run, fitted: list[str]) -> None:

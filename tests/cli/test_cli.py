@@ -106,7 +106,7 @@ def test_places_that_cannot_be_written_are_refused_first(run: Run, out: str, tmp
         assert err.count("\n") == 1
     status, _, err = run("evaluate", "a", "--json", f"{out}/x.json")
     assert status == 2
-    assert "--json must be a file that can be written (got " in err
+    assert "--json must be a folder that can be written (got " in err
     assert list(tmp_path.iterdir()) == []
 
 

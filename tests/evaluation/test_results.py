@@ -211,7 +211,7 @@ def test_errors_name_what_does_not_fit(scene: tuple[Clip, Masks], tmp_path: Path
     with pytest.raises(InputError, match=r"name must be 'other'.*got 'egg-and-mug'"):
         ev.evaluate_result(folder)
     write_mesh(shapes.cup(), clip / "object.obj")
-    with pytest.raises(InputError, match=r"input_sha256: .*reconstruct it again"):
+    with pytest.raises(InputError, match=r"input_sha256 must be .*reconstruct it again"):
         ev.evaluate_result(result)
 
 

@@ -31,7 +31,7 @@ from helpers.command_line import Run
         (("--json", "/dev/null/x.json"), "--json"),
         (("--inits", "0"), "inits"),
         (("--with", "x=nowhere"), "--with"),
-        (("--with", "static=."), "another one than those of the methods"),
+        (("--with", "static=."), "another name than those of the methods"),
         (("--with", "x=.", "--ablation", "scale"), "--with"),
     ],
 )

@@ -155,10 +155,10 @@ def test_damaged_files_are_refused(
     ("change", "words"),
     [
         ({"version": np.array(3)}, ("version", "1 or 2")),
-        ({"k": np.array(10**6)}, ("k:", "1 to 1000")),
+        ({"k": np.array(10**6)}, ("k must", "1 to 1000")),
         ({"seed": np.array(-1)}, ("seed",)),
         ({"way": np.array("slow")}, ("way", "geodesic")),
-        ({"R": np.zeros((1, 3, 3))}, ("R:", "no rigid motion")),
+        ({"R": np.zeros((1, 3, 3))}, ("R must", "no rigid motion")),
         ({"centre": np.array([[900.0, 0.0, 0.0]])}, ("centre", "millimetres")),
         ({"mesh_centre": np.zeros((2, 3))}, ("mesh_centre", "shape")),
         ({"subjects": np.array(["A", "B"])}, ("subjects", "2 names")),

@@ -90,7 +90,7 @@ def test_every_mask_is_checked_also_those_that_are_not_used(tmp_path: Path) -> N
         path = clip.folder / "masks" / kind / "0001.png"
         whole = path.read_bytes()
         path.write_bytes(whole[:60])
-        with pytest.raises(InputError, match=r"0001.png: "):
+        with pytest.raises(InputError, match=r"0001.png must be"):
             prepare(clip, None, Options(frames=2))
         path.write_bytes(whole)
     prepare(clip, None, Options(frames=2))

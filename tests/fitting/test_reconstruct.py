@@ -155,7 +155,7 @@ def test_the_truth_explains_clean_masks() -> None:
     "options", [{"inits": 0}, {"frames": 1}, {"push": -0.1}, {"pull": float("nan")}, {"push": float("inf")}]
 )
 def test_impossible_options_are_refused(options: dict[str, Any]) -> None:
-    with pytest.raises(UsageError, match="expected"):
+    with pytest.raises(UsageError, match="must be"):
         Options(**options)
 
 

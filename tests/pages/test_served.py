@@ -114,6 +114,8 @@ def test_results_stand_side_by_side_at_the_frames_that_all_have(library: Library
 def test_a_clip_shows_its_ground_truth_or_its_hand_alone(library: Library, tmp_path: Path) -> None:
     (true,) = library.entry(1)["columns"]
     assert (true["label"], true["result"], true["masked"]) == (TRUTH, False, True)
+    assert [plot["title"] for plot in true["plots"]] == ["angle of the object about the axis"]
+    assert true["main"] == []
     assert "true" not in library.frame(1, 0, 0, 0)["outlines"]
     _, clip, masks = two_candidates()
     where = write_clip(replace(clip, truth=None), masks, tmp_path / "clip")

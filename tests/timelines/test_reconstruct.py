@@ -127,7 +127,7 @@ def test_what_cannot_be_solved_is_said(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="soft-hinge"):
         reconstruct(clip, masks, Options(method="homan"))
     only_contact = replace(clip, segments=clip.segments[1:2])
-    with pytest.raises(InputError, match=r"segments must be .*no static segment"):
+    with pytest.raises(InputError, match=r"segments: no static segment"):
         reconstruct(only_contact, masks, FEW)
     with pytest.raises(GetagripError, match=r"no static segment.*bend"):
         reconstruct(replace(only_contact, side="left" if clip.side == "right" else "right"), masks, FEW)

@@ -55,4 +55,4 @@ def tasks_of(given: Labels, tasks: Sequence[Task]) -> list[Task]:
             f"sha256: {name} here is another file than the one that was labelled; if its frames are the same ones, "
             "take the key sha256 out of the labels"
         )
-    raise RefusedError(f"missing footage of {name}: none that is given here has this name or checksum")
+    raise RefusedError(f"missing footage of {name}: none has this name or checksum")

@@ -20,8 +20,6 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from getagrip.batch.on_ray import check_answer
-from getagrip.batch.pool import cores
 from getagrip.commands.command import Command
 from getagrip.errors import GetagripError
 from getagrip.io.arguments import OptionalFolder
@@ -92,6 +90,8 @@ def _extras() -> Iterator[Line]:
 
 def _clusters(address: str | None) -> Iterator[Line]:
     """Whether Ray and Slurm can be reached from here."""
+    from getagrip.batch.on_ray import check_answer
+
     address = address or os.environ.get("RAY_ADDRESS")
     if address is None or ":" not in address:
         yield (
@@ -132,6 +132,8 @@ def _machine() -> Iterator[Line]:
     """Cores, linear algebra, disk and memory."""
     import scipy.linalg  # noqa: F401 - brings its own
     from threadpoolctl import threadpool_info
+
+    from getagrip.batch.pool import cores
 
     yield "ok", f"{cores()} cores to use, a clip on each: --workers"
     for blas in {str(one["filepath"]): one for one in threadpool_info() if one["user_api"] == "blas"}.values():

@@ -13,6 +13,7 @@ from getagrip.errors import UsageError
 from getagrip.fitting.methods import METHODS, method_of
 from getagrip.io.arguments import Flag, meant, parsed, switch
 from getagrip.io.choices import check_values
+from getagrip.io.explained import explained
 
 Hands = Literal["corrected", "as-given"]
 GivenMasks = Literal["checked", "as-given"]
@@ -82,6 +83,7 @@ def _methods(default: str) -> str:
     return f"(one of {', '.join(METHODS)}; default: {default})"
 
 
+@explained
 @dataclass(frozen=True)
 class SearchOptions:
     """What methods that are compared have in common. Raises ``UsageError``."""
@@ -102,13 +104,14 @@ class SearchOptions:
     thorough: Flag = False
     """Search two to three times as long, for the methods that fit all frames at once."""
     hands: Annotated[Hands, switch("as-given"), arg(name="given-hands", help_behavior_hint="")] = "corrected"
-    """Do not refine the hands. By default they are aligned to the hand's pixels (masks/hand, else masks/ignore) where
-    they disagree, and interpolated in frames in which they jump."""
+    """Do not refine the hands (as-given). By default (corrected) they are aligned to the hand's pixels (masks/hand,
+    else masks/ignore) where they disagree, and interpolated in frames in which they jump."""
     masks: Annotated[GivenMasks, switch("as-given"), arg(name="given-masks", help_behavior_hint="")] = "checked"
-    """Use all masks. By default soft-hinge and one-dof leave out those that contradict the masks of other frames."""
+    """Use all masks (as-given). By default (checked) soft-hinge and one-dof leave out those that contradict the masks
+    of other frames."""
     mesh: Annotated[GivenMesh, switch("as-given"), arg(name="given-mesh", help_behavior_hint="")] = "fitted"
-    """Take the mesh as it is. By default soft-hinge and one-dof deform it where the masks show that it is only of the
-    object's kind."""
+    """Take the mesh as it is (as-given). By default (fitted) soft-hinge and one-dof deform it where the masks show that
+    it is only of the object's kind."""
     seed: Annotated[int, arg(metavar="S")] = 0
     """Rotates the set of initial rotations. The same seed gives the same result."""
 
@@ -129,6 +132,7 @@ class SearchOptions:
             object.__setattr__(self, "priors", identified(self.priors.path, self.init))
 
 
+@explained
 @dataclass(frozen=True)
 class Options(SearchOptions):
     """How to reconstruct a clip. Raises ``UsageError``."""
@@ -145,8 +149,8 @@ class Options(SearchOptions):
     every_frame: Annotated[bool, FlagConversionOff, switch(False), arg(name="sampled-only", help_behavior_hint="")] = (
         True
     )
-    """Leave it at these frames. Otherwise the others follow: each is fitted to its own mask, what all frames share held
-    still, or interpolated where no mask shows the object."""
+    """Leave it at these frames (every_frame=False). Otherwise the others follow: each is fitted to its own mask, what
+    all frames share held still, or interpolated where no mask shows the object."""
     push: Annotated[float, Suppress, Fixed] = 0.1
     """Weight of E_push, the paper's lambda_2 without the focal length."""
     pull: Annotated[float, Suppress, Fixed] = 0.1

@@ -158,7 +158,7 @@ def test_fingers_are_as_thick_as_the_hand_is_long(size):
 def test_subjects_are_known_by_the_name():
     assert subject_of(NAME) == SUBJECT
     for name in ("mug-right-0001", "--a--b", ""):
-        with pytest.raises(UsageError, match="no subject"):
+        with pytest.raises(UsageError, match="clip's name must be"):
             subject_of(name)
 
 

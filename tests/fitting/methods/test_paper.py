@@ -65,7 +65,7 @@ def test_each_departure_can_be_made_alone(name: str, monkeypatch: pytest.MonkeyP
 
 
 def test_a_search_needs_its_optimiser() -> None:
-    with pytest.raises(UsageError, match="search without optimiser"):
+    with pytest.raises(UsageError, match=r"missing departures\.optimiser"):
         Departures(search=True)
 
 
