@@ -18,6 +18,17 @@ from getagrip.evaluation.metric import ADD_MM, IOU, SCA
 from getagrip.finding import Finding
 from getagrip.geometry import se3
 from getagrip.metrics.contact import ContactDefinition
+from getagrip.pictures.figures import GivenResult
+from getagrip.pictures.figures.aligned import RAMP, Aligned, _overlay
+from getagrip.pictures.figures.contact import Contact
+from getagrip.pictures.figures.gallery import Gallery
+from getagrip.pictures.figures.hands import Hands
+from getagrip.pictures.figures.kind import summary
+from getagrip.pictures.figures.methods import Methods
+from getagrip.pictures.figures.rows import numbers
+from getagrip.pictures.looking import looking
+from getagrip.pictures.shown import View
+from getagrip.pictures.style import AXIS, FOUND, HAND_LINE
 from getagrip.provenance import assumed
 from getagrip.result import Reconstruction, write_result
 from helpers.clips import box
