@@ -92,9 +92,9 @@ def faults(result: Reconstruction) -> list[str]:
     found = [f"{name} is not finite" for name, values in numbers.items() if not np.isfinite(values).all()]
     if (np.isnan(result.iou) & (np.array(result.frame_kind) != "interpolated")).any():
         found.append("iou is not a number where the object is visible")
-    if not result.status.startswith("failed") and not np.nanmean(result.iou) >= LEAST_IOU:
-        found.append(f"{result.status} with an IOU of {np.nanmean(result.iou):.2f}")
-    if result.status.startswith("failed") and not any(finding.serious for finding in result.findings):
+    if not result.status.failed and not np.nanmean(result.iou) >= LEAST_IOU:
+        found.append(f"{result.message} with an IOU of {np.nanmean(result.iou):.2f}")
+    if result.status.failed and not any(finding.serious for finding in result.findings):
         found.append("failed, and no check finds anything serious: reconstruct --strict would exit with 0")
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -130,7 +130,7 @@ def attempt(clip: Clip, masks: Masks, options: Options) -> tuple[bool, str]:
     except Exception:  # whatever it is, it is a fault
         return False, traceback.format_exc()
     wrong = faults(result)
-    return not wrong, "; ".join(wrong) or result.status
+    return not wrong, "; ".join(wrong) or result.message
 
 
 def limited(case: Case, seconds: float = SECONDS, megabytes: int = MEGABYTES) -> Iterator[Ended]:

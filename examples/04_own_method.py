@@ -26,7 +26,7 @@ def coarse_static(problem: Problem, on_stage: OnStage) -> MethodResult:
     on_stage("coarse")
     best = found.take(np.array([np.argmin(found.energy)]))
     energy_per_term = {name: float(value[0]) for name, value in best.terms.items()}
-    return MethodResult(best.motion.poses(), best.energy, energy_per_term, best.status[0].value)
+    return MethodResult(best.motion.poses(), best.energy, energy_per_term, best.status[0])
 
 
 METHODS["coarse-static"] = Method("Coarse static", coarse_static)  # at the top: the benchmark's processes run it, too

@@ -48,6 +48,6 @@ def test_values_are_said_as_people_count_them(check: str, value: float, words: s
 def test_what_is_found_reads_back_whatever_was_measured(tmp_path: Path) -> None:
     endless = replace(CHECKS["contact-gap"], measure=lambda given: np.inf)
     measured, findings = examine([endless], Evidence(*small_clip()))
-    (written,) = json.loads(to_json([finding.fields() for finding in findings]))
+    (written,) = json.loads(to_json(findings))
     assert read_findings(tmp_path, [written]) == findings
     assert np.isfinite(measured["contact-gap"])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from getagrip.checks import INPUT_CHECKS, Evidence, examine
-from getagrip.clip.camera_of_image import doubt
-from getagrip.clip.intrinsics import intrinsics
+from getagrip.clip.intrinsics import doubt, intrinsics
 from getagrip.errors import UsageError
 from getagrip.geometry.lens import Lens
 from helpers.clips import small_clip

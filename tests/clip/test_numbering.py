@@ -2,7 +2,7 @@
 
 import pytest
 
-from getagrip.clip.numbering import check_numbers, counted_elsewhere, renumbered
+from getagrip.clip.naming import check_numbers, counted_elsewhere, renumbered
 from getagrip.errors import UsageError
 
 

@@ -117,6 +117,6 @@ def test_grasps_and_the_whole_are_reconstructed_and_named(
     assert status == 0
     result, _ = read_result(out / "from-table")
     assert result.frames == clip.frames
-    assert [one["state"] for one in result.segments] == ["static", "grasp"]
+    assert [one.state for one in result.segments] == ["static", "grasp"]
     assert result.segments[1].first == cut.frames[0]
     assert (out / "clips" / "from-table" / "frames" / f"{clip.frames[0]}.jpg").is_file()

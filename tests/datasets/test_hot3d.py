@@ -205,7 +205,7 @@ def test_an_interaction_becomes_a_timeline(root, tmp_path):
         ("grasp", 0, 2, "left"), ("grasp", 3, 6, "right"), ("grasp", 7, 7, "left"), ("grasp", 8, 8, "right"),
         ("grasp", 9, 9, "right"), ("grasp", 10, 15, "right"),
     ]  # fmt: skip
-    with pytest.raises(UsageError, match="--timelines and --whole"):
+    with pytest.raises(UsageError, match="--timelines cannot be used with --whole"):
         list(clips(Hot3d(root=root, timelines=True, whole=True)))
 
 

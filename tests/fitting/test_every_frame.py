@@ -70,7 +70,7 @@ def test_the_other_frames_are_as_good(method: str) -> None:
     assert add[list(HIDDEN)].max() < add[sampled].max() + 3.0
     both = np.concatenate([sampled, fitted])
     assert evaluation.metrics_of_fitted["add_mm"] == pytest.approx(add[both].mean())
-    assert evaluation["frame_kind"] == list(whole.frame_kind)
+    assert evaluation.frame_kind == whole.frame_kind
 
 
 @pytest.mark.slow

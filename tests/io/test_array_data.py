@@ -16,7 +16,7 @@ import getagrip
 from getagrip import Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, UsageError, Warp, World
 from getagrip.hands.model import HandModel, PosedHand, ShapedHand
 from getagrip.io.array_data import ArrayData, same
-from getagrip.result import Status
+from getagrip.result import SegmentResult, Status
 from helpers.clips import small_clip
 
 DATACLASSES = [kind for name in getagrip.__all__ if is_dataclass(kind := getattr(getagrip, name))]
@@ -32,18 +32,19 @@ def one_of(kind: type[ArrayData]) -> Any:
         axis=axis, candidates=candidates, energy={"total": 5.0}, status=Status.CONVERGED, ambiguous=False, seconds={},
     )  # fmt: skip
     world, warp = World(clip.hand.T_cam_hand), Warp.by(np.zeros(3), 1.0, np.zeros((9, 3)))
-    made = [clip, clip.hand, clip.truth, clip.mesh, masks, axis, candidates, result, world, warp]
+    segment = SegmentResult(state="grasp", first="0", last="1", axis_point=np.zeros(3))
+    made = [segment, clip, clip.hand, clip.truth, clip.mesh, masks, axis, candidates, result, world, warp]
     return next(one for one in made if type(one) is kind)
 
 
-ARRAY_CLASSES = [Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, Truth, Warp, World]
+ARRAY_CLASSES = [Axis, Candidates, Clip, HandTrack, Masks, Mesh, Reconstruction, SegmentResult, Truth, Warp, World]
 
 
 @pytest.mark.slow
 def test_all_public_dataclasses_with_arrays_are_meant() -> None:
     assert {kind for kind in DATACLASSES if issubclass(kind, ArrayData)} == {*ARRAY_CLASSES}
     others = {kind.__name__ for kind in DATACLASSES if not issubclass(kind, ArrayData)}
-    assert others == {"Finding", "Options", "SceneOptions", "Segment"}
+    assert others == {"Evaluation", "Finding", "Options", "SceneOptions", "Segment", "Source"}
 
 
 # Equality.

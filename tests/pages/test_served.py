@@ -18,6 +18,7 @@ import pytest
 
 from getagrip.clip import input_sha256, write_clip
 from getagrip.errors import UsageError
+from getagrip.evaluation.results import Evaluation
 from getagrip.io.serving import LOOPBACK
 from getagrip.pages import served
 from getagrip.pages.entries import TRUTH, entries
@@ -73,7 +74,9 @@ def unpacked(content: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def test_frames_are_those_of_the_page_that_holds_all(folder: Path, library: Library, tmp_path: Path) -> None:
-    page = write_page(View.of(*two_candidates()), {"metrics": {}}, read_record(folder / "one-dof"), tmp_path / "a.html")
+    view = View.of(*two_candidates())
+    known = Evaluation.recorded(view.clip, "one-dof", {})
+    page = write_page(view, known, read_record(folder / "one-dof"), tmp_path / "a.html")
     text = page.read_text("utf-8")
     held = json.loads(text.partition('id="data">')[2].partition("</script>")[0])["shown"]["columns"][0]
     whole, fixed = unpacked(held), unpacked(library.entry(0)["columns"][0])
@@ -114,6 +117,8 @@ def test_results_stand_side_by_side_at_the_frames_that_all_have(library: Library
 def test_a_clip_shows_its_ground_truth_or_its_hand_alone(library: Library, tmp_path: Path) -> None:
     (true,) = library.entry(1)["columns"]
     assert (true["label"], true["result"], true["masked"]) == (TRUTH, False, True)
+    assert [plot["title"] for plot in true["plots"]] == ["angle of the object about the axis"]
+    assert true["main"] == []
     assert "true" not in library.frame(1, 0, 0, 0)["outlines"]
     _, clip, masks = two_candidates()
     where = write_clip(replace(clip, truth=None), masks, tmp_path / "clip")

@@ -22,10 +22,8 @@ from getagrip.pictures.figures import GivenResult
 from getagrip.pictures.figures.aligned import RAMP, Aligned, _overlay
 from getagrip.pictures.figures.contact import Contact
 from getagrip.pictures.figures.gallery import Gallery
-from getagrip.pictures.figures.hands import Hands
 from getagrip.pictures.figures.kind import summary
-from getagrip.pictures.figures.methods import Methods
-from getagrip.pictures.figures.rows import numbers
+from getagrip.pictures.figures.rows import Hands, Methods, numbers
 from getagrip.pictures.looking import looking
 from getagrip.pictures.shown import View
 from getagrip.pictures.style import AXIS, FOUND, HAND_LINE
@@ -293,13 +291,13 @@ def test_figures_are_written_whole_or_not_at_all(run: Run, made: Path, tmp_path:
     before = sorted(tmp_path.iterdir())
     for args, code, words in [
         (("contact", mug, "--out", tmp_path / "x.svg"), 2, "must be a file whose name ends in .png or .pdf"),
-        (("contact", mug, "--out", tmp_path / "a.png" / "x.png"), 2, "--out: got"),
+        (("contact", mug, "--out", tmp_path / "a.png" / "x.png"), 2, "--out must be a folder that can be written"),
         (("contact", mug, "--out", tmp_path / "x.png", "--contact", 90), 2, "got 90 mm"),
         (("contact", "--out", tmp_path / "x.png"), 2, "RESULT: name at least one result"),
         (("aligned", mug, "--out", tmp_path / "x.png", "--frames", 0), 2, "--frames must be 1 to 12"),
         (("gallery", mug, "--out", tmp_path / "x.png", "--n", 0), 2, "--n must be 1 to 60"),
         (("gallery", mug, "--out", tmp_path / "x.png", "--dpi", 5000), 2, "--dpi must be 40 to 600"),
-        (("methods", mug, can, "--out", tmp_path / "x.png"), 1, "result.json: clip: got"),
+        (("methods", mug, can, "--out", tmp_path / "x.png"), 1, "result.json: clip must be"),
         (("methods", tmp_path / "none", "--out", tmp_path / "x.png"), 1, "none: no such folder"),
     ]:
         status, out, err = run("figure", *args)

@@ -14,7 +14,7 @@ from getagrip.batch.entries import Entry, State
 from getagrip.batch.job import Outcome, failure
 from getagrip.batch.share import ALONE, Share
 from getagrip.clip import Clip, write_clip
-from getagrip.clip.camera_of_image import doubt
+from getagrip.clip.intrinsics import doubt
 from getagrip.clip.reading import read_header
 from getagrip.datasets.dataset import Dataset, Draft, Part
 from getagrip.errors import InputError, UsageError

@@ -12,7 +12,7 @@ from getagrip.batch.kept import good_result, made_by
 from getagrip.clip import input_sha256, read_clip
 from getagrip.errors import GetagripError, InputError, cleaned
 from getagrip.finding import Finding
-from getagrip.io.code import place
+from getagrip.io.own_code import place
 from getagrip.probability import Probability
 from getagrip.result import Reconstruction, write_result
 from getagrip.result.segments import probabilities_of_grasps

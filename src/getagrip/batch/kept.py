@@ -9,7 +9,7 @@ from pathlib import Path
 from getagrip.errors import InputError, UsageError
 from getagrip.fitting.methods import OURS, Method, method_of
 from getagrip.io import files
-from getagrip.io.code import UnknownSourceError, checksum
+from getagrip.io.own_code import UnknownSourceError, checksum
 from getagrip.result import Reconstruction, is_result, read_result, software
 
 KEY = "method_code"
@@ -31,7 +31,7 @@ _CHECKSUMS: dict[str, tuple[Method, str]] = {}
 
 
 def made_by(method: str, *also: str) -> dict[str, str]:
-    """``result.software``, and of a method that is not the package's own a checksum of its code (``io.code``)."""
+    """``result.software``, and of a method that is not the package's own a checksum of its code (``io.own_code``)."""
     there = method_of(method)
     if there is OURS.get(method):
         return software(*also)

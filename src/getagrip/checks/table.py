@@ -10,7 +10,7 @@ from getagrip.checks import frame_order, held, mask_agreement, mesh_form, regras
 from getagrip.checks.check import Check, millimetres, of_diameter, percent
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.hand_side import bend
-from getagrip.clip import camera_of_image
+from getagrip.clip import intrinsics
 from getagrip.finding import Finding
 
 GRAVER = {
@@ -57,7 +57,7 @@ def deformation(it: Evidence) -> str:
 
 def other_images(it: Evidence) -> str:
     """Of which images the camera seems to be."""
-    return camera_of_image.doubt(it.clip.K, it.clip.size)
+    return intrinsics.doubt(it.clip.K, it.clip.size)
 
 
 CAMERA_ADVICE = "give the camera of these images: K is scaled and cropped as they are"
@@ -109,16 +109,16 @@ INPUT_CHECKS: tuple[Check, ...] = (
         advice="are these masks of the background, or of the whole image? Check their label",
     ),
     Check(
-        "principal-point", lambda it: camera_of_image.off_middle(it.clip.K, it.clip.size),
-        high=camera_of_image.OFF_MIDDLE, shown=percent, fault=other_images, advice=CAMERA_ADVICE,
+        "principal-point", lambda it: intrinsics.off_middle(it.clip.K, it.clip.size),
+        high=intrinsics.OFF_MIDDLE, shown=percent, fault=other_images, advice=CAMERA_ADVICE,
     ),
     Check(
-        "pixel-stretch", lambda it: camera_of_image.stretch(it.clip.K), high=camera_of_image.STRETCH,
+        "pixel-stretch", lambda it: intrinsics.stretch(it.clip.K), high=intrinsics.STRETCH,
         fault=other_images, advice=CAMERA_ADVICE,
     ),
     Check(
-        "field-of-view", lambda it: camera_of_image.field_of_view(it.clip.K, it.clip.size),
-        low=camera_of_image.NARROW, high=camera_of_image.WIDE, shown="{:.3g} degrees".format,
+        "field-of-view", lambda it: intrinsics.field_of_view(it.clip.K, it.clip.size),
+        low=intrinsics.NARROW, high=intrinsics.WIDE, shown="{:.3g} degrees".format,
         fault=other_images, advice=CAMERA_ADVICE,
     ),
     Check(

@@ -1,4 +1,8 @@
-"""The camera of a user's own images, as far as the user knows it."""
+"""The camera of a user's own images, as far as the user knows it.
+
+Calibrations are often of another size, crop or orientation than images. A lens whose middle is far from the image's,
+whose pixels are not square or whose field of view no usual lens has is possible, so these are doubts and no errors.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,19 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip.camera_of_image import WIDE, field_of_view, in_pixels
 from getagrip.clip.plausible import check_intrinsics
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.provenance import Source, assumed, measured
+
+OFF_MIDDLE = 0.1
+"""Largest usual distance of the principal point from the middle, in sides of the image."""
+STRETCH = 1.1
+"""Largest usual ratio of the two focal lengths."""
+NARROW, WIDE = 6.0, 118.0
+"""Usual fields of view along the longer side [degrees]."""
+MILLIMETRES = 36.0
+"""Width of the film that focal lengths of cameras are stated for [mm]."""
 
 
 def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
@@ -43,3 +55,50 @@ def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"]
         option = "--K" if lens.K is not None else "--focal"
         raise UsageError(f"{option} must be {error.expected} (got {error.given})") from error
     return K, source
+
+
+def off_middle(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
+    """Distance of the principal point from the middle of images of a size [px], in sides; the worst frame's."""
+    return float(np.abs(K[:, :2, 2] / size - 0.5).max())
+
+
+def stretch(K: Float[ndarray, "T 3 3"]) -> float:
+    """How many times as long one focal length is as the other; the worst frame's."""
+    ratio = K[:, 0, 0] / K[:, 1, 1]
+    return float(np.maximum(ratio, 1.0 / ratio).max())
+
+
+def field_of_view(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
+    """Angle that the longer side of the image spans [degrees]; the most unusual frame's."""
+    longer = int(np.argmax(size))
+    angles = np.degrees(2.0 * np.arctan(0.5 * size[longer] / K[:, longer, longer]))
+    return float(angles[np.argmax(np.abs(angles - 0.5 * (NARROW + WIDE)))])
+
+
+def doubt(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> str:
+    """Why matrices seem to be of other images than those of a size [px], in words; empty where they fit."""
+    image = f"the {size[0]} x {size[1]} images"
+    if off_middle(K, size) > OFF_MIDDLE:
+        u, v = K[int(np.argmax(np.abs(K[:, :2, 2] / size - 0.5).max(axis=1))), :2, 2]
+        fits = f"it fits images of {2 * u:.0f} x {2 * v:.0f}" if min(u, v) > 0 else "it fits no whole image"
+        return f"the principal point {u:.4g}, {v:.4g} is far from the middle of {image}: {fits}"
+    if stretch(K) > STRETCH:
+        ratio = K[:, 0, 0] / K[:, 1, 1]
+        fx, fy = K[int(np.argmax(np.maximum(ratio, 1.0 / ratio))), [0, 1], [0, 1]]
+        fits = f"{size[0] * fy / fx:.0f} x {size[1]} or {size[0]} x {size[1] * fx / fy:.0f}"
+        return f"fx {fx:.4g} and fy {fy:.4g} are of pixels that are not square: K fits images of {fits}"
+    angle = field_of_view(K, size)
+    if not NARROW <= angle <= WIDE:
+        return f"the field of view of {image} would be {angle:.3g} degrees: {in_pixels(K[0, 0, 0], size)}"
+    return ""
+
+
+def in_pixels(focal: float, size: tuple[int, int]) -> str:
+    """What to do about a focal length that is too short or too long for images of a size [px]."""
+    if focal > max(size):
+        return "the focal length is of larger images, or an estimator's own and not the camera's"
+    pixels = focal / MILLIMETRES * max(size)
+    return (
+        f"is {focal:.4g} in mm? The 35-mm equivalent f of a lens is f / {MILLIMETRES:g} * {max(size)} px: "
+        f"{pixels:.0f} px for {focal:.4g} mm"
+    )

@@ -11,8 +11,7 @@ from jaxtyping import Bool
 from numpy import ndarray
 
 from getagrip.clip.data import FrameMasks
-from getagrip.clip.naming import frames_of, stem_of
-from getagrip.clip.numbering import check_numbers
+from getagrip.clip.naming import check_numbers, frames_of, stem_of
 from getagrip.errors import InputError, UsageError
 from getagrip.io import files
 

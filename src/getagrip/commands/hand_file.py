@@ -10,8 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import HandTrack
-from getagrip.clip.naming import number_of
-from getagrip.clip.numbering import check_numbers, renumbered
+from getagrip.clip.naming import check_numbers, number_of, renumbered
 from getagrip.clip.reading import read_hand
 from getagrip.errors import InputError
 from getagrip.hands.model import Side

@@ -12,9 +12,8 @@ from jaxtyping import Float
 from numpy import ndarray
 from tyro.conf import Positional, arg
 
-from getagrip.clip.camera_of_image import doubt
-from getagrip.clip.intrinsics import intrinsics
-from getagrip.clip.numbering import renumbered
+from getagrip.clip.intrinsics import doubt, intrinsics
+from getagrip.clip.naming import renumbered
 from getagrip.clip.plausible import check_in_view
 from getagrip.clip.reading import OTHER_HAND, ClipHeader, frames_with_hand, read_header
 from getagrip.clip.writing import WITHOUT_HAND, without_hand, write_hand, write_hand_at

@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from getagrip.clip.mask_request import MaskReader, MaskRequest
 from getagrip.clip.mask_sources import open_masks
-from getagrip.clip.numbering import renumbered
+from getagrip.clip.naming import renumbered
 from getagrip.clip.reading import read_header
 from getagrip.commands.command import Command, Labels
 from getagrip.errors import InputError, UsageError

@@ -233,7 +233,7 @@ def _masks(given: NewClip, names: tuple[str, ...], size: tuple[int, int]) -> Mas
     """A reader of the masks of the clip's frames."""
     from getagrip.clip.mask_request import MaskRequest
     from getagrip.clip.mask_sources import open_masks
-    from getagrip.clip.numbering import renumbered
+    from getagrip.clip.naming import renumbered
 
     assert given.masks is not None
     if given.mask_first is not None:
@@ -285,7 +285,7 @@ def _check(made: Path, masks: bool, out: Path) -> None:
 
 def _summary(clip: Clip, given: NewClip, hands: HandsInClip | None, out: Path) -> int:
     """Print what was made, what is a guess and what is missing; 3 where something is."""
-    from getagrip.clip.camera_of_image import doubt
+    from getagrip.clip.intrinsics import doubt
     from getagrip.provenance import is_assumed, warn_of
 
     print(f"{out}: {len(clip)} frames")

@@ -18,8 +18,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
-from getagrip.clip.naming import frame_of
-from getagrip.clip.numbering import check_numbers, renumbered
+from getagrip.clip.naming import check_numbers, frame_of, renumbered
 from getagrip.clip.plausible import FARTHEST, NEAREST
 from getagrip.errors import InputError
 from getagrip.evaluation.comparison import Comparison

@@ -10,8 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from getagrip.clip import Clip, Masks
-from getagrip.clip.naming import frame_of, number_of
-from getagrip.clip.numbering import check_numbers, renumbered
+from getagrip.clip.naming import check_numbers, frame_of, number_of, renumbered
 from getagrip.clip.plausible import check_poses
 from getagrip.errors import InputError
 from getagrip.evaluation.pose_files import SUFFIXES, PoseFile, read_pose_file, row_of_each

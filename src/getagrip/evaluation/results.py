@@ -67,6 +67,14 @@ class Evaluation:
     notes: tuple[str, ...] = ()
     result: str | None = None
 
+    @staticmethod
+    def recorded(clip: Clip, method: str, metrics: dict[str, float]) -> Evaluation:
+        """The metrics that a result has in its record."""
+        return Evaluation(
+            clip=clip.name, category=clip.category, method=method, frames=list(clip.frames), symmetry=None,
+            metrics=metrics, per_frame={},
+        )  # fmt: skip
+
     @property
     def headline(self) -> dict[str, float]:
         """The metrics, of which the main ones are shown first; a timeline's stable contact is of its grasps."""

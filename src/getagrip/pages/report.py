@@ -179,7 +179,7 @@ def _plots(view: View, per_frame: Mapping[str, Sequence[float]]) -> list[dict[st
         angles.append(_line("ground truth", np.degrees(curve.true), TRUE))
     iou = _line("IOU", 100 * view.result.iou, FOUND)
     plots: list[dict[str, object]] = [{"title": curve.title, "unit": "°", "lines": angles}]
-    if not view.of_truth and not np.isnan(view.result.iou).all():
+    if not np.isnan(view.result.iou).all():
         plots.append({"title": "overlap with the mask, IOU", "unit": "%", "lines": [iou], "upTo": (80, 100)})
     for title, metric in PLOTTED.items():
         if metric.name in per_frame:

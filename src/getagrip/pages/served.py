@@ -55,11 +55,7 @@ class Shown:
         """What is the same in all frames."""
         metrics = {k: float(v) for k, v in self.column.record.get("metrics", {}).items() if isinstance(v, int | float)}
         arrays, packed = pack(motion.fixed(self.view, self.surface))
-        clip, method = self.view.clip, self.view.result.method
-        known = Evaluation(
-            clip=clip.name, category=clip.category, method=method, frames=list(clip.frames), symmetry=None,
-            metrics=metrics, per_frame={},
-        )  # fmt: skip
+        known = Evaluation.recorded(self.view.clip, self.view.result.method, metrics)
         said = described(self.view, self.column.label, known, self.column.record)
         more = {"result": bool(self.column.record), "masked": self.at(self.sampled[:1]).masks is not None}
         return {**said, **more, "arrays": arrays, "packed": packed}

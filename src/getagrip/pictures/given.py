@@ -57,7 +57,7 @@ def true_view(folder: Path) -> View:
         frames=clip.frames,
         T_hand_obj=T_hand_obj,
         scale=truth.scale,
-        iou=np.ones(len(clip)),
+        iou=np.full(len(clip), np.nan),
         axis=Axis(hinge.point, hinge.direction, np.unwrap(hinge.angles(R, centre))),
         candidates=Candidates(T_hand_obj[None], np.array([truth.scale]), np.zeros(1)),
         energy={},

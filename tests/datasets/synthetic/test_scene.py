@@ -219,8 +219,8 @@ def test_presets_share_their_truth() -> None:
     assert b.truth is not None
     np.testing.assert_array_equal(a.truth.T_cam_obj, b.truth.T_cam_obj)
     assert not np.allclose(a.hand.T_cam_hand, b.hand.T_cam_hand)
-    for wrong in (("validation", "dirty"), ("test", "clean")):
-        with pytest.raises(UsageError, match="unknown category"):
+    for wrong, what in ((("validation", "dirty"), "--preset 'dirty'"), (("test", "clean"), "split 'test'")):
+        with pytest.raises(UsageError, match=f"unknown {what}"):
             split(*wrong)
 
 

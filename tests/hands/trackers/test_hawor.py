@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from getagrip.clip.numbering import renumbered
+from getagrip.clip.naming import renumbered
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.hands.model import Side

@@ -17,8 +17,7 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from getagrip.clip.naming import frame_of
-from getagrip.clip.numbering import counted_elsewhere
+from getagrip.clip.naming import counted_elsewhere, frame_of
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry import se3
 from getagrip.hands.trackers import records

@@ -1,4 +1,4 @@
-"""Figures of results, a file for each kind.
+"""Figures of results.
 
 A new kind is a file here with a subclass of ``Kind``, whose fields are its options, and a line in ``FIGURES``.
 """
@@ -6,9 +6,8 @@ A new kind is a file here with a subclass of ``Kind``, whose fields are its opti
 from getagrip.pictures.figures.aligned import Aligned
 from getagrip.pictures.figures.contact import Contact
 from getagrip.pictures.figures.gallery import Gallery
-from getagrip.pictures.figures.hands import Hands
 from getagrip.pictures.figures.kind import Kind
-from getagrip.pictures.figures.methods import Methods
+from getagrip.pictures.figures.rows import Hands, Methods
 from getagrip.pictures.given import GivenResult
 
 FIGURES: dict[str, type[Kind]] = {

@@ -1,7 +1,12 @@
-"""Results of one clip under one another: the same frames over the image, and turned, with numbers beside each."""
+"""Results of one clip under one another: the same frames over the image, and turned, with numbers beside each.
+
+Of several methods, after the paper's qualitative comparison; and with the hands of several estimators, after its figure
+of HaMeR and FrankMocap.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import wrap
@@ -11,10 +16,14 @@ import numpy as np
 from jaxtyping import Int
 from numpy import ndarray
 
+from getagrip.clip import input_sha256
+from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, SCA
-from getagrip.metrics.contact import ContactDefinition
-from getagrip.pictures.figures.kind import doubts, evenly
+from getagrip.fitting.methods import method_of
+from getagrip.metrics.contact import ContactDefinition, at_millimetres
+from getagrip.pictures.figures.kind import Count, Fail, Kind, Millimetres, about, doubts, evenly, readable, summary
+from getagrip.pictures.given import GivenResult, at_common_frames, distinct
 from getagrip.pictures.sheet import HEAD, Sheet
 from getagrip.pictures.shown import View
 from getagrip.pictures.style import AXIS, FAINT, FOUND, HAND_LINE, TRUE
@@ -34,6 +43,68 @@ class Row:
     name: str
     numbers: Sequence[str]
     view: View
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows(Kind):
+    """Results of one clip under one another."""
+
+    frames: Count = 3
+    """Frames to draw."""
+    contact: Millimetres = 10.0
+    """Points of the object within MM of the hand's surface are in contact, in SCA."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Methods(Rows):
+    """Results of several methods for one clip: frames over the image and from the side; IOU, SCA and ADD."""
+
+    truth: bool = True
+    """Draw the ground truth as the last row, where it is known."""
+
+    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
+        (contact,) = at_millimetres([self.contact])
+        read = readable(results, fail)
+        views = at_common_frames(read)
+        _check_inputs(read)
+        labels = [method_of(view.result.method).label for view in views]
+        folders = distinct([given for given, _ in read])
+        names = [f"{a}\n{b}" if Counter(labels)[a] > 1 else a for a, b in zip(labels, folders, strict=True)]
+        rows = [Row(name, numbers(view, contact), view) for name, view in zip(names, views, strict=True)]
+        if self.truth and (true := views[0].true()) is not None:
+            rows.append(Row("ground truth", numbers(true, contact)[:2], true))
+        under = "  ·  ".join([*about(views[0]), f"SCA: {contact.description}"])
+        return draw_rows(rows, views[0].clip.name, under, self.frames, self.dpi, with_hand=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hands(Rows):
+    """Results for one clip with the hands of several estimators: the given hand and the object that was found with it.
+
+    Each result is of its own clip folder; these have the same clip's name and frames, and hands of their own. Rows are
+    called after what tells the results' folders apart.
+    """
+
+    def draw(self, results: Sequence[GivenResult], fail: Fail) -> Figure:
+        (contact,) = at_millimetres([self.contact])
+        read = readable(results, fail)
+        views = at_common_frames(read)
+        methods = {view.result.method for view in views}
+        if len(methods) > 1:
+            raise UsageError(f"RESULT must be of one method (got {' and '.join(sorted(methods))}); see methods")
+        names = distinct([given for given, _ in read])
+        rows = [Row(name, numbers(view, contact), view) for name, view in zip(names, views, strict=True)]
+        under = "  ·  ".join([summary(views[0]), f"SCA: {contact.description}"])
+        return draw_rows(rows, views[0].clip.name, under, self.frames, self.dpi, with_hand=True)
+
+
+def _check_inputs(read: Sequence[tuple[GivenResult, View]]) -> None:
+    """Refuse results that were made with different hands, masks or meshes."""
+    first, clip = read[0][0], read[0][1].clip
+    for given, view in read[1:]:
+        if view.clip.origin != clip.origin and input_sha256(view.clip.origin) != input_sha256(clip.origin):
+            expected = f"those of {first.folder}; the figure hands compares hands"
+            raise InputError(given.folder, "", f"a result of other hands or masks, in {view.clip.origin}", expected)
 
 
 def numbers(view: View, contact: ContactDefinition) -> list[str]:
