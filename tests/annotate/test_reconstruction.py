@@ -39,7 +39,7 @@ def test_folders_that_are_links_are_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(UsageError, match="is a link"):
+    with pytest.raises(UsageError, match="got a link"):
         reconstruct(["doctor"], Shape("plate", None), tmp_path / "out", "it", BackgroundJob("reconstruct"))
 
 

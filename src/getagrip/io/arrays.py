@@ -162,7 +162,7 @@ def _shaped(
 ) -> Shaped[ndarray, "..."]:
     """An array that is there, of the expected kind and shape, and not too large with 8 bytes for each number."""
     if key not in given:
-        raise InputError(path, key, "no such array", f"the array, of {what}")
+        raise InputError(path, key, "no such array", f"an array of {what}")
     array = given[key]
     if array.dtype.kind not in kinds:
         raise InputError(path, key, f"the type {files.shown(str(array.dtype))}", what)
