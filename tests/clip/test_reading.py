@@ -132,7 +132,7 @@ def test_no_folder(tmp_path: Path, refused: Refused) -> None:
 def test_a_free_scale_needs_its_truth(clip_folder: Path, refused: Refused) -> None:
     edit_json(scale="free")(clip_folder)
     edit_npz("truth.npz", scale=None)(clip_folder)
-    refused(lambda: read_clip(clip_folder), "truth.npz: missing scale", "no such array")
+    refused(lambda: read_clip(clip_folder), "truth.npz: missing scale", "must be the array")
     edit_json(scale="known")(clip_folder)
     truth = read_clip(clip_folder).truth
     assert truth is not None

@@ -48,9 +48,9 @@ def test_folders_that_are_links_are_refused(tmp_path: Path) -> None:
     for name in ("elsewhere", "nowhere"):
         link = tmp_path / f"to-{name}"
         link.symlink_to(tmp_path / name)
-        with pytest.raises(UsageError, match="is a link"), files.new_folder(link):
+        with pytest.raises(UsageError, match="a link"), files.new_folder(link):
             pass
-        with pytest.raises(UsageError, match="is a link"):
+        with pytest.raises(UsageError, match="a link"):
             files.folder_inside(tmp_path, link.name)
     assert not any((tmp_path / "elsewhere").iterdir())
 

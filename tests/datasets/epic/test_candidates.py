@@ -106,7 +106,7 @@ def test_candidates_are_written_as_a_table_and_as_json(run: Run, tmp_path: Path)
     call = ("epic", "candidates", "--visor", tmp_path / "visor", "--actions", table, "--json", found)
     status, printed, err = run(*call, "--out", tmp_path / "c.csv")
     assert status == 1, err  # the mapping knows nothing of the other video
-    assert "frame_mapping.json: P02_01" in err
+    assert "frame_mapping.json: missing P02_01" in err
     assert "1 candidate from" in printed
     with (tmp_path / "c.csv").open(newline="") as stream:
         (cells,) = csv.DictReader(stream)
