@@ -25,7 +25,8 @@ def fingerprint(*also: str) -> str:
     total = hashlib.sha256()
     for path in sorted((*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.json"))):
         name = path.relative_to(PACKAGE).as_posix()
-        if name.split("/")[0].removesuffix(".py") not in ABOVE or f"{name}/".startswith(tuple(f"{part}/" for part in also)):
+        room = name.split("/")[0].removesuffix(".py")
+        if room not in ABOVE or f"{name}/".startswith(tuple(f"{part}/" for part in also)):
             content = path.read_bytes()
             total.update(f"{name}\0{len(content)}\0".encode())
             total.update(content)
