@@ -120,7 +120,7 @@ def test_missing_keys_are_named(refused: Refused) -> None:
     for key in labels.to_json(some_labels()):
         content = changed()
         del content[key]
-        refused(lambda content=content: labels.parse(content, "labels.json"), key, "no such key")
+        refused(lambda content=content: labels.parse(content, "labels.json"), f"missing {key}")
 
 
 def test_json_that_is_none_is_refused(tmp_path: Path, refused: Refused) -> None:

@@ -193,8 +193,8 @@ def test_a_changed_key_changes_the_frames_up_to_its_neighbours_only() -> None:
 
 def test_what_cannot_be_propagated_is_refused() -> None:
     for keys, words in (
-        ({}, "no frame"),
-        ({0: np.zeros((4, 4), np.uint8)}, "no frame"),
+        ({}, "missing polygons"),
+        ({0: np.zeros((4, 4), np.uint8)}, "missing polygons"),
         ({99: drawn(0)[1]}, "frame 99"),
         ({0: drawn(0)[1], 1: np.zeros((4, 4), np.uint8)}, "sizes"),
     ):

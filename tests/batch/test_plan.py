@@ -19,7 +19,7 @@ def test_no_clip_takes_the_place_of_a_file_beside_the_results(tmp_path: Path, na
         assert [found for found, _ in plan] == ["mug"]
         (failed,) = plan.failed
         assert failed.name == name
-        assert "name: got" in failed.message
+        assert "name must be" in failed.message
 
 
 def test_clips_that_share_a_name_fail_and_no_others(tmp_path: Path) -> None:
@@ -31,7 +31,7 @@ def test_clips_that_share_a_name_fail_and_no_others(tmp_path: Path) -> None:
         assert len(plan) == 1
         for outcome in plan.failed:
             here = next(
-                folder for folder in folders if outcome.message.startswith(f"{cleaned(str(folder))}: name: got")
+                folder for folder in folders if outcome.message.startswith(f"{cleaned(str(folder))}: name must be")
             )
             assert names[here.name] == outcome.name
             assert "a name of its own" in outcome.message

@@ -156,7 +156,7 @@ def test_joints_that_do_not_fit_the_clip_are_refused_in_plain_words(
     for values, first, words in [
         (joints, 300, "must be hands in the clip's, 000003 to 000008"),
         (joints - 2.0 * AHEAD, 3, "m behind the camera"),
-        (1000.0 * joints, 3, "got hands with "),
+        (1000.0 * joints, 3, "is the unit the metre"),
     ]:
         arrays.write(made / "j.npz", {"joints": values, "frames": np.arange(first, first + 6)})
         command = ["import", "hands", str(made / "j.npz"), "--from", "joints", "--order", "openpose"]

@@ -112,7 +112,7 @@ def test_only_a_clip_is_overwritten(made: Path, run: Run) -> None:
         (["--K", "60", "60", "32000", "24"], 2, "--K"),
         (["--focal", "60"], 2, "--K, --focal"),
         (["--size-mm", "-1"], 2, "--size-mm"),
-        (["--diameter-mm", "5"], 2, "both"),
+        (["--diameter-mm", "5"], 2, "--size-mm cannot be used with --diameter-mm"),
         (["--mesh", "nowhere.obj"], 1, "nowhere.obj"),
         (["--mesh", "plates"], 1, "this package's shapes: bottle, bowl"),
     ],

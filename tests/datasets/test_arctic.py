@@ -170,7 +170,7 @@ def test_wrong_calls_are_refused(root: Path, mano: Path, tmp_path: Path, run: Ru
     assert (status, "--meshes" in err) == (2, True)
     with pytest.raises(UsageError, match=r"--mano: ARCTIC holds .* MANO_LEFT.pkl and MANO_RIGHT.pkl"):
         Arctic(root=root).sources()
-    with pytest.raises(UsageError, match="--mano: got"):
+    with pytest.raises(UsageError, match="--mano must be a folder"):
         Arctic(root=root, mano=tmp_path).sources()
     with pytest.raises(InputError, match="raw_seqs"):
         Arctic(root=tmp_path / "mano", mano=mano).sources()
@@ -196,20 +196,20 @@ NAN = np.full((FRAMES, 3), np.nan)
     ("keys", "value", "named"),
     [
         (("right",), None, "None"),
-        (("left", "rot"), None, "missing rot"),
+        (("left", "rot"), None, "missing left.rot"),
         (("left", "rot"), NAN, "got 96 NaN"),
         (("right", "pose"), np.zeros((FRAMES, 44)), "right.pose"),
         (("right", "trans"), np.zeros((FRAMES + 1, 3)), "right.trans"),
         (("right", "trans"), np.array([None] * FRAMES), "right.trans"),
         (("right", "shape"), "ten", "right.shape"),
         (("right", "shape"), np.zeros(9), "right.shape"),
-        (("right", "trans"), Hostile(), "system, expected .* nothing in it was run"),
+        (("right", "trans"), Hostile(), "system.; nothing in it was run"),
     ],
 )
 @pytest.mark.slow
 def test_broken_hands_are_named(root: Path, mano: Path, keys: tuple[str, ...], value: Any, named: str) -> None:
     edited(root / "raw_seqs" / "s01" / "ball_use_01.mano.npy", *keys, value=value)
-    with pytest.raises(InputError, match=rf"ball_use_01\.mano\.npy: .*{named}"):
+    with pytest.raises(InputError, match=rf"ball_use_01\.mano\.npy.*{named}"):
         read(root, mano)
 
 
