@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
-from getagrip.checks import RESULT_CHECKS, Solved, examine, read_signs
+from getagrip.checks import Solved, examine, read_signs, result_checks
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Where
 from getagrip.clip import Clip
@@ -56,7 +56,7 @@ def judge(given: Clip, problem: Problem, found: MethodResult, sampled: Track, wh
         misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
         spread=pose_spread(problem, found), other_size=other_size(problem, found),
     )  # fmt: skip
-    measured, findings = examine(RESULT_CHECKS, solved)
+    measured, findings = examine(result_checks(), solved)
     return Judgement(measured, findings, read_signs(solved))
 
 

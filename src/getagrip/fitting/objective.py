@@ -1,6 +1,7 @@
 """The energy of Eq. 5 for a clip, at any of its resolutions and frames: E_mask, E_push and E_pull.
 
-A method adds a term where it builds its energy: ``plus(energy_of(...), mine)``.
+Other evidence of the clip counts beside its masks (``evidence_of``). A method adds a term where it builds its energy:
+``plus(energy_of(...), mine)``.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections.abc import Sequence
 from jaxtyping import Float, Int
 from numpy import ndarray
 
+from getagrip.clip import modalities
 from getagrip.fitting.contact import HandContacts, spread_points
 from getagrip.fitting.energy import Energy, Term
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
@@ -37,8 +39,14 @@ PER_REGION, POINTS = 2, 20
 
 
 def energy_of(problem: Problem, push: float, pull: float) -> Energy:
-    """E_mask, E_push and E_pull."""
-    return plus(mask_of(problem), contact_of(problem, push, pull))
+    """E_mask, what other evidence there is, E_push and E_pull."""
+    return plus(evidence_of(problem), contact_of(problem, push, pull))
+
+
+def evidence_of(problem: Problem) -> Energy:
+    """The terms that all evidence gives on the object: E_mask first, since masks are the first modality."""
+    terms = (modality.terms(problem).object for modality in modalities())
+    return plus(*(energy for energy in terms if energy is not None))
 
 
 def mask_of(problem: Problem) -> Energy:

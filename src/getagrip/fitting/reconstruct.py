@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from getagrip.checks import INPUT_CHECKS, LEAST_IOU, Evidence, examine
+from getagrip.checks import LEAST_IOU, Evidence, examine, input_checks
 from getagrip.clip import Clip, Masks, check_clip, check_masks
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.finding import Finding
@@ -58,8 +58,9 @@ def reconstruct(
         light = steady.light()
         problem = prepare(light, masks, options, threads)
         clock("prepare")
-        given = Evidence(light.take(light.index_of(problem.clip.frames)), problem.given_masks, jumps=jumps)
-        measured, findings = examine(INPUT_CHECKS, given)
+        seen = replace(light.take(light.index_of(problem.clip.frames)), evidence=problem.clip.evidence)
+        given = Evidence(seen, problem.given_masks, jumps=jumps)
+        measured, findings = examine(input_checks(), given)
         clock("check of the input")
         problem, found = _searched(problem, clock, findings)
         sampled, whole = _followed(light, masks, given, problem, found, clock)

@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.fitting.motion import Free
-from getagrip.fitting.objective import mask_of
+from getagrip.fitting.objective import evidence_of
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
 from getagrip.timelines.following import follow
@@ -60,7 +60,7 @@ def _fitted(footage: Footage, rows: Int[ndarray, "n"], start: Hypotheses) -> Hyp
     problem = footage.problem(seen)
     about = footage.clip.mesh.vertices - footage.clip.mesh.centre
     motion = Free(start.R[:, at], start.centre[:, at], np.log(start.scale))
-    energy = mask_of(problem)
+    energy = evidence_of(problem)
     smooth = WorldTerm(SmoothnessTerm(moments(about), SMOOTH), footage.T_world_cam[seen])
     everywhere, T_cam_world = np.arange(len(at)), footage.T_cam_world[seen]
     for level, iterations in STAGES:

@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from getagrip.fitting.energy.smoothness import moments
 from getagrip.fitting.motion import Fixed, Frozen, PosesInHand, Soft
-from getagrip.fitting.objective import NOTHING, mask_of
+from getagrip.fitting.objective import NOTHING, evidence_of
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
 from getagrip.timelines.footage import Footage
@@ -56,7 +56,7 @@ def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypothe
     In frames that do not show the object it stays where it was.
     """
     seen = footage.observed(rows)
-    energy = mask_of(footage.problem(seen)) if len(seen) else NOTHING
+    energy = evidence_of(footage.problem(seen)) if len(seen) else NOTHING
     about = moments(footage.clip.mesh.vertices - footage.clip.mesh.centre)
     here, before, last, frame = start, start, begin, 0
     K, N = len(start.R), len(rows)

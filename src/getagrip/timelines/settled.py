@@ -17,7 +17,7 @@ from getagrip.clip.timeline import Side
 from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.fitting.misfit import misfit, stiffened
 from getagrip.fitting.motion import Fixed, Frozen, Soft
-from getagrip.fitting.objective import mask_of
+from getagrip.fitting.objective import evidence_of
 from getagrip.fitting.solve import in_camera, minimise
 from getagrip.geometry import se3
 from getagrip.timelines.between import SMOOTH
@@ -55,7 +55,7 @@ def settle(motion: Motion, footage: Footage, rows: Int[ndarray, "n"], side: Side
     still = Fixed(np.eye(3)[None], np.zeros((1, 3)), np.zeros(1), len(seen))
     held, misfits = Frozen(Soft(still, np.zeros((1, len(seen), 6)), ridge)), 1.0
     about = moments(footage.clip.mesh.vertices - centre)
-    energy, smooth = mask_of(problem), WorldTerm(SmoothnessTerm(about, SMOOTH), footage.T_world_cam[seen])
+    energy, smooth = evidence_of(problem), WorldTerm(SmoothnessTerm(about, SMOOTH), footage.T_world_cam[seen])
     for level, iterations in STAGES:
         held = Frozen(replace(held.core, ridge=stiffened(ridge, misfits)))
         found = minimise(held, [*energy(level, everywhere), smooth], T_cam, iterations)

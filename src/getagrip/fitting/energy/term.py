@@ -79,6 +79,17 @@ Energy = Callable[[int, Int[ndarray, "n"]], Sequence[Term]]
 """A sum of terms, at a resolution (64, 128 or 256 px) and at some of a clip's frames (their indices)."""
 
 
+@dataclass(frozen=True)
+class Terms:
+    """What a modality gives at a problem's frames.
+
+    Attributes:
+        object: terms on the poses of the object; None: none.
+    """
+
+    object: Energy | None = None
+
+
 def no_bound(poses: PosesInCamera) -> Float[ndarray, "B"]:
     """A bound that asks for the derivatives everywhere."""
     return np.full(len(poses.scale), np.inf)
