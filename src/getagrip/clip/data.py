@@ -196,9 +196,9 @@ class Clip(ArrayData):
         if self.other_hand is not None:
             counts["other_hand"] = len(self.other_hand.known)
         counts |= {f"evidence[{name!r}]": len(data) for name, data in self.evidence.items() if data is not None}
-        for name, given in counts.items():
-            if given != count:
-                raise UsageError(f"Clip.{name} must be {count} frames, as many as the hand has (got {given})")
+        for name, value in counts.items():
+            if value != count:
+                raise UsageError(f"Clip.{name} must be {count} frames, as many as the hand has (got {value})")
         if self.side not in ("left", "right"):
             raise UsageError(f"Clip.side must be 'left' or 'right' (got {self.side!r})")
         if self.scale not in ("known", "free"):
@@ -260,7 +260,7 @@ class Clip(ArrayData):
         """The side of the hand that is not the clip's own."""
         return "left" if self.side == "right" else "right"
 
-    def held_by(self, side: Side | None) -> Clip | None:
+    def with_side(self, side: Side | None) -> Clip | None:
         """The clip with the hand of a side for its own; None where that hand is not known.
 
         Of the other side it has no ground truth, and in some of its frames the hand may not be known (``hand_known``).

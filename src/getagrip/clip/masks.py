@@ -170,8 +170,8 @@ def _check_some(clip: Clip, any_object: bool) -> None:
     if not any_object:
         folder = clip.origin / "masks" / "object"
         count = sum(has_mask(clip.origin, frame) for frame in clip.frames)
-        given = f"{count} masks without a pixel" if count else "no mask of any frame"
-        raise InputError(folder, "", given, "masks that show the object")
+        got = f"{count} masks without a pixel" if count else "no mask of any frame"
+        raise InputError(folder, "", got, "masks that show the object")
 
 
 def check_masks(clip: Clip, masks: Masks) -> None:
@@ -187,7 +187,7 @@ def observed_frames(clip: Clip, observed: Bool[ndarray, "T"]) -> Clip:
     Raises ``InputError`` for fewer than two: one silhouette says nothing about a motion.
     """
     if observed.sum() < 2:
-        given = f"{observed.sum()} of {len(clip)} frames whose mask has a pixel that is not ignored"
-        raise InputError(clip.origin / "masks" / "object", "", given, "at least 2")
+        got = f"{observed.sum()} of {len(clip)} frames whose mask has a pixel that is not ignored"
+        raise InputError(clip.origin / "masks" / "object", "", got, "at least 2")
     unobserved = tuple(name for name, is_observed in zip(clip.frames, observed, strict=True) if not is_observed)
     return replace(clip.take(np.flatnonzero(observed)), left_out=(*clip.left_out, *unobserved))

@@ -25,7 +25,7 @@ from getagrip.clip.sampling import frame_indices
 from getagrip.fitting import pose_priors
 from getagrip.fitting.contact import MARGIN
 from getagrip.fitting.energy import Energy
-from getagrip.fitting.hand_correction import correct_hand
+from getagrip.fitting.hand_refinement import refine_hand
 from getagrip.fitting.mask_gaps import GAP_SHARE
 from getagrip.fitting.methods import method_of
 from getagrip.fitting.motion import Motion, PosesInHand
@@ -54,16 +54,16 @@ class Trust:
         hand_differing: share of the hand's visible pixels that differ from its silhouette; NaN where it is not known.
         hand_drawn: whether the drawn hand stands in for missing ignore masks.
         mesh_fitted: whether the mesh was warped to the masks.
-        doubted: names of frames whose masks contradict the others, and are left out (``doubted_masks``).
+        doubted: names of frames whose masks contradict the others, and are left out (``outlier_masks``).
         most_differing: pixels by which a mask may differ from the silhouette that the other frames predict.
     """
 
-    hand_corrected: bool = False
+    hand_refined: bool = False
     hand_differing: float = np.nan
     hand_drawn: bool = False
     mesh_fitted: bool = False
-    doubted: tuple[str, ...] = ()
-    most_differing: float = np.inf
+    outliers: tuple[str, ...] = ()
+    outlier_threshold: float = np.inf
 
     @property
     def contact(self) -> float:
@@ -83,7 +83,7 @@ class Problem:
     Attributes:
         clip: the clip, in the frames that are used, all of its evidence in memory, its hand corrected where its pixels
             ask for it.
-        masks: its masks, in the same frames; they may ignore what the drawn hand covers besides (``given_masks``).
+        masks: its masks, in the same frames; they may ignore what the drawn hand covers besides (``input_masks``).
         observation: its masks as crops, with contours.
         surface: surface of the object.
         options: options of the reconstruction, with as many initial poses as there may be.
@@ -109,7 +109,7 @@ class Problem:
         return len(self.prior_poses) if self.options.priors_only else self.options.inits
 
     @property
-    def given_masks(self) -> Masks:
+    def input_masks(self) -> Masks:
         """The masks of the clip, as they were given."""
         masks = masks_in(self.clip)
         assert masks is not None
@@ -198,7 +198,7 @@ def _prepared(clip: Clip, options: Options, surface: Future[ObjectSurface], thre
     observation = observe(masks, clip.K, options.occlusion, gap_share)
     correction, differing = None, float("nan")
     if options.hands == "corrected" and not as_published:
-        correction, differing = correct_hand(clip, masks, observation.has_gaps)
+        correction, differing = refine_hand(clip, masks, observation.has_gaps)
     if correction is not None:
         clip = clip.with_hand_at(correction.T_cam_hand)
         notes.append(str(correction))
@@ -213,9 +213,9 @@ def _prepared(clip: Clip, options: Options, surface: Future[ObjectSurface], thre
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and what hides it: what lies in them does not count")
     return Problem(
-        clip=clip, masks=masks, observation=observation, surface=surface.result(), options=options,
-        prior_poses=poses, notes=tuple(notes), threads=threads,
-        trust=Trust(hand_corrected=correction is not None, hand_differing=differing, hand_drawn=hand_drawn),
+        clip=clip, masks=masks, observation=observation, surface=surface.result(),
+        options=options, prior_poses=poses, notes=tuple(notes), threads=threads,
+        trust=Trust(hand_refined=correction is not None, hand_differing=differing, hand_drawn=hand_drawn),
     )  # fmt: skip
 
 
