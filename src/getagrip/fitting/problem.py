@@ -81,7 +81,7 @@ class Problem:
     """A clip at the frames that are used.
 
     Attributes:
-        clip: the clip, in the frames that are used, all of its evidence in memory, its hand corrected where its pixels
+        clip: the clip, in the frames that are used, all of its evidence in memory, its hand refined where its pixels
             ask for it.
         masks: its masks, in the same frames; they may ignore what the drawn hand covers besides (``input_masks``).
         observation: its masks as crops, with contours.
@@ -221,6 +221,7 @@ def _prepared(clip: Clip, options: Options, surface: Future[ObjectSurface], thre
 
 def _sampled(clip: Clip, masks: Masks | None, frames: int) -> Clip:
     """The frames that are used, with their evidence. That of other frames is read one by one, and not kept."""
+    masks = masks_in(clip) if masks is None else masks
     if masks is None and len(clip) <= frames:
         masks = read_masks(clip)
     observed = read_observed(clip) if masks is None else masks.observed
