@@ -67,7 +67,7 @@ def reconstruct(
         judgement = judge(light, problem, found, sampled, whole)
         clock("check of the result")
     findings = (*findings, *judgement.findings)
-    right = probabilities(clip, options, judgement.signs, findings)
+    right = probabilities(clip, options, judgement.signs, findings, found.terms)
     moved = problem.trust.hand_refined or bool(glitches and glitches.frames)
     result = _reconstruction(problem, options, found, whole, moved, clock.seconds())
     return replace(
