@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from getagrip.clip import Clip, Modality, masks_in
 from getagrip.clip.masks import HAND, VisibleHand, mask_files, read_hand_masks, write_masks
+from getagrip.fitting.energy import Terms
+
+if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
+    from getagrip.fitting.problem import Problem
 
 
 class HandMasks(Modality[VisibleHand]):
-    """The hand's silhouette."""
+    """The hand's silhouette. Its check is ``hand-off-pixels`` (``checks.table``)."""
 
     name = HAND
 
@@ -24,3 +29,8 @@ class HandMasks(Modality[VisibleHand]):
         masks = masks_in(clip)
         if masks is not None and masks.hand is not None:
             write_masks(masks.hand, masks.known, clip.frames, folder / "masks" / "hand")
+
+    def terms(self, problem: Problem) -> Terms:
+        from getagrip.fitting.objective import hand_mask_of
+
+        return Terms() if self.of(problem.clip) is None else Terms(hand=hand_mask_of(problem))

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from getagrip.clip import Clip, Masks, Modality
 from getagrip.clip.masks import OBJECT, mask_files, read_object_masks, write_masks
 from getagrip.fitting.energy import Terms
-from getagrip.fitting.problem import Problem
+
+if TYPE_CHECKING:  # files of clips are asked for by commands that fit nothing
+    from getagrip.fitting.problem import Problem
 
 
 class ObjectMasks(Modality[Masks]):
@@ -29,9 +32,9 @@ class ObjectMasks(Modality[Masks]):
         masks = self.of(clip)
         if masks is None:
             return
-        kinds = {"object": masks.object} | ({"ignore": masks.ignore} if masks.say_what_hides else {})
-        for kind, pixels in kinds.items():
-            write_masks(pixels, masks.known, clip.frames, folder / "masks" / kind)
+        known, kinds = masks.known, {"object": masks.object}
+        for kind, pixels in (kinds | {"ignore": masks.ignore} if masks.say_what_hides else kinds).items():
+            write_masks(pixels, known, clip.frames, folder / "masks" / kind)
 
     def terms(self, problem: Problem) -> Terms:
         from getagrip.fitting.objective import mask_of
