@@ -2,7 +2,7 @@
 
 A modality is all that is known of one kind: its files in a clip's folder, how they are read at some frames, its checks,
 and the terms that it gives. A new one is a file in ``getagrip/evidence`` and a line in ``MODALITIES``; a script adds
-its own with ``MODALITIES.append(Mine())``.
+its own with ``MODALITIES["mine"] = Mine()``.
 """
 
 from __future__ import annotations
@@ -58,16 +58,16 @@ class Modality(ABC, Generic[D]):
         return cast("D | None", clip.evidence.get(self.name))
 
 
-MODALITIES: list[Modality[Any] | str] = [
-    "getagrip.evidence.object_masks:ObjectMasks",
-    "getagrip.evidence.hand_masks:HandMasks",
-]
-"""Every modality, or where its class is, which is imported when it is first needed."""
+MODALITIES: dict[str, Modality[Any] | str] = {
+    "object-masks": "getagrip.evidence.object_masks:ObjectMasks",
+    "hand-masks": "getagrip.evidence.hand_masks:HandMasks",
+}
+"""Every modality by its name, or where its class is, which is imported when it is first needed."""
 
 
 def modalities() -> tuple[Modality[Any], ...]:
     """Every modality of the table."""
-    return tuple(_loaded(entry) if isinstance(entry, str) else entry for entry in MODALITIES)
+    return tuple(_loaded(entry) if isinstance(entry, str) else entry for entry in MODALITIES.values())
 
 
 @cache
