@@ -13,7 +13,7 @@ from getagrip.fitting.foretold import typical
 from getagrip.fitting.image_iou import Overlap
 from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene, scores
 
 WRONG = [4, 7]

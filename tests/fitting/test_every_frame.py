@@ -15,9 +15,9 @@ from getagrip.evaluation.metric import ADD_MM
 from getagrip.fitting import every_frame
 from getagrip.fitting.motion import PosesInHand, interpolated
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
 from getagrip.result import Reconstruction, read_result, write_result
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene
 
 HIDDEN = (5, 6)

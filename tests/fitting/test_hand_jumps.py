@@ -11,8 +11,8 @@ from numpy import ndarray
 from getagrip.clip import Clip
 from getagrip.fitting.hand_jumps import kept_frames, steady_hand, without_jumps
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SHORT, scene
 
 FRAMES = 40

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from getagrip.fitting.options import Options
+from getagrip.fitting.pipeline import repair_hand
 from getagrip.geometry import se3
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.motion import Motion
@@ -15,7 +16,7 @@ from helpers.timelines import timeline
 def test_depth_is_mended_and_contact_stays() -> None:
     clip, masks = timeline()
     assert clip.truth is not None
-    footage = Footage.of(clip.light(), masks, Options(inits=20))
+    footage = Footage.of(repair_hand(clip, masks, Options(inits=20)))
     rows = np.arange(7)  # the object lies still
     true = clip.truth.T_cam_obj[rows]
     middle = se3.transform(true, clip.mesh.centre[None])[:, 0]
@@ -23,7 +24,7 @@ def test_depth_is_mended_and_contact_stays() -> None:
     deeper = se3.rigid(None, 0.015 * np.where(rows % 2, 1.0, -1.0)[:, None] * ray)
     motion = Motion.of(footage)
     motion.T_cam_obj[rows], motion.T_cam_hand[rows] = deeper @ true, deeper @ clip.hand.T_cam_hand[rows]
-    settle(motion, footage, rows, footage.clip.side)
+    settle(motion, rows, footage.clip.side)
     for found, right in ((motion.T_cam_obj, true), (motion.T_cam_hand, clip.hand.T_cam_hand[rows])):
         off = np.abs(np.sum((found[rows, :3, 3] - right[:, :3, 3]) * ray, axis=1))
         assert off.mean() < 0.007

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
-from getagrip.checks import RESULT_CHECKS, Solved, examine, read_signs
+from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Where
 from getagrip.clip import Clip
@@ -24,30 +24,15 @@ CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed
 """Options that leave a calibration valid; it was made with the usual values of all."""
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """What is known of a result without ground truth.
-
-    Attributes:
-        checks: what each check of the result has measured, by its name.
-        findings: what is unusual about it.
-        signs: what is known about whether it is right, by name.
-    """
-
-    checks: dict[str, float]
-    findings: tuple[Finding, ...]
-    signs: dict[str, float]
-
-
-def judge(given: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Judgement:
-    """Check a result.
+def solved_of(given: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Solved:
+    """A result as its checks and signs look at it.
 
     ``given`` is the clip with its hand and mesh as they came; ``sampled`` and ``whole`` are the poses in the frames
     that were fitted together and in every frame.
     """
     scale = float(found.poses.scale[0])
     deformed = 0.0 if found.warp is None else found.warp.displacement(given.mesh)
-    solved = Solved(
+    return Solved(
         problem.clip, problem.given_masks, sampled.T_hand_obj[0], scale, whole.iou,
         doubted=whole.doubted, deformed=deformed / given.mesh.diameter, deformed_mm=1e3 * scale * deformed,
         candidates=Candidates(sampled.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
@@ -56,8 +41,6 @@ def judge(given: Clip, problem: Problem, found: MethodResult, sampled: Track, wh
         misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
         spread=pose_spread(problem, found), other_size=other_size(problem, found),
     )  # fmt: skip
-    measured, findings = examine(RESULT_CHECKS, solved)
-    return Judgement(measured, findings, read_signs(solved))
 
 
 def probabilities(

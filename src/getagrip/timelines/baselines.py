@@ -24,9 +24,8 @@ from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.result import FrameKind
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.held import prepared, solved
-from getagrip.timelines.joint import fill, put_grasp, runs
-from getagrip.timelines.motion import Motion
+from getagrip.timelines.held import Grasp, in_all_frames, solved
+from getagrip.timelines.motion import Motion, without_gaps
 from getagrip.timelines.static_pose import static_hypotheses
 
 
@@ -36,10 +35,10 @@ def grasp_only(footage: Footage) -> Motion:
     """
     motion, known = Motion.of(footage), list[Segment]()
     for segment in footage.clip.segments:
-        problem = prepared(footage, segment) if segment.state == "grasp" else None
-        if problem is not None:
-            rows = put_grasp(motion, footage, solved(footage, segment, problem, []), 0, [])
-            known += runs(segment, rows)
+        grasp = Grasp.of(footage, segment) if segment.state == "grasp" else None
+        if grasp is not None:
+            motion.put_grasp(in_all_frames(solved(grasp, []), 0, []))
+            known += without_gaps(segment, grasp.rows)
     _carry(motion, footage, known)
     return motion
 
@@ -50,7 +49,7 @@ def static_only(footage: Footage) -> Motion:
     for segment in footage.clip.segments:
         found = static_hypotheses(footage, segment, support=False) if segment.state == "static" else None
         if found is not None:
-            motion.put(footage, segment.rows, found.take(np.zeros(1, int)), "sampled")
+            motion.put(segment.rows, found.take(np.zeros(1, int)), "sampled")
             known.append(segment)
     _carry(motion, footage, known)
     return motion
@@ -100,7 +99,7 @@ def propagate(footage: Footage) -> Motion:
             continue
         _visit(motion, footage, segments, n, before, best)
         before = n
-    fill(motion, footage, segments)
+    motion.fill(segments)
     return motion
 
 
@@ -113,7 +112,7 @@ def _visit(
     if before is not None:
         one = segments[before]
         source = one.last if before < n else one.first
-        start = motion.at(footage, source)
+        start = motion.at(source)
     if segment.state == "static":
         found = static_hypotheses(footage, segment, support=False, start=start)
         assert found is not None
@@ -121,7 +120,7 @@ def _visit(
         T_cam_hand, kind = footage.clip.hand.T_cam_hand[rows], tuple("sampled" for _ in rows)
     else:
         clip, masks = footage.clip.take(rows), footage.masks.take(rows)
-        problem = prepare(clip, masks, replace(footage.options, method="contact-consistency"))
+        problem = prepare(clip, masks, replace(footage.given.options, method="contact-consistency"))
         if start is not None:
             at = 0 if before is not None and before < n else -1
             T_hand_world = se3.inverse(problem.clip.world.T_world_cam[at] @ problem.clip.hand.T_cam_hand[at])  # type: ignore[union-attr]

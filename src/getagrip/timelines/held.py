@@ -13,19 +13,19 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Segment
+from getagrip.clip import Clip, Masks, Segment
 from getagrip.fitting.energy import Energy, Term
 from getagrip.fitting.energy.smoothness import moments
-from getagrip.fitting.every_frame import at_every_frame, at_sampled_frames
+from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
 from getagrip.fitting.methods.all_frames import result_of, soft_energy, soft_hinges
 from getagrip.fitting.motion import Hinge, Soft
 from getagrip.fitting.objective import NOTHING, plus
 from getagrip.fitting.problem import MethodResult, Problem, prepare
 from getagrip.fitting.solve import Solution, evaluate, minimise
 from getagrip.geometry import se3
-from getagrip.result import Axis, FrameKind, Status
+from getagrip.result import Axis, Status
 from getagrip.timelines.following import Paths
-from getagrip.timelines.footage import Footage
+from getagrip.timelines.footage import Footage, held_by_hand
 from getagrip.timelines.hypotheses import Hypotheses, in_world
 from getagrip.timelines.link_term import SLIP, WEIGHT, Expected, LinkTerm
 
@@ -49,13 +49,38 @@ class Neighbour:
 
 
 @dataclass(frozen=True)
+class Grasp:
+    """A grasp as a clip of the hand that holds the object, in the frames in which that hand is known.
+
+    Attributes:
+        rows: these frames, of the timeline.
+        problem: at those that are fitted together.
+        sampled: these frames, of the timeline.
+    """
+
+    segment: Segment
+    clip: Clip
+    masks: Masks
+    rows: Int[ndarray, "n"]
+    problem: Problem
+    sampled: Int[ndarray, "m"]
+
+    @staticmethod
+    def of(footage: Footage, segment: Segment) -> Grasp | None:
+        """None where its hand is not known or fewer than two frames show the object."""
+        held = held_by_hand(footage.clip, footage.masks, segment)
+        if held is None:
+            return None
+        clip, masks, rows = held
+        problem = prepare(clip, masks, footage.given.options)
+        return Grasp(segment, clip, masks, rows, problem, rows[clip.index_of(problem.clip.frames)])
+
+
+@dataclass(frozen=True)
 class Held:
     """Solutions of a grasp at the frames of its problem."""
 
-    segment: Segment
-    problem: Problem
-    rows: Int[ndarray, "n"]
-    """The problem's frames in the clip."""
+    grasp: Grasp
     motion: Soft[Hinge]
     energy: Float[ndarray, "K"]
     """Without links."""
@@ -63,18 +88,13 @@ class Held:
     @property
     def hypotheses(self) -> Hypotheses:
         """In the world, at the problem's frames."""
-        poses, T = self.motion.poses(), _T_world_hand(self.problem)
+        poses, T = self.motion.poses(), _T_world_hand(self.grasp.problem)
         return in_world(poses.R, poses.centre, poses.scale, self.energy, T)
 
 
-def prepared(footage: Footage, segment: Segment) -> Problem | None:
-    """The problem of a grasp; None where its hand is not known or fewer than two frames show the object."""
-    held = footage.held(segment)
-    return None if held is None else prepare(held[0], held[1], footage.options)
-
-
-def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Sequence[Neighbour]) -> Held:
+def solved(grasp: Grasp, neighbours: Sequence[Neighbour]) -> Held:
     """The solutions of a grasp. Raises ``GetagripError`` where nothing can be rendered."""
+    problem = grasp.problem
     found = soft_hinges(problem, lambda _: None)
     motion = found.motion
     if neighbours:
@@ -85,8 +105,7 @@ def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Seq
     terms, N = soft_energy(problem)(FINEST, np.arange(len(problem.clip))), len(motion.deviation)
     cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(N, np.inf)).cost
     order = np.argsort(cost, kind="stable")  # all of them: a box turned by half is the same, but for its links
-    rows = footage.clip.index_of(problem.clip.frames)
-    return Held(segment, problem, rows, motion.take(order), cost[order])
+    return Held(grasp, motion.take(order), cost[order])
 
 
 @dataclass(frozen=True)
@@ -98,28 +117,26 @@ class HeldTrack:
     """Which of its solutions."""
     found: MethodResult
     """That, fitted once more with its links, at the problem's frames."""
-    rows: Int[ndarray, "n"]
-    T_cam_hand: Float[ndarray, "n 4 4"]
-    T_hand_obj: Float[ndarray, "n 4 4"]
-    kind: tuple[FrameKind, ...]
-    axis: Axis | None
-    notes: tuple[str, ...]
+    track: Track
+    """That, in all frames."""
+
+    @property
+    def axis(self) -> Axis | None:
+        """Its axis, with the angles in all frames."""
+        axis, angle = self.found.axis, self.track.angle
+        return None if axis is None or angle is None else replace(axis, angle=angle)
 
 
-def in_all_frames(footage: Footage, held: Held, k: int, neighbours: Sequence[Neighbour]) -> HeldTrack:
+def in_all_frames(held: Held, k: int, neighbours: Sequence[Neighbour]) -> HeldTrack:
     """Solution k, fitted once more with its links, in every frame."""
     motion = held.motion.take(np.array([k]))
     energy = {"total": held.energy[[k]]}
     solution = Solution(motion, held.energy[[k]], energy, [Status.FINISHED], 0)
-    problem, found = held.problem, result_of(solution, motion.core, soft_energy)
+    grasp, found = held.grasp, result_of(solution, motion.core, soft_energy)
     if neighbours:
-        found = _polished(problem, found, neighbours)
-    given = footage.held(held.segment)
-    assert given is not None
-    clip, masks, rows = given
-    track = at_every_frame(clip, masks, problem, found, at_sampled_frames(problem, found))
-    axis = None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle)
-    return HeldTrack(held, k, found, rows, track.T_cam_hand, track.T_hand_obj[0], track.kind, axis, problem.notes)
+        found = _polished(grasp.problem, found, neighbours)
+    sampled = at_sampled_frames(grasp.problem, found)
+    return HeldTrack(held, k, found, at_every_frame(grasp.clip, grasp.masks, grasp.problem, found, sampled))
 
 
 def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:
