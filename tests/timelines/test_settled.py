@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from getagrip.fitting.options import Options
-from getagrip.fitting.pipeline import repair_hand
+from getagrip.fitting.pipeline import repair
 from getagrip.geometry import se3
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.motion import Motion
@@ -16,7 +16,7 @@ from helpers.timelines import timeline
 def test_depth_is_mended_and_contact_stays() -> None:
     clip, masks = timeline()
     assert clip.truth is not None
-    footage = Footage.of(repair_hand(clip, masks, Options(inits=20)))
+    footage = Footage.of(repair(clip, masks, Options(inits=20)))
     rows = np.arange(7)  # the object lies still
     true = clip.truth.T_cam_obj[rows]
     middle = se3.transform(true, clip.mesh.centre[None])[:, 0]

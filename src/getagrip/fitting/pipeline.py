@@ -1,6 +1,6 @@
 """The pipeline of every reconstruction: repair the hand, prepare, search, fit all frames, judge.
 
-A grasp by itself (``fitting.grasp``) and a timeline (``timelines.steps``) take the same five steps. They differ in what
+A grasp by itself (``fitting.grasp``) and a timeline (``timelines.reconstruct``) take the same five steps. They differ in what
 is searched, and in what a result is judged by.
 """
 
@@ -176,7 +176,7 @@ def run(
         check_masks(clip, masks)
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress, steps.stages)
-        given = repair_hand(clip, masks, options, threads)
+        given = repair(clip, masks, options, threads)
         prepared = steps.prepare(given, clock)
         found = steps.search(prepared, clock)
         answer = steps.fit_all_frames(prepared, found, clock)
@@ -185,7 +185,7 @@ def run(
     return _result(given.given, given.notes, options, answer, judgement, clock.seconds())
 
 
-def repair_hand(clip: Clip, masks: Masks | None, options: Options, threads: int = 1) -> Input:
+def repair(clip: Clip, masks: Masks | None, options: Options, threads: int = 1) -> Input:
     """The clip with its hand put between its neighbours where it jumps, and a mesh that is not too large."""
     light = clip.light()
     steady, jumps = steady_hand(light, options)

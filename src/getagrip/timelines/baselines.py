@@ -3,7 +3,7 @@
 Propagation after the authors' later code (objects-along-hit): it starts at the longest static segment, goes back to the
 first, on to the last and back again. Each segment is fitted with one more start, the pose of the segment visited before
 it where the two are nearest in time, and keeps the fit with the highest mean IOU over its visits. Static: one pose,
-E_mask. Held or in contact: a free pose per frame, with contact consistency. So it can only gain IOU by propagating, by
+E_mask. GraspSolutions or in contact: a free pose per frame, with contact consistency. So it can only gain IOU by propagating, by
 construction; the weight of its links is 0. Search, optimiser and hand correction are ours.
 """
 
@@ -24,8 +24,8 @@ from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.result import FrameKind
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.held import Grasp, in_all_frames, solved
-from getagrip.timelines.motion import Motion, without_gaps
+from getagrip.timelines.held import Grasp, fit_in_all_frames, solve_grasp
+from getagrip.timelines.motion import Motion, split_at_gaps
 from getagrip.timelines.static_pose import static_hypotheses
 
 
@@ -37,8 +37,8 @@ def grasp_only(footage: Footage) -> Motion:
     for segment in footage.clip.segments:
         grasp = Grasp.of(footage, segment) if segment.state == "grasp" else None
         if grasp is not None:
-            motion.put_grasp(in_all_frames(solved(grasp, []), 0, []))
-            known += without_gaps(segment, grasp.rows)
+            motion.put_grasp(fit_in_all_frames(solve_grasp(grasp, []), 0, []))
+            known += split_at_gaps(segment, grasp.rows)
     _carry(motion, footage, known)
     return motion
 
@@ -58,7 +58,7 @@ def static_only(footage: Footage) -> Motion:
 def _carry(motion: Motion, footage: Footage, known: list[Segment]) -> None:
     """Frames of no known segment from the nearest frame of one: with the hand, or in the world while it is static."""
     if not known:
-        raise InputError(footage.clip.origin, "segments", "none that can be solved alone", "one at least")
+        raise InputError(footage.clip.origin, "segments", "none that can be solve_grasp alone", "one at least")
     there = np.concatenate([segment.rows for segment in known])
     nearest = there[np.argmin(np.abs(np.arange(len(footage))[:, None] - there), axis=1)]
     static = {row: s for s in footage.clip.segments if s.state == "static" for row in s.rows}

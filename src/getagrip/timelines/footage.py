@@ -58,7 +58,7 @@ class Footage:
         masks = read_masks(clip) if given.masks is None else given.masks
         check_masks(clip, masks)
         if clip.scale == "free":
-            scale = scale_of(clip, masks, options)
+            scale = find_scale(clip, masks, options)
             clip = replace(clip, mesh=Mesh(scale * clip.mesh.vertices, clip.mesh.faces), scale="known", truth=None)
         world = clip.world or World(np.tile(np.eye(4), (len(clip), 1, 1)))
         clip = replace(clip, world=world)
@@ -87,7 +87,7 @@ class Footage:
         return [end @ se3.inverse(start) for start, end in T]
 
 
-def held_by_hand(clip: Clip, masks: Masks, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
+def grasp_clip(clip: Clip, masks: Masks, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
     """A grasp as a clip of the hand that holds the object, its masks, and its frames: those in which the hand is known.
 
     None where fewer than two of them show the object. The other hand's pixels are not known apart from all ignored.
@@ -101,9 +101,9 @@ def held_by_hand(clip: Clip, masks: Masks, segment: Segment) -> tuple[Clip, Mask
     return by.take(rows), of_grasp if by is clip else replace(of_grasp, hand=None), rows
 
 
-def scale_of(clip: Clip, masks: Masks, options: Options) -> float:
+def find_scale(clip: Clip, masks: Masks, options: Options) -> float:
     """The object's scale: that of the longest grasp, where hand and camera tell it. Raises ``InputError``."""
-    grasps = [held_by_hand(clip, masks, s) for s in clip.segments if s.state == "grasp"]
+    grasps = [grasp_clip(clip, masks, s) for s in clip.segments if s.state == "grasp"]
     longest = max((grasp for grasp in grasps if grasp is not None), key=lambda grasp: len(grasp[2]), default=None)
     problem = prepare(*(longest[:2] if longest else (clip, masks)), options)
     return float(soft_hinges(problem, lambda _: None).motion.poses().scale[0])

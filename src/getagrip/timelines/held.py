@@ -25,7 +25,7 @@ from getagrip.fitting.solve import Solution, evaluate, minimise
 from getagrip.geometry import se3
 from getagrip.result import Axis, Status
 from getagrip.timelines.following import Paths
-from getagrip.timelines.footage import Footage, held_by_hand
+from getagrip.timelines.footage import Footage, grasp_clip
 from getagrip.timelines.hypotheses import Hypotheses, in_world
 from getagrip.timelines.link_term import SLIP, WEIGHT, Expected, LinkTerm
 
@@ -68,16 +68,16 @@ class Grasp:
     @staticmethod
     def of(footage: Footage, segment: Segment) -> Grasp | None:
         """None where its hand is not known or fewer than two frames show the object."""
-        held = held_by_hand(footage.clip, footage.masks, segment)
-        if held is None:
+        given = grasp_clip(footage.clip, footage.masks, segment)
+        if given is None:
             return None
-        clip, masks, rows = held
+        clip, masks, rows = given
         problem = prepare(clip, masks, footage.given.options)
         return Grasp(segment, clip, masks, rows, problem, rows[clip.index_of(problem.clip.frames)])
 
 
 @dataclass(frozen=True)
-class Held:
+class GraspSolutions:
     """Solutions of a grasp at the frames of its problem."""
 
     grasp: Grasp
@@ -92,7 +92,7 @@ class Held:
         return in_world(poses.R, poses.centre, poses.scale, self.energy, T)
 
 
-def solved(grasp: Grasp, neighbours: Sequence[Neighbour]) -> Held:
+def solve_grasp(grasp: Grasp, neighbours: Sequence[Neighbour]) -> GraspSolutions:
     """The solutions of a grasp. Raises ``GetagripError`` where nothing can be rendered."""
     problem = grasp.problem
     found = soft_hinges(problem, lambda _: None)
@@ -105,14 +105,14 @@ def solved(grasp: Grasp, neighbours: Sequence[Neighbour]) -> Held:
     terms, N = soft_energy(problem)(FINEST, np.arange(len(problem.clip))), len(motion.deviation)
     cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(N, np.inf)).cost
     order = np.argsort(cost, kind="stable")  # all of them: a box turned by half is the same, but for its links
-    return Held(grasp, motion.take(order), cost[order])
+    return GraspSolutions(grasp, motion.take(order), cost[order])
 
 
 @dataclass(frozen=True)
-class HeldTrack:
+class GraspTrack:
     """A grasp in all of its frames in which its hand is known."""
 
-    held: Held
+    solutions: GraspSolutions
     chosen: int
     """Which of its solutions."""
     found: MethodResult
@@ -127,16 +127,16 @@ class HeldTrack:
         return None if axis is None or angle is None else replace(axis, angle=angle)
 
 
-def in_all_frames(held: Held, k: int, neighbours: Sequence[Neighbour]) -> HeldTrack:
+def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Neighbour]) -> GraspTrack:
     """Solution k, fitted once more with its links, in every frame."""
-    motion = held.motion.take(np.array([k]))
-    energy = {"total": held.energy[[k]]}
-    solution = Solution(motion, held.energy[[k]], energy, [Status.FINISHED], 0)
-    grasp, found = held.grasp, result_of(solution, motion.core, soft_energy)
+    motion = solutions.motion.take(np.array([k]))
+    energy = {"total": solutions.energy[[k]]}
+    solution = Solution(motion, solutions.energy[[k]], energy, [Status.FINISHED], 0)
+    grasp, found = solutions.grasp, result_of(solution, motion.core, soft_energy)
     if neighbours:
         found = _polished(grasp.problem, found, neighbours)
     sampled = at_sampled_frames(grasp.problem, found)
-    return HeldTrack(held, k, found, at_every_frame(grasp.clip, grasp.masks, grasp.problem, found, sampled))
+    return GraspTrack(solutions, k, found, at_every_frame(grasp.clip, grasp.masks, grasp.problem, found, sampled))
 
 
 def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:

@@ -23,9 +23,9 @@ from getagrip.fitting.surface import ObjectSurface
 from getagrip.timelines.chain import best_chain, link_cost, second_best
 from getagrip.timelines.following import Paths, follow
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.held import Grasp, Held, Neighbour, in_all_frames, most, solved
+from getagrip.timelines.held import Grasp, GraspSolutions, Neighbour, fit_in_all_frames, most, solve_grasp
 from getagrip.timelines.hypotheses import Hypotheses
-from getagrip.timelines.motion import Motion, without_gaps
+from getagrip.timelines.motion import Motion, split_at_gaps
 from getagrip.timelines.settled import settle
 from getagrip.timelines.static_pose import static_hypotheses
 
@@ -39,18 +39,19 @@ class Anchor:
 
     Attributes:
         found: its hypotheses, at its frames, or at those of its grasp's problem.
-        held: the same of a grasp.
+        solutions: those of a grasp, which ``found`` are of.
         near: the links that it was searched with, if it is a grasp.
     """
 
     segment: Segment
     found: Hypotheses
-    held: Held | None = None
+    solutions: GraspSolutions | None = None
     near: tuple[Neighbour, ...] = ()
 
     def end(self, side: int) -> tuple[Hypotheses, int]:
         """Its hypotheses at the first known frame (side 0) or the last (-1), and which that is."""
-        row = int(self.held.grasp.sampled[side]) if self.held else self.segment.last if side else self.segment.first
+        segment = self.segment
+        row = int(self.solutions.grasp.sampled[side]) if self.solutions else segment.last if side else segment.first
         return self.found.at(np.array([side])), row
 
     def near_at(self, earlier: bool) -> Paths | None:
@@ -69,7 +70,7 @@ class Chain:
     next_best: float
 
 
-def best_hypotheses(footage: Footage, support: bool, on_stage: Callable[[str], None] = lambda _: None) -> Chain:
+def choose_hypotheses(footage: Footage, support: bool, on_stage: Callable[[str], None] = lambda _: None) -> Chain:
     """The chain of least energy; ``support``: whether the plane counts that static objects lie on.
 
     Raises ``InputError`` where no segment shows the object, as static or held.
@@ -90,18 +91,18 @@ def best_hypotheses(footage: Footage, support: bool, on_stage: Callable[[str], N
     return Chain(tuple(anchors), tuple(chosen), energy, second_best(energies, links, copies))
 
 
-def in_every_frame(footage: Footage, chain: Chain, on_stage: Callable[[str], None] = lambda _: None) -> Motion:
+def fill_all_frames(footage: Footage, chain: Chain, on_stage: Callable[[str], None] = lambda _: None) -> Motion:
     """The chosen hypotheses in all frames of their segments, and the frames between."""
     motion, known = Motion.of(footage), list[Segment]()
     for anchor, k in zip(chain.anchors, chain.chosen, strict=True):
-        if anchor.held is None:
+        if anchor.solutions is None:
             motion.put(anchor.segment.rows, anchor.found.take(np.array([k])), "sampled")
             known.append(anchor.segment)
         else:
-            grasp = anchor.held.grasp
-            motion.put_grasp(in_all_frames(anchor.held, k, anchor.near))
+            grasp = anchor.solutions.grasp
+            motion.put_grasp(fit_in_all_frames(anchor.solutions, k, anchor.near))
             settle(motion, grasp.rows, grasp.clip.side)
-            known += without_gaps(anchor.segment, grasp.rows)
+            known += split_at_gaps(anchor.segment, grasp.rows)
     on_stage("all frames")
     motion.fill(known)
     on_stage("between")
@@ -126,8 +127,8 @@ def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> list[An
         if after in static:
             paths = follow(footage, after.first, grasp.sampled[::-1][:m], static[after].at(np.zeros(1, int)))
             near.append(Neighbour(paths.at(frames[::-1]), len(grasp.sampled) - m + frames, earlier=False))
-        held = solved(grasp, near)
-        anchors.append(Anchor(segment, held.hypotheses, held, tuple(near)))
+        solutions = solve_grasp(grasp, near)
+        anchors.append(Anchor(segment, solutions.hypotheses, solutions, tuple(near)))
     return anchors
 
 
@@ -141,7 +142,7 @@ def _copies(surface: ObjectSurface, hypotheses: Hypotheses, k: int) -> Bool[ndar
 def _link(footage: Footage, one: Anchor, other: Anchor) -> Float[ndarray, "K L"]:
     """What each pair of hypotheses of two neighbouring segments costs."""
     mesh, (before, end), (after, begin) = footage.clip.mesh, one.end(-1), other.end(0)
-    problems = [anchor.held.grasp.problem for anchor in (one, other) if anchor.held is not None]
+    problems = [anchor.solutions.grasp.problem for anchor in (one, other) if anchor.solutions is not None]
     weight = most(problems[0]) if problems else float(min(one.found.energy.min(), other.found.energy.min()))
     ahead = other.near_at(earlier=True) or follow(footage, end, np.array([begin]), before)
     behind = one.near_at(earlier=False) or follow(footage, begin, np.array([end]), after)

@@ -24,7 +24,7 @@ from getagrip.fitting.search import suppress_duplicates
 from getagrip.fitting.solve import in_camera
 from getagrip.probability import Probability
 from getagrip.result import SegmentResult
-from getagrip.timelines.held import FINEST, HeldTrack
+from getagrip.timelines.held import FINEST, GraspTrack
 from getagrip.timelines.motion import Motion
 
 CANDIDATES = 4
@@ -51,23 +51,23 @@ def _segment_result(
     """What was found in a segment; signs and a probability are a grasp's."""
     clip, rows, is_grasp = motion.footage.given.given, segment.rows, segment.state == "grasp"
     seen = iou[rows][~np.isnan(iou[rows])]
-    held = motion.held.get(segment.first) if is_grasp else None
-    axis = None if held is None else held.axis
+    grasp = motion.grasps.get(segment.first) if is_grasp else None
+    axis = None if grasp is None else grasp.axis
     lying = segment.state == "static" and clip.world is not None
-    signs = {} if held is None else signs_of(held)
+    signs = {} if grasp is None else read_grasp_signs(grasp)
     return SegmentResult(
         state=segment.state,
         first=clip.frames[segment.first],
         last=clip.frames[segment.last],
         side=segment.side,
         iou=float(seen.mean()) if len(seen) else None,
-        by_masks=is_grasp and held is None,
+        by_masks=is_grasp and grasp is None,
         T_world_obj=clip.world.T_world_cam[rows[0]] @ motion.T_cam_obj[rows[0]] if lying and clip.world else None,
         axis_point=None if axis is None else axis.point,
         axis_direction=None if axis is None else axis.direction,
         checks=checks,
         signs=signs,
-        probability_right=None if held is None else _probability(motion, segment, signs, examined.findings),
+        probability_right=None if grasp is None else _probability(motion, segment, signs, examined.findings),
     )
 
 
@@ -82,11 +82,11 @@ def _probability(
     return right and replace(right, meaning=MEANING)
 
 
-def signs_of(track: HeldTrack) -> dict[str, float]:
+def read_grasp_signs(track: GraspTrack) -> dict[str, float]:
     """The signs of a grasp, at the frames that were fitted together; solutions' energies are without links."""
-    held, found = track.held, track.found
-    problem, poses = held.grasp.problem, held.motion.poses()
-    energy = held.energy.copy()
+    solutions, found = track.solutions, track.found
+    problem, poses = solutions.grasp.problem, solutions.motion.poses()
+    energy = solutions.energy.copy()
     energy[track.chosen] = min(0.0, float(energy.min())) - 1.0
     best = suppress_duplicates(poses, energy, problem.surface, CANDIDATES)
     distinct = poses.take(best)
@@ -95,11 +95,11 @@ def signs_of(track: HeldTrack) -> dict[str, float]:
     mask, *_ = soft_energy(problem)(FINEST, np.arange(len(problem.clip)))
     assert found.motion is not None
     missed = float(mask(in_camera(found.motion, problem.clip.hand.T_cam_hand), np.full(1, np.inf)).value.sum())
-    solutions = replace(
+    result = replace(
         found,
         poses=PosesInHand(R, centre, distinct.scale),
-        energy=held.energy[best],
+        energy=solutions.energy[best],
         terms=found.terms | {"mask": missed},
     )
-    sampled = at_sampled_frames(problem, solutions)
-    return read_signs(solved_of(held.grasp.clip, problem, solutions, sampled, sampled))
+    sampled = at_sampled_frames(problem, result)
+    return read_signs(solved_of(solutions.grasp.clip, problem, result, sampled, sampled))

@@ -15,7 +15,7 @@ from getagrip.geometry import se3
 from getagrip.result import FrameKind
 from getagrip.timelines.between import between
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.held import HeldTrack
+from getagrip.timelines.held import GraspTrack
 from getagrip.timelines.hypotheses import Hypotheses
 
 
@@ -28,14 +28,14 @@ class Motion:
         T_cam_obj: (T, 4, 4) poses of the mesh's own frame in the camera frame.
         T_cam_hands: (T, 4, 4) poses of each known hand, by its side, corrected in its grasps.
         kind: how each frame's pose was found.
-        held: the grasps that were solved as such, by their segment's first frame.
+        grasps: the grasps that were solved as such, by their segment's first frame.
     """
 
     footage: Footage
     T_cam_obj: Float[ndarray, "T 4 4"]
     T_cam_hands: dict[Side, Float[ndarray, "T 4 4"]]
     kind: list[FrameKind]
-    held: dict[int, HeldTrack] = field(default_factory=dict)
+    grasps: dict[int, GraspTrack] = field(default_factory=dict)
 
     @staticmethod
     def of(footage: Footage) -> Motion:
@@ -63,14 +63,14 @@ class Motion:
         for row in self.footage.observed(rows):
             self.kind[row] = kind
 
-    def put_grasp(self, found: HeldTrack) -> None:
+    def put_grasp(self, found: GraspTrack) -> None:
         """A grasp in its frames, and its hand."""
-        grasp, track = found.held.grasp, found.track
+        grasp, track = found.solutions.grasp, found.track
         self.T_cam_obj[grasp.rows] = track.T_cam_hand @ track.T_hand_obj[0]
         self.T_cam_hands[grasp.clip.side][grasp.rows] = track.T_cam_hand
         for row, kind in zip(grasp.rows, track.kind, strict=True):
             self.kind[row] = kind
-        self.held[grasp.segment.first] = found
+        self.grasps[grasp.segment.first] = found
 
     def at(self, row: int) -> Hypotheses:
         """The pose of one frame, in the world."""
@@ -90,7 +90,7 @@ class Motion:
                 self.put(rows, between(self.footage, rows, before, after), "fitted")
 
 
-def without_gaps(segment: Segment, rows: Int[ndarray, "n"]) -> list[Segment]:
+def split_at_gaps(segment: Segment, rows: Int[ndarray, "n"]) -> list[Segment]:
     """The parts of a segment that have no gaps: some of its frames, which rise."""
     parts = np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1)
     return [replace(segment, first=int(part[0]), last=int(part[-1])) for part in parts]

@@ -51,15 +51,15 @@ def settle(motion: Motion, rows: Int[ndarray, "n"], side: Side) -> None:
     ridge = RIDGE[0] * times, RIDGE[1] * times
     T_cam = se3.rigid(motion.T_cam_obj[seen, :3, :3], before)
     still = Fixed(np.eye(3)[None], np.zeros((1, 3)), np.zeros(1), len(seen))
-    held, misfits = Frozen(Soft(still, np.zeros((1, len(seen), 6)), ridge)), 1.0
+    frozen, misfits = Frozen(Soft(still, np.zeros((1, len(seen), 6)), ridge)), 1.0
     energy, smooth = mask_of(problem), smooth_in_world(footage, seen)
     for level, iterations in STAGES:
-        held = Frozen(replace(held.core, ridge=stiffened(ridge, misfits)))
-        found = minimise(held, [*energy(level, everywhere), smooth], T_cam, iterations)
-        held = found.motion
+        frozen = Frozen(replace(frozen.core, ridge=stiffened(ridge, misfits)))
+        found = minimise(frozen, [*energy(level, everywhere), smooth], T_cam, iterations)
+        frozen = found.motion
         if level == STAGES[-1][0]:
             misfits = misfit(problem.observation, float(found.terms["mask"][0]) / len(seen))
-    poses = in_camera(held, T_cam)
+    poses = in_camera(frozen, T_cam)
     moved = np.sum((poses.centre[0] - before) * before, axis=1) / np.sum(before**2, axis=1)
     motion.T_cam_obj[seen] = se3.rigid(poses.R[0], poses.centre[0] - poses.R[0] @ centre)
     hand = motion.T_cam_hands[side]
