@@ -1,7 +1,7 @@
 """The pipeline of every reconstruction: repair the hand, prepare, search, fit all frames, judge.
 
-A grasp by itself (``fitting.grasp``) and a timeline (``timelines.reconstruct``) take the same five steps. They differ in what
-is searched, and in what a result is judged by.
+A grasp by itself (``fitting.grasp``) and a timeline (``timelines.reconstruct``) take the same five steps. They differ
+in what is searched, and in what a result is judged by.
 """
 
 from __future__ import annotations

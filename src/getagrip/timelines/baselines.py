@@ -3,7 +3,7 @@
 Propagation after the authors' later code (objects-along-hit): it starts at the longest static segment, goes back to the
 first, on to the last and back again. Each segment is fitted with one more start, the pose of the segment visited before
 it where the two are nearest in time, and keeps the fit with the highest mean IOU over its visits. Static: one pose,
-E_mask. GraspSolutions or in contact: a free pose per frame, with contact consistency. So it can only gain IOU by propagating, by
+E_mask. Held or in contact: a free pose per frame, with contact consistency. So it can only gain IOU by propagating, by
 construction; the weight of its links is 0. Search, optimiser and hand correction are ours.
 """
 
