@@ -137,14 +137,14 @@ def _of_clips(rows: Mapping[str, dict[str, Cell]], path: Path) -> dict[str, Colu
             "wrong": right.count(0.0),
             "wrong_ambiguous": sum(a for a, r in zip(ambiguous, right, strict=True) if r == 0.0),
             "doubted": sum(doubted),
-            "doubted_right": sum(d for d, r in zip(doubted, right, strict=True) if r == 1.0),
+            "flagged_right": sum(d for d, r in zip(doubted, right, strict=True) if r == 1.0),
         }
         for key, wanted in (("serious", True), ("notes", False)):
             if of := {name: count for name, count in counts if (name in SERIOUS) == wanted}:
                 row[key] = of
     labels = {
         "failed": "failed", "ambiguous": "ambiguous", "wrong": "wrong", "wrong_ambiguous": "of these ambiguous",
-        "doubted": "doubted", "doubted_right": "of these right", "serious": "serious findings", "notes": "notes",
+        "doubted": "doubted", "flagged_right": "of these right", "serious": "serious findings", "notes": "notes",
     }  # fmt: skip
     return {key: Column(key, label) for key, label in labels.items()}
 

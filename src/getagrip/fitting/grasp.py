@@ -8,10 +8,10 @@ from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS, Evidence, examine, read
 from getagrip.clip import Clip
 from getagrip.errors import GetagripError, InputError
 from getagrip.finding import Finding
-from getagrip.fitting.doubted_masks import fitted_to_believed
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
 from getagrip.fitting.judge import probabilities, solved_of
 from getagrip.fitting.methods import METHODS
+from getagrip.fitting.outlier_masks import fit_without_outliers
 from getagrip.fitting.pipeline import Answer, Clock, Input, Judgement, Steps
 from getagrip.fitting.problem import MethodResult, Problem, prepare
 
@@ -27,7 +27,7 @@ class Prepared:
         findings: what is unusual about the input.
     """
 
-    given: Input
+    source: Input
     problem: Problem
     clip: Clip
     checks: dict[str, float]
@@ -49,14 +49,14 @@ class Found:
     sampled: Track
 
 
-def _prepare(given: Input, clock: Clock) -> Prepared:
+def _prepare(source: Input, clock: Clock) -> Prepared:
     """Choose frames, correct the hand, crop the masks; check the input."""
-    problem = prepare(given.clip, given.masks, given.options, given.threads)
+    problem = prepare(source.clip, source.masks, source.options, source.threads)
     clock("prepare")
-    clip = given.clip.take(given.clip.index_of(problem.clip.frames))
-    checks, findings = examine(INPUT_CHECKS, Evidence(clip, problem.given_masks, jumps=given.jumps))
+    clip = source.clip.take(source.clip.index_of(problem.clip.frames))
+    checks, findings = examine(INPUT_CHECKS, Evidence(clip, problem.input_masks, glitches=source.glitches))
     clock("check of the input")
-    return Prepared(given, problem, clip, checks, findings)
+    return Prepared(source, problem, clip, checks, findings)
 
 
 def _search(prepared: Prepared, clock: Clock) -> Found:
@@ -68,7 +68,7 @@ def _search(prepared: Prepared, clock: Clock) -> Found:
     method = METHODS[problem.options.method]
     try:
         if method.checks_masks and problem.options.masks == "checked":
-            problem, found = fitted_to_believed(problem, lambda some: method.fit(some, clock))
+            problem, found = fit_without_outliers(problem, lambda some: method.fit(some, clock))
         else:
             found = method.fit(problem, clock)
             problem = problem.warped(found.warp)
@@ -83,10 +83,10 @@ def _search(prepared: Prepared, clock: Clock) -> Found:
 
 def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:
     """The solutions in all frames that the options ask for."""
-    given, result, problem = prepared.given, found.result, found.problem
-    clip, masks = given.clip, given.masks
+    source, result, problem = prepared.source, found.result, found.problem
+    clip, masks = source.clip, source.masks
     if not problem.options.every_frame:
-        clip, masks = prepared.clip, prepared.problem.given_masks
+        clip, masks = prepared.clip, prepared.problem.input_masks
     track = at_every_frame(clip.warped(result.warp), masks, problem, result, found.sampled)
     clock("every frame")
     return Answer(
@@ -98,7 +98,7 @@ def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:
         terms=result.terms,
         axis=None if result.axis is None or track.angle is None else replace(result.axis, angle=track.angle),
         warp=result.warp,
-        hand_moved=problem.trust.hand_corrected or bool(given.jumps and given.jumps.frames),
+        hand_moved=problem.trust.hand_refined or bool(source.glitches and source.glitches.frames),
         T_cam_other_hand=None,
         notes=problem.notes,
     )
@@ -106,11 +106,11 @@ def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:
 
 def _judge(prepared: Prepared, found: Found, answer: Answer) -> Judgement:
     """What checks and signs say of it, and how probable it is that it is right."""
-    given = prepared.given
-    solved = solved_of(given.clip, found.problem, found.result, found.sampled, answer.track)
+    source = prepared.source
+    solved = solved_of(source.clip, found.problem, found.result, found.sampled, answer.track)
     checks, after = examine(RESULT_CHECKS, solved)
     findings, signs = (*prepared.findings, *after), read_signs(solved)
-    right = probabilities(given.clip, given.options, signs, findings)
+    right = probabilities(source.clip, source.options, signs, findings)
     return Judgement(prepared.checks | checks, findings, signs, right)
 
 

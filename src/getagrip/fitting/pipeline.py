@@ -18,13 +18,13 @@ from threadpoolctl import threadpool_limits
 
 from getagrip.checks import LEAST_IOU
 from getagrip.checks.calibration import Where
-from getagrip.checks.evidence import Jumps
+from getagrip.checks.evidence import Glitches
 from getagrip.clip import Clip, Masks, check_clip, check_masks
 from getagrip.errors import UsageError
 from getagrip.finding import Finding
 from getagrip.fitting.every_frame import Track
-from getagrip.fitting.hand_jumps import steady_hand
 from getagrip.fitting.options import Options
+from getagrip.fitting.tracker_glitches import repair_hand
 from getagrip.geometry.warp import Warp
 from getagrip.probability import Probability
 from getagrip.provenance import assumptions
@@ -52,19 +52,19 @@ class Input:
     """A clip to reconstruct, its hand repaired.
 
     Attributes:
-        given: the clip with the hand as it came; its mesh is not too large to fit (``Clip.light``).
+        original: the clip with the hand as it came; its mesh is not too large to fit (``Clip.light``).
         clip: the same with its hand between its neighbours where it jumps.
         masks: those of the whole clip; None: they are read from its folder.
-        jumps: where the hand jumps; None where nobody looked.
+        glitches: where the hand jumps; None where nobody looked.
         notes: what is to be known about the mesh.
     """
 
-    given: Clip
+    original: Clip
     clip: Clip
     masks: Masks | None
     options: Options
     threads: int = 1
-    jumps: Jumps | None = None
+    glitches: Glitches | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -176,20 +176,20 @@ def run(
         check_masks(clip, masks)
     with threadpool_limits(1, user_api="blas"):
         clock = Clock(progress, steps.stages)
-        given = repair(clip, masks, options, threads)
-        prepared = steps.prepare(given, clock)
+        source = repair(clip, masks, options, threads)
+        prepared = steps.prepare(source, clock)
         found = steps.search(prepared, clock)
         answer = steps.fit_all_frames(prepared, found, clock)
         judgement = steps.judge(prepared, found, answer)
         clock("check of the result")
-    return _result(given.given, given.notes, options, answer, judgement, clock.seconds())
+    return _result(source.original, source.notes, options, answer, judgement, clock.seconds())
 
 
 def repair(clip: Clip, masks: Masks | None, options: Options, threads: int = 1) -> Input:
     """The clip with its hand put between its neighbours where it jumps, and a mesh that is not too large."""
     light = clip.light()
-    steady, jumps = steady_hand(light, options)
-    return Input(light, steady, masks, options, threads, jumps, tuple(light.mesh.stands_for(clip.mesh, "fitted")))
+    steady, glitches = repair_hand(light, options)
+    return Input(light, steady, masks, options, threads, glitches, tuple(light.mesh.stands_for(clip.mesh, "fitted")))
 
 
 def _result(
@@ -242,7 +242,7 @@ def _result(
 def _ending(answer: Answer, failed: str) -> tuple[Status, str]:
     """How it ended, in a word and a sentence; ``failed`` are segments whose masks are hardly met."""
     track = answer.track
-    shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.doubted)
+    shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.outliers)
     mean_iou = float(np.nansum(track.iou)) / shown  # a doubted mask is one that is not explained
     if mean_iou < LEAST_IOU:
         return Status.MISFIT, UNEXPLAINED.format(mean_iou)

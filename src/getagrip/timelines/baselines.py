@@ -24,7 +24,7 @@ from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.result import FrameKind
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.held import Grasp, fit_in_all_frames, solve_grasp
+from getagrip.timelines.grasp_segment import Grasp, fit_in_all_frames, solve_grasp
 from getagrip.timelines.motion import Motion, split_at_gaps
 from getagrip.timelines.static_pose import static_hypotheses
 
@@ -78,9 +78,9 @@ def _carry(motion: Motion, footage: Footage, known: list[Segment]) -> None:
 
 def _with_hand(motion: Motion, footage: Footage, source: int, row: int) -> Float[ndarray, "4 4"]:
     """The pose in the world of an object that goes with the given hand from one frame to another."""
-    given = footage.clip.hand.T_cam_hand
-    T_hand_obj = se3.inverse(given[source]) @ motion.T_cam_obj[source]
-    return np.asarray(footage.T_world_cam[row] @ given[row] @ T_hand_obj)
+    T_cam_hand = footage.clip.hand.T_cam_hand
+    T_hand_obj = se3.inverse(T_cam_hand[source]) @ motion.T_cam_obj[source]
+    return np.asarray(footage.T_world_cam[row] @ T_cam_hand[row] @ T_hand_obj)
 
 
 def propagate(footage: Footage) -> Motion:
@@ -120,7 +120,7 @@ def _visit(
         T_cam_hand, kind = footage.clip.hand.T_cam_hand[rows], tuple("sampled" for _ in rows)
     else:
         clip, masks = footage.clip.take(rows), footage.masks.take(rows)
-        problem = prepare(clip, masks, replace(footage.given.options, method="contact-consistency"))
+        problem = prepare(clip, masks, replace(footage.source.options, method="contact-consistency"))
         if start is not None:
             at = 0 if before is not None and before < n else -1
             T_hand_world = se3.inverse(problem.clip.world.T_world_cam[at] @ problem.clip.hand.T_cam_hand[at])  # type: ignore[union-attr]

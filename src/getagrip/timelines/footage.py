@@ -26,7 +26,7 @@ class Footage:
     """What a timeline is reconstructed from.
 
     Attributes:
-        given: the clip as it came.
+        source: the clip as it came.
         clip: the clip at its scale, its hand repaired, with a world: without one, the camera's own frame stands for it.
         masks: those of the clip.
         scale: of the mesh that was given.
@@ -36,7 +36,7 @@ class Footage:
         shown: (T,) the frames whose masks show the object.
     """
 
-    given: Input
+    source: Input
     clip: Clip
     masks: Masks
     scale: float
@@ -46,16 +46,16 @@ class Footage:
     shown: Bool[ndarray, "T"]
 
     @staticmethod
-    def of(given: Input) -> Footage:
+    def of(source: Input) -> Footage:
         """Read masks that were not given, and find a free scale.
 
         Raises ``UsageError`` for another method than the soft hinge, ``InputError`` where the object is visible in
         fewer than two frames.
         """
-        clip, options, scale = given.clip, given.options, 1.0
+        clip, options, scale = source.clip, source.options, 1.0
         if options.method != METHOD:
             raise UsageError(f"method must be {METHOD!r} for a clip with segments (got {options.method!r})")
-        masks = read_masks(clip) if given.masks is None else given.masks
+        masks = read_masks(clip) if source.masks is None else source.masks
         check_masks(clip, masks)
         if clip.scale == "free":
             scale = find_scale(clip, masks, options)
@@ -64,7 +64,7 @@ class Footage:
         clip = replace(clip, world=world)
         some = prepare(clip, masks, replace(options, frames=2, hands="as-given"))
         T_world_cam = world.T_world_cam
-        return Footage(given, clip, masks, scale, some, T_world_cam, se3.inverse(T_world_cam), masks.observed)
+        return Footage(source, clip, masks, scale, some, T_world_cam, se3.inverse(T_world_cam), masks.observed)
 
     def __len__(self) -> int:
         return len(self.clip)
@@ -92,7 +92,7 @@ def grasp_clip(clip: Clip, masks: Masks, segment: Segment) -> tuple[Clip, Masks,
 
     None where fewer than two of them show the object. The other hand's pixels are not known apart from all ignored.
     """
-    by, rows = clip.held_by(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
+    by, rows = clip.with_side(segment.side), segment.rows[clip.hand_known(segment.side)[segment.rows]]
     if by is None or not len(rows):
         return None
     of_grasp = masks.take(rows)

@@ -23,7 +23,7 @@ from getagrip.fitting.surface import ObjectSurface
 from getagrip.timelines.chain import best_chain, link_cost, second_best
 from getagrip.timelines.following import Paths, follow
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.held import Grasp, GraspSolutions, Neighbour, fit_in_all_frames, most, solve_grasp
+from getagrip.timelines.grasp_segment import Grasp, GraspSolutions, Neighbour, fit_in_all_frames, most, solve_grasp
 from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.motion import Motion, split_at_gaps
 from getagrip.timelines.settled import settle
@@ -81,8 +81,8 @@ def choose_hypotheses(footage: Footage, support: bool, on_stage: Callable[[str],
     anchors = _with_grasps(footage, static)
     on_stage("grasps")
     if not anchors:
-        given = "no static segment and no grasp by a known hand that shows the object in two frames"
-        raise InputError(footage.clip.origin, "segments", given, "one at least")
+        got = "no static segment and no grasp by a known hand that shows the object in two frames"
+        raise InputError(footage.clip.origin, "segments", got, "one at least")
     links = [_link(footage, *ends) for ends in itertools.pairwise(anchors)]
     energies = [anchor.found.energy for anchor in anchors]
     chosen, energy = best_chain(energies, links)

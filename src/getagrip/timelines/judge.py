@@ -24,7 +24,7 @@ from getagrip.fitting.search import suppress_duplicates
 from getagrip.fitting.solve import in_camera
 from getagrip.probability import Probability
 from getagrip.result import SegmentResult
-from getagrip.timelines.held import FINEST, GraspTrack
+from getagrip.timelines.grasp_segment import FINEST, GraspTrack
 from getagrip.timelines.motion import Motion
 
 CANDIDATES = 4
@@ -37,7 +37,7 @@ def judge_motion(motion: Motion, iou: Float[ndarray, "T"]) -> Judgement:
     """Check a motion and its parts; ``iou`` is that of each frame, NaN where no mask shows the object."""
     footage = motion.footage
     hands = motion.T_cam_hand, motion.T_cam_obj, footage.scale, iou, motion.T_cam_other_hand
-    examined = examine_timeline(footage.given.given, footage.masks, *hands, footage.given.jumps)
+    examined = examine_timeline(footage.source.original, footage.masks, *hands, footage.source.glitches)
     segments = tuple(
         _segment_result(motion, segment, iou, checks, examined)
         for segment, checks in zip(footage.clip.segments, examined.of_segments, strict=True)
@@ -49,7 +49,7 @@ def _segment_result(
     motion: Motion, segment: Segment, iou: Float[ndarray, "T"], checks: dict[str, float], examined: Examined
 ) -> SegmentResult:
     """What was found in a segment; signs and a probability are a grasp's."""
-    clip, rows, is_grasp = motion.footage.given.given, segment.rows, segment.state == "grasp"
+    clip, rows, is_grasp = motion.footage.source.original, segment.rows, segment.state == "grasp"
     seen = iou[rows][~np.isnan(iou[rows])]
     grasp = motion.grasps.get(segment.first) if is_grasp else None
     axis = None if grasp is None else grasp.axis
@@ -78,7 +78,7 @@ def _probability(
     clip, names = motion.footage.clip, {check.name for check in INPUT_CHECKS}
     others = tuple(f"{name_of(clip, one)}: " for one in clip.segments if one is not segment)
     of_input = [one for one in findings if one.check in names and not one.message.startswith(others)]
-    right = probability_right(motion.footage.given.options, signs, of_input)
+    right = probability_right(motion.footage.source.options, signs, of_input)
     return right and replace(right, meaning=MEANING)
 
 

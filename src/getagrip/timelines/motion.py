@@ -15,7 +15,7 @@ from getagrip.geometry import se3
 from getagrip.result import FrameKind
 from getagrip.timelines.between import between
 from getagrip.timelines.footage import Footage
-from getagrip.timelines.held import GraspTrack
+from getagrip.timelines.grasp_segment import GraspTrack
 from getagrip.timelines.hypotheses import Hypotheses
 
 

@@ -69,9 +69,9 @@ class TimelineAnswer(Answer):
     motion: Motion
 
 
-def _prepare(given: Input, clock: Clock) -> Footage:
+def _prepare(source: Input, clock: Clock) -> Footage:
     """Read the masks, find the scale."""
-    footage = Footage.of(given)
+    footage = Footage.of(source)
     clock("prepare")
     return footage
 
@@ -85,8 +85,8 @@ def _search(footage: Footage, clock: Clock) -> Chain:
         return choose_hypotheses(footage, support=True, on_stage=clock)
     except GetagripError as error:
         of_clip = [check for check in INPUT_CHECKS if check.name not in WITH_HAND]
-        given = footage.given.given
-        clip = replace(footage.clip, hand=given.hand, world=given.world)
+        original = footage.source.original
+        clip = replace(footage.clip, hand=original.hand, world=original.world)
         serious = [finding for finding in examine(of_clip, Evidence(clip, footage.masks))[1] if finding.serious]
         if not serious:
             raise
@@ -95,7 +95,7 @@ def _search(footage: Footage, clock: Clock) -> Chain:
 
 def _fit_all_frames(footage: Footage, chain: Chain, clock: Clock) -> TimelineAnswer:
     """The motion over all segments and what lies between them."""
-    motion, clip, given = fill_all_frames(footage, chain, clock), footage.clip, footage.given
+    motion, clip = fill_all_frames(footage, chain, clock), footage.clip
     T_cam_hand = motion.T_cam_hand
     T_hand_obj = se3.inverse(T_cam_hand) @ motion.T_cam_obj
     iou = np.where(footage.shown, image_iou(clip.with_hand_at(T_cam_hand), footage.masks, T_hand_obj, 1.0), np.nan)
@@ -108,7 +108,7 @@ def _fit_all_frames(footage: Footage, chain: Chain, clock: Clock) -> TimelineAns
         terms={},
         axis=None,
         warp=None,
-        hand_moved=not np.array_equal(T_cam_hand, given.given.hand.T_cam_hand),
+        hand_moved=not np.array_equal(T_cam_hand, footage.source.original.hand.T_cam_hand),
         T_cam_other_hand=motion.T_cam_other_hand,
         notes=(*_notes_of_grasps(motion), *footage.some.notes),
         motion=motion,

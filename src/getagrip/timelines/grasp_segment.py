@@ -68,11 +68,11 @@ class Grasp:
     @staticmethod
     def of(footage: Footage, segment: Segment) -> Grasp | None:
         """None where its hand is not known or fewer than two frames show the object."""
-        given = grasp_clip(footage.clip, footage.masks, segment)
-        if given is None:
+        of_hand = grasp_clip(footage.clip, footage.masks, segment)
+        if of_hand is None:
             return None
-        clip, masks, rows = given
-        problem = prepare(clip, masks, footage.given.options)
+        clip, masks, rows = of_hand
+        problem = prepare(clip, masks, footage.source.options)
         return Grasp(segment, clip, masks, rows, problem, rows[clip.index_of(problem.clip.frames)])
 
 
