@@ -106,7 +106,8 @@ class Reconstruct(Command):
             pace = Pace(bar, "clips", len(jobs))
             engine = Engine(
                 work=find_one, lost=lost, entry=entry_of, options=[asdict(jobs[0].options), jobs[0].alone],
-                executor=share.executor(len(jobs)), limits=share.limits, prepare=load, in_this=partial(shown, bar, find_one),
+                executor=share.executor(len(jobs)), limits=share.limits, prepare=load,
+                in_this=partial(shown, bar, find_one),
             )  # fmt: skip
             with closing(engine.run(jobs, ledger)) as ends:
                 for one in ends:

@@ -27,8 +27,8 @@ CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed
 def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Solved:
     """A result as its checks and signs look at it.
 
-    ``given`` is the clip with its hand and mesh as they came; ``sampled`` and ``whole`` are the poses in the frames
-    that were fitted together and in every frame.
+    ``input_clip`` has the hand and the mesh as they came; ``sampled`` and ``whole`` are the poses in the frames that
+    were fitted together and in every frame.
     """
     scale = float(found.poses.scale[0])
     deformed = 0.0 if found.warp is None else found.warp.displacement(input_clip.mesh)

@@ -197,8 +197,8 @@ def _prepared(
     if observation.has_gaps:
         notes.append("masks leave gaps between the object and what hides it: what lies in them does not count")
     return Problem(
-        clip=clip, masks=masks, input_masks=masks_input, observation=observation, surface=surface.result(), options=options,
-        prior_poses=poses, notes=tuple(notes), threads=threads,
+        clip=clip, masks=masks, input_masks=masks_input, observation=observation, surface=surface.result(),
+        options=options, prior_poses=poses, notes=tuple(notes), threads=threads,
         trust=Trust(hand_refined=correction is not None, hand_differing=differing, hand_drawn=hand_drawn),
     )  # fmt: skip
 
