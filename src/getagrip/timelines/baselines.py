@@ -1,4 +1,4 @@
-"""Ways to reconstruct a timeline without joining its segments, and the authors' propagation, to compare with.
+"""The variants that a benchmark of timelines compares: without joining segments, the authors' propagation, and ours.
 
 Propagation after the authors' later code (objects-along-hit): it starts at the longest static segment, goes back to the
 first, on to the last and back again. Each segment is fitted with one more start, the pose of the segment visited before
@@ -9,22 +9,26 @@ construction; the weight of its links is 0. Search, optimiser and hand correctio
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from getagrip.clip import Segment
+from getagrip.clip import Clip, Masks, Segment
 from getagrip.errors import InputError
 from getagrip.fitting.every_frame import at_every_frame, at_sampled_frames
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.methods import contact_consistency
+from getagrip.fitting.options import Options
+from getagrip.fitting.pipeline import repair
 from getagrip.fitting.problem import prepare
 from getagrip.geometry import se3
 from getagrip.result import FrameKind
 from getagrip.timelines.footage import Footage
 from getagrip.timelines.grasp_segment import Grasp, fit_in_all_frames, solve_grasp
+from getagrip.timelines.joint import choose_hypotheses, fill_all_frames
 from getagrip.timelines.motion import Motion, split_at_gaps
 from getagrip.timelines.static_pose import static_hypotheses
 
@@ -139,3 +143,18 @@ def _visit(
         motion.T_cam_obj[rows], motion.T_cam_hand[rows] = T_cam_obj, T_cam_hand
         for row, how in zip(rows, kind, strict=True):
             motion.kind[row] = how
+
+
+VARIANTS: dict[str, Callable[[Footage], Motion]] = {
+    "grasp only": grasp_only,
+    "static only": static_only,
+    "propagate": propagate,
+    "joint": lambda footage: fill_all_frames(footage, choose_hypotheses(footage, support=False)),
+    "joint + plane": lambda footage: fill_all_frames(footage, choose_hypotheses(footage, support=True)),
+}
+"""The last is what ``getagrip reconstruct`` does."""
+
+
+def reconstruct_with(variant: str, clip: Clip, masks: Masks, options: Options) -> Motion:
+    """An object's motion in a clip of known scale, found by a variant. Raises as that variant does."""
+    return VARIANTS[variant](Footage.of(repair(clip, masks, options)))
