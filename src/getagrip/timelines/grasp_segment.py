@@ -18,7 +18,7 @@ from getagrip.fitting.energy import Energy, Term
 from getagrip.fitting.energy.smoothness import moments
 from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
 from getagrip.fitting.methods.all_frames import result_of, soft_energy, soft_hinges
-from getagrip.fitting.motion import Hinge, Soft
+from getagrip.fitting.motion import Hinge, Soft, moved
 from getagrip.fitting.objective import NOTHING, plus
 from getagrip.fitting.problem import MethodResult, Problem, prepare
 from getagrip.fitting.solve import Solution, evaluate, minimise
@@ -26,7 +26,7 @@ from getagrip.geometry import se3
 from getagrip.result import Axis, Status
 from getagrip.timelines.following import Paths
 from getagrip.timelines.footage import Footage, grasp_clip
-from getagrip.timelines.hypotheses import Hypotheses, in_world
+from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.link_term import SLIP, WEIGHT, Expected, LinkTerm
 
 FINEST = 256
@@ -88,8 +88,8 @@ class GraspSolutions:
     @property
     def hypotheses(self) -> Hypotheses:
         """In the world, at the problem's frames."""
-        poses, T = self.motion.poses(), _T_world_hand(self.grasp.problem)
-        return in_world(poses.R, poses.centre, poses.scale, self.energy, T)
+        poses = moved(self.motion.poses(), _T_world_hand(self.grasp.problem))
+        return Hypotheses(poses.R, poses.centre, poses.scale, self.energy)
 
 
 def solve_grasp(grasp: Grasp, neighbours: Sequence[Neighbour]) -> GraspSolutions:
@@ -162,14 +162,14 @@ def _link(problem: Problem, neighbour: Neighbour) -> Energy:
     """The energy of one link."""
     clip, frames, expected = problem.clip, neighbour.frames, neighbour.paths.found
     assert clip.world is not None
-    R, centre = expected.seen_from(se3.inverse(clip.world.T_world_cam[frames]))
+    seen = moved(expected, se3.inverse(clip.world.T_world_cam[frames]))
     of, size = moments(clip.mesh.vertices - clip.mesh.centre), SLIP * clip.mesh.diameter
     cost = expected.energy - expected.energy.min()
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
         share = len(index) / len(clip)
         here = np.flatnonzero(np.isin(frames, index))
-        known = Expected(np.searchsorted(index, frames[here]), R[:, here], centre[:, here], share * cost)
+        known = Expected(np.searchsorted(index, frames[here]), seen.R[:, here], seen.centre[:, here], share * cost)
         return [LinkTerm(of, known, share * most(problem), size)]
 
     return terms

@@ -17,7 +17,6 @@ from numpy import ndarray
 
 from getagrip.clip import Segment
 from getagrip.errors import InputError
-from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.search import suppress_duplicates
 from getagrip.fitting.surface import ObjectSurface
 from getagrip.timelines.chain import best_chain, link_cost, second_best
@@ -134,8 +133,7 @@ def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> list[An
 
 def _copies(surface: ObjectSurface, hypotheses: Hypotheses, k: int) -> Bool[ndarray, "K"]:
     """Which hypotheses put the object's surface where hypothesis k has it, k included."""
-    poses = PosesInHand(hypotheses.R, hypotheses.centre, hypotheses.scale)
-    pairs = (poses.take(np.array([k, other])) for other in range(len(hypotheses.scale)))
+    pairs = (hypotheses.take(np.array([k, other])) for other in range(len(hypotheses.scale)))
     return np.array([len(suppress_duplicates(pair, np.zeros(2), surface, 2)) == 1 for pair in pairs])
 
 

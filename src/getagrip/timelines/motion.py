@@ -11,7 +11,6 @@ from numpy import ndarray
 
 from getagrip.clip import Segment
 from getagrip.clip.timeline import Side
-from getagrip.geometry import se3
 from getagrip.result import FrameKind
 from getagrip.timelines.between import between
 from getagrip.timelines.footage import Footage
@@ -74,9 +73,8 @@ class Motion:
 
     def at(self, row: int) -> Hypotheses:
         """The pose of one frame, in the world."""
-        T = self.footage.T_world_cam[row] @ self.T_cam_obj[row]
-        centre = se3.transform(T, self.footage.clip.mesh.centre[None])
-        return Hypotheses(T[None, None, :3, :3], centre[None], np.ones(1), np.zeros(1))
+        T_world_obj = self.footage.T_world_cam[row] @ self.T_cam_obj[row]
+        return Hypotheses.of_pose(T_world_obj, self.footage.clip.mesh.centre)
 
     def fill(self, known: list[Segment]) -> None:
         """The frames between segments that are known, and before and after them."""
