@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
 
 from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import repair
@@ -40,3 +42,15 @@ def test_motion_is_no_jitter() -> None:
     assert depth_jitter(still) == 0.0
     still[:, 2] += rng.normal(0.0, 0.005, 400)
     assert 0.009 < depth_jitter(still) < 0.016  # second differences of white noise are sqrt(6) times as large
+
+
+@given(st.integers(0, 99))
+def test_jitter_knows_no_frame_no_direction_of_time_and_no_unit(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    places = np.array([0.05, 0.0, 0.6]) + rng.normal(0.0, 1e-3, (50, 3))
+    places *= 1.0 + rng.normal(0.0, 0.01, (50, 1))
+    jitter, R = depth_jitter(places), se3.exp_so3(rng.normal(size=3))
+    assert jitter > 0.0
+    np.testing.assert_allclose(depth_jitter(places @ R.T), jitter, rtol=1e-9)
+    np.testing.assert_allclose(depth_jitter(0.5 * places), 0.5 * jitter, rtol=1e-9)
+    np.testing.assert_allclose(depth_jitter(places[::-1]), jitter, rtol=0.2)  # rays differ by what jitters
