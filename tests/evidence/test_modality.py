@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from getagrip.fitting.reconstruct import reconstruct
 from jaxtyping import Float, Int
 from numpy import ndarray
 
@@ -19,7 +20,6 @@ from getagrip.fitting.energy.reprojection import ReprojectionTerm
 from getagrip.fitting.judge import uncalibrated
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import Problem
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.io import arrays, files

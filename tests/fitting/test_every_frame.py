@@ -20,10 +20,10 @@ from getagrip.fitting.methods.all_frames import soft_hinge
 from getagrip.fitting.motion import PosesInHand, interpolated
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.result import Reconstruction, read_result, write_result
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene
 
 HIDDEN = (5, 6)

@@ -14,8 +14,9 @@ from getagrip.clip import FrameMasks, Masks
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.options import Options
-from getagrip.fitting.reconstruct import AMBIGUOUS, reconstruct
+from getagrip.fitting.pipeline import AMBIGUOUS
 from getagrip.geometry import se3
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.clips import small_clip
 from helpers.reconstructions import DEFAULT, found
 from helpers.scenes import SHORT, SMALL, scene, scores

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
-from getagrip.checks import Solved, examine, read_signs, result_checks
+from getagrip.checks import Solved
 from getagrip.checks.calibrated import CALIBRATIONS
 from getagrip.checks.calibration import Where
 from getagrip.clip import Clip
@@ -26,30 +26,15 @@ TERMS = ("total", "mask", "push", "pull", "consistency", "prior")
 """Names in the energy that was calibrated."""
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """What is known of a result without ground truth.
+def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Solved:
+    """A result as its checks and signs look at it.
 
-    Attributes:
-        checks: what each check of the result has measured, by its name.
-        findings: what is unusual about it.
-        signs: what is known about whether it is right, by name.
-    """
-
-    checks: dict[str, float]
-    findings: tuple[Finding, ...]
-    signs: dict[str, float]
-
-
-def judge(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Judgement:
-    """Check a result.
-
-    ``given`` is the clip with its hand and mesh as they came; ``sampled`` and ``whole`` are the poses in the frames
-    that were fitted together and in every frame.
+    ``input_clip`` has the hand and the mesh as they came; ``sampled`` and ``whole`` are the poses in the frames that
+    were fitted together and in every frame.
     """
     scale = float(found.poses.scale[0])
     deformed = 0.0 if found.warp is None else found.warp.displacement(input_clip.mesh)
-    solved = Solved(
+    return Solved(
         problem.clip, problem.input_masks, sampled.T_hand_obj[0], scale, whole.iou,
         outliers=whole.outliers, deformed=deformed / input_clip.mesh.diameter, deformed_mm=1e3 * scale * deformed,
         candidates=Candidates(sampled.T_hand_obj, found.poses.scale, found.energy), axis=found.axis,
@@ -58,8 +43,6 @@ def judge(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Trac
         misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
         spread=pose_spread(problem, found), scale_check=scale_check(problem, found),
     )  # fmt: skip
-    measured, findings = examine(result_checks(), solved)
-    return Judgement(measured, findings, read_signs(solved))
 
 
 def probabilities(

@@ -51,10 +51,17 @@ class Paths:
 
 
 def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypotheses) -> Paths:
-    """Hypotheses of the frame ``begin``, taken through others in the given order, which may lead back in time.
+    """Hypotheses of the frame ``begin`` in later frames, or in earlier ones, in the order in which they are met.
 
-    In frames that do not show the object it stays where it was.
+    Frames between are passed as well. In frames that do not show the object it stays where it was.
     """
+    step = 1 if rows[-1] > begin else -1
+    through = np.arange(begin + step, rows[-1] + step, step)
+    return _followed(footage, begin, through, start).at((rows - through[0]) * step)
+
+
+def _followed(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypotheses) -> Paths:
+    """Hypotheses of the frame ``begin`` from frame to frame."""
     seen = footage.observed(rows)
     energy = evidence_of(footage.problem(seen)) if len(seen) else NOTHING
     about = moments(footage.clip.mesh.vertices - footage.clip.mesh.centre)
