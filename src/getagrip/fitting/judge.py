@@ -56,7 +56,7 @@ def judge(given: Clip, problem: Problem, found: MethodResult, sampled: Track, wh
         misfit=misfit(problem.observation, found.terms["mask"] / len(problem.clip)),
         spread=pose_spread(problem, found), other_size=other_size(problem, found),
     )  # fmt: skip
-    measured, findings = examine(RESULT_CHECKS, solved)
+    measured, findings = examine(RESULT_CHECKS.working().values(), solved)
     return Judgement(measured, findings, read_signs(solved))
 
 

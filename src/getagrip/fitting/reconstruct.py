@@ -59,7 +59,7 @@ def reconstruct(
         problem = prepare(light, masks, options, threads)
         clock("prepare")
         given = Evidence(light.take(light.index_of(problem.clip.frames)), problem.given_masks, jumps=jumps)
-        measured, findings = examine(INPUT_CHECKS, given)
+        measured, findings = examine(INPUT_CHECKS.working().values(), given)
         clock("check of the input")
         problem, found = _searched(problem, clock, findings)
         sampled, whole = _followed(light, masks, given, problem, found, clock)

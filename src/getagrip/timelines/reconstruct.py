@@ -92,7 +92,7 @@ def reconstruct(
         try:
             motion = joint(footage, on_stage=clock)
         except GetagripError as error:
-            of_clip = [check for check in INPUT_CHECKS if check.name not in WITH_HAND]
+            of_clip = [check for check in INPUT_CHECKS.working().values() if check.name not in WITH_HAND]
             serious = [finding for finding in examine(of_clip, Evidence(light, masks))[1] if finding.serious]
             if not serious:
                 raise
@@ -176,7 +176,7 @@ def probability_of(
     track = motion.held.get(segment.first)
     if segment.state != "grasp" or track is None:
         return {}, None
-    signs, names = signs_of(footage, track), {check.name for check in INPUT_CHECKS}
+    signs, names = signs_of(footage, track), {*INPUT_CHECKS}
     others = tuple(f"{name_of(clip, one)}: " for one in clip.segments if one is not segment)
     of_input = [one for one in findings if one.check in names and not one.message.startswith(others)]
     right = probability_right(footage.options, signs, of_input)
