@@ -218,7 +218,7 @@ def file_names(frames: Sequence[str]) -> list[str]:
     return [f"{n:06d}" for n in range(len(frames))]
 
 
-def _names(given: object) -> dict[str, str]:
+def _names(entry: object) -> dict[str, str]:
     """Names of a clip's provenance as they can be in those of files; nothing of what are none."""
-    named = given.items() if isinstance(given, dict) else ()
+    named = entry.items() if isinstance(entry, dict) else ()
     return {str(key): word(value) for key, value in named if isinstance(value, str)}
