@@ -175,11 +175,11 @@ class Project:
         """
         name, count, tab = versions.annotator(annotator), 0, str(uuid4())
         there = [task for task in self.tasks.values() if task.path is not None]
-        for task, labels in segments_of(path, there):
+        for task, listed in segments_of(path, there):
             footage = self.footage(task)
             if any(mark.start is not None for mark in self.store.marks.standing(task.key, name)):
                 raise RefusedError(f"{name} has marked segments of {task.key} already: choose another --annotator")
-            for one in labels.at(Names(footage), has_world=True):
+            for one in listed.at(Names(footage), has_world=True):
                 side = one.side or task.side
                 sets = {"start": one.first, "end": one.last, "state": one.state}
                 self._mark(task, name, tab, sets | ({} if side is None else {"side": side}))
