@@ -21,7 +21,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from getagrip.commands.command import Command
-from getagrip.errors import GetagripError
+from getagrip.errors import GetagripError, UsageError
 from getagrip.io.arguments import OptionalFolder
 
 EXTRAS = {
@@ -57,7 +57,7 @@ class Doctor(Command):
         """
         print(f"getagrip {metadata.version('getagrip')}, Python {platform.python_version()}, {platform.platform()}")
         wrong = False
-        for check in (_libraries(), _extras(), _clusters(self.address), _machine(), _mano(self.mano)):
+        for check in (_libraries(), _extras(), _plugins(), _clusters(self.address), _machine(), _mano(self.mano)):
             for state, words in check:
                 print(f"{state:<8} {words}", flush=True)
                 wrong |= state in ("MISSING", "BROKEN")
@@ -86,6 +86,25 @@ def _extras() -> Iterator[Line]:
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     needed = "pages of `report`, `view` and `annotate` open in one: install Chromium or Firefox, or open them elsewhere"
     yield ("ok", f"browser {found}") if found else ("without", f"browser; {needed}")
+
+
+def _plugins() -> Iterator[Line]:
+    """What other packages add."""
+    import getagrip.checks
+    import getagrip.commands.datasets
+    import getagrip.evaluation
+    import getagrip.export
+    import getagrip.hands.trackers  # noqa: F401 - all tables
+    from getagrip.io.plugins import TABLES
+
+    for table in TABLES.values():
+        for name, plugin in table.plugins.items():
+            try:
+                table[name]
+            except UsageError as error:
+                yield "BROKEN", str(error)
+            else:
+                yield "ok", str(plugin)
 
 
 def _clusters(address: str | None) -> Iterator[Line]:

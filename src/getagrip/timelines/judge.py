@@ -75,7 +75,7 @@ def _probability(
     motion: Motion, segment: Segment, signs: dict[str, float], findings: Sequence[Finding]
 ) -> Probability | None:
     """How probable it is that a grasp is right; findings about other segments say nothing of it."""
-    clip, names = motion.footage.clip, {check.name for check in INPUT_CHECKS}
+    clip, names = motion.footage.clip, {*INPUT_CHECKS}
     others = tuple(f"{name_of(clip, one)}: " for one in clip.segments if one is not segment)
     of_input = [one for one in findings if one.check in names and not one.message.startswith(others)]
     right = probability_right(motion.footage.source.options, signs, of_input)
