@@ -9,6 +9,7 @@ the prior on poses, and the whole is smoothed over time.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -119,7 +120,7 @@ def _bridged(rows: Int[ndarray, "n"], count: int) -> Bool[ndarray, "T"]:
     kept = np.zeros(count, dtype=bool)
     at = rows - rows[0]
     kept[at] = True
-    for a, b in zip(at[:-1], at[1:], strict=True):
+    for a, b in pairwise(at):
         if b - a <= GAP + 1:
             kept[a:b] = True
     return kept
