@@ -28,8 +28,8 @@ class UprightTerm:
 
 
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """The soft hinge with one term more, at any frames of a clip."""
-    return soft_hinge(problem, on_stage, more=lambda at: lambda level, frames: [UprightTerm(10.0)])
+    """The soft hinge with one term more."""
+    return soft_hinge(problem, on_stage, more=lambda _: lambda level, frames: [UprightTerm(10.0)])
 
 
 UPRIGHT = Method("upright", fit, has_axis=True)
