@@ -107,5 +107,5 @@ def test_distance_is_nothing_where_poses_are_the_same_and_the_same_both_ways() -
     one, other = some_ends(0, 4), some_ends(1, 3)
     np.testing.assert_allclose(np.diag(distance2(MESH, one, one)), 0.0, atol=1e-15)
     np.testing.assert_allclose(distance2(MESH, one, other), distance2(MESH, other, one).T)
-    shifted = Hypotheses(one.R, one.centre + [0.0, 0.03, 0.04], one.scale, one.energy)
+    shifted = Hypotheses(one.R, one.centre + np.array([0.0, 0.03, 0.04]), one.scale, one.energy)
     np.testing.assert_allclose(np.diag(distance2(MESH, one, shifted)), 0.05**2)

@@ -17,7 +17,7 @@ from getagrip.fitting.pipeline import repair
 from getagrip.geometry import se3
 from getagrip.timelines.between import _blended
 from getagrip.timelines.following import _spots
-from getagrip.timelines.footage import Footage, grasp_clip
+from getagrip.timelines.footage import Footage, Grasp
 from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.motion import Motion, split_at_gaps
 from helpers.clips import box
@@ -129,9 +129,9 @@ def test_a_grasp_is_a_clip_of_the_frames_in_which_its_hand_is_known() -> None:
     clip, masks = by_other_hand()
     assert clip.other_hand is not None
     grasp = clip.segments[2]
-    found = grasp_clip(clip, masks, grasp)
+    found = Grasp.of(clip, masks, grasp)
     assert found is not None
-    of_hand, seen, rows = found
+    of_hand, seen, rows = found.clip, found.masks, found.rows
     assert rows.tolist() == [n for n in grasp.rows if clip.other_hand.known[n]]
     assert (of_hand.side, of_hand.frames) == (grasp.side, tuple(clip.frames[n] for n in rows))
     np.testing.assert_array_equal(of_hand.hand.T_cam_hand, clip.other_hand.track.T_cam_hand[rows])

@@ -26,7 +26,7 @@ def test_depth_is_mended_and_contact_stays() -> None:
     deeper = se3.rigid(None, 0.015 * np.where(rows % 2, 1.0, -1.0)[:, None] * ray)
     motion = Motion.of(footage)
     motion.T_cam_obj[rows], motion.T_cam_hand[rows] = deeper @ true, deeper @ clip.hand.T_cam_hand[rows]
-    settle(motion, rows, footage.clip.side)
+    settle(motion, footage, rows, footage.clip.side)
     for found, right in ((motion.T_cam_obj, true), (motion.T_cam_hand, clip.hand.T_cam_hand[rows])):
         off = np.abs(np.sum((found[rows, :3, 3] - right[:, :3, 3]) * ray, axis=1))
         assert off.mean() < 0.007

@@ -20,6 +20,7 @@ from getagrip.fitting.objective import mask_of
 from getagrip.fitting.solve import in_camera, minimise
 from getagrip.geometry import se3
 from getagrip.timelines.between import smooth_in_world
+from getagrip.timelines.footage import Footage
 from getagrip.timelines.motion import Motion
 
 JITTER, LEAST = 0.01, 0.001
@@ -36,10 +37,9 @@ STAGES = ((128, 6), (256, 4), (256, 4))
 """Resolution [px] and iterations; before the last, it is known how well masks are met."""
 
 
-def settle(motion: Motion, rows: Int[ndarray, "n"], side: Side) -> None:
+def settle(motion: Motion, footage: Footage, rows: Int[ndarray, "n"], side: Side) -> None:
     """Move object and hand in those frames of a grasp, by the hand of ``side``, that show the object; all are known."""
-    footage = motion.footage
-    seen, centre = footage.observed(rows), footage.clip.mesh.centre
+    seen, centre = rows[footage.shown[rows]], footage.clip.mesh.centre
     if len(seen) < 3:
         return
     problem, everywhere = footage.problem(seen), np.arange(len(seen))
@@ -52,7 +52,7 @@ def settle(motion: Motion, rows: Int[ndarray, "n"], side: Side) -> None:
     T_cam = se3.rigid(motion.T_cam_obj[seen, :3, :3], before)
     still = Fixed(np.eye(3)[None], np.zeros((1, 3)), np.zeros(1), len(seen))
     frozen, misfits = Frozen(Soft(still, np.zeros((1, len(seen), 6)), ridge)), 1.0
-    energy, smooth = mask_of(problem), smooth_in_world(footage, seen)
+    energy, smooth = mask_of(problem), smooth_in_world(problem)
     for level, iterations in STAGES:
         frozen = Frozen(replace(frozen.core, ridge=stiffened(ridge, misfits)))
         found = minimise(frozen, [*energy(level, everywhere), smooth], T_cam, iterations)
