@@ -198,7 +198,7 @@ def test_frames_without_a_mask_are_interpolated(ignored: bool) -> None:
     given = masks if ignored else replace(masks, ignore=np.zeros_like(masks.ignore))
     size, gone = clip.size, [2, 5]
     of_frames = [FrameMasks(*each) for each in zip(given.object, given.ignore, strict=True)]
-    sparse = Masks.of(FrameMasks.unknown(size, False) if n in gone else one for n, one in enumerate(of_frames))
+    sparse = Masks.of(FrameMasks.unknown(size) if n in gone else one for n, one in enumerate(of_frames))
     seen = given.object.copy()
     seen[gone] = False
     result, empty = (reconstruct(clip, m, Options(inits=8)) for m in (sparse, Masks(seen, given.ignore)))

@@ -10,7 +10,7 @@ from getagrip.checks import frame_order, mask_agreement, mesh_form, plausibility
 from getagrip.checks.check import Check, millimetres, of_diameter, percent
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.hand_side import bend
-from getagrip.clip import intrinsics
+from getagrip.clip import intrinsics, modalities
 from getagrip.finding import Finding
 
 GRAVER = {
@@ -249,6 +249,16 @@ RESULT_CHECKS: tuple[Check, ...] = (
         advice="a free scale needs masks and hands that agree; give the size if you know it",
     ),
 )  # fmt: skip
+
+
+def input_checks() -> tuple[Check, ...]:
+    """``INPUT_CHECKS``, and those of each modality."""
+    return (*INPUT_CHECKS, *(check for modality in modalities() for check in modality.input_checks))
+
+
+def result_checks() -> tuple[Check, ...]:
+    """``RESULT_CHECKS``, and those of each modality."""
+    return (*RESULT_CHECKS, *(check for modality in modalities() for check in modality.result_checks))
 
 
 MOST = 1e9

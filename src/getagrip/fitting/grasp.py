@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS, Evidence, examine, read_signs
+from getagrip.checks import Evidence, examine, input_checks, read_signs, result_checks
 from getagrip.clip import Clip
 from getagrip.errors import GetagripError, InputError
 from getagrip.finding import Finding
@@ -53,7 +53,8 @@ def _prepare(source: Input) -> Prepared:
     """Choose frames, correct the hand, crop the masks; check the input."""
     problem = prepare(source.clip, source.masks, source.options, source.threads)
     clip = source.clip.take(source.clip.index_of(problem.clip.frames))
-    checks, findings = examine(INPUT_CHECKS, Evidence(clip, problem.input_masks, glitches=source.glitches))
+    clip = replace(clip, evidence=problem.clip.evidence)
+    checks, findings = examine(input_checks(), Evidence(clip, problem.input_masks, glitches=source.glitches))
     return Prepared(source, problem, clip, checks, findings)
 
 
@@ -106,9 +107,9 @@ def _judge(prepared: Prepared, found: Found, answer: Answer) -> Judgement:
     """What checks and signs say of it, and how probable it is that it is right."""
     source = prepared.source
     solved = solved_of(source.clip, found.problem, found.result, found.sampled, answer.track)
-    checks, after = examine(RESULT_CHECKS, solved)
+    checks, after = examine(result_checks(), solved)
     findings, signs = (*prepared.findings, *after), read_signs(solved)
-    right = probabilities(source.clip, source.options, signs, findings)
+    right = probabilities(source.clip, source.options, signs, findings, found.result.terms)
     return Judgement(prepared.checks | checks, findings, signs, right)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 
 from getagrip.checks import Solved
@@ -22,6 +22,8 @@ from getagrip.result import Candidates
 
 CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed", "frames", "every_frame")
 """Options that leave a calibration valid; it was made with the usual values of all."""
+TERMS = ("total", "mask", "push", "pull", "consistency", "prior")
+"""Names in the energy that was calibrated."""
 
 
 def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Solved:
@@ -44,9 +46,11 @@ def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: 
 
 
 def probabilities(
-    clip: Clip, options: Options, signs: Mapping[str, float], findings: Sequence[Finding]
+    clip: Clip, options: Options, signs: Mapping[str, float], findings: Sequence[Finding], terms: Iterable[str]
 ) -> dict[Where, Probability | None]:
-    """How probable it is that a result is right, in the hand and in the camera."""
+    """How probable it is that a result is right, in the hand and in the camera; ``terms`` are those of its energy."""
+    if uncalibrated(options, findings, terms):
+        return {"hand": None, "camera": None}
     in_hand = probability_right(options, signs, findings)
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
@@ -68,8 +72,10 @@ def probability_right(
     return calibration.probability(signs)
 
 
-def uncalibrated(options: Options, findings: Sequence[Finding]) -> str:
+def uncalibrated(options: Options, findings: Sequence[Finding], terms: Iterable[str] = ()) -> str:
     """Why there is no probability that a result is right, in words; empty where there is one.
+
+    ``terms`` are the names of its energy's terms.
 
     There is none for methods and energies other than those that were calibrated, for shorter searches, and where a
     finding is serious: wrong inputs were no part of the calibration.
@@ -83,6 +89,6 @@ def uncalibrated(options: Options, findings: Sequence[Finding]) -> str:
     for option in fields(Options):
         if option.name not in CHOICES and (value := getattr(options, option.name)) != option.default:
             return f"none is calibrated with {option.name} {value}"
-    if any(finding.serious for finding in findings):
-        return "a finding is serious"
-    return ""
+    if others := [name for name in terms if name not in TERMS]:
+        return f"none is calibrated with the evidence {', '.join(others)}"
+    return "a finding is serious" if any(finding.serious for finding in findings) else ""

@@ -17,7 +17,7 @@ from getagrip.clip import Segment
 from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
 from getagrip.fitting.energy.smoothness import SmoothnessTerm, moments
 from getagrip.fitting.motion import Free
-from getagrip.fitting.objective import mask_of
+from getagrip.fitting.objective import evidence_of
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
@@ -106,7 +106,7 @@ def _fitted(problem: Problem, at: Int[ndarray, "m"], start: Hypotheses) -> Hypot
     world = problem.clip.world
     assert world is not None
     motion = Free(start.R[:, at], start.centre[:, at], np.log(start.scale))
-    energy, smooth = mask_of(problem), smooth_in_world(problem)
+    energy, smooth = evidence_of(problem), smooth_in_world(problem)
     everywhere, T_cam_world = np.arange(len(at)), se3.inverse(world.T_world_cam)
     for level, iterations in STAGES:
         found = minimise(motion, [*energy(level, everywhere), smooth], T_cam_world, iterations)

@@ -18,7 +18,7 @@ from numpy import ndarray
 
 from getagrip.fitting.energy.smoothness import moments
 from getagrip.fitting.motion import Fixed, Frozen, PosesInHand, Soft
-from getagrip.fitting.objective import mask_of
+from getagrip.fitting.objective import evidence_of
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.solve import minimise
 from getagrip.geometry import se3
@@ -74,7 +74,7 @@ def _followed(
 
     ``carried`` is what hands do to an object that goes with them, from each of these frames to the next.
     """
-    energy, mesh, world = mask_of(problem), problem.clip.mesh, problem.clip.world
+    energy, mesh, world = evidence_of(problem), problem.clip.mesh, problem.clip.world
     assert world is not None
     T_cam_world, about = se3.inverse(world.T_world_cam), moments(mesh.vertices - mesh.centre)
     here, before, frame = start, start, 0

@@ -16,7 +16,7 @@ from numpy import ndarray
 from getagrip.clip.timeline import Side
 from getagrip.fitting.misfit import misfit, stiffened
 from getagrip.fitting.motion import Fixed, Frozen, Soft
-from getagrip.fitting.objective import mask_of
+from getagrip.fitting.objective import evidence_of
 from getagrip.fitting.solve import in_camera, minimise
 from getagrip.geometry import se3
 from getagrip.timelines.between import smooth_in_world
@@ -52,7 +52,7 @@ def settle(motion: Motion, footage: Footage, rows: Int[ndarray, "n"], side: Side
     T_cam = se3.rigid(motion.T_cam_obj[seen, :3, :3], before)
     still = Fixed(np.eye(3)[None], np.zeros((1, 3)), np.zeros(1), len(seen))
     frozen, misfits = Frozen(Soft(still, np.zeros((1, len(seen), 6)), ridge)), 1.0
-    energy, smooth = mask_of(problem), smooth_in_world(problem)
+    energy, smooth = evidence_of(problem), smooth_in_world(problem)
     for level, iterations in STAGES:
         frozen = Frozen(replace(frozen.core, ridge=stiffened(ridge, misfits)))
         found = minimise(frozen, [*energy(level, everywhere), smooth], T_cam, iterations)

@@ -17,7 +17,7 @@ from getagrip.clip import Segment
 from getagrip.clip.sampling import frame_indices
 from getagrip.fitting.energy import Energy, PosesInCamera, Quadratic, Term
 from getagrip.fitting.motion import Fixed
-from getagrip.fitting.objective import mask_of, plus
+from getagrip.fitting.objective import evidence_of, plus
 from getagrip.fitting.problem import Problem
 from getagrip.fitting.schedule import USUAL
 from getagrip.fitting.search import Search
@@ -48,7 +48,7 @@ def static_hypotheses(problem: Problem, frames: int, support: bool, start: Hypot
     """
     assert problem.clip.world is not None
     T_cam_world = se3.inverse(problem.clip.world.T_world_cam)
-    energy = plus(mask_of(problem), support_of(problem)) if support else mask_of(problem)
+    energy = plus(evidence_of(problem), support_of(problem)) if support else evidence_of(problem)
     search = Search(T_cam_world, problem.surface, USUAL, lambda _: None)
     found = search.run(search.relax(initial_poses(problem, start), energy).core, energy)
     best = found.take(np.flatnonzero(found.energy <= LIKELY * found.energy[0]))
