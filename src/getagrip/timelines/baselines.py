@@ -38,7 +38,7 @@ def grasp_only(footage: Footage) -> Motion:
     """Each grasp by itself. Static poses are those of the nearest frame of a grasp; elsewhere, the object goes with the
     hand. Raises ``InputError`` where no grasp shows the object.
     """
-    motion, known = Motion.of(footage), list[Segment]()
+    motion, known = Motion.of(footage.clip, footage.shown), list[Segment]()
     for segment in footage.clip.segments:
         grasp = Grasp.of(footage.clip, footage.masks, segment) if segment.state == "grasp" else None
         if grasp is not None:
@@ -51,7 +51,7 @@ def grasp_only(footage: Footage) -> Motion:
 
 def static_only(footage: Footage) -> Motion:
     """Each static segment by itself; elsewhere, the object goes with the hand. Raises ``InputError`` likewise."""
-    motion, known = Motion.of(footage), []
+    motion, known = Motion.of(footage.clip, footage.shown), []
     for segment in footage.clip.segments:
         if segment.state == "static" and len(rows := frames_to_fit(segment, footage.shown)):
             found = static_hypotheses(footage.problem(rows), len(segment), support=False)
@@ -98,7 +98,7 @@ def propagate(footage: Footage) -> Motion:
     first = max(static or range(len(segments)), key=lambda n: len(segments[n]))
     last = len(segments) - 1
     visits = [*range(first, -1, -1), *range(1, last + 1), *range(last - 1, first - 1, -1)]
-    motion, best = Motion.of(footage), dict[int, float]()
+    motion, best = Motion.of(footage.clip, footage.shown), dict[int, float]()
     before: int | None = None
     for n in visits:
         if before is not None and n == before:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
+from getagrip.clip import Clip
 from getagrip.fitting.energy.smoothness import moments
 from getagrip.fitting.motion import Fixed, Frozen, PosesInHand, Soft
 from getagrip.fitting.objective import evidence_of
@@ -63,8 +64,20 @@ def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypothe
     seen = through[shown]
     if not len(seen):
         return Paths(start.at(np.zeros(len(rows), int)), np.arange(len(start.R)))
-    carried = [footage.carried(int(last), int(row)) for last, row in itertools.pairwise([begin, *seen])]
+    carried = [carried_by_hands(footage.clip, int(last), int(row)) for last, row in itertools.pairwise([begin, *seen])]
     return _followed(footage.problem(seen), shown, carried, start).at((rows - through[0]) * step)
+
+
+def carried_by_hands(clip: Clip, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
+    """What moves with a hand of the clip from one frame to another, moves so in the world: by its own hand, and by the
+    other one if it is known in both frames.
+    """
+    assert clip.world is not None
+    ends, hands, other = [before, after], [clip.hand], clip.other_hand
+    if other is not None and other.known[before] and other.known[after]:
+        hands.append(other.track)
+    T_world_hands = [clip.world.T_world_cam[ends] @ hand.T_cam_hand[ends] for hand in hands]
+    return [end @ se3.inverse(start) for start, end in T_world_hands]
 
 
 def _followed(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,15 +72,6 @@ class Footage:
         """At frames that show the object, in the given order, with the repaired hand."""
         return self.some.at(self.clip.take(rows), self.masks.take(rows))
 
-    def carried(self, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
-        """What moves with a given hand from one frame to another, moves so in the world: by the clip's own hand, and by
-        the other one if it is known in both frames."""
-        hands, other = [self.clip.hand], self.clip.other_hand
-        if other is not None and other.known[before] and other.known[after]:
-            hands.append(other.track)
-        T = [self.T_world_cam[[before, after]] @ hand.T_cam_hand[[before, after]] for hand in hands]
-        return [end @ se3.inverse(start) for start, end in T]
-
 
 @dataclass(frozen=True)
 class Grasp:
@@ -109,10 +99,6 @@ class Grasp:
         if of_grasp.observed.sum() < 2:
             return None
         return Grasp(segment, by.take(rows), of_grasp if by is clip else replace(of_grasp, hand=None), rows)
-
-    def rows_of(self, frames: Sequence[str]) -> Int[ndarray, "m"]:
-        """Where the named frames are in the timeline."""
-        return self.rows[self.clip.index_of(frames)]
 
 
 def find_scale(clip: Clip, masks: Masks, options: Options) -> float:

@@ -54,14 +54,11 @@ class GraspSolutions:
     grasp: Grasp
     problem: Problem
     """At the frames that are fitted together."""
+    sampled: Int[ndarray, "m"]
+    """These frames, of the timeline."""
     motion: Soft[Hinge]
     energy: Float[ndarray, "K"]
     """Without links."""
-
-    @property
-    def sampled(self) -> Int[ndarray, "m"]:
-        """The problem's frames in the timeline."""
-        return self.grasp.rows_of(self.problem.clip.frames)
 
     @property
     def hypotheses(self) -> Hypotheses:
@@ -71,7 +68,7 @@ class GraspSolutions:
 
 
 def solve_grasp(grasp: Grasp, problem: Problem, neighbours: Sequence[Neighbour]) -> GraspSolutions:
-    """The solutions of a grasp. Raises ``GetagripError`` where nothing can be rendered."""
+    """The solutions of a grasp, by its problem. Raises ``GetagripError`` where nothing can be rendered."""
     found = soft_hinges(problem, lambda _: None)
     motion = found.motion
     if neighbours:
@@ -82,7 +79,8 @@ def solve_grasp(grasp: Grasp, problem: Problem, neighbours: Sequence[Neighbour])
     terms, N = soft_energy(problem)(FINEST, np.arange(len(problem.clip))), len(motion.deviation)
     cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(N, np.inf)).cost
     order = np.argsort(cost, kind="stable")  # all of them: a box turned by half is the same, but for its links
-    return GraspSolutions(grasp, problem, motion.take(order), cost[order])
+    sampled = grasp.rows[grasp.clip.index_of(problem.clip.frames)]
+    return GraspSolutions(grasp, problem, sampled, motion.take(order), cost[order])
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from getagrip.timelines.footage import Footage, Grasp
 from getagrip.timelines.grasp_segment import GraspSolutions, Neighbour, fit_in_all_frames, most, solve_grasp
 from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.motion import Motion, split_at_gaps
-from getagrip.timelines.settled import settle
+from getagrip.timelines.settled import LEAST_JITTER, depth_jitter, settle
 from getagrip.timelines.static_pose import frames_to_fit, static_hypotheses
 
 REACH = 6
@@ -96,7 +96,7 @@ def choose_hypotheses(footage: Footage, support: bool, on_stage: Callable[[str],
 
 def fill_all_frames(footage: Footage, chain: Chain, on_stage: Callable[[str], None] = lambda _: None) -> Motion:
     """The chosen hypotheses in all frames of their segments, and the frames between."""
-    motion, known = Motion.of(footage), list[Segment]()
+    motion, known = Motion.of(footage.clip, footage.shown), list[Segment]()
     for anchor, k in zip(chain.anchors, chain.chosen, strict=True):
         if anchor.solutions is None:
             motion.put(anchor.segment.rows, anchor.found.take(np.array([k])), "sampled")
@@ -104,7 +104,9 @@ def fill_all_frames(footage: Footage, chain: Chain, on_stage: Callable[[str], No
         else:
             grasp = anchor.solutions.grasp
             motion.put_grasp(fit_in_all_frames(anchor.solutions, k, anchor.near))
-            settle(motion, footage, grasp.rows, grasp.clip.side)
+            seen = grasp.rows[footage.shown[grasp.rows]]
+            if (jitter := depth_jitter(motion.places(seen))) >= LEAST_JITTER:
+                settle(motion, footage.problem(seen), seen, grasp.clip.side, jitter)
             known += split_at_gaps(anchor.segment, grasp.rows)
     on_stage("all frames")
     fill_between(motion, footage, known)
@@ -123,7 +125,7 @@ def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> list[An
             anchors.append(Anchor(segment, static[segment]))
             continue
         problem = prepare(grasp.clip, grasp.masks, footage.source.options)
-        rows = grasp.rows_of(problem.clip.frames)
+        rows = grasp.rows[grasp.clip.index_of(problem.clip.frames)]
         m = min(REACH, len(rows))
         near, frames = list[Neighbour](), np.arange(m)
         if before in static:

@@ -19,6 +19,7 @@ from getagrip.fitting.every_frame import at_sampled_frames
 from getagrip.fitting.judge import probability_right, solved_of
 from getagrip.fitting.methods.all_frames import soft_energy
 from getagrip.fitting.motion import PosesInHand
+from getagrip.fitting.options import Options
 from getagrip.fitting.pipeline import Answer, Judgement
 from getagrip.fitting.search import suppress_duplicates
 from getagrip.fitting.solve import in_camera

@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Segment
+from getagrip.clip import Clip, Segment
 from getagrip.clip.timeline import Side
 from getagrip.geometry import se3
 from getagrip.result import FrameKind
-from getagrip.timelines.footage import Footage
 from getagrip.timelines.grasp_segment import GraspTrack
 from getagrip.timelines.hypotheses import Hypotheses
 
@@ -42,14 +41,15 @@ class Motion:
     grasps: dict[int, GraspTrack] = field(default_factory=dict)
 
     @staticmethod
-    def of(footage: Footage) -> Motion:
+    def of(clip: Clip, shown: Bool[ndarray, "T"]) -> Motion:
         """Nothing known yet."""
-        T, clip = len(footage), footage.clip
+        assert clip.world is not None
+        T = len(clip)
         hands = {clip.side: clip.hand.T_cam_hand.copy()}
         if clip.other_hand is not None:
             hands[clip.other_side] = clip.other_hand.track.T_cam_hand.copy()
         unknown: list[FrameKind] = ["interpolated"] * T
-        where = clip.side, clip.mesh.centre, footage.T_world_cam, footage.shown
+        where = clip.side, clip.mesh.centre, clip.world.T_world_cam, shown
         return Motion(*where, np.full((T, 4, 4), np.nan), hands, unknown)
 
     @property
@@ -76,6 +76,10 @@ class Motion:
         for row, kind in zip(grasp.rows, track.kind, strict=True):
             self.kind[row] = kind
         self.grasps[grasp.segment.first] = found
+
+    def places(self, rows: Int[ndarray, "n"]) -> Float[ndarray, "n 3"]:
+        """Where the mesh's centre is before the camera."""
+        return np.asarray(se3.transform(self.T_cam_obj[rows], self.centre[None])[:, 0])
 
     def at(self, row: int) -> Hypotheses:
         """The pose of one frame, in the world."""
