@@ -22,7 +22,7 @@ SAID = {"iou": "iou, in the crop", "iou_soft": "iou_soft, in the crop"}
 def tables(view: View, evaluation: Evaluation, record: Json) -> list[dict[str, object]]:
     """Tables as ``parts/report.js`` reads them: a title, names of columns or none, and rows of texts."""
     result = view.result
-    known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
+    known = {metric.key(contact): metric for metric in METRICS.working().values() for contact in CONTACT_DEFINITIONS}
     values = [
         [f"{SAID.get(key, key)}{where}", f"{known[key].text(value)}{unit_of(known[key])}"]
         for metrics, where in ((evaluation.metrics, ""), (evaluation.metrics_of_grasps, ", in grasps"))

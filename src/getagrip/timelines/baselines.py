@@ -64,7 +64,7 @@ def static_only(footage: Footage) -> Motion:
 def _carry(motion: Motion, footage: Footage, known: list[Segment]) -> None:
     """Frames of no known segment from the nearest frame of one: with the hand, or in the world while it is static."""
     if not known:
-        raise InputError(footage.clip.origin, "segments", "none that can be solve_grasp alone", "one at least")
+        raise InputError(footage.clip.origin, "segments", "none that can be solved alone", "one at least")
     there = np.concatenate([segment.rows for segment in known])
     nearest = there[np.argmin(np.abs(np.arange(len(footage))[:, None] - there), axis=1)]
     static = {row: s for s in footage.clip.segments if s.state == "static" for row in s.rows}

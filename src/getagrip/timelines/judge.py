@@ -84,7 +84,7 @@ def _probability(
     clip: Clip, segment: Segment, options: Options, signs: dict[str, float], findings: Sequence[Finding]
 ) -> Probability | None:
     """How probable it is that a grasp is right; findings about other segments say nothing of it."""
-    names = {check.name for check in INPUT_CHECKS}
+    names = {*INPUT_CHECKS}
     others = tuple(f"{name_of(clip, one)}: " for one in clip.segments if one is not segment)
     of_input = [one for one in findings if one.check in names and not one.message.startswith(others)]
     right = probability_right(options, signs, of_input)

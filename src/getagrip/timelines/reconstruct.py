@@ -70,7 +70,7 @@ def _search(footage: Footage, clock: Clock) -> Chain:
     try:
         return choose_hypotheses(footage, support=True, on_stage=clock)
     except GetagripError as error:
-        of_clip = [check for check in INPUT_CHECKS if check.name not in WITH_HAND]
+        of_clip = [check for check in INPUT_CHECKS.working().values() if check.name not in WITH_HAND]
         original = footage.source.original
         clip = replace(footage.clip, hand=original.hand, world=original.world)
         serious = [finding for finding in examine(of_clip, Evidence(clip, footage.masks))[1] if finding.serious]
