@@ -93,9 +93,9 @@ def _labels(
 
     maybe = _capsules(colours.shape[:2], points, MAYBE * size)
     for region in (points[PALM], points[WEB], arm):
-        cv2.fillConvexPoly(maybe, _whole(cv2.convexHull(np.float32(region))[:, 0]), 1)
+        cv2.fillConvexPoly(maybe, _whole(cv2.convexHull(region.astype(np.float32))[:, 0]), 1)
     palm = np.zeros_like(maybe)
-    cv2.fillConvexPoly(palm, _whole(cv2.convexHull(np.float32(points[PALM]))[:, 0]), 1)
+    cv2.fillConvexPoly(palm, _whole(cv2.convexHull(points[PALM].astype(np.float32))[:, 0]), 1)
     palm = cv2.erode(palm, np.ones((3, 3), np.uint8), iterations=max(1, round(0.05 * size)))
     sure = (_capsules(colours.shape[:2], points, SURE * size) | palm).astype(bool) & ~not_hand
     lab = cv2.cvtColor(colours, cv2.COLOR_RGB2LAB).astype(float)
