@@ -1,4 +1,4 @@
-"""How far people agree on where stable grasps are: temporal intersection over union."""
+"""Agreement of people on stable grasps: temporal intersection over union."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from getagrip.annotate.marks import Mark
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of two people, over the tasks that both have looked at."""
+    """The agreement of two people, over the tasks that both have looked at."""
 
     first: str
     second: str
@@ -54,7 +54,7 @@ def matched(ours: Sequence[Mark], theirs: Sequence[Mark]) -> list[float]:
 
 
 def agreements(marks: Sequence[Mark]) -> list[Agreement]:
-    """The agreement of every two people who have looked at the same tasks."""
+    """Compute the agreement of every two people who have looked at the same tasks."""
     marked: dict[str, dict[str, list[Mark]]] = {}
     for mark in marks:
         if mark.interval or mark.reason:  # a start without an end says nothing yet

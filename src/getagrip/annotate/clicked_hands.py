@@ -46,7 +46,7 @@ LOOSENESS = 0.12
 CURLS = ((0.3, 0.3, 0.3), (0.9, 0.6, 0.4))
 """Bends of the fingers that are tried at first, from knuckle to fingertip [rad]."""
 ROUNDS = 4
-"""Of placing hands and fitting them."""
+"""Rounds of placing hands and fitting them."""
 STEPS = 60
 TOLERANCE = 1e-5
 """Stop when a round lowers the cost by less than this share of it."""
@@ -74,7 +74,7 @@ class ClickedHands:
 def hands_from_clicks(
     clicks: Mapping[int, Float[ndarray, "..."]], K: Float[ndarray, "3 3"], side: Side, first: int, last: int
 ) -> ClickedHands:
-    """The hand in the frames ``first`` to ``last``, both included, from joints clicked on some of them [px].
+    """Fit the hand in the frames ``first`` to ``last``, both included, to joints clicked on some of them [px].
 
     ``clicks`` (21, 2) are wrist, then thumb, index, middle, ring, pinky, each from the palm to the tip, NaN where not
     clicked. Raises ``UsageError`` for no clicked frame, for one with fewer than ``FEWEST`` joints or outside the
@@ -122,18 +122,18 @@ def _check_found(keys: Sequence[int], found: Guess) -> None:
 
 
 class Guess(NamedTuple):
-    """What is sought."""
+    """The unknowns of the fit."""
 
     T: Float[ndarray, "n 4 4"]
     """T_cam_hand."""
     q: Float[ndarray, "n 5 3 3"]
     """Rotation vectors of the fingers' joints."""
     grasp: Float[ndarray, "1 5 3 3"]
-    """What all q are near to."""
+    """Prior mean of all q."""
     shape: Float[ndarray, "S"]
 
     wrist: Float[ndarray, "3"]
-    """Of the mean hand, which rotations are about."""
+    """Wrist of the mean hand, which rotations are about."""
 
     def retract(self, frames: Float[ndarray, "n 51"], shared: Float[ndarray, "s"]) -> Guess:
         """After a step: each hand shifts in its own axes and turns about the wrist, the rest adds up."""
@@ -146,7 +146,7 @@ class Guess(NamedTuple):
 
 
 def _fit(model: HandModel, chains: Chains, prior: PosePrior, clicks: Clicks, curl: Curl) -> tuple[Guess, float]:
-    """The best hands from fingers that are bent by ``curl``, and their cost.
+    """Fit the hands from fingers that are bent by ``curl``; also return their cost.
 
     After a fit the orientation of the hands is known better: they are placed and fitted anew
     as long as that helps.
@@ -167,7 +167,7 @@ def _fit(model: HandModel, chains: Chains, prior: PosePrior, clicks: Clicks, cur
 
 
 def _normal_equations(model: HandModel, chains: Chains, prior: PosePrior, guess: Guess, clicks: Clicks) -> Equations:
-    """The cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, grasp, shape)."""
+    """Compute the cost, and per frame J^T J and J^T r of (T_cam_hand step, pose, grasp, shape)."""
     n, S = len(clicks.y), len(guess.shape)
     X, J_hand = joints_and_jacobian(chains, guess.q, guess.shape)
     J = np.zeros((n, 21, 3, 51 + SHARED + S))
@@ -213,7 +213,7 @@ def between(
 
 
 def model_pose(q: Float[ndarray, "T 5 3 3"]) -> Float[ndarray, "T 45"]:
-    """The fingers' rotation vectors in the order of the model's joints."""
+    """Return the fingers' rotation vectors in the order of the model's joints."""
     pose = np.zeros((len(q), 45))
     for n, knuckle in enumerate(KNUCKLES):
         pose[:, 3 * knuckle - 3 : 3 * knuckle + 6] = q[:, n].reshape(len(q), 9)

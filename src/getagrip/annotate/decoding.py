@@ -33,7 +33,7 @@ class Decoder(Generic[Kept]):
         weigh: Callable[[Kept], int],
         limit: int = CACHE,
     ) -> None:
-        """Of a file whose frames, and key frames, have these presentation times; so many bytes are kept."""
+        """Decode a file whose frames, and key frames, have these presentation times; ``limit`` bytes are kept."""
         self.path = path
         self._times, self._keys, self._convert = times, keys, convert
         self.cache = Cache(weigh, limit)
@@ -44,7 +44,7 @@ class Decoder(Generic[Kept]):
         """Index of the frame decoded last."""
 
     def get(self, index: int) -> Kept:
-        """A frame. Raises ``InputError`` where it does not decode."""
+        """Decode a frame. Raises ``InputError`` where it does not decode."""
         from av.error import FFmpegError
 
         with self._lock:

@@ -51,7 +51,7 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
 
 
 def masks(labels: Labels, image: Images, known: Container[int] = ()) -> Iterator[tuple[int, dict[str, object]]]:
-    """Each frame with polygons around the object and what is in front of it [px], and how sure they are (0 to 1).
+    """Yield each frame with polygons around the object and what is in front of it [px], and their confidence (0 to 1).
 
     Stretches between key frames of which all frames are ``known`` are left out. Raises ``UsageError`` as ``propagate``
     does.

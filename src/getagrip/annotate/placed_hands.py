@@ -21,11 +21,11 @@ from getagrip.least_squares import Rules, damped, minimise
 CLICK_NOISE = 0.005
 """Standard deviation of a click beside that of the joints themselves, at the hand [m]."""
 OUTLIER = 2.5
-"""Clicks beyond so many standard deviations are doubted."""
+"""Clicks beyond this number of standard deviations are outliers."""
 ROTATIONS = 48
 """Rotations that are tried, spread evenly."""
 STEPS = 12
-"""Of each of them."""
+"""Number of steps of each of them."""
 RULES = Rules(success=0.1, failure=10.0, least=0.0, most=np.inf, rejections=np.inf, tolerance=0.0)
 """No hand is done before the others."""
 TURN = 0.7
@@ -44,7 +44,7 @@ class Clicks(NamedTuple):
 
     @staticmethod
     def of(K: Float[ndarray, "3 3"], points: Float[ndarray, "n 21 2"]) -> Clicks:
-        """The noise is known in metres; the extent of the hand in the image converts them to pixels."""
+        """Convert the noise from metres to pixels by the extent of the hand in the image."""
         there = ~np.isnan(points).any(axis=-1)
         flat = generic.load("right").with_shape().with_pose().joints
         per_metre = np.array([_spread(y[seen]) / _spread(flat[seen]) for y, seen in zip(points, there, strict=True)])
@@ -60,7 +60,7 @@ def _spread(points: Float[ndarray, "n d"]) -> float:
 def equations(
     clicks: Clicks, T: Float[ndarray, "n 4 4"], X: Float[ndarray, "n 21 3"], J: Float[ndarray, "n 21 3 D"]
 ) -> tuple[Float[ndarray, "n"], Float[ndarray, "n D D"], Float[ndarray, "n D"]]:
-    """Each frame's cost, J^T J and J^T r, for the derivatives J of the joints X in the hand's axes."""
+    """Compute each frame's cost, J^T J and J^T r, for the derivatives J of the joints X in the hand's axes."""
     X_cam = se3.transform(T, X)
     z = np.maximum(X_cam[..., 2], 0.01)  # behind the camera nothing can be fitted; the cost there is large
     X_cam = np.concatenate([X_cam[..., :2], z[..., None]], axis=-1)
@@ -132,7 +132,7 @@ class _Placed(NamedTuple):
 
 
 def turning(Ra: Float[ndarray, "*#batch 3 3"], Rb: Float[ndarray, "*#batch 3 3"]) -> Float[ndarray, "*batch"]:
-    """The cost of turning from one clicked frame to the next."""
+    """Compute the cost of turning from one clicked frame to the next."""
     return np.asarray((se3.angle_between(Ra, Rb) / TURN) ** 2)
 
 

@@ -84,7 +84,7 @@ def _summarise(ledger: Ledger, out: Place) -> None:
 
 
 class _Tally:
-    """What has become of the clips of a call."""
+    """The counts of a call's clips, by outcome."""
 
     def __init__(self) -> None:
         self.counts = Counter[str]()
@@ -106,7 +106,7 @@ class _Tally:
         return self.counts.total()
 
     def passes(self, min_probability: float) -> bool:
-        """Whether no result has a serious finding, or a probability below the least one."""
+        """Return whether no result has a serious finding, or a probability below the least one."""
         return not self.flagged and all(right >= min_probability for right in self.right.values())
 
     def print(self) -> None:
@@ -152,7 +152,7 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
 
 
 def _lost(job: Job | StreamedJob, why: str) -> Outcome:
-    """The outcome of a clip that no process could do."""
+    """Make the outcome of a clip that no process could do."""
     return Outcome(job.name, "failed", why)
 
 
@@ -166,14 +166,14 @@ def shown(bar: Progress, work: Callable[..., R], job: Named) -> R:
 
 
 def expected(right: Mapping[str, float], what: str = "right in the hand") -> str:
-    """How many results are probably right, and which are rather wrong, by the probability of each that it is right."""
+    """Count the results that are probably right, and name those likely wrong, by the probability of each."""
     wrong = sorted((name for name in right if right[name] < 0.5), key=lambda name: right[name])
     named = f"; rather wrong than right, the worst first: {', '.join(wrong)}" if wrong else ""
     return f"about {sum(right.values()):.0f} of {len(right)} are {what}, by their probabilities{named}"
 
 
 def print_outcome(outcome: Outcome, debug: bool) -> None:
-    """One line about a clip, and one for each finding: failures on stderr, the rest on stdout."""
+    """Print one line about a clip, and one for each finding: failures on stderr, the rest on stdout."""
     failed = outcome.state == "failed"
     parts = ["failed"] * failed + [outcome.name] * bool(outcome.name) + [outcome.message]
     print(cleaned(": ".join(parts)), file=sys.stderr if failed else sys.stdout)

@@ -11,12 +11,15 @@ from tyro.conf import arg
 from getagrip.errors import UsageError
 
 MOST = 1e6
-"""Of seconds and of GB: the kernel and the clock count no farther than some thousand times as many."""
+"""Most seconds and GB: the kernel and the clock count no farther than some thousand times as many."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Of each job. Raises ``UsageError`` for limits that are no positive numbers, or that cannot be held here."""
+    """The limits of each job.
+
+    Raises ``UsageError`` for limits that are no positive numbers, or that cannot be held here.
+    """
 
     seconds: Annotated[float | None, arg(name="limit-seconds", metavar="S", help_behavior_hint="(default: none)")] = (
         None

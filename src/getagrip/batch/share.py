@@ -41,8 +41,8 @@ class Share:
     """Processes to share the tasks between; up to three clips to reconstruct, or parts of a dataset, need no other. On
     a Ray cluster, as many as it has CPUs; tasks of a Slurm array, 64."""
     engine: Literal["local", "ray", "slurm"] = "local"
-    """Where they run: on this machine, on a Ray cluster, or in Slurm's array jobs. All machines must see what is read
-    and written under the same paths."""
+    """Executor of the jobs: this machine, a Ray cluster, or Slurm's array jobs. All machines must see what is read and
+    written under the same paths."""
     address: Annotated[str | None, arg(metavar="ADDR", help_behavior_hint="(default: RAY_ADDRESS, else one here)")] = (
         None
     )
@@ -53,7 +53,7 @@ class Share:
     shard: Annotated[Shard, parsed("I/N", Shard.of, Shard), arg(metavar="I/N", help_behavior_hint="(default: all)")] = (
         ALL
     )
-    """Of N equal parts of the work only the I-th, for N machines."""
+    """Part I of N equal parts of the work, for N machines."""
     ledger: OptionalFolder = None
     """Local folder for the ledger, where --out is on a network file system."""
 
@@ -75,9 +75,9 @@ class Share:
     def ended(
         self, engine: Engine[J, R], tasks: Sequence[J], out: Path, called: str, few: int = FEW
     ) -> Generator[R, None, None]:
-        """What an ``engine`` makes of each task, as they end, counted by a ``Pace``; the ledger is that of ``out``.
+        """Yield the outcome of each task, as they end, counted by a ``Pace``; the ledger is that of ``out``.
 
-        ``called`` is what tasks are, in the plural. Raises ``UsageError`` as ``crew``, else as ``Engine.run``.
+        ``called`` is what tasks are, in the plural. Raises ``UsageError`` as ``executor`` does, else as ``Engine.run``.
         """
         from getagrip.batch.ledger import Ledger
         from getagrip.batch.ledger_place import ledger_folder

@@ -1,4 +1,4 @@
-"""Whether the masks belong to the frames of the hands: held against the same masks in reverse, and shifted.
+"""The order of masks and hands: the given one, compared with the reverse and with shifts.
 
 Masks that come a few frames late hardly displace their middles; but the hand's own pixels come late with them, and its
 outline shows a frame or two where it moves (``lateness``).
@@ -54,7 +54,7 @@ def following(it: Evidence) -> float:
 
 
 def misorder(it: Evidence) -> float:
-    """How many times better the masks fit the hands in another order than in the given one; 1: no order is better.
+    """Return how many times better the masks fit the hands in another order than in the given one; 1: none is better.
 
     The distance of the masks' middles in the given order over that in the other; times, likewise, the overlap of hands
     and ignored pixels, where there are any.
@@ -122,7 +122,10 @@ def _miss(it: Evidence, frames: Int[ndarray, "n"], masks: Int[ndarray, "n"]) -> 
 
 
 def _expected_size(it: Evidence) -> float:
-    """The object's diameter in the image, over two, where it is known [px]: about the root of the area of a whole mask.
+    """Return half of the object's diameter in the image, where it is known [px].
+
+    That is about the root of the area of a whole mask. The little that the hand leaves visible of an object may lie
+    anywhere in it.
 
     What little the hand leaves to see of an object may lie anywhere in it.
     """

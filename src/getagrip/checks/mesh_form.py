@@ -1,4 +1,4 @@
-"""Whether a mesh is the surface of a body: not full of holes, not flat, no needle."""
+"""The form of a mesh: a body's surface has no large holes and is neither flat nor a needle."""
 
 from __future__ import annotations
 

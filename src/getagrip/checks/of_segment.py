@@ -18,20 +18,23 @@ LEAST_SHOWN = 0.5
 
 
 def distance(it: Evidence) -> float:
-    """Of the object's middle from the camera [m]: the least where that is too near, else the largest."""
+    """Return the object's distance from the camera [m]: the least where that is too near, else the largest."""
     middle = _posed(it).mean(axis=1)
     away = np.linalg.norm(middle, axis=1)
     return float(away.min() if away.min() < NEAREST else away.max())
 
 
 def pixels(it: Evidence) -> float:
-    """Of the largest mask."""
+    """Return the pixels of the largest mask."""
     return float(it.mask_area.max())
 
 
 def drift(it: Evidence) -> float:
-    """How far masks move against the silhouette: distance of their middles from where it is in most frames, in sizes of
-    the mask (the root of its area), but for the tenth of the frames in which it is largest."""
+    """Measure how far masks move against the silhouette.
+
+    That is the distance of their middles from where it is in most frames, in sizes of the mask (the root of its area),
+    but for the tenth of the frames in which it is largest.
+    """
     posed, offsets = _posed(it), []
     for n in np.flatnonzero(it.mask_area >= LEAST_SHOWN * it.mask_area.max()):
         mask, ignored = it.masks.object[n], it.masks.ignore[n]
@@ -47,7 +50,7 @@ def drift(it: Evidence) -> float:
 
 
 def _posed(it: Evidence) -> Float[ndarray, "T V 3"]:
-    """The object's vertices before the camera [m]."""
+    """Return the object's vertices before the camera [m]."""
     assert it.T_hand_obj is not None
     return np.asarray(se3.transform(it.clip.hand.T_cam_hand @ it.T_hand_obj, it.scale * it.clip.mesh.vertices))
 

@@ -10,22 +10,22 @@ UNKNOWN = float("nan")
 
 
 def size_input(it: Evidence) -> float:
-    """The mesh's diameter, where that is the object's, in sizes of the hand."""
+    """Return the mesh's diameter, where that is the object's, in sizes of the hand."""
     return it.clip.mesh.diameter / it.hand_size if it.clip.scale == "known" else UNKNOWN
 
 
 def found_size(it: Evidence) -> float:
-    """The same at the scale that was found, where it was not known."""
+    """Return the object's diameter at the resulting scale, where it was not known, in sizes of the hand."""
     return it.scale * it.clip.mesh.diameter / it.hand_size if it.clip.scale == "free" else UNKNOWN
 
 
 def mask_size(it: Evidence) -> float:
-    """What the masks show, in diameters of the mesh, where that is the object's."""
+    """Return the diameter that the masks show, in diameters of the mesh, where that is the object's."""
     return it.apparent_size / it.clip.mesh.diameter if it.clip.scale == "known" else UNKNOWN
 
 
 def seen_size(it: Evidence) -> float:
-    """What the masks show, in sizes of the hand, where the object's size is not known."""
+    """Return the diameter that the masks show, in sizes of the hand, where the object's size is not known."""
     return it.apparent_size / it.hand_size if it.clip.scale == "free" else UNKNOWN
 
 
@@ -38,7 +38,7 @@ def edge_share(it: Evidence) -> float:
 
 
 def focal_jump(it: Evidence) -> float:
-    """The largest factor by which the focal length changes from one frame to the next."""
+    """Return the largest factor by which the focal length changes from one frame to the next."""
     steps = np.abs(np.diff(np.log(it.clip.K[:, [0, 1], [0, 1]]), axis=0))
     return float(np.exp(steps.max(initial=0.0)))
 
@@ -65,5 +65,5 @@ def hand_off_pixels(it: Evidence) -> float:
 
 
 def hand_off_ignored(it: Evidence) -> float:
-    """The same where the ignored pixels near the hand are taken for its own."""
+    """Measure how far the hand is off the ignored pixels near it, where these are taken for its own."""
     return it.hand_differing if it.masks.hand is None else UNKNOWN

@@ -25,13 +25,13 @@ GRAVER = {
     "mask-misfit": "large-mask-misfit",
     "poor-mask-fit": "mask-fit",
 }
-"""What goes without saying where a graver check finds the same."""
+"""Checks that are not reported where a more severe check reports the same problem."""
 LEAST_IOU = 0.5
 """A result whose mean IOU is below this explains nothing, however well the minimisation ended."""
 
 
 def contradicting(it: Evidence) -> str:
-    """Which masks are doubted."""
+    """List the outlier masks."""
     assert it.outliers
     masks, names = f"{len(it.outliers)} of {len(it.overlaps)} masks", ", ".join(it.outliers)
     if len(it.outliers) == 1:
@@ -40,23 +40,23 @@ def contradicting(it: Evidence) -> str:
 
 
 def rather(it: Evidence) -> str:
-    """Which size would be better."""
+    """Say which scale the energy prefers."""
     factor, gain = it.scale_check
     return f"{factor:.2f} times its size would explain the masks and the hand better, by {percent(gain)} of the energy"
 
 
 def regrasped(it: Evidence) -> str:
-    """Where the object jumps in the hand."""
+    """Say where the object moves to another place in the hand."""
     return f"the object jumps in the hand {regrasp.between(it)}, by {of_diameter(regrasp.jump(it))} more than elsewhere"
 
 
 def deformation(it: Evidence) -> str:
-    """How far the mesh was deformed."""
+    """Say how far the mesh was deformed."""
     return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is a guess"
 
 
 def other_images(it: Evidence) -> str:
-    """Of which images the camera seems to be."""
+    """Say which images the camera seems to belong to."""
     return intrinsics.camera_warning(it.clip.K, it.clip.size)
 
 
@@ -67,7 +67,7 @@ MISFIT = "contours are {value} times as far from those of the masks as the objec
 CAUSES = (
     "is the hand's pose wrong, or the mesh another one? Do the masks show a box, a shadow, the hand, or only a part?"
 )
-"""Of contours that are off the masks."""
+"""Possible causes of contours that are off the masks."""
 
 INPUT_CHECKS: tuple[Check, ...] = (
     Check(
@@ -256,7 +256,7 @@ MOST = 1e9
 
 
 def examine(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
-    """What each check measures, at most ``MOST`` either way, and what is found."""
+    """Run checks: return the value of each, at most ``MOST`` in magnitude, and the findings."""
     measured = {check.name: float(np.clip(check.measure(it), -MOST, MOST)) for check in checks}
     findings = [check.finding(measured[check.name], it) for check in checks]
     found = [finding for finding in findings if finding is not None]

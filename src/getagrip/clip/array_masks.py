@@ -68,7 +68,7 @@ def npy(path: Path, request: MaskRequest) -> MaskReader:
 
 
 def npy_folder(folder: Path, paths: Sequence[Path], request: MaskRequest) -> MaskReader:
-    """An ``.npy`` file of each frame, or an ``.npz`` file of one array. Raises ``InputError``."""
+    """Open a folder with an ``.npy`` file of each frame, or an ``.npz`` file of one array. Raises ``InputError``."""
     rows = request.places(folder, [path.name for path in paths])
 
     def load(n: int) -> tuple[Path, str, ndarray]:
@@ -84,7 +84,7 @@ def npy_folder(folder: Path, paths: Sequence[Path], request: MaskRequest) -> Mas
 
 
 def _labels(source: Path, load: Numbers, frames: Mapping[int, int], request: MaskRequest) -> MaskReader:
-    """A reader of labels."""
+    """Make a reader of labels."""
     choose, notes = LabelChoice(request), Counter[str]()
     whole = _whole(load, frames, request.size, notes)
     sharp = sharpened(whole, frames, notes, choose.object, bool(choose.ignore or choose.hand))
@@ -94,12 +94,12 @@ def _labels(source: Path, load: Numbers, frames: Mapping[int, int], request: Mas
 def _masks_of(
     path: Path, key: str, stack: ndarray, rows: Mapping[int, int], request: MaskRequest, notes: Counter[str]
 ) -> Load:
-    """The masks of one thing."""
+    """Make a loader of the masks of one thing."""
     return sharpened(_whole(lambda n: (path, key, stack[rows[n]]), rows, request.size, notes), rows, notes)
 
 
 def _whole(load: Numbers, frames: Collection[int], size: tuple[int, int], notes: Counter[str]) -> Load:
-    """The labels in arrays of any numbers."""
+    """Make a loader of labels from arrays of any numbers."""
     samples = (load(n)[2] for n in looked_at(frames))
     logits = any(array.dtype.kind == "f" and array.size and array.min() < 0.0 for array in samples)
 
@@ -126,7 +126,7 @@ def _whole(load: Numbers, frames: Collection[int], size: tuple[int, int], notes:
 
 
 def _rows(path: Path, arrays: Mapping[str, ndarray], count: int, request: MaskRequest) -> dict[int, int]:
-    """The row of each frame that has one."""
+    """Return the row of each frame that has one."""
     frames = request.frames
     if "frames" not in arrays:
         if count != len(frames):

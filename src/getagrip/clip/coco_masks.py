@@ -69,7 +69,7 @@ def check_size(path: Path, key: str, width: object, height: object, request: Mas
 
 
 def objects(path: Path, content: Mapping[str, object], key: str, needed: bool = True) -> list[files.Json]:
-    """A list of JSON objects. Raises ``InputError``."""
+    """Check a list of JSON objects. Raises ``InputError``."""
     value = content.get(key, None if needed else [])
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
         got = "no such key" if key not in content else files.shown(value)

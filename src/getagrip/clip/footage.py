@@ -1,4 +1,4 @@
-"""What a clip is cut from: a video, or a folder of images of which each is a frame."""
+"""The footage that a clip is cut from: a video, or a folder of images of which each is a frame."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ IMAGES = (".jpg", ".jpeg", ".png")
 LARGEST_IMAGE = 64 * 2**20
 """Bytes of an image's file."""
 FOLDER_FPS = 30.0
-"""Of images in a folder, where nobody has said."""
+"""Assumed frame rate of images in a folder."""
 EVEN = 0.003
 """Times that are off the average rate's by no more are even [s]."""
 
@@ -76,7 +76,7 @@ def size_and_rate(path: Path, fps: float | None) -> tuple[tuple[int, int], float
 
 
 def stretch(path: Path, numbers: Int[ndarray, "T"], size: tuple[int, int], fps: float, stated: bool) -> Stretch:
-    """The frames of these numbers, counted from 1. Raises ``InputError`` where there are fewer."""
+    """Return the frames of these numbers, counted from 1. Raises ``InputError`` where there are fewer."""
     first, last = int(numbers[0]), int(numbers[-1])
     if path.is_dir():
         paths = images_of(path)
@@ -93,7 +93,10 @@ def stretch(path: Path, numbers: Int[ndarray, "T"], size: tuple[int, int], fps: 
 
 
 def images_of(folder: Path) -> Sequence[Path]:
-    """The images of a folder, in the order of the numbers in their names. Raises ``InputError`` where there is none."""
+    """List the images of a folder, in the order of the numbers in their names.
+
+    Raises ``InputError`` where there is none.
+    """
     paths = [path for path in folder.iterdir() if path.suffix.lower() in IMAGES and path.is_file()]
     if not paths:
         raise InputError(folder, "", "no images in it", f"a video, or a folder of images ({', '.join(IMAGES)})")

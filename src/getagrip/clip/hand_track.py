@@ -53,7 +53,7 @@ class HandTrack(ArrayData):
             raise UsageError(f"missing {', '.join(missing)} in HandTrack.regions: {needed}")
 
     def take(self, index: Int[ndarray, "n"]) -> HandTrack:
-        """The hand in some of the frames, in the given order."""
+        """Return the hand in some of the frames, in the given order."""
         joints = None if self.joints is None else self.joints[index]
         return replace(self, vertices=self.vertices[index], T_cam_hand=self.T_cam_hand[index], joints=joints)
 
@@ -78,7 +78,7 @@ class OtherHand(ArrayData):
 
     @staticmethod
     def at(hand: HandTrack, rows: Int[ndarray, "n"], frames: int) -> OtherHand:
-        """A hand that is known in the frames ``rows``, one at least, of so many."""
+        """Make a hand that is known in the frames ``rows``, at least one, of a clip of ``frames`` frames."""
         near = np.round(np.interp(np.arange(frames), rows, np.arange(len(rows)))).astype(int)
         return OtherHand(hand.take(near), np.isin(np.arange(frames), rows))
 

@@ -1,7 +1,7 @@
 """The camera of a user's own images, as far as the user knows it.
 
 Calibrations are often of another size, crop or orientation than images. A lens whose middle is far from the image's,
-whose pixels are not square or whose field of view no usual lens has is possible, so these are doubts and no errors.
+whose pixels are not square or whose field of view no usual lens has is possible, so these are warnings, not errors.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MILLIMETRES = 36.0
 
 
 def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"], Source]:
-    """The pinhole of images of some size [px], and where it comes from. Raises ``UsageError``."""
+    """Compute the intrinsics of images of some size [px]; also return their source. Raises ``UsageError``."""
     got = [lens.K is not None, lens.focal is not None, lens.guess_focal]
     if not any(got):
         raise UsageError("missing --K, --focal or --guess-focal: the camera")
@@ -63,7 +63,7 @@ def off_middle(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
 
 
 def stretch(K: Float[ndarray, "T 3 3"]) -> float:
-    """How many times as long one focal length is as the other; the worst frame's."""
+    """Return the ratio of the two focal lengths; the worst frame's."""
     ratio = K[:, 0, 0] / K[:, 1, 1]
     return float(np.maximum(ratio, 1.0 / ratio).max())
 
@@ -94,7 +94,7 @@ def camera_warning(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> str:
 
 
 def in_pixels(focal: float, size: tuple[int, int]) -> str:
-    """What to do about a focal length that is too short or too long for images of a size [px]."""
+    """Say what to do about a focal length that is too short or too long for images of a size [px]."""
     if focal > max(size):
         return "the focal length is of larger images, or an estimator's own and not the camera's"
     pixels = focal / MILLIMETRES * max(size)

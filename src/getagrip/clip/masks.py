@@ -30,19 +30,19 @@ def read_masks(clip: Clip) -> Masks:
 
 
 def find_masks(clip: Clip) -> Masks | None:
-    """The masks of a clip, as ``read_masks`` reads them; None where there is no folder of them."""
+    """Read the masks of a clip with ``read_masks``; None where there is no folder of them."""
     return None if clip.folder is None or not (clip.folder / "masks" / "object").exists() else read_masks(clip)
 
 
 def masks_of_some(clip: Clip, with_hand: bool = False) -> Masks | None:
-    """``find_masks`` of some frames of a clip, none of which need show the object; those of the hand if wanted."""
+    """Read masks of some frames, none of which need show the object; those of the hand if wanted."""
     if clip.folder is None or not (clip.folder / "masks" / "object").exists():
         return None
     return Masks.packed(_each(clip, with_hand and (clip.folder / "masks" / "hand").exists()), clip.size)
 
 
 def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
-    """``read_masks(clip).observed``, with one frame at a time in memory."""
+    """Compute ``read_masks(clip).observed`` with one frame at a time in memory."""
     any_object, observed = False, np.zeros(len(clip), dtype=bool)
     for n, (mask, ignore, _) in enumerate(_each(clip)):
         any_object |= bool(mask.any())
@@ -52,7 +52,7 @@ def read_observed(clip: Clip) -> Bool[ndarray, "T"]:
 
 
 def _each(clip: Clip, with_hand: bool = False) -> Iterator[FrameMasks]:
-    """The masks of each frame."""
+    """Yield the masks of each frame."""
     folder, (width, height) = _folder(clip), clip.size
     hidden = (folder / "masks" / "ignore").exists()
     for frame in clip.frames:
@@ -65,19 +65,19 @@ def _each(clip: Clip, with_hand: bool = False) -> Iterator[FrameMasks]:
 
 
 def has_mask(folder: Path, frame: str) -> bool:
-    """Whether there is a file, or a link, of the object's mask in a frame of the clip in a folder."""
+    """Return whether there is a file, or a link, of the object's mask in a frame of the clip in a folder."""
     return os.path.lexists(folder / "masks" / "object" / f"{frame}.png")
 
 
 def _folder(clip: Clip) -> Path:
-    """The clip's folder. Raises ``InputError`` where it has none."""
+    """Return the clip's folder. Raises ``InputError`` where it has none."""
     if clip.folder is None:
         raise InputError(clip.origin, "masks", "none, for a clip that is in no folder", "the masks beside the clip")
     return clip.folder
 
 
 def _read(folder: Path, kind: str, frame: str, size: tuple[int, int]) -> Bool[ndarray, "H W"]:
-    """The mask of a frame."""
+    """Read the mask of a frame."""
     path = files.inside(folder, f"masks/{kind}/{frame}.png", "", "a mask for each frame of clip.json")
     return read_png(path, size) != 0
 

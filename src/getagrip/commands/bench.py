@@ -32,11 +32,11 @@ T = TypeVar("T", bound=Timelines)
 
 @dataclass(frozen=True, kw_only=True)
 class Bench(Command, Generic[C]):
-    """What all benchmarks take, and how they run. Existing results are kept."""
+    """The shared options and the run of all benchmarks. Existing results are kept."""
 
     source: Annotated[C, arg(name="")]
     out: Folder
-    """Where clips, results, tables and plots go. Called again with the same folder, it continues where it stopped."""
+    """Folder of clips, results, tables and plots. Called again with the same folder, it continues where it stopped."""
     count: Annotated[int | None, arg(name="clips", metavar="N", help_behavior_hint="(default: all)")] = None
     """Use N clips, evenly sampled."""
     json: OptionalFile = None
@@ -50,11 +50,11 @@ class Bench(Command, Generic[C]):
 
     @property
     def options(self) -> Options:
-        """What all results have in common."""
+        """Options that all results share."""
         return Options(**vars(self.search), every_frame=self.every_frame)
 
     def benchmark(self) -> Benchmark[Any]:
-        """What is done with every clip. Raises ``UsageError`` where the call is wrong."""
+        """Make the benchmark, which is done with every clip. Raises ``UsageError`` where the call is wrong."""
         raise NotImplementedError
 
     def run(self) -> int:
@@ -145,7 +145,7 @@ BENCHES: tuple[tuple[Any, type[ClipSource]], ...] = (
 
 
 def _subcommands() -> Any:
-    """A subcommand for each source."""
+    """Make a subcommand for each source."""
     kinds = [Annotated[bench, subcommand(source.dataset, description=source.__doc__)] for bench, source in BENCHES]
     return Union[tuple(kinds)]  # noqa: UP007
 
@@ -154,8 +154,7 @@ Benches = _subcommands()
 
 
 def with_source(words: Sequence[str], sources: Collection[str]) -> list[str]:
-    """The words behind ``bench`` with the source first: options may come before it, and a folder of clips need not be
-    called one."""
+    """Return the words behind ``bench`` with the source first: options may come before it."""
     if not words or words[0] in ("-h", "--help"):
         return list(words)
     alone = words[0] == ClipFolder.dataset and (len(words) == 1 or words[1].startswith("-"))  # a folder of that name

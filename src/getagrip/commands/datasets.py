@@ -47,7 +47,7 @@ class Import(Command, Generic[D]):
 
     dataset: Annotated[D, arg(name="")]
     out: Folder
-    """Where the clips go, a folder each. Those that are there already are kept, unless they lack hands found now."""
+    """Folder of the clips, one folder each. Those that are there already are kept, unless they lack hands found now."""
     share: Annotated[Share, arg(name="")] = field(default_factory=Share)
 
     def run(self) -> int:
@@ -55,7 +55,7 @@ class Import(Command, Generic[D]):
 
 
 def _subcommands() -> Any:
-    """The subcommands of ``import``: a dataset each, then hands, masks and segments."""
+    """Make the subcommands of ``import``: a dataset each, then hands, masks and segments."""
     datasets = [
         Annotated[Import[dataset], subcommand(name, description=dataset.__doc__)]  # type: ignore[valid-type]
         for name, dataset in DATASETS.items()

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Category = Literal["bottle", "bowl", "can", "cup", "glass", "mug", "pan", "plate", "saucepan"]
 COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_name", "mp4_name")
-"""Of the table of candidates: EPIC-Grasps' own, without those that an annotator has still to fill."""
+"""Columns of the table of candidates: EPIC-Grasps' own, without those that an annotator has still to fill."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,7 @@ class EpicCandidates(Command):
     categories: Annotated[tuple[Category, ...], arg(help_behavior_hint="(default: all)")] = ()
     """Kinds of objects."""
     out: File
-    """Where the table goes (CSV)."""
+    """Table to write (CSV)."""
     json: OptionalFile = None
     """Write all that is known of the candidates here."""
 

@@ -24,7 +24,7 @@ class Export(Command):
     replay and to simulate; lerobot: a dataset; spider: keypoint trajectories; dex-retargeting: joints and object
     poses, z up."""
     out: OptionalFolder = None
-    """Where the exports go, each into a folder named as its result's. Otherwise RESULT/export-FORMAT."""
+    """Folder of the exports, each in a folder named as its result's. Otherwise RESULT/export-FORMAT."""
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     overwrite: Flag = False

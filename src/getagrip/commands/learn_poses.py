@@ -27,7 +27,7 @@ class LearnPoses(Command):
     clips: Clips = ()
     """Clip folders, or folders of clips."""
     out: File
-    """Where the grasps go. A clip of a subject among them starts from what is learnt without that subject."""
+    """File of the grasps. A clip of a subject among them starts from what is learnt without that subject."""
     k: int = 50
     """Rotations of each kind of object in each hand."""
     leave_out: Annotated[tuple[str, ...], arg(metavar="SUBJECT...", help_behavior_hint="")] = ()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from getagrip.batch.found import DetectedClip, FindJob
 
 CLIPS = "clips"
-"""Where the clips with their segments, or the grasps' own clips, go, in the folder of the results."""
+"""Folder, in that of the results, of the clips with their segments, or of the grasps' own clips."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class Reconstruct(Command):
     clips: Sources = ()
     """Clip folders, folders of clips, or patterns in quotes; also in object stores: s3://BUCKET/FOLDER, gs://..."""
     out: Annotated[Place, placed("DIR"), arg(metavar="DIR")]
-    """Where the results go: a folder for each clip, of the clip's name. Existing valid results are kept. Several calls
+    """Folder of the results: a folder for each clip, of the clip's name. Existing valid results are kept. Several calls
     may share it at the same time. It may be in an object store, too."""
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
     find_grasps: Flag = False
@@ -84,7 +84,7 @@ class Reconstruct(Command):
         return max(int(failures > 0), reconstruct_clips(made, out, self.options, found_here, self.debug))
 
     def _find(self, jobs: Sequence[FindJob], out: Path) -> list[DetectedClip]:
-        """What is found in each clip, in their order, without those that fail; all of it is printed."""
+        """Find the segments of each clip, in order, without clips that fail; print all of it."""
         from contextlib import closing
         from functools import partial
 

@@ -28,7 +28,7 @@ class View(Command):
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     port: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 8770, or a free one)")] = None
-    """Where the page is served."""
+    """Port of the page."""
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
     """The address of this machine that the page is served at. By default other machines cannot reach it: forward the
     port with ssh -L (docs/view.md)."""
@@ -70,7 +70,7 @@ class View(Command):
 
 
 def found(paths: Sequence[Path], problems: list[Exception]) -> tuple[list[Path], list[Path]]:
-    """The folders of results anywhere below paths, and of clips where there are no results."""
+    """List the folders of results anywhere below paths, and of clips where there are no results."""
     results: list[Path] = []
     clips: list[Path] = []
     for path in filterfalse(of_batch, paths):

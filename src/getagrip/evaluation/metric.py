@@ -35,23 +35,23 @@ class Metric:
     label: str = ""
     """Its column in the tables of ``bench``: of means if it is a share, else of medians; empty: none."""
     folded: bool = False
-    """Whether ``bench`` shows it among what its pages fold away."""
+    """True if ``bench`` shows it in the folded part of its pages."""
     decimals: int = 1
     by_contact: bool = False
-    """Whether each definition of contact gives another value."""
+    """True if each definition of contact gives another value."""
     needs_truth: bool = False
-    """Whether it is known only where there is ground truth."""
+    """True if it needs ground truth."""
     ranked: bool = True
-    """Whether more is better; else methods are not compared by it."""
+    """True if more is better; else methods are not compared by it."""
     averaged: bool = True
-    """Whether the mean over frames is given, too."""
+    """True if the mean over frames is given, too."""
 
     def key(self, contact: ContactDefinition) -> str:
         """Its key in JSON, by a definition of contact."""
         return f"{self.name}_{contact.key}" if self.by_contact else self.name
 
     def text(self, value: float) -> str:
-        """A value as text."""
+        """Write a value as text."""
         factor = 100 if self.unit == "%" else 1
         return "-" if np.isnan(value) else f"{factor * value:.{self.decimals}f}"
 
@@ -204,7 +204,7 @@ METRICS: tuple[Metric, ...] = (
 
 
 def measure(it: Comparison, wanted: Sequence[Metric] = METRICS) -> tuple[dict[str, float], dict[str, list[float]]]:
-    """The wanted metrics that can be known, one number for the clip each; and those that are numbers for each frame."""
+    """Compute the wanted metrics that can be known: one number for the clip each, and those with a number per frame."""
     metrics: dict[str, float] = {}
     per_frame: dict[str, list[float]] = {}
     for metric in wanted:

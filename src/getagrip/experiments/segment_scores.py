@@ -81,7 +81,7 @@ def matched(true: Sequence[Span], found: Sequence[Span]) -> Matched:
 
 
 def summary(sequences: Sequence[Matched]) -> Summary:
-    """What becomes of the intervals of all sequences together."""
+    """Summarise the intervals of all sequences together."""
     matches = [match for one in sequences for match in one.matches]
     overlaps = np.array([match.tiou for match in matches])
     found = sum(one.found for one in sequences)

@@ -31,7 +31,7 @@ REFERENCE = "one-dof"
 COMPARED = tuple(name for name, method in METHODS.items() if not method.slow)
 """Methods that are compared where none is named."""
 CONTACTS = (ContactDefinition("object", 0.010),)
-"""Of the definitions of contact (docs/metrics.md) those in the tables, unless a run or a setting says otherwise."""
+"""Definitions of contact (docs/metrics.md) in the tables, unless a run or a setting says otherwise."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Setting:
     """``Options`` that differ from those of the run."""
     change: Change = AS_GIVEN
     contact: ContactDefinition | None = None
-    """What counts as contact in the metrics; None: what the run says."""
+    """Definition of contact in the metrics; None: the run's."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,10 @@ class Ablation:
 
 
 def _hand_noise(mm: float) -> Setting:
-    """A bias, and jitter of half its size that is correlated over a tenth of a second: 0.8 degrees per millimetre."""
+    """Make a setting with a bias, and jitter of half its size correlated over a tenth of a second.
+
+    Both turn the hand by 0.8 degrees per millimetre.
+    """
     deg = 0.8 * mm
     noise = Noise(
         hand_bias_mm=mm, hand_bias_deg=deg, hand_jitter_mm=mm / 2, hand_jitter_deg=deg / 2, jitter_memory_s=0.1
@@ -68,7 +71,7 @@ def _hand_noise(mm: float) -> Setting:
 
 
 def _noise_level(name: str) -> Setting:
-    """The hands of a level of noise; the masks stay as they are."""
+    """Make a setting with the hands of a level of noise; the masks stay as they are."""
     return Setting(name, change=Noisy(replace(NOISE[name], mask_ragged_px=0.0)))
 
 
@@ -91,7 +94,7 @@ CATEGORY_MESHES = {
         (OtherObject(), ScaleFree(), Noisy(replace(NOISE["moderate"], mask_ragged_px=0.0)))
     ),
 }
-"""What is known of an object whose own mesh nobody has; the last is the paper's own setting, footage without CADs."""
+"""Knowledge of an object without its own mesh; the last is the paper's own setting, footage without CADs."""
 
 
 INPUTS = (
@@ -125,7 +128,7 @@ where the object is; then how the minimum is found; then the form of the terms.
 
 
 def _departures(count: int) -> Departures:
-    """The first so many of the steps."""
+    """Return the first ``count`` steps."""
     return Departures(**dict.fromkeys(list(STEPS.values())[:count], True))
 
 

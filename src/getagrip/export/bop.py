@@ -31,12 +31,12 @@ SCENE, OBJECT = 1, 1
 
 @dataclass(frozen=True)
 class Naming:
-    """What the files are called."""
+    """Names of the files."""
 
     dataset: str
     split: str = "test"
     camera: str = ""
-    """Of the scene's files, with an underscore before it."""
+    """Name of the camera in the scene's files, with an underscore before it."""
 
 
 CAMERAS = {
@@ -82,7 +82,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 
 def naming_of(scene: Scene) -> Naming:
-    """What the files of a scene are called: as in BOP's own dataset where the clip is of one."""
+    """Name the files of a scene as BOP's own dataset does, where the clip is of one."""
     if scene.source.startswith("HOT3D"):
         found = next((naming for camera, naming in CAMERAS.items() if scene.camera.startswith(camera)), None)
         if found is not None:
@@ -98,7 +98,7 @@ def image_ids(frames: tuple[str, ...]) -> list[int]:
 
 
 def _camera(scene: Scene, n: int) -> dict[str, object]:
-    """The camera of one image."""
+    """Describe the camera of one image."""
     out: dict[str, object] = {"cam_K": scene.K[n].ravel(), "depth_scale": 1.0}
     if scene.world is not None:
         T_cam_world = se3.inverse(scene.world.T_world_cam[n])
@@ -109,7 +109,7 @@ def _camera(scene: Scene, n: int) -> dict[str, object]:
 def _results(
     images: list[int], R: Float[ndarray, "T 3 3"], t: Float[ndarray, "T 3"], score: Float[ndarray, "T"]
 ) -> str:
-    """The results' text."""
+    """Write the text of the results."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["scene_id", "im_id", "obj_id", "score", "R", "t", "time"])

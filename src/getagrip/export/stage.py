@@ -1,4 +1,4 @@
-"""Where simulators and robots want things: in a frame that stands still, in metres, z up."""
+"""The stage: a frame that stands still, in metres, z up, as simulators and robots need."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ class Stage:
 
     @staticmethod
     def of(scene: Scene) -> Stage:
-        """The world frame turned z up. Without a world the camera is taken to stand still, without up to be level."""
+        """Make the stage: the world frame turned z up.
+
+        Without a world the camera is taken to stand still, without up to be level.
+        """
         up = None if scene.world is None else scene.world.up
         if scene.world is None:
             T = np.tile(np.eye(4), (len(scene.frames), 1, 1))

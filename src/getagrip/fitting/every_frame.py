@@ -54,7 +54,7 @@ class Track:
 
 
 def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
-    """A method's solutions as they are."""
+    """Return a method's solutions as they are."""
     clip = problem.clip
     T_hand_obj = placed(found.poses, clip.mesh.centre)
     iou = image_iou(clip, problem.masks, T_hand_obj[0], float(found.poses.scale[0]))
@@ -64,7 +64,7 @@ def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
 
 
 def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: MethodResult, track: Track) -> Track:
-    """A method's solutions in every frame of the clip; in the problem's frames, those of ``track``, as they are.
+    """Extend a method's solutions to every frame of the clip; in the problem's frames, those of ``track`` stay.
 
     Masks that contradict those of the problem's frames are doubted, too (``Trust.most_differing``). ``masks`` are
     those of the whole clip; without them, they are read from its folder, a few at a time.
@@ -115,7 +115,7 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
 
 
 def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], index: Int[ndarray, "m"]) -> Motion:
-    """The motions found at the frames ``sampled`` of a clip, fitted in the problem's frames, which are at ``index``.
+    """Fit the motions found at the frames ``sampled`` of a clip in the problem's frames, which are at ``index``.
 
     Only what is each frame's own is fitted.
     """
@@ -131,7 +131,7 @@ def own_fit(problem: Problem, found: MethodResult, sampled: Int[ndarray, "n"], i
 
 
 def hand_everywhere(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) -> Float[ndarray, "T 4 4"] | None:
-    """The hand of every frame: where it was corrected, by corrections between those of the sampled frames."""
+    """Return the hand of every frame: where it was refined, by interpolating the refinement of the sampled frames."""
     if not problem.trust.hand_refined:
         return None
     input_poses, corrected = clip.hand.T_cam_hand, problem.clip.hand.T_cam_hand
@@ -145,7 +145,7 @@ def hand_everywhere(clip: Clip, problem: Problem, sampled: Int[ndarray, "n"]) ->
 def _others(
     clip: Clip, masks: Masks | None, problem: Problem, sampled: Int[ndarray, "n"]
 ) -> Iterator[tuple[Int[ndarray, "m"], Problem]]:
-    """The frames beyond the sampled ones that show the object, a few at a time, each few spread over the clip."""
+    """Yield the frames beyond the sampled ones that show the object, a few at a time, each few spread over the clip."""
     hidden = {*problem.clip.left_out, *problem.trust.outliers}
     shown = np.flatnonzero([name not in hidden for name in clip.frames])
     rest = np.setdiff1d(shown, sampled)
@@ -157,6 +157,6 @@ def _others(
 
 
 def _angle(motion: Motion) -> Float[ndarray, "T"] | float:
-    """The angles of the best hypothesis; NaN where the motion has no latent axis."""
+    """Return the angles of the best hypothesis; NaN where the motion has no latent axis."""
     angles = motion.angles()
     return np.nan if angles is None else angles[0]

@@ -20,9 +20,9 @@ from getagrip.geometry import se3
 from getagrip.hands.bending import CHAINS, bent, finger_weights, hinges
 
 TURN, SHIFT, SIZE, BENDS = slice(0, 3), slice(3, 6), 6, slice(7, 22)
-"""Where each error stands among the numbers of a frame: [rad], [m], logarithm, [rad]."""
+"""Position of each error among the numbers of a frame: [rad], [m], logarithm, [rad]."""
 RIGID = 7
-"""So many numbers without the fingers."""
+"""Number of errors without the fingers."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class HandErrors:
 
     @staticmethod
     def of(hand: HandTrack) -> HandErrors:
-        """The rigid errors of a hand."""
+        """Return the rigid errors of a hand."""
         return HandErrors(hand, hand.vertices.mean(axis=(0, 1)), None)
 
     @property
@@ -55,7 +55,7 @@ class HandErrors:
         return RIGID if self.weights is None else BENDS.stop
 
     def take(self, index: Int[ndarray, "n"]) -> HandErrors:
-        """The hand at some of its frames."""
+        """Return the hand at some of its frames."""
         hand = self.tracked
         joints = None if hand.joints is None else hand.joints[index]
         taken = replace(hand, vertices=hand.vertices[index], T_cam_hand=hand.T_cam_hand[index], joints=joints)
@@ -85,7 +85,7 @@ class HandErrors:
         nearest: Int[ndarray, "N M"],
         along: Float[ndarray, "N M 3"],
     ) -> Float[ndarray, "N M P"]:
-        """Derivative, by the errors, of how far points of the ``surface`` move.
+        """Differentiate the motion of points of the ``surface`` by the errors.
 
         ``nearest`` is the vertex that each of M points goes with, ``along`` the direction that counts, in the camera
         frame.

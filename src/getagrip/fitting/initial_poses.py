@@ -38,7 +38,7 @@ def initial_poses(
 
 
 def grip_point(clip: Clip, uv: Float[ndarray, "T 2"]) -> Float[ndarray, "3"]:
-    """The point of the hand frame nearest to the rays through the masks' centres and to the hand's grip [m].
+    """Return the point of the hand frame nearest to the rays through the masks' centres and to the hand's grip [m].
 
     The grip is the mean of the five fingertips' contact regions, with a standard deviation of 5 cm. The rays have 2 cm;
     together they count as four, since occlusion by the hand biases all of them alike.

@@ -26,7 +26,7 @@ CHOICES = ("method", "inits", "init", "priors", "priors_only", "thorough", "seed
 
 @dataclass(frozen=True)
 class Judgement:
-    """What is known of a result without ground truth.
+    """The judgement of a result without ground truth.
 
     Attributes:
         checks: what each check of the result has measured, by its name.
@@ -63,7 +63,7 @@ def judge(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Trac
 def probabilities(
     clip: Clip, options: Options, signs: Mapping[str, float], findings: Sequence[Finding]
 ) -> dict[Where, Probability | None]:
-    """How probable it is that a result is right, in the hand and in the camera."""
+    """Compute the probability that a result is right, in the hand and in the camera."""
     in_hand = probability_right(options, signs, findings)
     # No pixel tells a wrong focal length from another distance.
     guessed = is_assumed(clip.provenance.get("camera"))
@@ -73,7 +73,9 @@ def probabilities(
 def probability_right(
     options: Options, signs: Mapping[str, float], findings: Sequence[Finding], where: Where = "hand"
 ) -> Probability | None:
-    """How probable it is that a result with such signs is right; ``findings`` are those about its input and itself.
+    """Compute the probability that a result with such signs is right.
+
+    ``findings`` are those about its input and itself.
 
     None where nothing is calibrated (``uncalibrated``).
     """

@@ -69,7 +69,7 @@ def contact_of(problem: Problem, push: float, pull: float) -> Energy:
 
 
 def contact_weights(problem: Problem, push: float, pull: float) -> tuple[Float[ndarray, "N"], Float[ndarray, "N"]]:
-    """What a metre of mean push and of mean pull weighs in each frame, by the masks' mean area [px^2 / m]."""
+    """Compute the weight of a metre of mean push and of mean pull in each frame, by the masks' mean area [px^2 / m]."""
     unit = problem.observation.area.mean() * problem.observation.K[:, 0]
     return push * PUSH * unit, pull * PULL * unit
 
@@ -87,12 +87,12 @@ def pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
 
 
 def _contacts(problem: Problem) -> dict[int, HandContacts]:
-    """What the hand touches with, at each level."""
+    """Return the hand's contacts, at each level."""
     return {level: HandContacts.of(problem.clip.hand, count) for level, count in CONTACTS.items()}
 
 
 def consistency_of(problem: Problem, weight: float) -> Energy:
-    """The term by which hand and object keep their distances, at any level.
+    """Make the term by which hand and object keep their distances, at any level.
 
     ``weight`` is that of the mean absolute change of squared distances, before the focal length and the masks' mean
     area: 1 in the authors' later code.
@@ -111,7 +111,7 @@ def consistency_of(problem: Problem, weight: float) -> Energy:
 
 
 def plus(*energies: Energy) -> Energy:
-    """The terms of all energies."""
+    """Join the terms of all energies."""
     return lambda level, index: [term for energy in energies for term in energy(level, index)]
 
 

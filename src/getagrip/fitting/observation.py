@@ -1,4 +1,4 @@
-"""What the masks of a clip say, cropped, at several resolutions, in the form the mask term reads."""
+"""The masks of a clip, cropped, at several resolutions, in the form the mask term reads."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Observation:
     has_gaps: bool
 
     def take(self, index: Int[ndarray, "n"]) -> Observation:
-        """The observation at some of its frames."""
+        """Return the observation at some of its frames."""
         return Observation(
             crops=Crops(self.crops.corner[index], self.crops.side, self.crops.size),
             K=self.K[index],
@@ -98,7 +98,7 @@ def observe(
 
 
 def _dithered(crops: Crops) -> Crops:
-    """The same crops, each moved by another part of a pixel of the image, which depends on its place.
+    """Shift each crop by another part of a pixel of the image, which depends on its place.
 
     A mask's contour runs along its pixels' borders, up to half a pixel from the object's. Crops centred on whole pixels
     would sample the left and right of it alike in every frame, and err in the object's size alike in every frame.
@@ -107,7 +107,7 @@ def _dithered(crops: Crops) -> Crops:
 
 
 def _sampled(masks: Masks, crops: Crops, use_ignore: bool) -> tuple[Bool[ndarray, "N s s"], Bool[ndarray, "N s s"]]:
-    """The object's pixels, and those that count.
+    """Sample the object's pixels, and those that count.
 
     Each level is sampled from the masks themselves, where silhouettes are: at the centres of its pixels. Majorities of
     a finer level's pixels would have ties, and objects half a pixel too large or too small are as much too near or far.

@@ -1,4 +1,4 @@
-"""What every method is given and gives back: a clip prepared for fitting, and the poses found."""
+"""The input and output of every method: a clip prepared for fitting, and the poses found."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from getagrip.result import Axis, Status
 
 CONTACT_IF_FITTED = 4.0
 """Factor on the weight of contact where the mesh is fitted. The masks then tell size and distance less well, and the
-hand tells them better: the object is where it can be held."""
+hand determines them better."""
 REACH, REACH_IF_FITTED = 0.01, MARGIN
 """Farthest that a finger may be from the object and still be drawn to it [m]; beyond, it is taken to hold nothing. A
 fitted mesh may be that much nearer or farther than the object."""
@@ -38,15 +38,15 @@ fitted mesh may be that much nearer or farther than the object."""
 
 @dataclass(frozen=True)
 class Trust:
-    """What is believed of the inputs of a problem.
+    """The trust in the inputs of a problem.
 
     Attributes:
         hand_corrected: whether the hand was refined by its own pixels.
         hand_differing: share of the hand's visible pixels that differ from its silhouette; NaN where it is not known.
         hand_drawn: whether the drawn hand stands in for missing ignore masks.
         mesh_fitted: whether the mesh was warped to the masks.
-        doubted: names of frames whose masks contradict the others, and are left out (``outlier_masks``).
-        most_differing: pixels by which a mask may differ from the silhouette that the other frames predict.
+        outliers: names of frames with outlier masks, which are left out (``outlier_masks``).
+        outlier_threshold: pixels by which a mask may differ from the predicted silhouette.
     """
 
     hand_refined: bool = False
@@ -101,7 +101,7 @@ class Problem:
         return len(self.prior_poses) if self.options.priors_only else self.options.inits
 
     def at(self, clip: Clip, masks: Masks) -> Problem:
-        """The same problem in other frames of its clip, with the masks that are given for them.
+        """Return the problem in other frames of its clip, with their masks.
 
         Whether the masks leave gaps stays as it was found.
         """
@@ -111,7 +111,7 @@ class Problem:
         return replace(self, clip=clip, masks=shown, input_masks=masks, observation=observation)
 
     def warped(self, warp: Warp | None) -> Problem:
-        """The same problem with its mesh warped, where there is a warp, and contact of more weight."""
+        """Return the problem with its mesh deformed, where there is a warp, and contact of more weight."""
         if warp is None:
             return self
         clip = self.clip.warped(warp)
@@ -204,7 +204,7 @@ def _prepared(
 
 
 def _sampled(clip: Clip, masks: Masks | None, frames: int) -> tuple[Clip, Masks]:
-    """The frames that are used, and their masks. Masks of other frames are read one by one, and not kept."""
+    """Return the frames that are used, and their masks. Masks of other frames are read one by one, and not kept."""
     if masks is None and len(clip) <= frames:
         masks = read_masks(clip)
     observed = read_observed(clip) if masks is None else masks.observed

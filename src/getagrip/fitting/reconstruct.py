@@ -81,7 +81,7 @@ def reconstruct(
 
 
 def _searched(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> tuple[Problem, MethodResult]:
-    """What the method finds, and the problem in the frames whose masks are believed.
+    """Run the method; return the problem in the frames without outlier masks, and the result.
 
     Where it fails, the error also says what was unusual about its inputs.
     """
@@ -100,7 +100,7 @@ def _searched(problem: Problem, clock: Clock, findings: tuple[Finding, ...]) -> 
 def _followed(
     clip: Clip, masks: Masks | None, it: Evidence, problem: Problem, found: MethodResult, clock: Clock
 ) -> tuple[Track, Track]:
-    """The solutions in the frames that were fitted together, and in all that the options ask for."""
+    """Return the solutions in the frames that were fitted together, and in all that the options ask for."""
     sampled = at_sampled_frames(problem, found)
     clock("finish")
     footage = (clip, masks) if problem.options.every_frame else (it.clip, it.masks)
@@ -117,11 +117,11 @@ def _reconstruction(
     hand_moved: bool,
     seconds: dict[str, float],
 ) -> Reconstruction:
-    """A method's solutions, with all that is known about how they were found; ``options`` are those that were given."""
+    """Make the result of a method's solutions; ``options`` are those that were given."""
     clip, energy = problem.clip, found.energy
     scale = float(found.poses.scale[0])
     shown = np.count_nonzero(~np.isnan(track.iou)) + len(track.outliers)
-    mean_iou = float(np.nansum(track.iou)) / shown  # a doubted mask is one that is not explained
+    mean_iou = float(np.nansum(track.iou)) / shown  # an outlier mask is not explained
     explained = mean_iou >= LEAST_IOU
     guesses = {}
     if clip.scale == "free":

@@ -107,7 +107,7 @@ def _rasterise(p: ndarray, faces: ndarray, depth: ndarray, face: ndarray) -> Non
 
 @njit(cache=True, nogil=True)
 def _cover(p: ndarray, faces: ndarray, mask: ndarray) -> None:
-    """The pixels that ``_rasterise`` gives a face."""
+    """Mark the pixels that ``_rasterise`` gives a face."""
     height, width = mask.shape
     for f in range(len(faces)):
         p0, p1, p2 = p[faces[f, 0]], p[faces[f, 1]], p[faces[f, 2]]
@@ -152,7 +152,7 @@ def _box(p0: ndarray, p1: ndarray, p2: ndarray, width: int, height: int) -> tupl
 
 @njit(cache=True, nogil=True)
 def _edges(p0: ndarray, p1: ndarray, p2: ndarray) -> tuple:
-    """The rows of the adjugate of [p_0 p_1 p_2], and its determinant, both times the latter's sign.
+    """Return the rows of the adjugate of [p_0 p_1 p_2], and its determinant, both times the latter's sign.
 
     Row i is the edge opposite to corner i. It is negated exactly in the face across the edge, so that no pixel falls
     between two faces.

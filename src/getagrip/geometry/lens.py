@@ -12,7 +12,7 @@ from getagrip.io.arguments import Flag, numbers
 
 @dataclass(frozen=True)
 class Lens:
-    """What is known of the camera; at most one of the three."""
+    """Knowledge about the camera: at most one of three fields is set."""
 
     K: Annotated[
         tuple[float, float, float, float] | None, numbers(4, "FX FY CX CY"), arg(name="K", help_behavior_hint="")
@@ -25,5 +25,5 @@ class Lens:
 
     @property
     def is_set(self) -> bool:
-        """Whether there is anything."""
+        """True if any field is set."""
         return self.K is not None or self.focal is not None or self.guess_focal

@@ -19,7 +19,8 @@ HASTE = (3.0, 7.0)
 """How hastily edges collapse. At the library's 7 thin parts are lost: a notebook of 28 cm was 7 mm off on average, and
 0.2 mm at 3. Rough meshes of a million faces need more, though."""
 MOST_FACES = 100_000
-"""Of a mesh as it is fitted, measured and drawn: of a can, faces of a millimetre. More only take time and memory."""
+"""Most faces of a mesh that is fitted, measured and drawn: millimetre-sized ones on a can. More only take time and
+memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ class Mesh(ArrayData):
 
     @cached_property
     def is_closed(self) -> bool:
-        """Whether every half-edge has its opposite."""
+        """True if every half-edge has its opposite."""
         return bool(np.all(self.edges[:, 3] < len(self.faces)))
 
     @cached_property
@@ -88,7 +89,7 @@ class Mesh(ArrayData):
         return clustered(self, MOST_FACES)
 
     def stands_for(self, whole: Mesh, done: str) -> list[str]:
-        """What to say where this mesh was fitted or measured (``done``) in place of the whole one."""
+        """Return a note that this mesh was fitted or measured (``done``) in place of the whole one."""
         faces = len(whole.faces), len(self.faces)
         return [] if self is whole else [f"the mesh of {faces[0]} faces was {done} with {faces[1]}"]
 
@@ -100,7 +101,7 @@ class Mesh(ArrayData):
 
 
 def vertex_normals(vertices: Float[ndarray, "*batch V 3"], faces: Int[ndarray, "F 3"]) -> Float[ndarray, "*batch V 3"]:
-    """Unit vertex normals, faces weighted by their angle at the vertex; zero for vertices without faces."""
+    """Compute unit vertex normals, faces weighted by their angle at the vertex; zero for vertices without faces."""
     corners = vertices[..., faces, :]
     along = np.roll(corners, -1, axis=-2) - corners
     lengths = np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-300)
@@ -195,7 +196,7 @@ def merged(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
 
 
 def clustered(mesh: Mesh, faces: int) -> Mesh:
-    """A mesh of about ``faces`` faces with nearly the same shape, or the mesh itself: fast, for very large ones.
+    """Simplify a very large mesh to about ``faces`` faces by vertex clustering, which is fast.
 
     Vertices in the same cell of a grid become their mean, and faces with two corners in one cell vanish: no vertex
     moves farther than a cell, on smooth surfaces much less. A closed mesh stays closed. The mesh itself is returned
@@ -213,7 +214,7 @@ def clustered(mesh: Mesh, faces: int) -> Mesh:
 
 
 def decimate(mesh: Mesh, faces: int) -> Mesh:
-    """A mesh of about ``faces`` faces with nearly the same shape (quadric edge collapse), or the mesh itself.
+    """Simplify a mesh to about ``faces`` faces by quadric edge collapse.
 
     Where faces share no edges that could collapse (triangle soups), vertices are clustered instead.
     """

@@ -65,7 +65,7 @@ def right_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"
 
 
 def quaternion(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 4"]:
-    """Unit quaternion (w, x, y, z), w >= 0, of a rotation matrix (Shepperd's method)."""
+    """Convert a rotation matrix to a unit quaternion (w, x, y, z), w >= 0 (Shepperd's method)."""
     m = np.moveaxis(R.reshape(*R.shape[:-2], 9), -1, 0)
     xx, xy, xz, yx, yy, yz, zx, zy, zz = m
     candidates = np.stack(
@@ -91,7 +91,7 @@ def quaternions_in_time(R: Float[ndarray, "T 3 3"]) -> Float[ndarray, "T 4"]:
 
 
 def between(a: Float[ndarray, "*#batch 3"], b: Float[ndarray, "*#batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """The smallest rotation that takes the unit vector a to the unit vector b."""
+    """Return the smallest rotation that takes the unit vector a to the unit vector b."""
     a, b = np.broadcast_arrays(a, b)
     cosine = np.sum(a * b, axis=-1)
     W = hat(np.cross(a, b))
@@ -145,7 +145,7 @@ def rotation_about_line(
 
 
 def is_rigid(T: Float[ndarray, "*batch 4 4"], tolerance: float = 1e-3) -> Bool[ndarray, "*batch"]:
-    """Whether each 4x4 matrix is a rotation and a translation (no scale, no mirror), within ``tolerance``."""
+    """Return whether each 4x4 matrix is a rotation and a translation (no scale, no mirror), within ``tolerance``."""
     R = T[..., :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         orthogonal = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(axis=(-1, -2)) < tolerance
@@ -167,7 +167,7 @@ def angle_between(Ra: Float[ndarray, "*#batch 3 3"], Rb: Float[ndarray, "*#batch
 
 
 def super_fibonacci(n: int) -> Float[ndarray, "n 3 3"]:
-    """n rotations (n, 3, 3), nearly uniform over SO(3) (Alexa, "Super-Fibonacci Spirals", CVPR 2022)."""
+    """Return n rotations (n, 3, 3), nearly uniform over SO(3) (Alexa, "Super-Fibonacci Spirals", CVPR 2022)."""
     phi, psi = np.sqrt(2.0), 1.533751168755204288118041
     s = np.arange(n) + 0.5
     t = s / n

@@ -37,7 +37,7 @@ MOTION_MEASURES = {
     "pivot": Measure("distance of the axis from the middle of the contact", "mm", 1e3),
     "slip": Measure("way of the contact points in the hand frame, first to last fifth", "mm", 1e3),
 }
-"""By name; shown in these units, held in SI units."""
+"""By name; shown in these units, stored in SI units."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Residual:
 
     @staticmethod
     def of(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"], size: float) -> Residual:
-        """Of rotations and positions of the centre [m] of an object of some size [m] (``study.object_in_hand``)."""
+        """Compute the residual from rotations and centres [m] of an object of some size [m]."""
         return Residual.beside(pose_hinge(R, c, size), R, c)
 
     @staticmethod
@@ -78,7 +78,10 @@ class Residual:
 
 
 def hinge_axes(direction: Float[ndarray, "3"], arm: Float[ndarray, "3"]) -> Float[ndarray, "3 3"]:
-    """Unit vectors, as columns: along an axis, along the arm as far as it is square to the axis, and square to both."""
+    """Return unit vectors, as columns.
+
+    They point along an axis, along the arm as far as it is square to the axis, and square to both.
+    """
     across = arm - direction * (direction @ arm)
     if np.linalg.norm(across) < 1e-9:
         across = np.linalg.svd(direction[None])[2][1]
@@ -183,7 +186,7 @@ JOINT = ("duration", "turn", "rotation", "place", "drift", "pivot", "slip")
 
 @dataclass(frozen=True)
 class MotionStatistics:
-    """What grasps have in common: numbers over all of them, none of a single one.
+    """Statistics over all grasps; nothing of a single one.
 
     Attributes:
         grasps: number of grasps.
@@ -209,7 +212,7 @@ class MotionStatistics:
 
     @staticmethod
     def of(measured: Sequence[tuple[dict[str, float], Residual]]) -> MotionStatistics:
-        """Of several grasps, as ``measure`` gives them."""
+        """Compute the statistics of several grasps, as ``measure`` gives them."""
         values = {name: np.array([one[name] for one, _ in measured]) for name in MOTION_MEASURES}
         logs = np.log([values[name] for name in JOINT])
         known, mean = np.isfinite(logs), np.nanmean(logs, axis=1)

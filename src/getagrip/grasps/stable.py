@@ -62,7 +62,7 @@ def contact_sets(
     points: Points = "vertices",
     progress: Callable[[float], None] = lambda _: None,
 ) -> Bool[ndarray, "T P"]:
-    """Which points of the object touch the true hand in each frame: signed distance to it at most ``threshold`` [m].
+    """Find the points of the object that touch the true hand in each frame: signed distance at most ``threshold`` [m].
 
     An object with a joint has it as it truly was (``Truth.joint``). Holes of the hand (MANO's wrist) are closed. Raises
     ``InputError`` for a clip without ground truth, ``UsageError`` for unknown ``points``.
@@ -90,7 +90,7 @@ def contact_sets(
 
 
 def fragments(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
-    """The patch of each vertex: that of the nearest of some vertices spread over the object.
+    """Assign each vertex to the nearest of some vertices spread over the object.
 
     Each is the vertex farthest from those before it and from the mean of all (Hodan et al., "EPOS", CVPR 2020).
     """
@@ -126,7 +126,10 @@ class PairwiseIou:
         weights: Float[ndarray, "P"] | None = None,
         articulation: Float[ndarray, "T"] | None = None,
     ) -> PairwiseIou:
-        """Of contact sets (frame, point); ``weights`` of the points, not negative, equal where left out."""
+        """Compute the IOU of contact sets (frame, point).
+
+        ``weights`` of the points, not negative, equal where left out.
+        """
         angle = np.zeros(len(contact)) if articulation is None else articulation
         touched = contact.any(axis=0)
         if weights is None:
@@ -208,7 +211,7 @@ def _earliest_starts(iou: Float[ndarray, "T T"] | PairwiseIou, tau: float) -> In
 
 
 def _longest_first(starts: Int[ndarray, "T"], shortest: int) -> list[tuple[int, int]]:
-    """The longest interval, then the longest ones before and after it, and so on."""
+    """Return the longest interval, then the longest ones before and after it, and so on."""
     taken = []
     free = [(0, len(starts) - 1)]
     while free:

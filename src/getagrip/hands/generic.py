@@ -36,7 +36,7 @@ SHAPES = (
     "ring_length",
     "pinky_length",
 )
-"""What the shape parameters enlarge."""
+"""Names of the shape parameters, each of which enlarges one part."""
 
 SPREAD = 0.1
 """Standard deviation of the shape parameters; those of single bones are 7 to 15 % (Buryanov, Kotiuk, Table I)."""
@@ -44,7 +44,10 @@ SPREAD = 0.1
 
 @lru_cache
 def load(side: Side) -> HandModel:
-    """The generic hand of one side; the left one is the right one mirrored in x. Raises ``UsageError`` for no side."""
+    """Load the generic hand of one side; the left one is the right one mirrored in x.
+
+    Raises ``UsageError`` for no side.
+    """
     check_word("side", side, Side)
     if side == "left":
         return mirrored_model(load("right"))
@@ -144,7 +147,7 @@ def _stretches(fingers: Mapping[str, Finger]) -> Float[ndarray, "S 16 3 3"]:
 def contact_regions(
     vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], fingers: Mapping[str, Finger]
 ) -> dict[str, Int[ndarray, "_"]]:
-    """The pads of the fingertips, then the ball of the thumb, the fingers' roots and the edge of the palm."""
+    """Return the pads of the fingertips, then the ball of the thumb, the fingers' roots and the edge of the palm."""
     normals = vertex_normals(vertices, faces)
     regions = {}
     for name, finger in fingers.items():

@@ -46,7 +46,7 @@ class PosePrior(NamedTuple):
 
     @staticmethod
     def of(model: HandModel) -> PosePrior:
-        """The prior of a model, its axes from the rest pose."""
+        """Make the prior of a model, its axes from the rest pose."""
         each = np.array(KNUCKLES)[:, None] + np.arange(3)
         points = np.concatenate([model.joints[each], model.template[model.tips][:, None]], axis=1)
         bone = np.diff(points, axis=1)

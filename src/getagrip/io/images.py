@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from PIL.PngImagePlugin import PngImageFile
 
 QUALITY = 92
-"""Of JPEG images, of 100."""
+"""Quality of JPEG images, of 100."""
 MOST_SCANS = 100
 """Passes over an image: 1 to 4 of plain ones, about 10 of those that load step by step."""
 _MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd7\xff])", re.DOTALL)
-"""What begins a segment, wherever a decoder looks for one: in coded data, FF is followed by 00 or D0 to D7."""
+"""Start of a segment, wherever a decoder looks for one: in coded data, FF is followed by 00 or D0 to D7."""
 SCAN, LAST = 0xDA, 0xD9
 LARGEST = 64 * 2**20
 """Limit of a file in bytes."""
@@ -45,7 +45,7 @@ COLOURS = {
     "RGB": "RGB",
     "RGBA": "RGB and alpha",
 }
-"""What Pillow calls the colours of a PNG, and what errors call them."""
+"""Pillow's names of a PNG's colours, and those in errors."""
 
 
 def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
@@ -125,7 +125,9 @@ def _write(path: Path, image: UInt8[ndarray, "H W"] | UInt8[ndarray, "H W 3"], o
 
 
 def open_jpeg(path: Path, key: str, content: bytes) -> JpegImageFile:
-    """A JPEG that is yet to be decoded. ``path`` and ``key`` are named in errors.
+    """Open a JPEG without decoding it.
+
+    ``path`` and ``key`` are named in errors.
 
     Raises ``InputError`` for too many scans, and whatever Pillow meets.
     """
@@ -142,7 +144,7 @@ def open_jpeg(path: Path, key: str, content: bytes) -> JpegImageFile:
 
 
 def read_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
-    """An 8-bit image of one channel and of the given (width, height). Raises ``InputError``."""
+    """Read an 8-bit image of one channel and of the given (width, height). Raises ``InputError``."""
     image, colours, bits = open_png(path, size)
     if (colours, bits) != ("grey", 8):
         raise InputError(path, "channels", f"{bits} bit {colours}", "8 bit, one channel (grey)")
@@ -160,7 +162,7 @@ def read_colour_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"
 
 
 def open_png(path: Path, size: tuple[int, int]) -> tuple[PngImageFile, str, int]:
-    """A whole PNG of the given (width, height), decoded; its kind of colours and the bits of each channel.
+    """Read a PNG of the given (width, height); also return its kind of colours and the bits of each channel.
 
     Raises ``InputError``.
     """

@@ -34,7 +34,7 @@ _ZERO = np.uint64(0)
 
 @intrinsic
 def popcount(typingctx, word):
-    """Number of bits set in a 64-bit word."""
+    """Count the bits set in a 64-bit word."""
 
     def codegen(context, builder, signature, args):
         return builder.ctpop(args[0])
@@ -44,7 +44,7 @@ def popcount(typingctx, word):
 
 @intrinsic
 def fma(typingctx, a, b, c):
-    """``a b + c``, rounded once: sums of these keep their order, however the loop around them is compiled."""
+    """Compute ``a b + c``, rounded once: sums keep their order, however the loop around them is compiled."""
 
     def codegen(context, builder, signature, args):
         return builder.fma(*args)
@@ -157,7 +157,7 @@ def rasterise(uvz, edges, n_edges, closed, zoom, lines, planes, bits):
 
 @njit(**OPTIONS)
 def mismatch(bits, observed, valid):
-    """Number of valid pixels in which two bit masks differ: E_mask (Eq. 6), at the resolution of the masks."""
+    """Count the valid pixels in which two bit masks differ: E_mask (Eq. 6), at the resolution of the masks."""
     total = np.uint64(0)
     for row in range(bits.shape[0]):
         for word in range(bits.shape[1]):

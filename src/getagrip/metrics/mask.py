@@ -53,7 +53,7 @@ def iou(predicted: Bool[ndarray, "H W"], observed: Bool[ndarray, "H W"], ignore:
 
 
 def soft_iou(fine: Bool[ndarray, "H2 W2"], observed: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"]) -> float:
-    """The same with a pixel covered by the share p of its four parts: sum p r / sum min(p + r, 1); NaN for 0 / 0."""
+    """Compute the IOU with pixels covered by a share p of their four parts: sum p r / sum min(p + r, 1)."""
     parts = fine.view(np.uint8)
     quarters = (parts[::2, ::2] + parts[::2, 1::2] + parts[1::2, ::2] + parts[1::2, 1::2]) * ~ignore
     r = observed & ~ignore

@@ -80,7 +80,7 @@ def pose_errors(
 def best_symmetry(
     mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetries: Symmetries
 ) -> Float[ndarray, "4 4"]:
-    """The symmetry with the smallest ADD over the whole sequence: one for all frames, as BOP and HOT3D score videos.
+    """Return the symmetry with the smallest ADD over the whole sequence: one for all frames, as in BOP and HOT3D.
 
     Continuous rotations are sampled (36 angles; 500 rotations of a ball) and the best sample is refined by a simplex
     search, so that sampling adds no error.
@@ -114,7 +114,7 @@ def best_symmetry(
 def _difference(
     predicted: ObjectTrack, true: ObjectTrack, S: Float[ndarray, "4 4"]
 ) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, "T 3"]]:
-    """(A, b) with A x + b the displacement [m], in the frame of reference, of the unscaled object point x."""
+    """Return (A, b) with A x + b the displacement [m], in the frame of reference, of the unscaled object point x."""
     P, Q = predicted.T_ref_obj, true.T_ref_obj
     A = predicted.scale * P[:, :3, :3] - true.scale * Q[:, :3, :3] @ S[:3, :3]
     return A, P[:, :3, 3] - Q[:, :3, 3] - true.scale * Q[:, :3, :3] @ S[:3, 3]

@@ -29,7 +29,10 @@ ESCAPED = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 
 
 def document(title: str, body: str, scripts: Sequence[str], data: Mapping[str, object], asks: bool = False) -> str:
-    """The page: ``body`` and ``scripts`` are files of ``parts/``; if it ``asks``, it may load more from its server."""
+    """Build the page: ``body`` and ``scripts`` are files of ``parts/``.
+
+    If it ``asks``, it may load more from its server.
+    """
     style = _part("page.css")
     codes = [_part(name) for name in scripts]
     asking = "; connect-src 'self'" if asks else ""
@@ -60,7 +63,7 @@ def to_script(data: Mapping[str, object]) -> str:
 
 
 def pack(arrays: Mapping[str, ndarray]) -> tuple[dict[str, dict[str, object]], str]:
-    """Where each array is (type, shape, offset in bytes), and all of them, deflated, as base64."""
+    """Pack arrays: where each is (type, shape, offset in bytes), and all of them, deflated, as base64."""
     where, parts, size = {}, [], 0
     for name, values in arrays.items():
         kind = values.dtype.name
@@ -78,5 +81,5 @@ def _part(name: str) -> str:
 
 
 def _hash(code: str) -> str:
-    """What the policy calls a script or style."""
+    """Return the policy's hash of a script or style."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(code.encode()).digest()).decode()}'"

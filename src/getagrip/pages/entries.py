@@ -47,7 +47,7 @@ class Entry:
     clips: Path | None = None
 
     def read(self) -> list[Column]:
-        """A column for each result, at the frames that all of them have, without masks. Raises ``InputError``."""
+        """Read a column for each result, at the frames that all of them have, without masks. Raises ``InputError``."""
         if self.clip is not None:
             clip = read_clip(self.clip)
             return [
@@ -60,7 +60,7 @@ class Entry:
 
 
 def labels(views: Sequence[View], folders: Sequence[str]) -> list[str]:
-    """The results' methods; where these agree, also the folders that tell the results apart."""
+    """Return the results' methods; where these agree, also the folders that tell the results apart."""
     named = [METHODS[v.result.method].label if v.result.method in METHODS else v.result.method for v in views]
     return [
         label if named.count(label) == 1 else f"{label} ({folder})"

@@ -34,7 +34,7 @@ def drawn(view: View, n: int, crops: Crops, k: int) -> dict[str, object]:
 
 
 def outline(view: View, n: int, crops: Crops, k: int) -> str:
-    """The contour of the posed object."""
+    """Return the contour of the posed object."""
     return _contour([(view.object(n), view.clip.mesh.faces)], view, n, crops, k)
 
 
@@ -44,7 +44,7 @@ def _contour(surfaces: Iterable[Surface], view: View, n: int, crops: Crops, k: i
 
 
 def jpeg(picture: UInt8[ndarray, "H W 3"], quality: int) -> str:
-    """An RGB picture as JPEG, in base64."""
+    """Encode an RGB picture as JPEG, in base64."""
     done, content = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
         raise GetagripError(f"a picture of {picture.shape[1]}x{picture.shape[0]} px could not be written as JPEG")
@@ -52,7 +52,7 @@ def jpeg(picture: UInt8[ndarray, "H W 3"], quality: int) -> str:
 
 
 def paths(lines: Iterable[Float[ndarray, "_n 2"]]) -> str:
-    """Closed lines as SVG draws them, without points that hardly change them."""
+    """Write closed lines as SVG paths, without points that hardly change them."""
     out = []
     for line in lines:
         kept = cv2.approxPolyDP(line.astype(np.float32)[:, None], 0.3, closed=True)[:, 0]

@@ -93,12 +93,12 @@ def _near(distance: Float[ndarray, "T V"]) -> Float[ndarray, "T V"]:
 
 
 def _axis(view: View) -> Float[ndarray, "2 3"]:
-    """The ends of the latent axis in the hand frame; NaN where it is not known."""
+    """Return the ends of the latent axis in the hand frame; NaN where it is not known."""
     return np.full((2, 3), np.nan) if view.result.axis is None else axis_points(view)[[0, -1]]
 
 
 def _middle(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "3"]:
-    """Of the bounding box."""
+    """Return the middle of the bounding box."""
     return np.asarray((vertices.min(axis=0) + vertices.max(axis=0)) / 2.0)
 
 

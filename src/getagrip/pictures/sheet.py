@@ -29,7 +29,7 @@ class Sheet:
 
     @staticmethod
     def of(width: float, height: float, dpi: int) -> Sheet:
-        """An empty one; its size is rounded up to whole pixels."""
+        """Make an empty sheet; its size is rounded up to whole pixels."""
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
@@ -68,7 +68,7 @@ class Sheet:
             text.set_text(f"{words[: (kept + 1) // 2].rstrip()}...{words[len(words) - kept // 2 :].lstrip()}")
 
     def title(self, words: str, under: str) -> None:
-        """What the figure shows, and a line under it; ``HEAD`` is their height."""
+        """Write the title, and a line under it; ``HEAD`` is their height."""
         self.text(0.25, 0.17, words, self.width - 0.4, fontsize=13, fontweight="bold")
         self.text(0.25, 0.47, under, self.width - 0.4, fontsize=9.5, color=FAINT)
 
@@ -91,6 +91,6 @@ class Sheet:
 
 
 def frame(axes: Axes, colour: str = LINE, width: float = 0.8) -> None:
-    """A border of a colour around axes."""
+    """Draw a border of a colour around axes."""
     for spine in axes.spines.values():
         spine.set(edgecolor=colour, linewidth=width)

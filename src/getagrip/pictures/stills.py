@@ -24,7 +24,7 @@ SUBPIXEL = 3
 
 
 def steady_windows(view: View, size: int) -> Crops:
-    """A square window around hand and masks in each frame, of one size, that moves smoothly."""
+    """Return a square window around hand and masks in each frame, of one size, that moves smoothly."""
     crops = input_windows([view], np.arange(len(view.result.frames)), size)
     middle = crops.corner + crops.side / 2.0
     smooth = smoothed(middle, STEADY * view.clip.fps)
@@ -33,7 +33,7 @@ def steady_windows(view: View, size: int) -> Crops:
 
 
 def smoothed(track: Float[ndarray, "T k"], over: float) -> Float[ndarray, "T k"]:
-    """A track after a Gaussian filter, whose standard deviation is so many frames; its ends are repeated beyond it."""
+    """Smooth a track by a Gaussian of ``over`` frames; its ends are repeated beyond it."""
     reach = int(4.0 * over + 0.5)
     weight = np.exp(-0.5 * (np.arange(-reach, reach + 1) / over) ** 2)
     padded = np.pad(track, ((reach, reach), (0, 0)), mode="edge")
@@ -61,7 +61,7 @@ def turned(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size siz
 
 
 def _stretches(uv: Float[ndarray, "n 2"], chosen: Bool[ndarray, "n"]) -> list[Float[ndarray, "_n 2"]]:
-    """The chosen points of a line, where they follow one another."""
+    """Return the chosen points of a line, where they follow one another."""
     ends = np.flatnonzero(np.diff(chosen.astype(int))) + 1
     return [
         part for part, first in zip(np.split(uv, ends), np.split(chosen, ends), strict=True) if len(part) and first[0]

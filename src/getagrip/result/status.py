@@ -25,19 +25,19 @@ class Status(Enum):
     sentence: str
 
     def __new__(cls, word: str, sentence: str = "") -> Self:
-        """A member by its word; the sentence is the members' own."""
+        """Make a member from its word; each member has its own sentence."""
         member = object.__new__(cls)
         member._value_, member.sentence = word, sentence
         return member
 
     @property
     def failed(self) -> bool:
-        """Whether the result, or a part of it, is not to be used."""
+        """True if the result, or a part of it, is not to be used."""
         return self in (Status.PARTLY_FAILED, Status.MISFIT, Status.INVISIBLE)
 
     @staticmethod
     def of_sentence(sentence: str) -> Status:
-        """The status of a result of version 1, which has the sentence only; ``given`` for one from elsewhere."""
+        """Return the status of a result of version 1, which has the sentence only; ``given`` for one from elsewhere."""
         known = next((status for status in Status if status.sentence == sentence), None)
         if known is not None:
             return known

@@ -3,7 +3,7 @@
 Propagation after the authors' later code (objects-along-hit): it starts at the longest static segment, goes back to the
 first, on to the last and back again. Each segment is fitted with one more start, the pose of the segment visited before
 it where the two are nearest in time, and keeps the fit with the highest mean IOU over its visits. Static: one pose,
-E_mask. Held or in contact: a free pose per frame, with contact consistency. So it can only gain IOU by propagating, by
+E_mask. Grasp or contact: a free pose per frame, with contact consistency. So it can only gain IOU by propagating, by
 construction; the weight of its links is 0. Search, optimiser and hand correction are ours.
 """
 
@@ -31,8 +31,10 @@ from getagrip.timelines.static_pose import static_hypotheses
 
 
 def grasp_only(footage: Footage) -> Motion:
-    """Each grasp by itself. Static poses are those of the nearest frame of a grasp; elsewhere, the object goes with the
-    hand. Raises ``InputError`` where no grasp shows the object.
+    """Fit each grasp by itself.
+
+    Static poses are those of the nearest frame of a grasp; elsewhere, the object goes with the hand. Raises
+    ``InputError`` where no grasp shows the object.
     """
     motion, known = Motion.of(footage), list[Segment]()
     for segment in footage.clip.segments:
@@ -45,7 +47,7 @@ def grasp_only(footage: Footage) -> Motion:
 
 
 def static_only(footage: Footage) -> Motion:
-    """Each static segment by itself; elsewhere, the object goes with the hand. Raises ``InputError`` likewise."""
+    """Fit each static segment by itself; elsewhere, the object goes with the hand. Raises ``InputError`` likewise."""
     motion, known = Motion.of(footage), []
     for segment in footage.clip.segments:
         found = static_hypotheses(footage, segment, support=False) if segment.state == "static" else None
@@ -78,14 +80,14 @@ def _carry(motion: Motion, footage: Footage, known: list[Segment]) -> None:
 
 
 def _with_hand(motion: Motion, footage: Footage, source: int, row: int) -> Float[ndarray, "4 4"]:
-    """The pose in the world of an object that goes with the given hand from one frame to another."""
+    """Return the pose in the world of an object that goes with the given hand from one frame to another."""
     value = footage.clip.hand.T_cam_hand
     T_hand_obj = se3.inverse(value[source]) @ motion.T_cam_obj[source]
     return np.asarray(footage.T_world_cam[row] @ value[row] @ T_hand_obj)
 
 
 def propagate(footage: Footage) -> Motion:
-    """The authors' propagation. Raises ``InputError`` where no segment shows the object."""
+    """Run the authors' propagation. Raises ``InputError`` where no segment shows the object."""
     segments = [s for s in footage.clip.segments if len(footage.observed(s.rows)) > 1]
     if not segments:
         raise InputError(footage.clip.origin, "segments", "none that shows the object in two frames", "one at least")

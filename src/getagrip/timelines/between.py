@@ -29,7 +29,7 @@ STAGES = ((128, 6), (256, 4))
 def between(
     footage: Footage, rows: Int[ndarray, "n"], before: Hypotheses | None, after: Hypotheses | None
 ) -> Hypotheses:
-    """The object in frames that lie between two known poses, or beyond one: each of one hypothesis in one frame."""
+    """Find the object in frames that lie between two known poses, or beyond one."""
     ahead = None if before is None else follow(footage, rows[0] - 1, rows, before).found
     behind = None if after is None else follow(footage, rows[-1] + 1, rows[::-1], after).found
     behind = behind and behind.at(np.arange(len(rows))[::-1])
@@ -52,7 +52,7 @@ def _blended(ahead: Hypotheses, behind: Hypotheses) -> Hypotheses:
 
 
 def _fitted(footage: Footage, rows: Int[ndarray, "n"], start: Hypotheses) -> Hypotheses:
-    """The best smooth motion near the given ones that meets the masks of the frames that show the object."""
+    """Fit the best smooth motion near the given ones that meets the masks of the frames that show the object."""
     seen = footage.observed(rows)
     if len(seen) < 2:
         return start.take(np.array([-1]))

@@ -12,7 +12,7 @@ from numpy import ndarray
 def best_chain(
     energy: Sequence[Float[ndarray, "_"]], links: Sequence[Float[ndarray, "_ _"]]
 ) -> tuple[list[int], float]:
-    """One hypothesis of each segment, and their energy: a dynamic programme.
+    """Choose one hypothesis of each segment by dynamic programming; also return their energy.
 
     ``energy[i][k]`` is that of hypothesis k of segment i, ``links[i][k, l]`` that of following it by hypothesis l.
     """
@@ -32,7 +32,7 @@ def second_best(
     links: Sequence[Float[ndarray, "_ _"]],
     copies: Sequence[Bool[ndarray, "_"]],
 ) -> float:
-    """The least energy of a chain that differs from the chosen one, infinite where there is no other.
+    """Return the least energy of a chain that differs from the chosen one, infinite where there is no other.
 
     ``copies[i]`` are the hypotheses of segment i that are as good as the chosen one, itself included.
     """

@@ -17,7 +17,7 @@ from getagrip.geometry import se3
 
 
 def grasp_clip(clip: Clip, masks: Masks, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
-    """A grasp as a clip of the hand that holds the object, its masks, and its frames: those in which the hand is known.
+    """Return a grasp as a clip of the hand that holds the object, its masks, and the frames in which the hand is known.
 
     None where fewer than two of them show the object. The other hand's pixels are not known apart from all ignored.
     """
@@ -32,8 +32,10 @@ def grasp_clip(clip: Clip, masks: Masks, segment: Segment) -> tuple[Clip, Masks,
 
 @dataclass(frozen=True)
 class Footage:
-    """What a timeline is reconstructed from. The clip's scale is known; its hand is as it was given, where it does not
-    jump."""
+    """The inputs of a timeline's reconstruction.
+
+    The clip's scale is known; its hand is as it was given, where it does not jump.
+    """
 
     clip: Clip
     masks: Masks
@@ -60,7 +62,7 @@ class Footage:
 
     @property
     def T_world_cam(self) -> Float[ndarray, "T 4 4"]:
-        """Where the camera was."""
+        """Poses of the camera."""
         assert self.clip.world is not None
         return self.clip.world.T_world_cam
 
@@ -75,15 +77,17 @@ class Footage:
         return self.T_world_cam @ self.clip.hand.T_cam_hand
 
     def carried(self, before: int, after: int) -> list[Float[ndarray, "4 4"]]:
-        """What moves with a given hand from one frame to another, moves so in the world: by the clip's own hand, and by
-        the other one if it is known in both frames."""
+        """Return the motion in the world of a point that moves with a hand from one frame to another.
+
+        By the clip's own hand, and by the other one if it is known in both frames.
+        """
         T_world_hands, other = [self.T_world_hand], self.clip.other_hand
         if other is not None and other.known[before] and other.known[after]:
             T_world_hands.append(self.T_world_cam @ other.track.T_cam_hand)
         return [T[after] @ se3.inverse(T[before]) for T in T_world_hands]
 
     def grasp_clip(self, segment: Segment) -> tuple[Clip, Masks, Int[ndarray, "n"]] | None:
-        """A grasp as a clip (``held``)."""
+        """Return a grasp as a clip (``grasp``)."""
         return grasp_clip(self.clip, self.masks, segment)
 
     def observed(self, rows: Int[ndarray, "n"]) -> Int[ndarray, "m"]:

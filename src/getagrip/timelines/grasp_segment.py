@@ -39,13 +39,13 @@ POLISH = 6
 
 @dataclass(frozen=True)
 class Neighbour:
-    """Where the hypotheses of a neighbouring segment, followed, have the object in some frames of a grasp's problem."""
+    """The object's pose in some frames of a grasp's problem, by the followed hypotheses of a neighbouring segment."""
 
     paths: Paths
     frames: Int[ndarray, "m"]
-    """Of the problem's frames, rising."""
+    """Rising indices of the problem's frames."""
     earlier: bool
-    """Whether the neighbour comes before the grasp."""
+    """True if the neighbour comes before the grasp."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +68,13 @@ class GraspSolutions:
 
 
 def prepared(footage: Footage, segment: Segment) -> Problem | None:
-    """The problem of a grasp; None where its hand is not known or fewer than two frames show the object."""
+    """Prepare the problem of a grasp; None where its hand is not known or fewer than two frames show the object."""
     grasp = footage.grasp_clip(segment)
     return None if grasp is None else prepare(grasp[0], grasp[1], footage.options)
 
 
 def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Sequence[Neighbour]) -> GraspSolutions:
-    """The solutions of a grasp. Raises ``GetagripError`` where nothing can be rendered."""
+    """Search for the solutions of a grasp. Raises ``GetagripError`` where nothing can be rendered."""
     found = soft_hinges(problem, lambda _: None)
     motion = found.motion
     if neighbours:
@@ -132,17 +132,17 @@ def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighb
 
 
 def links_of(problem: Problem, neighbours: Sequence[Neighbour]) -> Energy:
-    """The energy of the links of a grasp."""
+    """Return the energy of the links of a grasp."""
     return plus(*(_link(problem, neighbour) for neighbour in neighbours)) if neighbours else NOTHING
 
 
 def most(problem: Problem) -> float:
-    """The most that a link to a problem can cost [px^2]."""
+    """Return the most that a link to a problem can cost [px^2]."""
     return WEIGHT * float(problem.observation.area.mean()) * len(problem.clip)
 
 
 def _link(problem: Problem, neighbour: Neighbour) -> Energy:
-    """The energy of one link."""
+    """Return the energy of one link."""
     clip, frames, expected = problem.clip, neighbour.frames, neighbour.paths.found
     assert clip.world is not None
     R, centre = expected.seen_from(se3.inverse(clip.world.T_world_cam[frames]))

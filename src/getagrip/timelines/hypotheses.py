@@ -1,4 +1,4 @@
-"""What is known of the object in some frames of a timeline: a few distinct solutions, in the world."""
+"""Hypotheses about the object in some frames of a timeline: a few distinct solutions, in the world."""
 
 from __future__ import annotations
 

@@ -38,7 +38,10 @@ Anchor = tuple[Segment, Hypotheses, GraspSolutions | None]
 
 
 def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None] = lambda _: None) -> Motion:
-    """The timeline of least energy. Raises ``InputError`` where no segment shows the object, as static or held."""
+    """Find the timeline of least energy.
+
+    Raises ``InputError`` where no static segment and no grasp shows the object.
+    """
     static = _static(footage, support)
     on_stage("static")
     anchors, neighbours = _with_grasps(footage, static)
@@ -72,7 +75,7 @@ def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None
 def put_grasp(
     motion: Motion, footage: Footage, grasp: GraspSolutions, k: int, neighbours: list[Neighbour]
 ) -> Int[ndarray, "n"]:
-    """A solution of a grasp, in all of its frames in which its hand is known, and which these are."""
+    """Put a solution of a grasp into all of its frames in which its hand is known; return these."""
     track = in_all_frames(footage, grasp, k, neighbours)
     rows = track.rows
     motion.T_cam_obj[rows] = track.T_cam_hand @ track.T_hand_obj
@@ -88,13 +91,13 @@ def put_grasp(
 
 
 def runs(segment: Segment, rows: Int[ndarray, "n"]) -> list[Segment]:
-    """The parts of a segment that have no gaps: some of its frames, which rise."""
+    """Split a segment into the parts that have no gaps: some of its frames, which rise."""
     parts = np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1)
     return [replace(segment, first=int(part[0]), last=int(part[-1])) for part in parts]
 
 
 def fill(motion: Motion, footage: Footage, known: list[Segment]) -> None:
-    """The frames between segments that are known, and before and after them."""
+    """Fill the frames between segments that are known, and before and after them."""
     edges = [(None, known[0]), *itertools.pairwise(known), (known[-1], None)]
     for one, other in edges:
         begin, end = 0 if one is None else one.last + 1, len(footage) if other is None else other.first
@@ -106,13 +109,13 @@ def fill(motion: Motion, footage: Footage, known: list[Segment]) -> None:
 
 
 def _static(footage: Footage, support: bool) -> dict[Segment, Hypotheses]:
-    """The hypotheses of the static segments."""
+    """Find the hypotheses of the static segments."""
     found = {s: static_hypotheses(footage, s, support) for s in footage.clip.segments if s.state == "static"}
     return {segment: hypotheses for segment, hypotheses in found.items() if hypotheses is not None}
 
 
 def _with_grasps(footage: Footage, static: dict[Segment, Hypotheses]) -> tuple[list[Anchor], list[list[Neighbour]]]:
-    """Static segments and grasps in their order, and the links that each grasp was searched with."""
+    """Solve the grasps; return static segments and grasps in order, and the links that each grasp was searched with."""
     problems = {s: prepared(footage, s) for s in footage.clip.segments if s.state == "grasp"}
     order = [s for s in footage.clip.segments if s in static or problems.get(s) is not None]
     anchors: list[Anchor] = []
@@ -151,7 +154,10 @@ def _copies(footage: Footage, hypotheses: Hypotheses, k: int) -> Bool[ndarray, "
 def _link(
     footage: Footage, one: Anchor, other: Anchor, near: tuple[list[Neighbour], list[Neighbour]]
 ) -> Float[ndarray, "K L"]:
-    """What each pair of hypotheses of two neighbouring segments costs; ``near``: those followed into grasps already."""
+    """Return the cost of each pair of hypotheses of two neighbouring segments.
+
+    ``near``: those followed into grasps already.
+    """
     mesh, (before, end), (after, begin) = footage.clip.mesh, _end(one, -1), _end(other, 0)
     problems = [grasp.problem for _, _, grasp in (one, other) if grasp is not None]
     weight = most(problems[0]) if problems else float(min(one[1].energy.min(), other[1].energy.min()))
@@ -163,7 +169,7 @@ def _link(
 
 
 def _end(anchor: Anchor, side: int) -> tuple[Hypotheses, int]:
-    """The hypotheses of a segment at its first known frame (side 0) or its last (-1), and which that is."""
+    """Return the hypotheses of a segment at its first known frame (side 0) or its last (-1), and which that is."""
     segment, hypotheses, grasp = anchor
     row = int(grasp.rows[side]) if grasp else segment.last if side else segment.first
     return hypotheses.at(np.array([side])), row

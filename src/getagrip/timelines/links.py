@@ -1,4 +1,4 @@
-"""What it costs to take a hypothesis of one segment for the same object as a hypothesis of the next.
+"""The cost of linking a hypothesis of one segment to a hypothesis of the next, as poses of the same object.
 
 The one is followed by the masks to where the other begins, and the other back to where the one ends, along several
 paths each: what counts is a path's own energy, and how far off it ends. Either may lose the object on the way, behind

@@ -60,14 +60,14 @@ class Motion:
         return next((T for side, T in self.T_cam_hands.items() if side != self.side), None)
 
     def put(self, footage: Footage, rows: Int[ndarray, "n"], found: Hypotheses, kind: FrameKind) -> None:
-        """The first hypothesis, in some frames; of ``kind`` where the object is seen."""
+        """Put the first hypothesis into some frames; of ``kind`` where the object is visible."""
         poses = found.T_world_obj(footage.clip.mesh.centre)[0]
         self.T_cam_obj[rows] = footage.T_cam_world[rows] @ poses
         for row in footage.observed(rows):
             self.kind[row] = kind
 
     def at(self, footage: Footage, row: int) -> Hypotheses:
-        """The pose of one frame, in the world."""
+        """Return the pose of one frame, in the world."""
         T = footage.T_world_cam[row] @ self.T_cam_obj[row]
         centre = se3.transform(T, footage.clip.mesh.centre[None])
         return Hypotheses(T[None, None, :3, :3], centre[None], np.ones(1), np.zeros(1))

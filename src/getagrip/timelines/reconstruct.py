@@ -35,7 +35,7 @@ from getagrip.timelines.signs import signs_of
 METHOD = "soft-hinge"
 """How objects move in the grasps of a timeline."""
 MEANING = f"{calibration.MEANING.format('hand')}; calibrated on grasps by themselves, of timelines a rough guide only"
-"""Of a grasp's probability (docs/checks.md)."""
+"""Meaning of a grasp's probability (docs/checks.md)."""
 UNEXPLAINED = "failed in part: masks are hardly met (mean IOU) in the segments {}"
 """The message of a result some of whose segments are below ``LEAST_IOU``."""
 
@@ -101,7 +101,10 @@ def reconstruct(
 
 
 def scale_of(clip: Clip, masks: Masks, options: Options) -> float:
-    """The object's scale: that of the longest grasp, where hand and camera tell it. Raises ``InputError``."""
+    """Return the object's scale: that of the longest grasp, where hand and camera determine it.
+
+    Raises ``InputError``.
+    """
     clip, _ = repair_hand(clip, options)
     grasps = [grasp_clip(clip, masks, s) for s in clip.segments if s.state == "grasp"]
     longest = max((grasp for grasp in grasps if grasp is not None), key=lambda grasp: len(grasp[2]), default=None)
@@ -110,7 +113,7 @@ def scale_of(clip: Clip, masks: Masks, options: Options) -> float:
 
 
 def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, seconds: dict[str, float]) -> Reconstruction:
-    """The motion as a result; the mesh of ``footage`` is the clip's at its scale."""
+    """Convert the motion to a result; the mesh of ``footage`` is the clip's at its scale."""
     T_hand_obj = se3.inverse(motion.T_cam_hand) @ motion.T_cam_obj
     posed, other_hand = footage.clip.with_hand_at(motion.T_cam_hand), motion.T_cam_other_hand
     iou = np.where(footage.masks.observed, image_iou(posed, footage.masks, T_hand_obj, 1.0), np.nan)
@@ -158,7 +161,7 @@ def result_of(clip: Clip, footage: Footage, motion: Motion, scale: float, second
 
 
 def followed(clip: Clip, footage: Footage) -> list[str]:
-    """What is to be known about grasps that could not be solved as such."""
+    """Return notes on grasps that could not be solved as such."""
     out = []
     for segment in clip.segments:
         if segment.state == "grasp" and footage.grasp_clip(segment) is None:
@@ -172,7 +175,7 @@ def followed(clip: Clip, footage: Footage) -> list[str]:
 def probability_of(
     clip: Clip, segment: Segment, motion: Motion, footage: Footage, findings: Sequence[Finding]
 ) -> tuple[dict[str, float], Probability | None]:
-    """The signs of a grasp, and how probable it is that it is right; nothing of other segments."""
+    """Return the signs of a grasp, and the probability that it is right; nothing for other segments."""
     track = motion.grasps.get(segment.first)
     if segment.state != "grasp" or track is None:
         return {}, None
@@ -184,7 +187,7 @@ def probability_of(
 
 
 def segment_result(clip: Clip, segment: Segment, motion: Motion, iou: Float[ndarray, "T"]) -> SegmentResult:
-    """What was found in a segment."""
+    """Return the result of a segment."""
     rows, is_grasp = segment.rows, segment.state == "grasp"
     seen = iou[rows][~np.isnan(iou[rows])]
     axis = motion.axes.get(segment.first) if is_grasp else None

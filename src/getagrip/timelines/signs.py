@@ -26,7 +26,7 @@ CANDIDATES = 4
 
 
 def signs_of(footage: Footage, track: GraspTrack) -> Mapping[str, float]:
-    """The signs of a grasp, at the frames that were fitted together; solutions' energies are without links."""
+    """Return the signs of a grasp, at the frames that were fitted together; solutions' energies are without links."""
     grasp, found = track.grasp, track.found
     problem, poses = grasp.problem, grasp.motion.poses()
     energy = grasp.energy.copy()

@@ -1,4 +1,4 @@
-"""Where a static object lies: one pose in the world for all frames of the segment, from the masks alone.
+"""The pose of a static object: one pose in the world for all frames of the segment, from the masks alone.
 
 No hand helps and none disturbs. A camera that stands still sees one silhouette only, through hands that pass: depth
 comes from the object's size, and from the plane that it lies on where that is known.
@@ -27,7 +27,7 @@ from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.support_term import SupportTerm, hull_vertices, plane_in_camera
 
 FRAMES = 8
-"""Of a static segment that are fitted: they show nearly the same."""
+"""Number of frames of a static segment that are fitted: they show nearly the same."""
 SUPPORT = 0.01
 """Energy, in mean areas of the masks, of an object that floats at ``FLOATS``."""
 FLOATS = 0.01
@@ -58,7 +58,7 @@ def static_hypotheses(
 
 
 def support_of(problem: Problem) -> Energy:
-    """The energy of an object above or below its support; nothing where the plane is not known."""
+    """Return the energy of an object above or below its support; zero where the plane is not known."""
     clip = problem.clip
     world = clip.world
     if world is None or world.up is None or world.support is None:

@@ -20,11 +20,11 @@ class SupportTerm:
     """
 
     vertices: Float[ndarray, "V 3"]
-    """Of the object, about its centre, unscaled [m]; those of the convex hull are enough."""
+    """Vertices of the object about its centre, unscaled [m]; those of the convex hull are enough."""
     normal: Float[ndarray, "N 3"]
     """Up, in the camera frame."""
     height: Float[ndarray, "N"]
-    """Of the plane along it, from the camera [m]."""
+    """Height of the plane along it, from the camera [m]."""
     weight: float
     """Energy per square metre [px^2 / m^2]."""
     far: float = 0.02
@@ -58,6 +58,6 @@ def hull_vertices(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "n 3"]:
 def plane_in_camera(
     T_world_cam: Float[ndarray, "N 4 4"], up: Float[ndarray, "3"], support: float
 ) -> tuple[Float[ndarray, "N 3"], Float[ndarray, "N"]]:
-    """Normal and height of the world's plane as the camera sees it."""
+    """Return normal and height of the world's plane in the camera frame."""
     normal = (se3.inverse(T_world_cam)[:, :3, :3] @ up[:, None])[..., 0]
     return normal, support - T_world_cam[:, :3, 3] @ up

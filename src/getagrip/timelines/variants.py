@@ -22,5 +22,5 @@ VARIANTS: dict[str, Callable[[Footage], Motion]] = {
 
 
 def reconstruct_with(variant: str, clip: Clip, masks: Masks, options: Options) -> Motion:
-    """An object's motion in a clip of known scale, found one of the ways. Raises as that way does."""
+    """Reconstruct an object's motion in a clip of known scale by one of the variants. Raises as that way does."""
     return VARIANTS[variant](Footage.of(clip.light(), masks, options))

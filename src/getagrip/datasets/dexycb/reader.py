@@ -48,7 +48,7 @@ class DexYcb(TrackedDataset):
     root: Annotated[Positional[Path], arg(metavar="ROOT")]
     """The folder that holds it, as it came; or a packed file of its sequences (.npz), or a folder of such files."""
     grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
-    """What counts as a stable grasp."""
+    """Definition of a stable grasp."""
 
     meshes: ycb.Models = None
     """Folder of the YCB models."""
@@ -57,7 +57,7 @@ class DexYcb(TrackedDataset):
     """Not the grasps but whole sequences, with masks and segments (docs/timelines.md)."""
 
     def sources(self) -> list[Source]:
-        """The sequences of DexYCB's own folder, of a packed file, or of a folder of such files."""
+        """List the sequences of DexYCB's own folder, of a packed file, or of a folder of such files."""
         models = ycb.folder(self.root, self.meshes)
         shortest = self.grasps.shortest if self.grasps.listed is None else FEWEST
         found = find(self.root)
@@ -76,7 +76,7 @@ class DexYcb(TrackedDataset):
         return [CutSource(source, of, definition.shortest) for source in self.sources()]
 
     def cut_record(self) -> dict[str, object] | None:
-        """How its clips are cut; None where they are whole."""
+        """Return the record of how its clips are cut; None where they are whole."""
         return None if self.timelines else super().cut_record()
 
 
@@ -98,19 +98,19 @@ class FittedTrack(Track):
     residuals: Float[ndarray, "_ 21"]
     """Distances of the hand's joints from the true ones [m]."""
     others: bool
-    """Whether other objects are on the table."""
+    """True if other objects are on the table."""
 
     @property
     def name(self) -> str:
-        """What its clips are called, without the count."""
+        """Name of its clips, without the count."""
         return BETWEEN.join([self.subject, self.sequence, self.category])
 
     def take(self, index: Int[ndarray, "n"]) -> Self:
-        """The track at some of its frames."""
+        """Return the track at some of its frames."""
         return replace(super().take(index), residuals=self.residuals[index])
 
     def describe(self, piece: Piece) -> dict[str, object]:
-        """The provenance of the clip that a piece becomes, with what is to be known before trusting its hand."""
+        """Return the provenance of a piece's clip, with the limits of its hand."""
         first, last = piece.track.numbers[[0, -1]]
         depth = self.hand_depth()
         pads = [np.median(depth[:, self.hand.regions[finger]].min(axis=1)) for finger in FINGERS]
@@ -140,7 +140,7 @@ class FittedTrack(Track):
 
 
 def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: Note) -> list[Track]:
-    """The one track of a sequence; none where the hand is hardly ever known. Raises ``InputError``."""
+    """Return the one track of a sequence; none where the hand is hardly ever known. Raises ``InputError``."""
     recording = sequence.read()
     if np.count_nonzero(recording.hand_known) < shortest:
         note(f"{sequence.name}: the hand is known in fewer than {shortest} frames: skipped")
@@ -177,7 +177,7 @@ def _tracks(sequence: Sequence, models: Path, whole: bool, shortest: int, note: 
 
 
 def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> FrameMasks:
-    """Where the held object is visible in frame n, and what to ignore: the hand, and other objects that have a mesh."""
+    """Render the held object's mask in frame n, and the ignored pixels (the hand, other objects with a mesh)."""
     from getagrip.geometry.render import true_masks  # loads numba
 
     surfaces: dict[str, Surface] = {}
@@ -192,7 +192,10 @@ def _masks(recording: Recording, hand: Hand, models: Path, n: int) -> FrameMasks
 
 
 def fit_hand(recording: Recording) -> Hand:
-    """The generic hand in every frame that has joints, of one shape. Raises ``InputError`` where they are no hand's."""
+    """Fit the generic hand in every frame that has joints, with one shape.
+
+    Raises ``InputError`` where they are no hand's.
+    """
     joints = recording.joints[recording.hand_known]
     fitted = joint_tracks.fit_hand(recording.file, recording.sequence, recording.side, joints)
     return Hand(fitted.track, np.flatnonzero(recording.hand_known), fitted.residuals)

@@ -28,8 +28,8 @@ PRESETS: dict[str, SceneOptions] = {
         **asdict(NOISE["moderate"]), cad="mean", vary=0.15, deform=0.03, scale="free", motion="measured"
     ),
 }
-"""What is known: everything; hands and masks with noise; and in the wild no more than the mean shape, without its size.
-"""
+"""Levels of knowledge: everything; noisy hands and masks; and, as in the wild, only the mean shape, without its
+size."""
 RENAMED = {"hamer": "moderate", "frankmocap": "strong"}
 """Former names of presets."""
 SEEDS: dict[Split, range] = {"train": range(100_000, 100_005), "validation": range(200_000, 200_009)}

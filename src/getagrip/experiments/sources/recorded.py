@@ -27,7 +27,7 @@ class Recorded(ClipSource):
     """The dataset's folder, as for import."""
 
     def reader(self, root: Path) -> Dataset:
-        """What imports it."""
+        """Return the reader that imports it."""
         raise NotImplementedError
 
     def training(self, subjects: Collection[str]) -> Collection[str]:

@@ -35,7 +35,7 @@ class TangentPlanes:
         return TangentPlanes(np.ascontiguousarray(point), np.ascontiguousarray(normal))
 
     def take(self, index: ndarray) -> TangentPlanes:
-        """The planes at some of the frames."""
+        """Return the planes at some of the frames."""
         return TangentPlanes(self.point[index], self.normal[index])
 
 
@@ -48,7 +48,7 @@ class PaperPushTerm:
     """
 
     vertices: Float[ndarray, "3 V"]
-    """Of the object about its centre, unscaled [m]."""
+    """Vertices of the object about its centre, unscaled [m]."""
     planes: TangentPlanes
     weight: Float[ndarray, "N"]
     """Energy per metre, per frame [px^2 / m]."""

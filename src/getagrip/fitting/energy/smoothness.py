@@ -31,7 +31,7 @@ class SmoothnessTerm:
     """
 
     moments: Float[ndarray, "4 4"]
-    """Of the vertices about the centre, unscaled (``moments``)."""
+    """Second moments of the vertices about the centre, unscaled (``moments``)."""
     weight: float
     """Energy per square metre [px^2 / m^2]."""
     name: str = "smoothness"

@@ -8,7 +8,7 @@ from getagrip.fitting.objective import consistency_of, plus
 from getagrip.fitting.problem import MethodResult, Problem
 
 WEIGHT = 0.1
-"""Of the term (``objective.consistency_of``): theirs is 1."""
+"""Weight of the term (``objective.consistency_of``): theirs is 1."""
 
 
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:

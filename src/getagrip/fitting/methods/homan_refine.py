@@ -61,7 +61,7 @@ class Bodies:
         return se3.rigid(self.hand_R, self.hand_centre - (self.hand_R @ self.grip[..., None])[..., 0])
 
     def in_hand(self) -> PosesInHand:
-        """The object in the refined hand."""
+        """Return the object in the refined hand."""
         T_hand_obj = se3.inverse(self.T_cam_hand) @ se3.rigid(self.R, self.centre)
         return PosesInHand(T_hand_obj[None, :, :3, :3], T_hand_obj[None, :, :3, 3], np.array([self.scale]))
 
@@ -89,7 +89,10 @@ class Refined:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Of the 13 numbers of each frame: object's step, hand's step, log scale (which all frames share)."""
+    """The normal equations of all frames.
+
+    Each frame has 13 numbers: object's step, hand's step, log scale (which all frames share).
+    """
 
     g: Float[ndarray, "N 13"]
     H: Float[ndarray, "N 13 13"]
@@ -97,7 +100,7 @@ class NormalEquations:
     """Between frames."""
 
     def step(self, damping: Float[ndarray, "1"], free_scale: bool) -> tuple[Float[ndarray, "N 12"], float]:
-        """The damped step of all frames, and of the log scale where it is free."""
+        """Solve for the damped step of all frames, and of the log scale where it is free."""
         S = int(free_scale)
         H_ss = (self.H[None, :, 12:, 12:].sum(axis=1) + self.cross[None, ..., 12:, 12:].sum(axis=(1, 2)))[:, :S, :S]
         H_sl = (self.H[None, :, 12:, :12] + self.cross[None, ..., 12:, :12].sum(axis=1))[:, :, :S]
@@ -172,7 +175,7 @@ def refine(problem: Problem, track: Free) -> Refined:
 
 
 def joint_energy(problem: Problem, level: int, bodies: Bodies) -> JointEnergy:
-    """The terms at one resolution."""
+    """Build the terms at one resolution."""
     clip, options, K = problem.clip, problem.options, problem.observation.K
     everywhere = np.arange(len(clip))
     mask = mask_of(problem)(level, everywhere)

@@ -46,7 +46,7 @@ from getagrip.result import Status
 M = TypeVar("M", bound=Motion)
 
 ITERATIONS = 200
-"""Of Adam; for Levenberg-Marquardt, which stops by itself, the limit."""
+"""Iterations of Adam; for Levenberg-Marquardt, which stops by itself, the limit."""
 RATE = 0.1
 """Adam's, at the start [rad a step]: of 0.01 (the authors'), 0.03, 0.1 and 0.2 the one of least energy on five clips of
 the synthetic training split."""
@@ -57,7 +57,7 @@ PARTS = ("first quarter", "second quarter", "third quarter", "last quarter")
 
 
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """A hinge (Eq. 3), with the departures that the options name."""
+    """Fit a hinge (Eq. 3), with the departures that the options name."""
     ours = problem.options.departures
     search, energy, initial = search_of(problem, on_stage), energy_of(problem), initial_of(problem)
     if ours.axis:
@@ -73,12 +73,12 @@ def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
 
 
 def static(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """One pose for all frames (paper, Sec. 5.2)."""
+    """Fit one pose for all frames (paper, Sec. 5.2)."""
     return result_of(chosen(problem, every_start(problem, initial_of(problem), energy_of(problem), on_stage)))
 
 
 def dynamic(problem: Problem, on_stage: OnStage) -> MethodResult:
-    """A pose per frame (paper, Sec. 5.2), the same in all frames to begin with."""
+    """Fit a pose per frame (paper, Sec. 5.2), the same in all frames to begin with."""
     initial = initial_of(problem)
     start = initial.poses()
     motion = Free(start.R.copy(), start.centre.copy(), initial.log_scale, initial.free_scale)
@@ -87,7 +87,7 @@ def dynamic(problem: Problem, on_stage: OnStage) -> MethodResult:
 
 
 def about_z(initial: Fixed, centre: Float[ndarray, "3"], anywhere: bool = True) -> Hinge:
-    """The paper's start: about the CAD's z-axis through its origin, or the hand's, all angles zero.
+    """Make the paper's start: about the CAD's z-axis through its origin, or the hand's, all angles zero.
 
     ``centre`` is the mesh's, in its own frame.
     """
@@ -131,7 +131,7 @@ def paper_pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
 
 
 def _surface(problem: Problem) -> tuple[Float[ndarray, "3 V"], Float[ndarray, "3 V"]]:
-    """The decimated object's vertices about its centre, and its normals there."""
+    """Return the decimated object's vertices about its centre, and its normals there."""
     mesh = problem.surface.coarse
     about = mesh.vertices - problem.clip.mesh.centre
     return np.ascontiguousarray(about.T), np.ascontiguousarray(mesh.normals.T)

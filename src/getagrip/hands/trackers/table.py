@@ -27,7 +27,7 @@ TRACKERS: dict[str, Tracker] = {
 
 
 def choose(name: str, entry: Mapping[str, Tracker] = TRACKERS) -> Tracker:
-    """The tracker of a name, with its options as ``given``.
+    """Return the tracker of a name, with its options as ``given``.
 
     Raises ``UsageError`` for an unknown name, and for options that are given to another tracker.
     """

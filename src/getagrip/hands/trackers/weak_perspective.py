@@ -47,7 +47,7 @@ class WeakPerspective(NamedTuple):
         return WeakPerspective(self.origin * zoom, self.pixels_per_metre * float(zoom[0]))
 
     def before(self, camera: Camera) -> Float[ndarray, "3"]:
-        """The translation [m] that shows the hand's origin there, and at fx / z pixels to the metre."""
+        """Return the translation [m] that shows the hand's origin there, and at fx / z pixels to the metre."""
         K = camera.K
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a hand that is too far is refused later
             z = K[0, 0] / self.pixels_per_metre
@@ -55,7 +55,7 @@ class WeakPerspective(NamedTuple):
 
 
 def hamer_focal(size: tuple[int, int]) -> float:
-    """The focal length that HaMeR's and WiLoR's demos assume of an image [px]."""
+    """Return the focal length that HaMeR's and WiLoR's demos assume of an image [px]."""
     return HAMER_FOCAL / HAMER_CROP * max(size)
 
 
