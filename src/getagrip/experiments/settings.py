@@ -88,9 +88,9 @@ def _wrong_masks(fault: str, share: float) -> Setting:
 
 
 CATEGORY_MESHES = {
-    "of its kind": OtherObject(),
-    "of its kind, size unknown": Several((OtherObject(), ScaleFree())),
-    "of its kind, size unknown, hands moderate": Several(
+    "category mesh": OtherObject(),
+    "category mesh, size unknown": Several((OtherObject(), ScaleFree())),
+    "category mesh, size unknown, hands moderate": Several(
         (OtherObject(), ScaleFree(), Noisy(replace(NOISE["moderate"], mask_ragged_px=0.0)))
     ),
 }
@@ -107,7 +107,7 @@ INPUTS = (
     Setting("size unknown", change=ScaleFree()),
     *(
         Setting(label, change=CATEGORY_MESHES[label])
-        for label in ("of its kind", "of its kind, size unknown, hands moderate")
+        for label in ("category mesh", "category mesh, size unknown, hands moderate")
     ),
 )
 """The errors that are summed up in README; the first four are run on the test objects, too."""
@@ -193,12 +193,12 @@ ABLATIONS: dict[str, Ablation] = {
         ("soft-hinge",),
     ),
     "hand-flips": Ablation(
-        "Hands that are flipped in some frames: put right, or believed",
+        "Hands that are flipped in some frames: repaired, or used",
         "none, as given",
         tuple(
             Setting(f"{label}, {word}", {"hands": hands}, change)
             for label, change in (("none", AS_GIVEN), *((f"{100 * p:.0f} %", FlippedHands(p)) for p in (0.1, 0.2, 0.4)))
-            for hands, word in (("as-given", "as given"), ("corrected", "put right"))
+            for hands, word in (("as-given", "as given"), ("corrected", "repaired"))
         ),
         ("soft-hinge",),
     ),
