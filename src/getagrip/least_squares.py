@@ -36,8 +36,8 @@ S = TypeVar("S", bound=State)
 class Ending(Enum):
     """Why a problem's iterations ended."""
 
-    LOST = "its cost was not finite to begin with"
-    CONVERGED = "steps gain next to nothing"
+    LOST = "the initial cost was not finite"
+    CONVERGED = "further steps gain almost nothing"
     STUCK = "no step lowers the cost"
     LIMIT = "the limit of iterations"
 
@@ -86,7 +86,7 @@ DEFAULT = Rules()
 
 
 def minimise(state: S, iterations: int, rules: Rules = DEFAULT) -> Minimum[S]:
-    """Take every problem downhill, for at most so many iterations of one evaluation each."""
+    """Minimise every problem, in at most ``iterations`` iterations of one evaluation each."""
     B = len(state.cost)
     damping = np.full(B, rules.damping)
     rejected, small = np.zeros(B, int), np.zeros(B, int)

@@ -110,7 +110,7 @@ def test_a_guessed_focal_length_leaves_no_probability_in_the_camera() -> None:
 def test_nothing_that_misses_the_masks_is_called_converged() -> None:
     result = reconstruct(*Wrong("noise masks")(*mug(), seed=0), QUICK)
     assert result.iou.mean() < 0.5
-    assert result.message.startswith("failed: the best pose meets the masks with a mean IOU of")
+    assert result.message.startswith("failed: even the best pose has a mean mask IOU of")
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ def test_wrong_masks_are_left_out_and_named(method: str) -> None:
     assert {result.frame_kind[n] for n in WRONG} == {"interpolated"}
     (message,) = (finding.message for finding in result.findings if finding.check == "outlier-masks")
     names = f"frames {clip.frames[4]}, {clip.frames[7]}"
-    assert message == f"2 of 9 masks contradict the others and were left out: {names}; --given-masks believes all"
+    assert message == f"2 of 9 masks contradict the others and were left out: {names}; --given-masks uses all"
     assert not any("contradict" in note for note in result.notes)
     assert result.checks["outlier-masks"] == pytest.approx(2 / 9)
     off = scores(result, clip, masks)["add_sym_mm"]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from av.container import InputContainer
 
 BEHIND = 48
-"""So many frames before one that is asked for are kept as well, since they have been decoded: for steps back."""
+"""Number of frames before a requested one that are kept, since they have been decoded: for steps back."""
 Kept = TypeVar("Kept")
 
 

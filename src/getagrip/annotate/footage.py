@@ -100,7 +100,7 @@ Kept = TypeVar("Kept")
 
 @dataclass
 class Cache(Generic[Kept]):
-    """The images that were asked for last, of so many bytes together."""
+    """The images that were requested last, up to a number of bytes in all."""
 
     weigh: Callable[[Kept], int]
     """The bytes of an image."""

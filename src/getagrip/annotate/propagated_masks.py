@@ -26,7 +26,7 @@ from getagrip.errors import UsageError
 SIDE = 200.0
 """Masks are carried at a size at which the object's longer side is about so long [px]."""
 ENOUGH = 1e6
-"""Small images are enlarged for that up to so many pixels."""
+"""Pixels up to which small images are enlarged for that."""
 
 
 class Propagated(NamedTuple):

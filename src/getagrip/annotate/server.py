@@ -118,7 +118,7 @@ def first_free(project: Project, token: str) -> Server:
 def kept_token(path: Path) -> str:
     """Read the token in a private file of ours; make one where there is none, so that pages survive a restart.
 
-    A link is not followed, and a short token not believed: whoever sent the folder may know either.
+    A link is not followed, and a short token is not used: whoever sent the folder may know either.
     """
     with suppress(OSError, ValueError):
         about = path.lstat()

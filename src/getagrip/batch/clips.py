@@ -54,7 +54,7 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
             if ledger.path.parent != out:
                 report(f"{out}: its ledger is {ledger.path}")
             for folder in leftovers.sweep(out) if isinstance(out, Path) else ():
-                report(f"{folder}: removed, left behind by a process that has died")
+                report(f"{folder}: removed, unfinished work of a process that has died")
             ledger.expect((name for name, _ in plan), map(entry_of_path, plan.failed))
             many = len(plan) + len(plan.failed) > 1
             try:
@@ -65,7 +65,7 @@ def reconstruct_clips(paths: Sequence[Place], out: Place, options: Options, batc
                 where = (
                     f"{shlex.quote(str(out))}{f' --ledger {shlex.quote(str(share.ledger))}' if share.ledger else ''}"
                 )
-                report(f"what is done: getagrip status {where}")
+                report(f"progress: getagrip status {where}")
                 raise
             if many:
                 _summarise(ledger, out)
@@ -146,7 +146,7 @@ def _work_off(plan: Plan, ledger: Ledger, out: Place, options: Options, batch: B
                 tally.add(outcome)
                 pace.count(outcome.state)
                 if batch.share.fail_fast and outcome.state == "failed":
-                    report("--fail-fast: no other clip is begun")
+                    report("--fail-fast: the other clips are skipped")
                     break
     return tally
 
@@ -168,7 +168,7 @@ def shown(bar: Progress, work: Callable[..., R], job: Named) -> R:
 def expected(right: Mapping[str, float], what: str = "right in the hand") -> str:
     """Count the results that are probably right, and name those likely wrong, by the probability of each."""
     wrong = sorted((name for name in right if right[name] < 0.5), key=lambda name: right[name])
-    named = f"; rather wrong than right, the worst first: {', '.join(wrong)}" if wrong else ""
+    named = f"; likely wrong, worst first:  {', '.join(wrong)}" if wrong else ""
     return f"about {sum(right.values()):.0f} of {len(right)} are {what}, by their probabilities{named}"
 
 

@@ -78,7 +78,7 @@ def failure(name: str, error: Exception) -> Outcome:
         where = place(error)
         message = f"{f'{where}:' if where else 'unexpected'} {type(error).__name__}: {error}"
     if isinstance(error, MemoryError):
-        message = f"it needs more memory than there is, or than --limit-gb allows; {error}".removesuffix("; ")
+        message = f"it needs more memory than is available, or than --limit-gb allows;  {error}".removesuffix("; ")
     return Outcome(name, "failed", cleaned(" ".join(message.split())), "".join(traceback.format_exception(error)))
 
 

@@ -24,9 +24,9 @@ class Limits:
     seconds: Annotated[float | None, arg(name="limit-seconds", metavar="S", help_behavior_hint="(default: none)")] = (
         None
     )
-    """Time limit of a clip, in bench with all its methods, or of a part of a dataset [s]: its process is ended."""
+    """Time limit of a clip (in bench, with all its methods) or of a part of a dataset [s]."""
     gigabytes: Annotated[float | None, arg(name="limit-gb", metavar="GB", help_behavior_hint="(default: none)")] = None
-    """Memory limit of the process of each [10^9 bytes] (Linux): one that asks for more fails."""
+    """Memory limit of each process [10^9 bytes] (Linux only)."""
 
     def __post_init__(self) -> None:
         for option, value in (("--limit-seconds", self.seconds), ("--limit-gb", self.gigabytes)):

@@ -99,7 +99,7 @@ class RayExecutor(Generic[J, R]):
         ends = [self._ended(ref, self._at_work.pop(ref)) for ref in ready]
         lost = sum(ended is None for ended in ends)
         if lost:
-            report(f"Ray has lost a node or a worker; its jobs are given to others ({lost})")
+            report(f"Ray has lost a node or a worker; its jobs are submitted again ({lost})")
         return [ended for ended in ends if ended is not None]
 
     def close(self) -> None:

@@ -49,7 +49,7 @@ class _Submitted(Generic[J]):
 
 
 class SlurmExecutor(Generic[J, R]):
-    """Tasks of array jobs, so many at once; new ones are submitted when half of them have ended."""
+    """Tasks of array jobs, ``workers`` at once; new ones are submitted when half of them have ended."""
 
     def __init__(
         self, workers: int | None, work: Callable[[J], R], limits: Limits, prepare: Callable[[], object] | None
@@ -138,7 +138,7 @@ class SlurmExecutor(Generic[J, R]):
             ends = task.result()
         except self._errors:
             self._lost += 1
-            report(f"Slurm has lost a task ({task.job_id}); its jobs are given out again ({len(bundle)})")
+            report(f"Slurm has lost a task ({task.job_id}); its jobs are submitted again ({len(bundle)})")
             self._collected += [
                 replace(submitted, tries=submitted.tries + 1) for submitted in bundle if submitted.tries < TRIES
             ]

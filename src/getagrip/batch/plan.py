@@ -140,7 +140,7 @@ def _in_store(path: Remote, failed: list[Outcome]) -> Iterator[tuple[str, Remote
 
     No clip is read yet.
 
-    A clip has its folder's or archive's name there, since to read so many names takes long.
+    A clip has its folder's or archive's name there, since reading all names takes long.
     """
     try:
         found = _folders_in_store(path)

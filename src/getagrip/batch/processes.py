@@ -20,7 +20,7 @@ R = TypeVar("R")
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 JOBS_EACH = 500
-"""A process is replaced after so many jobs: whatever libraries hold on to goes with it."""
+"""Number of jobs after which a process is replaced, which frees whatever libraries hold on to."""
 
 
 class Processes(Generic[J, R]):

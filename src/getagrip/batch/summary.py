@@ -33,7 +33,7 @@ HEAD = ("clip", "status", "why", "seconds", "IOU", *PROBABILITIES, *MADE, "findi
 LARGEST = 1e9
 """No number of a result is so large: ledgers may come from anybody."""
 WORST = 1000
-"""The index shows so many clips at most: a page of all would be too large for a browser."""
+"""Most clips that the index shows: a page of all would be too large for a browser."""
 KINDS = {"failed": "failed", "done": "results", "open": "left"}
 """States, the worst first (of what is not done yet nobody knows), each with what the index calls it."""
 

@@ -34,7 +34,7 @@ class Lateness:
     """By how much the hand's pixels come late.
 
     Attributes:
-        frames: so many frames late, counted as their names are; negative: early.
+        frames: number of frames by which masks are late, counted as their names are; negative: early.
         times: how many times better the hands overlap them then; 1: they are in time. NaN where no pixels are given.
     """
 

@@ -58,17 +58,17 @@ def _posed(it: Evidence) -> Float[ndarray, "T V 3"]:
 SEGMENT_CHECKS = (
     Check(
         "object-distance", distance, low=NEAREST, high=FARTHEST, shown="{:.3g} m".format,
-        fault="the object was found {value} from the camera",
+        fault="the object is {value} from the camera",
         advice="check the masks, the mesh's size and the focal length",
     ),
     Check(
         "mask-pixels", pixels, low=50.0,
-        fault="even the largest mask has {value} pixels only, which do not tell where the object is",
+        fault="even the largest mask has {value} pixels only, too few to locate the object",
         advice="are these masks of the object? Give larger images",
     ),
 )  # fmt: skip
 STATIC = Check(
     "static-moves", drift, high=0.2, shown=percent,
-    fault="it is said to be static, but the masks move by {value} of their size against one pose",
+    fault="the segment is static, but the masks move by {value} of their size against one pose",
     advice="does the object move in some of these frames, or is the camera's motion wrong? Correct the segments",
 )  # fmt: skip

@@ -32,7 +32,7 @@ WITH_HAND = (
 """Checks that suppose a grasp, by the hand that holds the object."""
 FEWEST = 2
 """Frames that must show the object in a grasp."""
-UNSEEN_ADVICE = "nothing is known of this grasp: are masks missing there, or is it another object's?"
+UNSEEN_ADVICE = "there is no evidence for this grasp: are masks missing there, or is it another object's?"
 OF_MASKS = ("mask-fit", "poor-mask-fit", "worst-frame")
 """Checks of any segment's result."""
 

@@ -16,7 +16,7 @@ from getagrip.metrics.symmetry import surface_points
 FEWEST = 8
 """Fewer frames tell no step from another."""
 USUAL = 3
-"""The step that so many are larger than is one of those that are usual in the clip."""
+"""Rank of the step that counts as a usual one in the clip."""
 POINTS = 200
 """Points of the object's surface."""
 

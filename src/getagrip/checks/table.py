@@ -52,7 +52,7 @@ def regrasped(it: Evidence) -> str:
 
 def deformation(it: Evidence) -> str:
     """Say how far the mesh was deformed."""
-    return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is a guess"
+    return f"to meet the masks the mesh was deformed by {it.deformed_mm:.1f} mm, so its shape is an assumption"
 
 
 def other_images(it: Evidence) -> str:
@@ -63,7 +63,7 @@ def other_images(it: Evidence) -> str:
 CAMERA_ADVICE = "give the camera of these images: K is scaled and cropped as they are"
 
 
-MISFIT = "contours are {value} times as far from those of the masks as the object's own mesh would leave them"
+MISFIT = "contours are {value} times as far from the masks' as they would be with the object's own mesh"
 CAUSES = (
     "is the hand's pose wrong, or the mesh another one? Do the masks show a box, a shadow, the hand, or only a part?"
 )
@@ -81,7 +81,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
     ),
     Check(
         "mesh-flat", lambda it: float(mesh_form.extents(it.clip.mesh)[0]), low=0.005, shown=percent,
-        fault="the mesh's thickness is {value} of its length", advice="a flat mesh is no body: give it its thickness",
+        fault="the mesh's thickness is {value} of its length", advice="the mesh has no volume: add its thickness",
     ),
     Check(
         "mesh-needle", lambda it: float(mesh_form.extents(it.clip.mesh)[1]), low=0.015, shown=percent,
@@ -129,15 +129,15 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "hand-side", lambda it: bend(it.clip), low=-5.0, shown="{:.3g} degrees".format,
         fault="the fingers bend by {value} towards the palm that such a hand would have",
-        advice="it is the other hand: correct \"side\" in clip.json, or the hand was mirrored",
+        advice="it is the other hand, or a mirrored one: correct \"side\" in clip.json, or the hand",
     ),
     Check(
         "many-tracker-glitches", lambda it: it.glitch_share, high=0.3, shown=percent,
-        fault=lambda it: str(it.glitches), advice="is it the same hand in all frames? --given-hands believes all",
+        fault=lambda it: str(it.glitches), advice="is it the same hand in all frames? --given-hands uses it unchanged",
     ),
     Check(
         "tracker-glitches", lambda it: it.glitch_share, high=0.0, serious=False,
-        fault=lambda it: str(it.glitches), advice="--given-hands believes all",
+        fault=lambda it: str(it.glitches), advice="--given-hands uses it unchanged",
     ),
     Check(
         "frame-order", frame_order.misorder, high=2.5,
@@ -173,11 +173,11 @@ RESULT_CHECKS: tuple[Check, ...] = (
     ),
     Check(
         "many-outlier-masks", lambda it: it.outlier_share, high=0.3, shown=percent,
-        fault=contradicting, advice="are they all of the same object? --given-masks believes all",
+        fault=contradicting, advice="are they all of the same object? --given-masks uses all",
     ),
     Check(
         "outlier-masks", lambda it: it.outlier_share, high=0.0, serious=False,
-        fault=contradicting, advice="--given-masks believes all",
+        fault=contradicting, advice="--given-masks uses all",
     ),
     Check(
         "mesh-much-deformed", lambda it: it.deformed, high=0.06, shown=of_diameter,
@@ -220,7 +220,7 @@ RESULT_CHECKS: tuple[Check, ...] = (
     ),
     Check(
         "object-over-hand", lambda it: it.in_front[0], high=0.2, shown=percent,
-        fault="the object was found in front of the hand in {value} of the pixels that show the hand",
+        fault="the object is in front of the hand in {value} of the pixels that show the hand",
         advice="hand and object are at the wrong distance: check the sizes of hand and mesh, and the hand's distance",
     ),
     Check(
@@ -231,12 +231,12 @@ RESULT_CHECKS: tuple[Check, ...] = (
     Check(
         "second-gap", plausibility.second_gap, high=12.0, serious=False, shown=millimetres,
         fault="only one part of the hand is near the object, the next is {value} away",
-        advice="is it held so? Else sizes or distances of hand and object do not agree",
+        advice="if it is not held with one part only, sizes or distances of hand and object do not agree",
     ),
     Check(
         "contact-gap", plausibility.gap, high=15.0, shown=millimetres,
         fault="hand and object are {value} apart in half of the frames",
-        advice="nothing is held there: check the hands' distance from the camera, and --method one-dof",
+        advice="the hand does not hold the object: check the hands' distance from the camera, and try --method one-dof",
     ),
     Check(
         "penetration", plausibility.penetration, high=35.0, serious=False, shown=millimetres,

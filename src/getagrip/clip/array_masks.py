@@ -23,7 +23,10 @@ from getagrip.errors import InputError
 from getagrip.io import arrays, files
 
 KINDS = ("object", "ignore", "hand")
-LOGITS, HALVES = "logits: those above 0 were taken, in images", "probabilities: half and more was taken, in images"
+LOGITS, HALVES = (
+    "logits: values above 0 were used, in images",
+    "probabilities: values of one half and more were used, in images",
+)
 Numbers = Callable[[int], tuple[Path, str, ndarray]]
 """The file of a frame's array, its key, and the array."""
 

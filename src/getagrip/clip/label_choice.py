@@ -18,7 +18,7 @@ from getagrip.clip.mask_request import MOST_NAMED, MaskRequest, without_object
 from getagrip.errors import InputError, UsageError
 from getagrip.io.images import open_png
 
-ALPHA = "the alpha channel was taken for the mask, in images"
+ALPHA = "the alpha channel was used as the mask, in images"
 MOST_COLOURS = 64
 """Most colours of an image of labels; an image with more is a photograph, cut out."""
 

@@ -17,7 +17,7 @@ from numpy import ndarray
 from getagrip.clip.sampling import frame_indices
 from getagrip.errors import InputError
 
-NOTE = "edges are soft: half of the maximum and more was taken, in images"
+NOTE = "edges are soft: values of half of the maximum and more were used, in images"
 LOOKED_AT = 9
 """Images."""
 LEAST_MAXIMUM = 64

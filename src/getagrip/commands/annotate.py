@@ -32,7 +32,7 @@ TOKENS = "tokens"
 
 @dataclass(frozen=True, kw_only=True)
 class Annotate(Command):
-    """Mark stable grasps, or all that an object does, and label frames, on a page that only this machine can open."""
+    """Mark stable grasps or whole interactions, and label frames, on a local page."""
 
     source: Annotated[Positional[Path], arg(metavar="VIDEO|CANDIDATES")]
     """A video, a folder of images, or a list (.csv, .json) of videos with rough start and end, hand and category, as

@@ -44,7 +44,7 @@ class Bench(Command, Generic[C]):
     every_frame: Flag = False
     """Evaluate every frame of the clips, not only the 30 that all methods fit together."""
     overwrite: Flag = False
-    """Recompute good results, too. Those of other inputs, options or code, and damaged ones, are in any case."""
+    """Recompute valid results, too. Damaged ones, and those of other inputs, options or code, always are."""
     search: Annotated[SearchOptions, arg(name="")] = field(default_factory=SearchOptions)
     share: Annotated[Share, arg(name="")] = field(default_factory=Share)
 
@@ -93,7 +93,7 @@ class Bench(Command, Generic[C]):
                 scores.append(one)
                 failures += len(failed)
                 if self.share.fail_fast and failures:
-                    report("--fail-fast: no other clip is begun")
+                    report("--fail-fast: the other clips are skipped")
                     break
         page = benchmark.page(sorted(scores, key=lambda one: one.name))
         if page is not None:

@@ -47,7 +47,7 @@ class Import(Command, Generic[D]):
 
     dataset: Annotated[D, arg(name="")]
     out: Folder
-    """Folder of the clips, one folder each. Those that are there already are kept, unless they lack hands found now."""
+    """Folder of the clips, one folder each. Existing clips are kept, unless they lack hands found now."""
     share: Annotated[Share, arg(name="")] = field(default_factory=Share)
 
     def run(self) -> int:

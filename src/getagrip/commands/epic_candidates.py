@@ -28,7 +28,7 @@ COLUMNS = ("vid", "st_bound", "ed_bound", "contact", "handside", "cat", "hos_nam
 
 @dataclass(frozen=True, kw_only=True)
 class EpicCandidates(Command):
-    """Find where stable grasps may be in EPIC-KITCHENS: where VISOR says that a hand touches an object."""
+    """List candidates of stable grasps in EPIC-KITCHENS: frames in which, by VISOR, a hand touches an object."""
 
     visor: Folder
     """VISOR's sparse annotations, and its frame_mapping.json, anywhere below."""
@@ -39,7 +39,7 @@ class EpicCandidates(Command):
     out: File
     """Table to write (CSV)."""
     json: OptionalFile = None
-    """Write all that is known of the candidates here."""
+    """Write all data of the candidates here."""
 
     def check(self) -> None:
         files.check_file("--out", self.out)

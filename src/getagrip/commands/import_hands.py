@@ -66,7 +66,7 @@ class NewFrames:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportHands(Command):
-    """Hands from an estimator's files: into a clip that lacks them, or into a file for a clip to come."""
+    """Import hands from an estimator's files, into a clip that lacks them or into a file for a later clip."""
 
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...", help_behavior_hint="")]
     """.npz, .json, .pkl, .pt, .npy, .obj, or folders of them: a file for each image, named like it, or one for all
@@ -83,11 +83,11 @@ class ImportHands(Command):
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
     """The number of the first frame's hand in the files. Needed where these are counted from another start."""
     hold_ends: Flag = False
-    """For a whole interaction: before the first and after the last frame in which it was found, the hand stands still
-    where it was then, marked as a guess. Else these frames are left out."""
+    """For a whole interaction: extrapolate the hand before the first and after the last frame in which it was found, as
+    an assumption. By default these frames are left out."""
     other_hand: Flag = False
-    """With --clip: the hand of the other side, which holds the object in some of a timeline's grasps. Frames may lack
-    it."""
+    """With --clip: import the hand of the other side, which holds the object in some of a timeline's grasps. Frames may
+    lack it."""
     overwrite: Flag = False
     """Replace hands that are there already."""
 

@@ -36,16 +36,16 @@ class ImportMasks(Command):
     clip: Annotated[Path, arg(metavar="CLIP")]
     """Return the clip's folder."""
     object: Labels = ()
-    """The object: values of its labels, #rrggbb, or names of COCO's categories; of several cups, cup:7 by its track_id,
-    or cup:all. Not needed where there is one only."""
+    """Labels of the object: values, #rrggbb, or names of COCO's categories; of several cups, cup:7 by its track_id, or
+    cup:all. Not needed if there is only one label."""
     ignore: Labels = ()
     """Labels of what hides it: other hands, other things in front."""
     hand: Labels = ()
-    """The hand that holds it, likewise. It is ignored as well, and the clip's hands are corrected by its pixels."""
+    """Labels of the hand that holds it. It is ignored as well, and the clip's hands are refined against its pixels."""
     first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None
     """The number of the first frame's mask. Needed where masks are counted from 0 and frames are not."""
     images: str = ""
-    """Which images are meant where there are several of a frame: a folder as take1, or a pattern as cam1_*."""
+    """Folder, as take1, or pattern, as cam1_*, that selects the images where there are several of a frame."""
     overwrite: Flag = False
     """Replace masks that are there already."""
 

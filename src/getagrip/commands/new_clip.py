@@ -62,16 +62,16 @@ LATER = {
 
 @dataclass(frozen=True, kw_only=True)
 class NewClip(Command):
-    """Make a clip of your own video, in one go or in steps. What is missing is listed, with how to get it."""
+    """Make a clip of your own video, at once or in steps; missing inputs are listed, with how to get them."""
 
     video: Annotated[Positional[Path], arg(metavar="VIDEO|FOLDER")]
     """The video, undistorted; or a folder of its images, in the order of the numbers in their names."""
     out: Folder
     """The clip's folder; its name is the clip's."""
     interval: Annotated[tuple[int, int] | None, arg(metavar="START END", help_behavior_hint="")] = None
-    """The stable grasp, or all that is to be a timeline: first and last frame, counted from 1."""
+    """First and last frame of the stable grasp or of the timeline, counted from 1."""
     side: OptionalSide = None
-    """Which hand."""
+    """Side of the hand."""
     shape: Annotated[MeshOptions, arg(name="")] = field(default_factory=MeshOptions)
     category: Annotated[str | None, arg(metavar="WORD", help_behavior_hint="(default: KIND, or object)")] = None
     """Category of the object, in a word."""
@@ -80,13 +80,13 @@ class NewClip(Command):
     mask_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: START)")] = None
     """The number of the mask of frame START."""
     mask_images: str = ""
-    """Which images of the masks are meant where there are several of a frame: a folder, or a pattern of names."""
+    """Folder, or pattern of names, that selects the images of the masks where there are several of a frame."""
     object: Labels = ()
     """Labels of the object in the masks."""
     ignore: Labels = ()
     """Labels in the masks of what hides it."""
     hand: Labels = ()
-    """Labels in the masks of the hand that holds it. It is ignored as well, and --hands are corrected by it."""
+    """Labels in the masks of the hand that holds it. It is ignored as well, and --hands are refined against it."""
     hands: OptionalFile = None
     """A hand.npz; import hands makes one, and can add it later."""
     hand_first: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the frame's)")] = None

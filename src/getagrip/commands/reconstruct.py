@@ -26,7 +26,7 @@ CLIPS = "clips"
 
 @dataclass(frozen=True, kw_only=True)
 class Reconstruct(Command):
-    """Find the pose of the object in the hand, in the frames of each clip."""
+    """Reconstruct the pose of the object in the hand, in the frames of each clip."""
 
     clips: Sources = ()
     """Clip folders, folders of clips, or patterns in quotes; also in object stores: s3://BUCKET/FOLDER, gs://..."""
@@ -35,11 +35,11 @@ class Reconstruct(Command):
     may share it at the same time. It may be in an object store, too."""
     options: Annotated[Options, arg(name="")] = field(default_factory=Options)
     find_grasps: Flag = False
-    """Clips are not cut: find first, as segment --from-masks does, when the object lies still and when it is held;
+    """For uncut clips: first find when the object lies still and when a hand holds it, as segment --from-masks does,
     then reconstruct the whole interaction as a timeline. Clips with their segments go to DIR/clips."""
     cut_grasps: Flag = False
-    """Find segments likewise, but reconstruct each stable grasp by itself, as if it had been cut by hand. The grasps'
-    own clips go to DIR/clips, results to DIR/<clip>--1, --2 and so on."""
+    """Find segments as --find-grasps does, but reconstruct each stable grasp as a clip of its own. These clips go to
+    DIR/clips, results to DIR/<clip>--1, --2 and so on."""
     batch: Annotated[Batch, arg(name="")] = field(default_factory=Batch)
 
     def run(self) -> int:
@@ -118,6 +118,6 @@ class Reconstruct(Command):
                         continue
                     print_outcome(one, self.debug)
                     if share.fail_fast:
-                        report("--fail-fast: no other clip is begun")
+                        report("--fail-fast: the other clips are skipped")
                         break
         return [found[job.name] for job in jobs if job.name in found]

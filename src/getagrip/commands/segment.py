@@ -53,12 +53,12 @@ class GraspCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Segment(GraspCommand):
-    """Find the stable grasps in clips with true poses; or, in masks, all that the object does."""
+    """Find the stable grasps in clips with true poses; or, from masks, all states of the object."""
 
     grasps: Annotated[GraspOptions, arg(name="")] = field(default_factory=GraspOptions)
     """Definition of a stable grasp."""
     from_masks: Flag = False
-    """Read no true pose: find when the object lies still, moves in an unstable contact or is held in a stable grasp, by
+    """Find segments without true poses: when the object lies still, is in unstable contact or in a stable grasp, by
     fits to masks and hand (docs/grasps.md)."""
     out: OptionalFolder = None
     """Write the list of grasps (grasps.json, segments.csv) and a picture of each clip here; with --from-masks all

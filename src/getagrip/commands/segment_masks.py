@@ -29,7 +29,7 @@ SEGMENTS = "segments.json"
 COLUMNS = ("sequence", "side", "object", "state", "start", "end", "duration", "first", "last", "margin")
 """Columns of ``segments.csv``: frames counted from 0, both included; seconds; names of the same frames; nats."""
 LEGEND = (
-    "margin: how much worse the best division without the segment explains the masks [nats]; small ones are doubtful"
+    "margin: how much worse the best division without the segment explains the masks [nats]; small ones are uncertain"
 )
 
 

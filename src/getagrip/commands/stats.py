@@ -25,7 +25,7 @@ HEADINGS = ("category", "avg [s]", "std [s]", "max [s]", "clips", "left", "right
 
 @dataclass(frozen=True, kw_only=True)
 class Stats(Command):
-    """Print how long stable grasps last, category by category, and what a dataset has: the paper's dataset tables."""
+    """Print the durations of stable grasps by category, and the counts of a dataset: the paper's dataset tables."""
 
     source: Annotated[Positional[str], arg(metavar="epic-grasps|LIST")]
     """epic-grasps, followed by its CSV; or a list of grasps, or the folder of clips that import wrote it into."""

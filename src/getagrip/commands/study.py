@@ -25,7 +25,7 @@ ALL = "All"
 
 @dataclass(frozen=True, kw_only=True)
 class Study(GraspCommand):
-    """Measure what changes within the stable grasps of clips with true poses, and outside them: the paper's study."""
+    """Measure the changes within and outside the stable grasps of clips with true poses: the paper's study."""
 
     out: Folder
     """Folder of study.png, grasps.csv, curves.csv, summary.csv and the list of grasps (grasps.json)."""

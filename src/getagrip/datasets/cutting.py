@@ -45,11 +45,11 @@ class TrackedDataset(Dataset):
     """A dataset with true tracks of hands and objects."""
 
     root: Annotated[Positional[Path], arg(metavar="ROOT")]
-    """The folder that holds it, as it came."""
+    """Folder of the dataset, as published."""
     grasps: Annotated[GraspOptions, arg(name="")] = field(default_factory=GraspOptions)
     """Definition of a stable grasp."""
     whole: Flag = False
-    """Not the grasps but all frames, without masks: for segment and study."""
+    """Import all frames instead of grasps, without masks: for segment and study."""
 
     def sources(self) -> list[Source]:
         """Its sequences. Raises ``UsageError`` for wrong options, ``InputError`` where there is no sequence."""

@@ -200,6 +200,6 @@ def _masks(folder: Path, hand: Colour | None, number: int) -> FrameMasks:
 
 
 def _halved(mask: Bool[ndarray, "H W"], least: int) -> Bool[ndarray, "h w"]:
-    """Half as large: set where at least so many of four pixels are."""
+    """Halve a mask: set where at least ``least`` of four pixels are."""
     set_ = mask.view(np.uint8)
     return np.asarray(set_[::2, ::2] + set_[::2, 1::2] + set_[1::2, ::2] + set_[1::2, 1::2] >= least)

@@ -144,7 +144,7 @@ ABLATIONS: dict[str, Ablation] = {
         (Setting("off", {"occlusion": False}), Setting("on", {"occlusion": True})),
     ),
     "axis": Ablation(
-        "Where the axis may lie: through the origin of the hand frame, or anywhere",
+        "Place of the axis: through the origin of the hand frame, or anywhere",
         "free",
         (Setting("hand", {"axis": "hand"}), Setting("free", {"axis": "free"})),
     ),
@@ -174,7 +174,7 @@ ABLATIONS: dict[str, Ablation] = {
         (REFERENCE, "soft-hinge", "contact-consistency"),
     ),
     "estimated-hands": Ablation(
-        "Hands that are off as estimates from images are: as given, or corrected by their own pixels",
+        "Hands with the errors of estimates from images: as given, or refined against their own pixels",
         "none",
         (
             Setting("none"),
@@ -183,7 +183,7 @@ ABLATIONS: dict[str, Ablation] = {
         ),
     ),
     "hand-refinement": Ablation(
-        "Hands corrected by their own pixels, or as they are given",
+        "Hands refined against their own pixels, or as given",
         "none, as given",
         tuple(
             replace(noise, label=f"{noise.label}, {word}", options={"hands": hands})
@@ -203,7 +203,7 @@ ABLATIONS: dict[str, Ablation] = {
         ("soft-hinge",),
     ),
     "true-hands": Ablation(
-        "Hands: as they are given, corrected by their own pixels, or the true ones",
+        "Hands: as given, refined against their own pixels, or the true ones",
         "as given",
         (
             Setting("as given", {"hands": "as-given"}),
@@ -223,7 +223,7 @@ ABLATIONS: dict[str, Ablation] = {
         (Setting("none"), *(Setting(f"{px} px", change=Gapped(px)) for px in (1, 2, 3, 5))),
     ),
     "wrong-masks": Ablation(
-        "Masks that are wrong in some frames: left out, or believed",
+        "Masks that are wrong in some frames: left out, or used",
         "none, as given",
         tuple(
             replace(fault, label=f"{fault.label}, {word}", options={"masks": masks})
@@ -233,7 +233,7 @@ ABLATIONS: dict[str, Ablation] = {
         ("soft-hinge",),
     ),
     "other-mesh": Ablation(
-        "A mesh that is only of the object's kind: fitted to the masks, or taken as it is",
+        "A mesh of the category: fitted to the masks, or unchanged",
         "own, as given",
         tuple(
             Setting(f"{label}, {word}", {"mesh": mesh}, change)
@@ -248,13 +248,13 @@ ABLATIONS: dict[str, Ablation] = {
         (Setting("known", change=ScaleKnown()), Setting("free", change=ScaleFree())),
     ),
     "sca": Ablation(
-        "What counts as contact: whose points, and how near",
+        "Definition of contact: whose points, and at which distance",
         None,
         tuple(Setting(f"{d.side}, {d.distance}", contact=d) for d in CONTACT_DEFINITIONS),
         COMPARED,
     ),
     "wrong-input": Ablation(
-        "Mistakes made on purpose: what the checks find",
+        "Deliberate mistakes, and the findings of the checks",
         "none",
         (Setting("none"), *(Setting(mistake, change=Wrong(mistake)) for mistake in MISTAKES)),
         ("soft-hinge",),

@@ -53,7 +53,7 @@ MEDIANS = (
     "Right in the camera (ADD sym.); medians over clips; results marked ambiguous, of all and of those whose pose is "
     "wrong (ADD sym.)"
 )
-FLAGGED = "Results that the checks doubt, how many of them are right, and the checks"
+FLAGGED = "Results with serious findings, the right ones among them, and the checks"
 CATEGORIES = "Each category"
 """Titles of what a page folds away."""
 FAILED = "failed"
@@ -133,7 +133,7 @@ def _errors(table: Table, style: Style) -> list[list[str]]:
 
 def _findings(table: Table, style: Style) -> list[list[str]]:
     """Return headings and rows of the number of results that each check flags (docs/checks.md)."""
-    rows = [["", "doubted", "right ones", "serious findings", "notes"]]
+    rows = [["", "flagged", "right ones", "serious findings", "notes"]]
     for row in table.rows:
         known = any(not math.isnan(row.medians[error.label]) for error in ERRORS)
         right = str(row.flagged_right) if known else "–"

@@ -24,7 +24,7 @@ AWAY, FAR, TINY = 0.24, 10.0, 0.006
 FLIPPED, JITTER = 0.2, 0.03
 """Share of the frames in which a hand is flipped, and standard deviation of where one is put along each axis [m]."""
 A_LITTLE = 2
-"""So many frames masks come late, as where one file counts from 0 or leaves frames out."""
+"""Delay of the masks in frames, as where one file counts from 0 or leaves frames out."""
 TOO_LARGE = 1.15
 """How many times too large a hand is, and too far away: it looks as before."""
 

@@ -24,7 +24,7 @@ from getagrip.geometry import se3
 from getagrip.result import FrameKind
 
 CHUNK = 30
-"""So many of the other frames are read and fitted at once."""
+"""Number of other frames that are read and fitted at once."""
 STAGES = ((128, 5), (256, 5))
 """Resolution [px] and iterations of their fit."""
 

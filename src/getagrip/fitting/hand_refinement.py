@@ -61,9 +61,9 @@ class HandRefinement:
     grown: float
 
     def __str__(self) -> str:
-        grown = f" (grown by {self.grown:.1f} px: its masks are too small all round)" if self.grown else ""
+        grown = f" (grown by {self.grown:.1f} px: its masks are too small on all sides)" if self.grown else ""
         return (
-            f"the hand was corrected by its own pixels{grown}: "
+            f"the hand was refined against its own pixels{grown}: "
             f"turned by {np.degrees(self.turned):.1f} degrees and moved by {1e3 * self.moved:.1f} mm on average; "
             f"{100 * self.before:.0f} % of its pixels differed, {100 * self.after:.0f} % still do"
         )

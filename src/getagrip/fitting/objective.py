@@ -26,7 +26,7 @@ DELTA = {64: 2.0, 128: 1.0, 256: 1.0}
 CONTACTS = {64: 8, 128: None, 256: None}
 """Vertices of each contact region in use at each level; all of them at the finer ones."""
 FINE_FACES = 4000
-"""Objects of more faces are decimated to so many for the finer silhouettes (for the others: ``surface``)."""
+"""Most faces for the finer silhouettes; larger objects are decimated (for the others: ``surface``)."""
 PUSH, PULL = 0.125, 0.015
 """The paper sums E_mask over pixels, which leaves push and pull without effect; the authors' code divides it by the
 area of the mask. Ours multiplies push and pull by these fractions of the mean area of the masks instead. Pull has less:

@@ -107,15 +107,15 @@ class SearchOptions:
     """Search two to three times as long, for the methods that fit all frames at once."""
     hands: Annotated[Hands, switch("as-given"), arg(name="given-hands", help_behavior_hint="")] = "corrected"
     """Do not refine the hands (as-given). By default (corrected) they are aligned to the hand's pixels (masks/hand,
-    else masks/ignore) where they disagree, and interpolated in frames in which they jump."""
+    else masks/ignore) where they disagree, and tracker glitches are interpolated."""
     masks: Annotated[MaskUse, switch("as-given"), arg(name="given-masks", help_behavior_hint="")] = "checked"
-    """Use all masks (as-given). By default (checked) soft-hinge and one-dof leave out those that contradict the masks
-    of other frames."""
+    """Use all masks (as-given). By default (checked) soft-hinge and one-dof leave out outlier masks, which contradict
+    those of other frames."""
     mesh: Annotated[MeshUse, switch("as-given"), arg(name="given-mesh", help_behavior_hint="")] = "fitted"
     """Take the mesh as it is (as-given). By default (fitted) soft-hinge and one-dof deform it where the masks show that
-    it is only of the object's kind."""
+    it is not the object's own."""
     seed: Annotated[int, arg(metavar="S")] = 0
-    """Rotates the set of initial rotations. The same seed gives the same result."""
+    """Seed that rotates the set of initial rotations. The same seed gives the same result."""
 
     def __post_init__(self) -> None:
         check_values(self)
@@ -151,8 +151,8 @@ class Options(SearchOptions):
     every_frame: Annotated[bool, FlagConversionOff, switch(False), arg(name="sampled-only", help_behavior_hint="")] = (
         True
     )
-    """Leave it at these frames (every_frame=False). Otherwise the others follow: each is fitted to its own mask, what
-    all frames share held still, or interpolated where no mask shows the object."""
+    """Stop after these frames (every_frame=False). By default the others follow: each is fitted to its own mask, with
+    the shared parameters fixed, or interpolated where no mask shows the object."""
     push: Annotated[float, Suppress, Fixed] = 0.1
     """Weight of E_push, the paper's lambda_2 without the focal length."""
     pull: Annotated[float, Suppress, Fixed] = 0.1

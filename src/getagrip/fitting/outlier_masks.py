@@ -39,10 +39,10 @@ def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult
         predicted = NeighbourPrediction.by(some.warped(found.warp), found.poses, used)
         met = predicted.overlap(problem.warped(found.warp), everywhere)
         limit = outlier_threshold(met)
-        believed = np.flatnonzero(met.differing <= limit)
-        if np.array_equal(believed, used):
+        inliers = np.flatnonzero(met.differing <= limit)
+        if np.array_equal(inliers, used):
             break
-        used = believed
+        used = inliers
         some = problem.at(problem.clip.take(used), problem.input_masks.take(used))
         found = fit(some)
     names = tuple(name for n, name in enumerate(problem.clip.frames) if n not in used)

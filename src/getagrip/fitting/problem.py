@@ -81,7 +81,7 @@ class Problem:
         prior_poses: (k, 4, 4) initial poses ``T_hand_obj``, tried before those with uniform rotations, or alone.
         notes: dropped frames, guesses, initial poses, what stands in for missing masks.
         threads: number of threads that share the hypotheses of a fit.
-        trust: what is believed of all this.
+        trust: the trust in these inputs.
     """
 
     clip: Clip
@@ -190,12 +190,12 @@ def _prepared(
     if hand_drawn:
         masks = occluded_by_hand(clip, masks)
         observation = observe(masks, clip.K, options.occlusion, gap_share)
-        notes.append("no ignore masks: what the drawn hand covers outside the object's mask counts as hidden")
+        notes.append("no ignore masks: pixels that the rendered hand covers outside the object's mask count as hidden")
     poses, of_poses = pose_priors.poses_for(clip, options)
     notes += of_poses
     notes += [f"{topic}: {text}" for topic, text in assumptions(clip.provenance).items()]
     if observation.has_gaps:
-        notes.append("masks leave gaps between the object and what hides it: what lies in them does not count")
+        notes.append("masks leave gaps between the object and its occluders: pixels in gaps do not count")
     return Problem(
         clip=clip, masks=masks, input_masks=masks_input, observation=observation, surface=surface.result(),
         options=options, prior_poses=poses, notes=tuple(notes), threads=threads,

@@ -26,11 +26,11 @@ from getagrip.result import Candidates, Reconstruction, Status
 AMBIGUOUS = 1.05
 """A distinct candidate within this factor of the best energy makes a result ambiguous."""
 
-SCALE_GUESSED = "the scale {:.3f} is a guess from the masks and the hand's size, not a measurement"
-SHAPE_GUESSED = "the object's shape is a guess from the masks: the mesh leaves contours that no pose explains"
+SCALE_GUESSED = "the scale {:.3f} is estimated from the masks and the hand's size, not measured"
+SHAPE_GUESSED = "the object's shape is an assumption from the masks: no pose of the mesh explains their contours"
 """A note where the mesh was not taken as it is given."""
 
-UNEXPLAINED = "failed: the best pose meets the masks with a mean IOU of {:.2f} only; nothing is known of the object"
+UNEXPLAINED = "failed: even the best pose has a mean mask IOU of only {:.2f}; the object's pose is unknown"
 """The message of a result whose mean IOU is below ``LEAST_IOU``, however the minimisation ended."""
 
 

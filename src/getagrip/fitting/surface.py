@@ -15,7 +15,7 @@ from getagrip.geometry.mesh import Mesh, decimate
 from getagrip.kernels.closest import FaceGrid
 
 COARSE_FACES = 1000
-"""Objects of more faces are decimated to so many for contact and for 64-pixel silhouettes."""
+"""Most faces for contact and for 64-pixel silhouettes; larger objects are decimated."""
 POINTS = 48
 """Points of the surface that are compared."""
 HALF_TURNS = (0.003, 0.06)

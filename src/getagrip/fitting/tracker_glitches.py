@@ -28,7 +28,7 @@ LEAST = 0.04
 TIMES = 4.0
 """The price where hands are fast, in the step from frame to frame that two thirds of the steps exceed."""
 AT_ENDS, FEW = 2.0, 3
-"""The price at an end, in the steps that follow; so many of them count, and so many frames are left out at most."""
+"""Price at an end, in the steps that follow; number of these that count, and most frames left out there."""
 LONGEST = 30
 """Most frames from one that is kept to the next."""
 POINTS = 16

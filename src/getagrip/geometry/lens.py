@@ -21,7 +21,7 @@ class Lens:
     focal: Annotated[float | None, arg(metavar="PX", help_behavior_hint="")] = None
     """Instead of K, the focal length; the principal point is in the middle."""
     guess_focal: Flag = False
-    """Guess it. Depths and sizes are guesses then, too."""
+    """Assume the focal length; depths and sizes are then assumptions as well."""
 
     @property
     def is_set(self) -> bool:

@@ -12,7 +12,7 @@ from numpy import ndarray
 from getagrip.io.array_data import ArrayData, check_ids
 
 PAIRS = 50_000
-"""So many distances are computed at once."""
+"""Number of distances that are computed at once."""
 LEFT = 2
 """Times the faces that were asked for: when edge collapse leaves more, it has not worked."""
 HASTE = (3.0, 7.0)

@@ -19,7 +19,7 @@ ROUNDS = 24
 def fine(parts: Sequence[Mesh], vertices: int = FINE) -> tuple[Mesh, Int[ndarray, "V"]]:
     """Join the parts of an object to one mesh without long edges, and return the part (0, 1, ...) of each vertex.
 
-    There are about so many vertices, or more where the parts have more.
+    It has about ``vertices`` vertices, or more where the parts have more.
     """
     longest = edge_length(sum(float(part.vertex_areas.sum()) for part in parts), vertices)
     made = [subdivided(part.vertices, part.faces, longest) for part in parts]

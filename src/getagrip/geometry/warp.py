@@ -1,4 +1,4 @@
-"""Smooth warps: what makes of a mesh another one of its kind."""
+"""Smooth warps: deformations of a mesh into another shape of its category."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Warp(ArrayData):
 
     @staticmethod
     def by(centre: Float[ndarray, "3"], radius: float, displacement: Float[ndarray, "9 3"]) -> Warp:
-        """Points displaced by ``radius`` times so many of each monomial but 1."""
+        """Make the warp that displaces points by ``radius`` times these coefficients of each monomial but 1."""
         coefficients = np.zeros((MONOMIALS, 3))
         coefficients[1:] = displacement
         coefficients[1:4] += np.eye(3)

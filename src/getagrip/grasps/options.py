@@ -36,8 +36,8 @@ class GraspOptions:
     shortest: Annotated[int, arg(metavar="N")] = 20
     """Frames of the shortest grasp."""
     listed: Annotated[OptionalFile, arg(name="list", aliases=("--intervals",))] = None
-    """Take the grasps of this list, whatever tau, rule and shortest are: one that import, segment, study or annotate
-    wrote, or anybody's (docs/formats.md); also the authors' hot3d_hit.json."""
+    """Use the grasps of this list instead of tau, rule and shortest: one by import, segment, study or annotate, your
+    own (docs/formats.md), or the authors' hot3d_hit.json."""
 
     def definition(self, contact_mm: float = 0.0) -> Definition:
         """Return the definition of a stable grasp, within ``contact_mm`` where nothing is said.

@@ -39,7 +39,7 @@ def _of_few(path: Path | str, stream: BinaryIO) -> zipfile.ZipFile:
         entries += (end + piece).count(ENTRY)
         end = piece[1 - len(ENTRY) :]
         if entries > MOST_MEMBERS:
-            raise InputError(path, "", f"an archive of more than {MOST_MEMBERS} members", "at most so many")
+            raise InputError(path, "", f"an archive of more than {MOST_MEMBERS} members", f"at most {MOST_MEMBERS}")
     return zipfile.ZipFile(stream)
 
 

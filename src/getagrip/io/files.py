@@ -246,10 +246,9 @@ def folder_inside(folder: Path, *names: str) -> Path:
 def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
     """Make a folder beside ``target`` that takes its name when the block ends well, and is removed if not.
 
-    An older folder is replaced only where it holds all that ``replace`` names: what is in every folder of its kind, and
-    not in one that was named by mistake. Raises ``UsageError`` for another. An ``OSError`` of the block about a file in
-    the folder names it by the path that it was to have. What a killed process leaves, ``leftovers.sweep`` removes.
-    """
+    An older folder is replaced only where it holds all that ``replace`` names: files that every such folder holds, and
+    none that was named by mistake. Raises ``UsageError`` for another. An ``OSError`` of the block about a file in the
+    folder names it by the path that it was to have. What a killed process leaves, ``leftovers.sweep`` removes."""
     refuse_link(target)
     missing = [f" without {name!r} in it" for name in replace if not (target / name).exists()]
     if target.exists() and (missing or not replace):

@@ -24,7 +24,7 @@ from getagrip.io import files
 TYPES = {"float32": "f", "uint16": "H", "uint32": "I", "uint8": "B"}
 """Types of the arrays in a page; ``parts/page.js`` reads these."""
 LEAST = 8
-"""Arrays begin at multiples of so many bytes, as JavaScript wants it."""
+"""Alignment of arrays in bytes, as JavaScript requires."""
 ESCAPED = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 
 

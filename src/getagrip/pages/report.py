@@ -134,7 +134,7 @@ def _segments(result: Reconstruction) -> list[str]:
     for segment in result.segments:
         met = "" if segment.iou is None else f", IOU {segment.iou:.2f}"
         side = f" ({segment.side} hand)" if segment.side else ""
-        how = ", followed by the masks only" if segment.by_masks else ""
+        how = ", tracked by the masks only" if segment.by_masks else ""
         if segment.state == "grasp":
             how += f", probability right {segment.probability_right or 'unknown'}"
         out.append(f"{segment.state}{side}: frames {segment.first} to {segment.last}{met}{how}")

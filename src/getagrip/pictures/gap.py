@@ -15,9 +15,9 @@ from getagrip.metrics.contact import close_holes, moving_distance
 from getagrip.pictures.shown import View
 
 FACES = 20_000
-"""Larger meshes are decimated to about so many faces."""
+"""Number of faces to which larger meshes are decimated, about."""
 VERTICES = 6_000
-"""Coarse ones are given about so many vertices, so that an edge inside the hand has some."""
+"""Least number of vertices of a mesh, about, so that an edge inside the hand has some."""
 REACH = 0.03
 """The object's vertices count within this distance of the hand [m]; beyond, the hand's alone are near enough."""
 

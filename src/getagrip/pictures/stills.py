@@ -18,7 +18,7 @@ from getagrip.pictures.tiles import image_in, input_windows, intrinsics_of, pose
 STEADY = 0.35
 """Windows move as smoothly as a mean over this time [s]."""
 ROOM = 1.12
-"""They are so many times as large as those of single frames, since they lag behind."""
+"""Factor by which they are larger than those of single frames, since they lag behind."""
 SUBPIXEL = 3
 """Bits after the point of coordinates that OpenCV draws at."""
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 SIDE_VIEW = np.radians(80.0)
 """The turned view looks from this far to the left."""
 BEYOND = 1.10
-"""Windows are so many times as large as what they are to show."""
+"""Size of windows, relative to the content."""
 AxisLine = tuple[Float[ndarray, "n 2"], Bool[ndarray, "n"]]
 """The latent axis in a picture: its points [px], and which of them nothing hides."""
 

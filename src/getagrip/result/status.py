@@ -18,8 +18,8 @@ class Status(Enum):
     FINISHED = "finished", "stopped: all iterations of the fixed number were made"
     JOINT = "joint", "all segments were fitted together"
     GIVEN = "given", "another system's poses, or the ground truth"
-    PARTLY_FAILED = "partly-failed", "failed in part: masks are hardly met (mean IOU) in some segments"
-    MISFIT = "misfit", "failed: the best pose hardly meets the masks; nothing is known of the object"
+    PARTLY_FAILED = "partly-failed", "partly failed: low mask IOU in some segments"
+    MISFIT = "misfit", "failed: even the best pose has a low mask IOU; the object's pose is unknown"
     INVISIBLE = "invisible", "failed: the object is behind the camera or too near to it in every hypothesis tried"
 
     sentence: str
@@ -41,6 +41,6 @@ class Status(Enum):
         known = next((status for status in Status if status.sentence == sentence), None)
         if known is not None:
             return known
-        if sentence.startswith("failed in part"):
+        if sentence.startswith(("failed in part", "partly failed")):
             return Status.PARTLY_FAILED
         return Status.MISFIT if sentence.startswith("failed") else Status.GIVEN

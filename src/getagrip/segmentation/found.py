@@ -29,11 +29,11 @@ from getagrip.segmentation.window_costs import MOTIONS, Motion, chosen, window_c
 OTHERWISE: dict[Motion, State] = {"static": "static", "held": "contact", "free": "free"}
 """State of a segment where no grasp is stable."""
 LAG = 0.13
-"""Masks are compared over so many seconds."""
+"""Longest time between masks that are compared [s]."""
 LONGEST, LEAST = 60, 6
 """Frames of a fit, at most and at least."""
 INTO, AROUND = 30, 150
-"""A fit is tried in the pauses beside it and so many frames beyond them, at most in so many on either side."""
+"""A fit is tried in the pauses beside it and this many frames beyond them, up to the second number on either side."""
 MOST_FRAMES = 3000
 """Most frames of a clip: every window of frames has a cost."""
 WITHIN_10_MM = Definition(contact=0.010)

@@ -34,9 +34,9 @@ from getagrip.timelines.signs import signs_of
 
 METHOD = "soft-hinge"
 """How objects move in the grasps of a timeline."""
-MEANING = f"{calibration.MEANING.format('hand')}; calibrated on grasps by themselves, of timelines a rough guide only"
+MEANING = f"{calibration.MEANING.format('hand')}; calibrated on single grasps, a rough guide for timelines"
 """Meaning of a grasp's probability (docs/checks.md)."""
-UNEXPLAINED = "failed in part: masks are hardly met (mean IOU) in the segments {}"
+UNEXPLAINED = "partly failed: low mask IOU in the segments {}"
 """The message of a result some of whose segments are below ``LEAST_IOU``."""
 
 
@@ -56,7 +56,7 @@ def reconstruct(
         clip: hands, mesh and camera (``read_clip``, ``Clip``); a free scale is found, too.
         masks: masks of all of the clip's frames. Without them, those of the frames that are used are read from the
             clip's folder.
-        options: method, number of initial poses, weights and what of the inputs is believed; None for the usual ones.
+        options: method, number of initial poses, weights and use of the inputs; None for the defaults.
             ``options.frames`` frames, sampled evenly, are fitted together, and the others follow from them.
         progress: called with the name of the stage that has ended and the fraction done, 0 to 1.
         threads: number of threads that share the hypotheses of a search. The result is the same to the last bit
@@ -64,7 +64,7 @@ def reconstruct(
             processes. A timeline is solved on one.
 
     Returns:
-        The object's poses in the hand, what was believed, and how probable it is that they are right.
+        The object's poses in the hand, the assumptions behind them, and the probability that they are right.
 
     Raises:
         UsageError: masks of another clip, or a timeline and another method than the soft hinge.
@@ -167,8 +167,12 @@ def followed(clip: Clip, footage: Footage) -> list[str]:
         if segment.state == "grasp" and footage.grasp_clip(segment) is None:
             name = f"grasp from {clip.frames[segment.first]} ({segment.side} hand)"
             known = clip.hand_known(segment.side)[segment.rows].any()
-            why = "the object is not seen in two frames" if known else f"the clip has no {segment.side} hand there"
-            out.append(f"{name}: {why}, so it was followed by the masks as in unstable contact, without an axis")
+            why = (
+                "the object is visible in fewer than two frames"
+                if known
+                else f"the clip has no {segment.side} hand there"
+            )
+            out.append(f"{name}: {why}, so it was tracked by its masks as in unstable contact, without an axis")
     return out
 
 

@@ -33,7 +33,7 @@ SUPPORT = 0.01
 FLOATS = 0.01
 """[m]."""
 LIKELY = 1.5
-"""Solutions of more than so many times the least energy are given up."""
+"""Solutions with more than this multiple of the least energy are dropped."""
 
 
 def static_hypotheses(

@@ -46,7 +46,7 @@ class DexYcb(TrackedDataset):
     """DexYCB, or a packed file of its sequences: every visible stable grasp."""
 
     root: Annotated[Positional[Path], arg(metavar="ROOT")]
-    """The folder that holds it, as it came; or a packed file of its sequences (.npz), or a folder of such files."""
+    """Folder of the dataset, as published; or a packed file of its sequences (.npz), or a folder of such files."""
     grasps: Annotated[GraspOptions, arg(name="")] = WITHIN_10_MM
     """Definition of a stable grasp."""
 
@@ -54,7 +54,7 @@ class DexYcb(TrackedDataset):
     """Folder of the YCB models."""
 
     timelines: Flag = False
-    """Not the grasps but whole sequences, with masks and segments (docs/timelines.md)."""
+    """Import whole sequences instead of grasps, with masks and segments (docs/timelines.md)."""
 
     def sources(self) -> list[Source]:
         """List the sequences of DexYCB's own folder, of a packed file, or of a folder of such files."""

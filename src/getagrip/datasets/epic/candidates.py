@@ -17,7 +17,7 @@ from getagrip.datasets.epic.visor import Frame, Mapping
 from getagrip.hands.model import Side
 
 ACTIONS = 3
-"""So many actions on either side of a contact make the extent."""
+"""Number of actions on either side of a contact that make the extent."""
 
 
 @dataclass(frozen=True)

@@ -202,7 +202,7 @@ def _chosen(valid: Sequence[int], masked: Sequence[int], span: tuple[int, int]) 
 
 
 def _spread(numbers: Sequence[int], count: int) -> list[int]:
-    """At most so many of the numbers, spread evenly."""
+    """Choose at most ``count`` of the numbers, spread evenly."""
     return [numbers[i] for i in np.round(np.linspace(0, len(numbers) - 1, min(count, len(numbers)))).astype(int)]
 
 

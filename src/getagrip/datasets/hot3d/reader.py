@@ -54,10 +54,11 @@ class Hot3d(TrackedDataset):
     grasps: Annotated[GraspOptions, arg(name="")] = HOLDS
     """Definition of a hold."""
     timelines: Flag = False
-    """Not the holds but whole interactions, with masks and segments (docs/timelines.md); --list: those of a list. Then
-    --rule touch is taken for all-pairs."""
+    """Import whole interactions instead of holds, with masks and segments (docs/timelines.md); with --list, those of a
+    list. --rule touch then means all-pairs."""
     first_frame: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 0)")] = None
-    """The list's number of a recording's first frame; else the recording must be as long as the list has it."""
+    """Number that the list gives to a recording's first frame; without it, the recording must be as long as in the
+    list."""
 
     def parts(self, note: Note) -> Sequence[Part]:
         """List the recordings, cut to holds, to the grasps of a list or, if ``whole``, at gaps only."""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from getagrip.datasets.synthetic.noise import Noise
 
 OUTSIDE = 4.0
-"""Frames are outliers whose rotation is so many times the usual jitter about one axis from the clip's median."""
+"""Distance of an outlier's rotation from the clip's median, in units of the usual jitter about one axis."""
 ROBUST = 1.4826
 """A normal distribution's standard deviation, in medians of its magnitude."""
 _DEGREES, _MM = float(np.degrees(1.0)), 1e3

@@ -47,7 +47,7 @@ UNUSUAL = 2.0
 ROUNDS, SCALED = 6, 2
 """Rounds of correcting a drawn motion, and the number of last ones that correct its sizes only."""
 SHALLOW = 6
-"""So many of the axes are tried: those about which the object turns the least deep into the open hand."""
+"""Number of axes that are tried: those about which the object turns the least deep into the open hand."""
 TRIES, CLOSE = 40, 0.1
 """Motions that are drawn until what is measured of one is as close as this to what is asked for, as logarithms."""
 SIZES = ("turn", "rotation", "place")

@@ -56,11 +56,11 @@ class ClipSource:
         one_of("train", "validation", "all"),
         arg(help_behavior_hint="(default: validation; all of a folder)"),
     ] = None
-    """Which part of a dataset: train is for tuning, validation for choosing."""
+    """Part of a dataset: train is for tuning, validation for choosing."""
     only: Annotated[
         frozenset[str] | None, parsed("FILE", _only, frozenset), arg(metavar="FILE", help_behavior_hint="")
     ] = None
-    """Use the clips that FILE names, one a line; of a dataset no others are imported."""
+    """Use the clips that FILE names, one per line; only these are imported from a dataset."""
 
     def __post_init__(self) -> None:
         if self.split is not None and self.only is not None:

@@ -143,7 +143,7 @@ def energy_alone(problem: Problem) -> Energy:
 
 
 def total_energy(problem: Problem, contact: float) -> Energy:
-    """Eq. 5, with so many times the push and pull that the options name."""
+    """Return Eq. 5, with a multiple of the push and pull that the options name."""
     contact *= problem.trust.contact
     return energy_of(problem, contact * problem.options.push, contact * problem.options.pull)
 

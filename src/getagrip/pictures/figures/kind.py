@@ -70,7 +70,7 @@ def readable(results: Sequence[StoredResult], fail: Fail) -> list[tuple[StoredRe
 
 
 def evenly(count: int, total: int) -> list[int]:
-    """So many of the numbers 0, 1, ..., total - 1, from the first to the last; all where there are fewer."""
+    """Return ``count`` of the numbers 0, 1, ..., total - 1, from the first to the last; all where there are fewer."""
     return [int(n) for n in np.unique(np.linspace(0, total - 1, count).round())]
 
 
