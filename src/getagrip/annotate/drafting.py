@@ -43,10 +43,10 @@ def hand(labels: Labels, K: Float[ndarray, "3 3"], image: Images) -> dict[int, d
         out[labels.first + n] = {
             "joints": _rounded(project(K, se3.transform(T, joints))),
             "outlines": _polygons(mask, 1.0 / zoom),
-            "doubtful": [],
+            "uncertain": [],
         }
     for frame, outliers in zip(found.keys, found.outliers, strict=True):
-        out[frame]["doubtful"] = np.flatnonzero(outliers).tolist()
+        out[frame]["uncertain"] = np.flatnonzero(outliers).tolist()
     return out
 
 

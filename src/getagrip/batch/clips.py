@@ -168,7 +168,7 @@ def shown(bar: Progress, work: Callable[..., R], job: Named) -> R:
 def expected(right: Mapping[str, float], what: str = "right in the hand") -> str:
     """Count the results that are probably right, and name those likely wrong, by the probability of each."""
     wrong = sorted((name for name in right if right[name] < 0.5), key=lambda name: right[name])
-    named = f"; likely wrong, worst first:  {', '.join(wrong)}" if wrong else ""
+    named = f"; likely wrong, worst first: {', '.join(wrong)}" if wrong else ""
     return f"about {sum(right.values()):.0f} of {len(right)} are {what}, by their probabilities{named}"
 
 

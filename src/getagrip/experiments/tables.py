@@ -270,7 +270,7 @@ def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, obje
                         "wrong": row.wrong,
                         "wrong_ambiguous": row.wrong_ambiguous,
                         "serious": row.serious,
-                        "doubtful": row.flagged,
+                        "flagged": row.flagged,
                         "flagged_right": row.flagged_right,
                         "noted": row.noted,
                         "seconds": row.seconds,

@@ -1,9 +1,8 @@
 """From the frames that were fitted together to every frame of the clip.
 
-What the frames share (axis, base pose, scale) stays as it was found. In the other frames that show the object, what is
-each frame's own (angle, deviations) starts between its neighbours and is fitted to the frame's mask. Where no mask
-shows the object, or it is doubted, or the method has no motion to go on with, poses are interpolated.
-"""
+The parameters that frames share (axis, base pose, scale) stay fixed. In the other frames that show the object, the
+parameters of the frame (angle, deviations) start between its neighbours and are fitted to the frame's mask. Where no
+mask shows the object, it is an outlier, or the method has no motion model for other frames, poses are interpolated."""
 
 from __future__ import annotations
 
@@ -39,9 +38,9 @@ class Track:
         T_cam_hand: (T, 4, 4) poses of the hand, which ``T_hand_obj`` are relative to.
         T_hand_obj: (K, T, 4, 4) poses of the mesh's own frame in the hand frame.
         angle: (T,) angle about the axis of the best [rad], where the method has one.
-        iou: (T,) overlap of the best with the masks (``image_iou``); NaN where no mask shows the object, or one is
-            doubted.
-        doubted: names of the frames whose masks are doubted.
+        iou: (T,) overlap of the best with the masks (``image_iou``); NaN where no mask shows the object, or
+            the mask is an outlier.
+        outliers: names of the frames with outlier masks.
     """
 
     frames: tuple[str, ...]
@@ -66,9 +65,8 @@ def at_sampled_frames(problem: Problem, found: MethodResult) -> Track:
 def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: MethodResult, track: Track) -> Track:
     """Extend a method's solutions to every frame of the clip; in the problem's frames, those of ``track`` stay.
 
-    Masks that contradict those of the problem's frames are doubted, too (``Trust.most_differing``). ``masks`` are
-    those of the whole clip; without them, they are read from its folder, a few at a time.
-    """
+    Masks beyond the outlier threshold of the problem's frames are outliers, too (``Trust.outlier_threshold``).
+    ``masks`` are those of the whole clip; without them, they are read from its folder, a few at a time."""
     sampled = clip.index_of(problem.clip.frames)
     clip = clip.with_hand_at(hand_everywhere(clip, problem, sampled))
     T, K, scale = len(clip), len(track.T_hand_obj), float(found.poses.scale[0])

@@ -41,7 +41,8 @@ def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None
     """Find the timeline of least energy.
 
     Raises ``InputError`` where no static segment and no grasp shows the object.
-    
+
+
 
     """
     static = _static(footage, support)
