@@ -147,7 +147,7 @@ class Stage:
         return Stage(view, T_eye_world, K, size, world.up, height, ground)
 
     def picture(self, n: int) -> UInt8[ndarray, "size size 3"]:
-        """Hands and object in frame ``n``, with their shadows."""
+        """Draw hands and object in frame ``n``, with their shadows."""
         view = self.view
         T = self.T_eye_world @ view.clip.world.T_world_cam[n]  # type: ignore[union-attr]
         hands, grasped = view.hands(n), view.object(n)

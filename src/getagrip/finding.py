@@ -46,7 +46,10 @@ def read_findings(path: Path, value: Sequence[Json]) -> tuple[Finding, ...]:
 
 
 def read_checks(path: Path, entry: Mapping[str, object], key: str = "checks") -> dict[str, float]:
-    """Measured values by name, as the ``key`` of a ``result.json`` has them; NaN for null. Raises ``InputError``."""
+    """Read measured values by name, as the ``key`` of a ``result.json`` has them; NaN for null.
+
+    Raises ``InputError``.
+    """
     out = {}
     for name, value in entry.items():
         if isinstance(value, bool) or not isinstance(value, int | float | None):

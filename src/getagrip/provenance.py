@@ -68,7 +68,7 @@ def assumptions(provenance: Mapping[str, object]) -> dict[str, str]:
 
 
 def joined(sources: Iterable[Source]) -> Source:
-    """Several sources as one, as weak as the weakest of them."""
+    """Join several sources to one, as weak as the weakest of them."""
     each = tuple(dict.fromkeys(sources))
     weakest = max((source.basis for source in each), key=get_args(Basis).index)
     return Source("; ".join(dict.fromkeys(source.text for source in each)), weakest)

@@ -31,13 +31,13 @@ class Agreement:
 
 
 def temporal_iou(a: tuple[int, int], b: tuple[int, int]) -> float:
-    """IOU of two intervals of frames, ends included."""
+    """Compute the IOU of two intervals of frames, ends included."""
     both = min(a[1], b[1]) - max(a[0], b[0]) + 1
     return max(0, both) / (a[1] - a[0] + 1 + b[1] - b[0] + 1 - max(0, both))
 
 
 def matched(ours: Sequence[Mark], theirs: Sequence[Mark]) -> list[float]:
-    """IOU of the grasps of two people, paired such that their sum is largest; 0 for each that has no partner.
+    """Match the grasps of two people such that the sum of IOU is largest; return their IOU, 0 for unmatched ones.
 
     Grasps of different hands are not paired, nor such as do not overlap. The order of the people does not matter.
     """

@@ -171,7 +171,7 @@ def _cut(
 
 
 def blended(one: Carried, other: Carried, share: float) -> tuple[Carried, float]:
-    """Two masks of a frame made one, the other's ``share`` from 0 to 1 by how near its key is; how far they agree.
+    """Blend two masks of a frame by the other's ``share``, 0 to 1; also return their agreement.
 
     They agree or not where both are known.
     """
@@ -191,7 +191,7 @@ def blended(one: Carried, other: Carried, share: float) -> tuple[Carried, float]
 def placed(
     each: Carried, corner: tuple[int, int], size: tuple[int, int]
 ) -> tuple[Float32[ndarray, "2 h w"], Float32[ndarray, "h w"]]:
-    """Signed distances, and what is known, in another part of the image, which holds theirs."""
+    """Place signed distances, and what is known, in another part of the image, which holds theirs."""
     inside, known = np.full((2, *size[::-1]), -float(FAR), np.float32), np.ones(size[::-1], np.float32)
     (left, top), (h, w) = np.subtract(each.corner, corner).tolist(), each.inside.shape[1:]
     inside[:, top : top + h, left : left + w] = each.inside

@@ -136,7 +136,7 @@ class Guess(NamedTuple):
     """Wrist of the mean hand, which rotations are about."""
 
     def retract(self, frames: Float[ndarray, "n 51"], shared: Float[ndarray, "s"]) -> Guess:
-        """After a step: each hand shifts in its own axes and turns about the wrist, the rest adds up."""
+        """Apply a step: each hand shifts in its own axes and turns about the wrist, the rest adds up."""
         return self._replace(
             T=stepped(self.T, frames[:, :6], self.wrist),
             q=self.q + frames[:, 6:].reshape(self.q.shape),
@@ -192,7 +192,7 @@ def _normal_equations(model: HandModel, chains: Chains, prior: PosePrior, guess:
 def between(
     keys: Sequence[int], T: Float[ndarray, "n 4 4"], q: Float[ndarray, "n 5 3 3"], first: int, last: int
 ) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 5 3 3"]]:
-    """Hands in all frames: smooth through those of the keys, at rest beyond them.
+    """Interpolate hands in all frames: smooth through those of the keys, at rest beyond them.
 
     Positions go along straight rays' pixels and log depths (so that a hand in view stays in view), fingers along
     monotone cubic splines, rotations along a spline of continuous acceleration.

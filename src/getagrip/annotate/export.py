@@ -21,7 +21,9 @@ def grasps(marks: Sequence[Mark]) -> list[Mark]:
 
 
 def epic_rows(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[str, object]]:
-    """Rows of EPIC-Grasps' table. What annotation cannot know stays empty: the counts of masks, sets and rounds.
+    """Return the rows of EPIC-Grasps' table.
+
+    What annotation cannot know stays empty: the counts of masks, sets and rounds.
 
     A task without rough bounds has the grasp's own.
     """
@@ -45,7 +47,7 @@ def epic_rows(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> list[Mapping[
 
 
 def epic_csv(marks: Sequence[Mark], tasks: Mapping[str, Task]) -> str:
-    """EPIC-Grasps' table as text."""
+    """Write EPIC-Grasps' table as text."""
     stream = io.StringIO(newline="")
     rows = epic_rows(marks, tasks)
     CsvTable(stream).write_rows([COLUMNS, *([row[column] for column in COLUMNS] for row in rows)])

@@ -50,7 +50,7 @@ class Footage(Protocol):
         """Width and height of the frames [px]."""
 
     def time(self, index: int) -> float:
-        """When a frame is shown, from the start [s]."""
+        """Return the time at which a frame is shown, from the start [s]."""
 
     def number(self, index: int) -> int:
         """Return the number that the footage's own naming gives a frame."""
@@ -152,7 +152,7 @@ class ImageFolder:
         return len(self.paths)
 
     def time(self, index: int) -> float:
-        """When an image is shown [s]: by its number, so that gaps count."""
+        """Return the time at which an image is shown [s]: by its number, so that gaps count."""
         return (self.numbers[index] - self.numbers[0]) / self.fps
 
     def number(self, index: int) -> int:
@@ -182,7 +182,7 @@ class ImageFolder:
         return np.ascontiguousarray(self._bgr(index)[..., ::-1])
 
     def close(self) -> None:
-        """No file is kept open."""
+        """Do nothing: no file is kept open."""
 
     def _bgr(self, index: int) -> UInt8[ndarray, "H W 3"]:
         path = self.paths[index]

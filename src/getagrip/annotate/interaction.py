@@ -69,7 +69,7 @@ class Interaction:
         )  # fmt: skip
 
     def overlaps(self) -> list[str]:
-        """Frames that are in two segments: these cannot be written."""
+        """Return texts on frames that are in two segments: these cannot be written."""
         out = []
         for (n, one), (m, other) in combinations(self.finished, 2):
             first, last = max(one.start or 0, other.start or 0), min(one.end or 0, other.end or 0)

@@ -74,7 +74,7 @@ class KeyFrame:
         return tuple(np.array(points, dtype=float) for points in shapes)
 
     def labels(self) -> FrameLabels:
-        """Its labels, as a file has them."""
+        """Return its labels, as a file has them."""
         objects, front = self.polygons("object"), self.polygons("front")
         clicked = any(point != UNSEEN for point in self.joints.values())
         return FrameLabels(

@@ -14,7 +14,10 @@ from getagrip.io import files
 
 
 def checksum(path: Path) -> str:
-    """SHA-256 of a video file; of a folder of images, that of their names and contents. Raises ``OSError``."""
+    """Compute the checksum of a video file; of a folder of images, that of their names and contents.
+
+    Raises ``OSError``.
+    """
     found = sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
     return _checksum(tuple((each, each.stat().st_size, each.stat().st_mtime_ns) for each in found), path.is_dir())
 

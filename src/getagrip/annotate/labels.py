@@ -75,7 +75,10 @@ class Labels:
         return {n: frame.joints for n, frame in sorted(self.frames.items()) if frame.joints is not None}
 
     def label_maps(self) -> dict[int, UInt8[ndarray, "H W"]]:
-        """Return, for each frame with the object's polygons or marked as not visible: 0, ``OBJECT`` or ``FRONT``."""
+        """Make a label map of each frame with the object's polygons or marked as not visible.
+
+        0, ``OBJECT`` or ``FRONT``.
+        """
         return {n: _label_map(frame, self.size) for n, frame in sorted(self.frames.items()) if frame.object is not None}
 
 
@@ -100,7 +103,7 @@ def write(labels: Labels, path: str | Path) -> None:
 
 
 def to_json(labels: Labels) -> files.Json:
-    """Labels as the file has them."""
+    """Write labels as the file has them."""
     fields = {key: getattr(labels, key) for key in ("video", "side", "fps", "first", "last")}
     frames = {str(n): _frame_json(frame) for n, frame in sorted(labels.frames.items())}
     whole = {"sha256": labels.sha256} if labels.sha256 else {}
@@ -124,7 +127,7 @@ def _rounded(point: Float[ndarray, "2"]) -> list[float]:
 
 
 def parse(content: files.Json, source: str | Path) -> Labels:
-    """Labels from JSON, everything checked. Raises ``InputError`` in the name of ``source``."""
+    """Parse labels from JSON, everything checked. Raises ``InputError`` in the name of ``source``."""
     checked = _Checked(Path(source), content)
     size = checked.size()
     first = checked.whole("first", 0, LAST_FRAME)

@@ -82,7 +82,7 @@ def equations(
 def place(
     chains: Chains, clicks: Clicks, grasp: Float[ndarray, "5 3 3"], shape: Float[ndarray, "S"]
 ) -> Float[ndarray, "n 4 4"]:
-    """T_cam_hand of stiff hands with given fingers, those of many rotations that fit and turn little between frames."""
+    """Place stiff hands with given fingers: T_cam_hand of rotations that fit and turn little between frames."""
     n, m = len(clicks.y), ROTATIONS
     X, J = joints_and_jacobian(chains, grasp[None], shape)
     R = se3.super_fibonacci(m)

@@ -80,7 +80,7 @@ class Project:
         return footage.jpeg(index, whole), footage.time(index), footage.number(index)
 
     def marks(self, key: object, annotator: object) -> dict[str, object]:
-        """Somebody's marks of a task, and the number of the change that made them what they are."""
+        """Return an annotator's marks of a task, and the number of their last change."""
         task, name = self._task(key), versions.annotator(annotator)
         newest = self.store.marks.newest(task.key, name)  # before the marks: what changes in between is asked for again
         own = self.store.marks.standing(task.key, name)
@@ -211,7 +211,10 @@ class Project:
         return {"pairs": [asdict(one) for one in agreement.agreements(self.known())]}
 
     def exported(self, kind: str, annotator: object) -> str:
-        """Somebody's grasps as text, "csv" or "json", or their "segments". Raises ``RefusedError``, ``InputError``."""
+        """Export an annotator's grasps as text, "csv" or "json", or their "segments".
+
+        Raises ``RefusedError``, ``InputError``.
+        """
         name = versions.annotator(annotator)
         if kind == "segments":
             listed = {one.task.key: one.listed().fields for one in self.interactions(name)}

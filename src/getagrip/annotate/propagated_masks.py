@@ -30,7 +30,7 @@ ENOUGH = 1e6
 
 
 class Propagated(NamedTuple):
-    """Read the mask of a frame."""
+    """A mask of a frame."""
 
     frame: int
     labels: UInt8[ndarray, "H W"]

@@ -56,14 +56,14 @@ class Drafts:
             db.executemany("INSERT INTO drafts (grasp, kind, frame, basis, content) VALUES (?, ?, ?, ?, ?)", rows)
 
     def since(self, grasp: str, seq: int) -> list[dict[str, object]]:
-        """Drafts of a grasp that are newer than ``seq``, the oldest ``MOST_AT_ONCE`` of them."""
+        """Return the drafts of a grasp that are newer than ``seq``, the oldest ``MOST_AT_ONCE`` of them."""
         query = "SELECT seq, kind, frame, basis, content FROM drafts WHERE grasp = ? AND seq > ? ORDER BY seq LIMIT ?"
         rows = self.database.rows(query, (grasp, seq, MOST_AT_ONCE))
         keys = ("seq", "kind", "frame", "basis")
         return [dict(zip(keys, row, strict=False)) | {"content": json.loads(row[-1])} for row in rows]
 
     def bases(self, grasp: str, kind: str) -> dict[int, str]:
-        """By frame, what the drafts that there are were made of."""
+        """Return, by frame, the inputs of the existing drafts."""
         return dict(self.database.rows("SELECT frame, basis FROM drafts WHERE grasp = ? AND kind = ?", (grasp, kind)))
 
     def newest(self, grasp: str) -> int:

@@ -50,7 +50,7 @@ class Task:
     """EPIC-Grasps' name of the candidate."""
 
     def extent(self, footage: Footage) -> tuple[int, int]:
-        """First and last frame, from 0. Raises ``InputError`` where the footage ends before the first."""
+        """Return the first and last frame, from 0. Raises ``InputError`` where the footage ends before the first."""
         if self.start is None or self.end is None:
             return 0, footage.frames - 1
         last = footage.number(footage.frames - 1)

@@ -85,14 +85,14 @@ class Video:
         return width, height
 
     def time(self, index: int) -> float:
-        """When a frame is shown, from the start of the stream [s]."""
+        """Return the time at which a frame is shown, from the start of the stream [s]."""
         return float(self._time(index))
 
     def _time(self, index: int) -> Fraction:
         return (self._times[index] - self._begin) * self._base
 
     def number(self, index: int) -> int:
-        """EPIC's number of a frame in one of its videos, else its place from 1."""
+        """Return EPIC's number of a frame in one of its videos, else its place from 1."""
         return index + 1 if self._rate is None else round(self._time(index) * Fraction(self._rate)) + 1
 
     def index(self, number: int) -> int:

@@ -72,7 +72,7 @@ def good_result(
 
 
 def difference(there: Mapping[str, object], now: Mapping[str, object], called: Mapping[str, str]) -> str:
-    """In what a record differs from that of what would be made now, as a reason; empty where it does not.
+    """Explain in which entry a record differs from the one that would be made now; empty where it does not.
 
     ``called`` are the entries that count, and how each is called.
     """

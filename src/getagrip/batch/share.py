@@ -62,7 +62,7 @@ class Share:
             raise UsageError(f"--workers must be 1 or more (got {self.workers})")
 
     def executor(self, count: int, few: int = FEW) -> Start[Any, Any] | None:
-        """Who does a ``count`` of tasks; None: this process, by default for a ``few`` without limits."""
+        """Choose the executor of ``count`` tasks; None: this process, by default for a ``few`` without limits."""
         from getagrip.batch.executors import ENGINES
         from getagrip.batch.pool import cores
 

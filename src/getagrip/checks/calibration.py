@@ -70,5 +70,5 @@ class Calibration:
 
 
 def sigmoid(logit: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
-    """Probabilities of logarithms of odds."""
+    """Return the probabilities of logarithms of odds."""
     return np.asarray(0.5 * (1.0 + np.tanh(0.5 * logit)))

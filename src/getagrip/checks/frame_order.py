@@ -48,7 +48,7 @@ class Lateness:
 
 
 def following(it: Evidence) -> float:
-    """Distance of the masks' middles from a point that moves with the hand, in sizes of the mask (root of its area)."""
+    """Measure the distance of the masks' middles from a point that moves with the hand, in roots of the mask's area."""
     here = np.flatnonzero(it.mask_area > 0)
     return _miss(it, here, here) if len(here) >= FEWEST else float("nan")
 
@@ -75,7 +75,7 @@ def misorder(it: Evidence) -> float:
 
 
 def lateness(it: Evidence) -> Lateness:
-    """At which shift the hands overlap their own pixels best: ``masks/hand``, else those ignored."""
+    """Find the shift at which the hands overlap their own pixels best: ``masks/hand``, else those ignored."""
     pixels, known = it.small_hand_pixels, it.masks.known
     best = Lateness(0, 1.0 if pixels[known].any() and len(pixels) >= FEWEST else float("nan"))
     overlap, when = _overlap(it.drawn_hands, pixels), it.clip.time * it.clip.fps

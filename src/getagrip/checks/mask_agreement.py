@@ -42,7 +42,7 @@ def mean_iou(it: Evidence) -> float:
 
 
 def agreement(it: Evidence) -> float:
-    """Correlation of what differs between mask and silhouette in successive frames, median; 0 where none follow."""
+    """Correlate the differences between mask and silhouette in successive frames, median; 0 where none follow."""
     assert it.T_hand_obj is not None
     posed = se3.transform(it.clip.hand.T_cam_hand @ it.T_hand_obj, it.scale * it.clip.mesh.vertices)
     shown = np.flatnonzero(it.mask_area > 0)

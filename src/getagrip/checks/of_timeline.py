@@ -124,7 +124,10 @@ def _by_other(clip: Clip) -> Clip:
 
 
 def jump(it: Evidence) -> float:
-    """Largest movement of the surface across a border of two segments, beyond the largest within one [diameters]."""
+    """Measure the largest movement of the surface across a border of two segments [diameters].
+
+    The largest movement within a segment is subtracted.
+    """
     surface = _surface_in_world(it, frame_indices(len(it.clip.mesh.vertices), 100))
     step = np.sqrt(np.mean(np.sum(np.diff(surface, axis=0) ** 2, axis=-1), axis=-1))
     border = np.isin(np.arange(1, len(it.clip)), [segment.first for segment in it.clip.segments])

@@ -30,7 +30,7 @@ def seen_size(it: Evidence) -> float:
 
 
 def edge_share(it: Evidence) -> float:
-    """Share of the image's edge that the masks cover, median over frames: all of it, where they are the background."""
+    """Measure the share of the image's edge that the masks cover, median over frames; all of it for the background."""
     each = [(mask[[0, -1]].mean(), mask[:, [0, -1]].mean()) for mask in it.masks.object]
     edges = np.array(each).T
     width, height = it.clip.size
@@ -44,23 +44,26 @@ def focal_jump(it: Evidence) -> float:
 
 
 def gap(it: Evidence) -> float:
-    """Smallest distance of hand and object, median over frames [mm]; 0 where they touch."""
+    """Measure the smallest distance of hand and object, median over frames [mm]; 0 where they touch."""
     return 1e3 * float(np.median(np.maximum(it.to_object.min(axis=1), 0.0)))
 
 
 def penetration(it: Evidence) -> float:
-    """Depth of the hand's deepest point inside the object, median over frames [mm]."""
+    """Measure the depth of the hand's deepest point inside the object, median over frames [mm]."""
     return 1e3 * float(np.median(np.maximum(-it.to_object.min(axis=1), 0.0)))
 
 
 def second_gap(it: Evidence) -> float:
-    """Distance of the second nearest contact region of the hand, median over frames [mm]; 0 where it touches."""
+    """Measure the distance of the second nearest contact region of the hand, median over frames [mm].
+
+    0 where it touches.
+    """
     regions = it.region_distance
     return 1e3 * float(np.median(np.maximum(np.sort(regions, axis=1)[:, 1], 0.0))) if regions.shape[1] > 1 else UNKNOWN
 
 
 def hand_off_pixels(it: Evidence) -> float:
-    """Share of the hand's own pixels that differ from its silhouette, where they are known to be its own."""
+    """Measure the share of the hand's own pixels that differ from its silhouette, where its own pixels are known."""
     return it.hand_differing if it.masks.hand is not None else UNKNOWN
 
 

@@ -65,7 +65,10 @@ def contact_gap(it: Solved) -> float:
 
 
 def depth_order(it: Solved) -> float:
-    """Share of the seen pixels of hand or object in which the other one is in front: the larger of the two."""
+    """Measure the share of the visible pixels of hand or object in which the other one is in front.
+
+    The larger of the two.
+    """
     return _logarithm(np.nanmax(it.in_front), 0.01)
 
 
@@ -108,7 +111,7 @@ def hand_shift(it: Solved) -> float:
 
 
 def hand_turn(it: Solved) -> float:
-    """By how much it was turned [rad], squared."""
+    """Return the refinement's rotation of the hand [rad], squared."""
     return it.hand_turn**2
 
 
@@ -133,6 +136,6 @@ SIGNS: tuple[Sign, ...] = (
 
 
 def read_signs(it: Solved) -> dict[str, float]:
-    """Every sign of a result, by its name; those that are not known are left out."""
+    """Compute every sign of a result, by its name; unknown ones are left out."""
     measured = {sign.name: float(sign.measure(it)) for sign in SIGNS}
     return {name: value for name, value in measured.items() if not np.isnan(value)}

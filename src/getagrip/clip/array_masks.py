@@ -32,7 +32,7 @@ Numbers = Callable[[int], tuple[Path, str, ndarray]]
 
 
 def npz(path: Path, request: MaskRequest) -> MaskReader:
-    """Masks or labels of all frames, or an array for each, in an ``.npz`` file. Raises ``InputError``."""
+    """Open masks or labels of all frames, or an array for each, in an ``.npz`` file. Raises ``InputError``."""
     stored = arrays.read(path, lambda _: True)
     key = next((key for key in ("labels", "object") if key in stored), None)
     if key is None:
@@ -64,7 +64,7 @@ def npz(path: Path, request: MaskRequest) -> MaskReader:
 
 
 def npy(path: Path, request: MaskRequest) -> MaskReader:
-    """Masks or labels of all frames in an ``.npy`` file, in their order. Raises ``InputError``."""
+    """Open masks or labels of all frames in an ``.npy`` file, in their order. Raises ``InputError``."""
     stack = arrays.parse_npy(path, "", files.read_bytes(path, arrays.LARGEST))
     rows = _rows(path, {}, len(stack) if stack.ndim else 0, request)
     return _labels(path, lambda n: (path, "", stack[rows[n]]), rows, request)

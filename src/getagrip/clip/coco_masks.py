@@ -15,7 +15,7 @@ THING_KEYS = ("track_id", "instance_id", "object_id")
 
 
 def coco(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
-    """COCO's annotations; an image without any of the object shows nothing of it. Raises ``InputError``."""
+    """Open COCO's annotations; an image without any of the object shows nothing of it. Raises ``InputError``."""
     images, names = objects(path, content, "images"), []
     for k, image in enumerate(images):
         if not isinstance(image.get("file_name"), str) or not isinstance(image.get("id"), int | str):
@@ -38,7 +38,7 @@ def coco(path: Path, content: Mapping[str, object], request: MaskRequest) -> Mas
 
 
 def youtube_vis(path: Path, content: Mapping[str, object], request: MaskRequest) -> MaskReader:
-    """YouTube-VIS's annotations: a region of each thing for each frame of its video, or null."""
+    """Open YouTube-VIS's annotations: a region of each thing for each frame of its video, or null."""
     names: list[str] = []
     where: list[tuple[object, int]] = []
     for k, video in enumerate(objects(path, content, "videos")):

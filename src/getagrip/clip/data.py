@@ -115,7 +115,7 @@ class World(ArrayData):
             raise UsageError("World.support cannot be used without World.up, along which it is")
 
     def take(self, index: Int[ndarray, "n"]) -> World:
-        """At some of the frames, in the given order."""
+        """Return the world at some of the frames, in the given order."""
         return replace(self, T_world_cam=self.T_world_cam[index])
 
 

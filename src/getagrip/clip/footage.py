@@ -48,7 +48,7 @@ class Stretch:
     rate: Source | None = None
 
     def images(self) -> Iterator[UInt8[ndarray, "H W 3"]]:
-        """RGB, one by one. Raises ``InputError`` where one has another size."""
+        """Yield RGB images, one by one. Raises ``InputError`` where one has another size."""
         last = self.first + len(self.names) - 1
         shown: Iterable[UInt8[ndarray, "H W 3"]] = (
             map(_image, images_of(self.path)[self.first - 1 : last])
@@ -63,7 +63,7 @@ class Stretch:
 
 
 def size_and_rate(path: Path, fps: float | None) -> tuple[tuple[int, int], float]:
-    """Width and height [px], and frames per second: as stated, else as the file says. Raises ``InputError``."""
+    """Return width and height [px], and frames per second: as stated, else as the file says. Raises ``InputError``."""
     if fps is not None and not 0.1 <= fps <= 10_000.0:
         raise UsageError(f"--fps must be 0.1 to 10000 frames per second (got {fps:g})")
     if path.is_dir():

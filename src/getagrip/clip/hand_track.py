@@ -83,5 +83,5 @@ class OtherHand(ArrayData):
         return OtherHand(hand.take(near), np.isin(np.arange(frames), rows))
 
     def take(self, index: Int[ndarray, "n"]) -> OtherHand:
-        """In some of the frames, in the given order."""
+        """Return the hand in some of the frames, in the given order."""
         return OtherHand(self.track.take(index), self.known[index])

@@ -58,7 +58,10 @@ def intrinsics(lens: Lens, size: tuple[int, int]) -> tuple[Float[ndarray, "3 3"]
 
 
 def off_middle(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
-    """Distance of the principal point from the middle of images of a size [px], in sides; the worst frame's."""
+    """Measure the distance of the principal point from the middle of images of a size [px], in sides.
+
+    The worst frame's.
+    """
     return float(np.abs(K[:, :2, 2] / size - 0.5).max())
 
 
@@ -69,14 +72,14 @@ def stretch(K: Float[ndarray, "T 3 3"]) -> float:
 
 
 def field_of_view(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> float:
-    """Angle that the longer side of the image spans [degrees]; the most unusual frame's."""
+    """Measure the angle that the longer side of the image spans [degrees]; the most unusual frame's."""
     longer = int(np.argmax(size))
     angles = np.degrees(2.0 * np.arctan(0.5 * size[longer] / K[:, longer, longer]))
     return float(angles[np.argmax(np.abs(angles - 0.5 * (NARROW + WIDE)))])
 
 
 def camera_warning(K: Float[ndarray, "T 3 3"], size: tuple[int, int]) -> str:
-    """Why matrices seem to be of other images than those of a size [px], in words; empty where they fit."""
+    """Say why matrices seem to belong to other images than those of a size [px]; empty where they fit."""
     image = f"the {size[0]} x {size[1]} images"
     if off_middle(K, size) > OFF_MIDDLE:
         u, v = K[int(np.argmax(np.abs(K[:, :2, 2] / size - 0.5).max(axis=1))), :2, 2]

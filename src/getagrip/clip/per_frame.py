@@ -32,7 +32,7 @@ def frame_names(path: Path, names: object) -> tuple[str, ...]:
 
 
 def intrinsics(path: Path, camera: dict[str, object], frames: int, size: tuple[int, int]) -> Float[ndarray, "T 3 3"]:
-    """Pinhole intrinsics of each frame [px]."""
+    """Parse the pinhole intrinsics of each frame [px]."""
     K = _matrices(path, "camera.K", camera["K"], 3, frames)
     check_intrinsics(path, K, size)
     return K
@@ -59,7 +59,7 @@ def world(path: Path, camera: dict[str, object], frames: tuple[str, ...]) -> Wor
 
 
 def times(path: Path, value: object, frames: tuple[str, ...]) -> Float[ndarray, "T"]:
-    """When each frame was taken [s]."""
+    """Parse the time of each frame [s]."""
     values = _numbers(value)
     if values.ndim != 1:
         raise InputError(path, "times", files.shown(value), "a list of numbers [s], one for each frame")

@@ -137,7 +137,9 @@ def read_name(folder: str | Path) -> str:
 
 
 def input_sha256(folder: str | Path) -> str:
-    """Checksum of what a reconstruction depends on: ``clip.json``, hands, mesh and masks; not images, not truth.
+    """Compute the checksum of all inputs of a reconstruction: ``clip.json``, hands, mesh and masks.
+
+    Not images, not truth.
 
     Raises ``InputError`` where one of them is missing.
     """

@@ -49,7 +49,7 @@ class SegmentList:
 
     @staticmethod
     def of(clip: Clip, segments: Sequence[Segment], source: str, still_camera: str | None = None) -> SegmentList:
-        """Segments of a clip that were found or made here."""
+        """Make a list of segments of a clip that were found or made here."""
         return SegmentList(clip.origin, "segments", segment_fields(segments, clip.frames), source, still_camera)
 
     @property

@@ -45,7 +45,7 @@ class VideoInfo:
 
 
 def video_info(path: Path) -> VideoInfo:
-    """Rate and size of a video, from its first frame. Raises ``InputError``."""
+    """Read the rate and size of a video, from its first frame. Raises ``InputError``."""
     first = next(_decoded(path), None)
     if first is None:
         raise InputError(path, "", "no frames", "a video")
@@ -92,7 +92,9 @@ def open_video(path: Path) -> InputContainer:
 
 
 def frame_times(path: Path) -> Float[ndarray, "N"] | None:
-    """When each frame is shown, from the first one [s]; None where the file does not say. Raises ``InputError``.
+    """Read the time at which each frame is shown, from the first one [s]; None where the file does not say.
+
+    Raises ``InputError``.
 
     The file is read through without decoding.
     """

@@ -48,7 +48,7 @@ class ImportSegments(Command):
 
 
 def stated(listed: SegmentList, still_camera: bool) -> SegmentList:
-    """Segments with what the command line says of the camera."""
+    """Add the command line's statement about the camera to segments."""
     return replace(listed, still_camera=STATED) if still_camera else listed
 
 

@@ -52,11 +52,11 @@ class TrackedDataset(Dataset):
     """Import all frames instead of grasps, without masks: for segment and study."""
 
     def sources(self) -> list[Source]:
-        """Its sequences. Raises ``UsageError`` for wrong options, ``InputError`` where there is no sequence."""
+        """List its sequences. Raises ``UsageError`` for wrong options, ``InputError`` where there is no sequence."""
         raise NotImplementedError
 
     def parts(self, note: Note) -> Sequence[Part]:
-        """Its sequences, cut to stable grasps or, if ``whole``, at gaps only."""
+        """List its sequences, cut to stable grasps or, if ``whole``, at gaps only."""
         cut = self.cut(note)
         return [CutSource(s, partial(pieces, cut=cut, whole=self.whole), cut.shortest) for s in self.sources()]
 

@@ -60,7 +60,10 @@ class Dataset:
     """Name of its parts, in the plural."""
 
     def parts(self, note: Note) -> Sequence[Part]:
-        """Its parts, yet to be read. Raises ``UsageError`` for wrong options, ``InputError`` where no part is found."""
+        """List its parts, yet to be read.
+
+        Raises ``UsageError`` for wrong options, ``InputError`` where no part is found.
+        """
         raise NotImplementedError
 
     def cut_record(self) -> dict[str, object] | None:

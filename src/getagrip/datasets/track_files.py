@@ -61,8 +61,8 @@ TEXTS = ("source", "licence", "assumed_camera")
 JOINTS = tuple(f"{kind}_{side}" for kind in ("joints", "estimated") for side in SIDES)
 KEYS = {*JOINTS, "order", "T_world_obj", "mesh", "fps", "frames", *NAMES, *CAMERA, *JOINT, *TEXTS}
 WITHIN_10_MM = GraspOptions(contact_mm=10.0, shortest=FEWEST)
-"""As ``arctic`` except for the contact: within 10 mm, fitted hands touch as true ones do (docs/arctic.md), at 0 mm
-not."""
+"""Definition of ``arctic`` except for the contact: within 10 mm, fitted hands touch as true ones do (docs/arctic.md),
+at 0 mm not."""
 FASTEST = 1000.0
 """Frames per second."""
 

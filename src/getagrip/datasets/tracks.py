@@ -185,7 +185,7 @@ def subject_of(clip_name: str) -> str:
 
 
 def in_pixels(K: Float[ndarray, "3 3"], scale: float = 1.0) -> Float[ndarray, "3 3"]:
-    """Intrinsics of an image ``scale`` times as large, from those of OpenCV.
+    """Convert OpenCV's intrinsics to those of an image ``scale`` times as large.
 
     OpenCV counts from the centre of the first pixel, this package from its corner.
     """

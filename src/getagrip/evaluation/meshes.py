@@ -39,7 +39,7 @@ MOST_FACES = 20_000_000
 
 
 def evaluate_meshes(meshes: Sequence[Mesh | None], clip: Clip, masks: Masks | None, method: str) -> Evaluation:
-    """IOU, SCA and penetration of a mesh for each of the clip's frames, in the hand frame.
+    """Compute IOU, SCA and penetration of a mesh for each of the clip's frames, in the hand frame.
 
     Besides, ``frames_without_mesh`` counts these, and ``closed`` is the share of meshes without holes: only of these is
     it certain what is inside.

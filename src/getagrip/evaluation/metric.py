@@ -47,7 +47,7 @@ class Metric:
     """True if the mean over frames is given, too."""
 
     def key(self, contact: ContactDefinition) -> str:
-        """Its key in JSON, by a definition of contact."""
+        """Return its key in JSON, by a definition of contact."""
         return f"{self.name}_{contact.key}" if self.by_contact else self.name
 
     def text(self, value: float) -> str:
@@ -57,7 +57,7 @@ class Metric:
 
 
 def mean_of(values: Float[ndarray, "n"]) -> float:
-    """Mean of the values that are known (not NaN); NaN if none is."""
+    """Compute the mean of the values that are known (not NaN); NaN if none is."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if known.size else float("nan")
 

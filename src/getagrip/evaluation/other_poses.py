@@ -52,7 +52,7 @@ class OtherSystem:
         return {path.name: path for path in inside}
 
     def result(self, clip: Clip, masks: Masks | None) -> Reconstruction:
-        """Its poses of a clip, one of many. Raises ``InputError``."""
+        """Read its poses of a clip, one of many. Raises ``InputError``."""
         return poses_of(self.of_clip(clip.name), self.name, clip, masks)
 
 

@@ -38,7 +38,7 @@ class Change(Protocol):
         """
 
     def inputs(self, clip: str) -> Mapping[str, Path]:
-        """Files by name that it reads for a clip. Raises ``InputError`` where one is missing."""
+        """Return the files, by name, that it reads for a clip. Raises ``InputError`` where one is missing."""
         return {}
 
 

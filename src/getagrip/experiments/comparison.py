@@ -72,7 +72,7 @@ class Table:
     rows: tuple[Row, ...]
 
     def ranks(self, column: Metric) -> list[int]:
-        """For each row 1 if its value, as it is printed, is the best of the column, 2 the second best, else 0.
+        """Rank the printed values of a column: 1 for the best, 2 for the second best, else 0.
 
         Rows are ranked among those with the same definition of contact; where all values are equal, none is best.
         """

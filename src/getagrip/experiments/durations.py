@@ -58,7 +58,7 @@ def _row(category: str, grasps: Sequence[LastingGrasp]) -> CategoryDurations:
 
 
 def of_epic(grasps: Sequence[EpicGrasp], fps: Fps = "paper") -> list[LastingGrasp]:
-    """EPIC-Grasps.
+    """List the durations of EPIC-Grasps.
 
     ``paper``: 50 frames per second in every video. ``true``: as EPIC numbers the frames of each video.
     """

@@ -100,7 +100,7 @@ class GraspBenchmark(Benchmark[Scores]):
         return f"{scores.name}: {done}{f', {failed} failed' if failed else ''}{why}"
 
     def entry(self, scores: Scores) -> Entry:
-        """Failed where it could not be read, or no process could do it."""
+        """Make the ledger's entry; failed where the clip could not be read, or no process could do it."""
         failed = sum(score.failed for score in scores.scores)
         why = scores.failure or (f"{failed} of {len(scores.scores)} rows failed" if failed else "")
         return Entry("", "failed" if scores.failure else "done" if scores.made else "kept", why)

@@ -33,7 +33,7 @@ class HandSource:
 
     @staticmethod
     def of(text: str) -> HandSource:
-        """From ``NAME=FOLDER``. Raises ``UsageError``."""
+        """Parse ``NAME=FOLDER``. Raises ``UsageError``."""
         name, equals, folder = text.partition("=")
         if not (equals and folder and is_plain_name(name)):
             raise UsageError(f"--hands must be NAME=FOLDER (got {text!r})")
@@ -52,7 +52,7 @@ class HandSource:
         return found
 
     def read(self, clip: Clip) -> Hands:
-        """Its hands of a clip. Raises ``InputError`` where there are none, or where they are not of this clip."""
+        """Read its hands of a clip. Raises ``InputError`` where there are none, or where they are not of this clip."""
         path = self.file(clip.name)
         if path.name == "hand.npz":
             other = read_clip(path.parent)
@@ -120,7 +120,7 @@ class WithHands(Change):
 
 
 def comparison(sources: Sequence[HandSource]) -> Ablation:
-    """Hand sources as the settings of an ablation; the first is what the others are compared with.
+    """Make hand sources the settings of an ablation; the first is what the others are compared with.
 
     Raises ``UsageError`` where two have the same name.
     """

@@ -21,7 +21,7 @@ from getagrip.result import Reconstruction
 
 
 def system_of(text: str) -> OtherSystem:
-    """From ``NAME=FOLDER``. Raises ``UsageError``."""
+    """Parse ``NAME=FOLDER``. Raises ``UsageError``."""
     name, equals, folder = text.partition("=")
     if not (equals and folder and is_plain_name(name)):
         raise UsageError(f"--with must be NAME=FOLDER (got {text!r})")
@@ -58,7 +58,7 @@ def options_of(variant: Variant, clip: str) -> dict[str, object]:
 
 
 def result_of(variant: Variant, clip: Clip, masks: Masks) -> Reconstruction:
-    """Another system's poses in the frames in which our methods are evaluated. Raises ``InputError``."""
+    """Return another system's poses in the frames in which our methods are evaluated. Raises ``InputError``."""
     assert variant.system is not None
     result = variant.system.result(clip, masks)
     if variant.options.every_frame:

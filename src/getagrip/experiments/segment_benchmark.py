@@ -29,7 +29,7 @@ DRAWS = 400
 
 @dataclass(frozen=True)
 class SegmentBenchmark(Benchmark[SequenceScores]):
-    """Find the grasps of every sequence."""
+    """A benchmark that finds the grasps of every sequence."""
 
     source: DexYcbSequences
     options: Options

@@ -69,7 +69,7 @@ def reversed_in_time(clip: Clip, masks: Masks) -> tuple[Clip, Masks]:
 
 
 def mirrored(spans: list[Span], frames: int) -> list[Span]:
-    """Intervals of a sequence, in its reverse."""
+    """Return the intervals of a sequence, in its reverse."""
     return [(frames - 1 - last, frames - 1 - first) for first, last in reversed(spans)]
 
 

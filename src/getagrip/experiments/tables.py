@@ -35,7 +35,7 @@ class Style:
         return marked + (self.interval.format(interval) if interval else "")
 
     def text(self, text: str) -> str:
-        """Plain text on the page."""
+        """Return plain text on the page."""
         return "".join(self.symbols.get(letter, letter) for letter in text)
 
 
@@ -253,7 +253,7 @@ def terminal(table: Table) -> RichTable:
 
 
 def as_json(tables: Sequence[Table], scores: Sequence[Scores]) -> dict[str, object]:
-    """Every number, unrounded: the tables' and each clip's."""
+    """Return every number, unrounded: the tables' and each clip's."""
     return {
         "level": LEVEL,
         "tables": [

@@ -26,7 +26,7 @@ HEADINGS = ("hands", "", "static", "between", "grasp", "grasp, ADD", "mugs, gras
 
 @dataclass(frozen=True)
 class TimelineBenchmark(Benchmark[TimelineScores]):
-    """Reconstruct every timeline every way."""
+    """A benchmark that reconstructs every timeline with every variant."""
 
     source: Timelines
     options: Options

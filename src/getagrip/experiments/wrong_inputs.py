@@ -30,7 +30,7 @@ TOO_LARGE = 1.15
 
 
 def other_mesh(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
-    """Scissors; a mug for scissors."""
+    """Replace the mesh by scissors; scissors by a mug."""
     return replace(clip, mesh=CATEGORIES["mug" if clip.category == "scissors" else "scissors"].make()), masks
 
 
@@ -114,7 +114,7 @@ def noise_masks(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Cli
 
 
 def focal_jumps(clip: Clip, masks: Masks, rng: np.random.Generator) -> tuple[Clip, Masks]:
-    """Half as much focal length again in every second frame."""
+    """Enlarge the focal length by half in every second frame."""
     K = clip.K.copy()
     K[::2, [0, 1], [0, 1]] *= 1.5
     return replace(clip, K=K), masks

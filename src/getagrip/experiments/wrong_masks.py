@@ -18,7 +18,7 @@ AWAY, BESIDE, RADIUS = 1.2, 0.6, 0.6
 
 
 def another_object(mask: Bool[ndarray, "H W"], towards: Float[ndarray, "2"]) -> Bool[ndarray, "H W"]:
-    """Something of the same shape beside the object."""
+    """Return a mask of the same shape beside the object."""
     rows, columns = np.nonzero(mask)
     dx, dy = np.rint(AWAY * np.sqrt(len(rows)) * towards).astype(int)
     rows, columns = rows + dy, columns + dx

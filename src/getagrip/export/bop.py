@@ -91,7 +91,7 @@ def naming_of(scene: Scene) -> Naming:
 
 
 def image_ids(frames: tuple[str, ...]) -> list[int]:
-    """BOP's image ids: the frames' names where all are whole numbers, else their places."""
+    """Return BOP's image ids: the frames' names where all are whole numbers, else their places."""
     if all(name.isascii() and name.isdigit() for name in frames) and len({int(name) for name in frames}) == len(frames):
         return [int(name) for name in frames]
     return list(range(len(frames)))

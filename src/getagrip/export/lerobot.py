@@ -92,7 +92,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 
 def rate(scene: Scene) -> int:
-    """Frames per second as a whole number: of the median step between frames."""
+    """Return the frames per second as a whole number: of the median step between frames."""
     step = float(np.median(np.diff(scene.time))) if len(scene.frames) > 1 else 1.0 / scene.fps
     return int(np.clip(round(1.0 / step), 1, 1000))
 

@@ -89,7 +89,7 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 
 
 def convex_pieces(mesh: Mesh) -> list[Mesh]:
-    """Convex pieces that make up a mesh (V-HACD), by its hull where it has no inside. Raises ``UsageError``."""
+    """Split a mesh into convex pieces (V-HACD), or return its hull where it has no inside. Raises ``UsageError``."""
     faces = np.column_stack([np.full(len(mesh.faces), 3), mesh.faces]).astype(np.uint32).ravel()
     found = extras.load("vhacdx", "mujoco").compute_vhacd(
         mesh.vertices, faces, maxConvexHulls=MOST_PIECES, resolution=VOXELS, asyncACD=False

@@ -38,13 +38,16 @@ def palm(joints: Float[ndarray, "T 21 3"], side: str, across: int) -> Float[ndar
 
 
 def pose7(T: Float[ndarray, "T 4 4"], last: str) -> Float[ndarray, "T 7"]:
-    """Positions [m] and quaternions: first the position, then (w, x, y, z); or (x, y, z, w), then the position."""
+    """Return positions [m] and quaternions: first the position, then (w, x, y, z).
+
+    Or (x, y, z, w), then the position.
+    """
     q, t = se3.quaternions_in_time(T[:, :3, :3]), T[:, :3, 3]
     return np.concatenate([t, q] if last == "wxyz" else [np.roll(q, -1, axis=1), t], axis=1)
 
 
 def besides(scene: Scene) -> dict[str, ndarray]:
-    """Arrays that the programs pass over: all poses, times and how each frame's pose was found."""
+    """Return the arrays that the programs pass over: all poses, times and the kinds of the frames' poses."""
     return {
         **scene.poses,
         "time_s": scene.time,

@@ -48,5 +48,5 @@ class Stage:
         return Stage(np.asarray(turn @ T), f"{words}, turned z up; metres")
 
     def poses(self, scene: Scene) -> tuple[Float[ndarray, "T 4 4"], Float[ndarray, "T 4 4"]]:
-        """(T, 4, 4) poses of the object and of the hand on the stage."""
+        """Return the (T, 4, 4) poses of the object and of the hand on the stage."""
         return np.asarray(self.T_stage_cam @ scene.T_cam_obj), np.asarray(self.T_stage_cam @ scene.T_cam_hand)

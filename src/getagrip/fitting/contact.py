@@ -26,7 +26,7 @@ def solid(mesh: Mesh, centre: Float[ndarray, "3"]) -> FaceGrid:
 
 @njit(**OPTIONS)
 def distances(points, corners, normals, face, distance, origin, spacing):
-    """Unsigned distance of points (P, 3) in the frame of a ``FaceGrid`` to its mesh [m].
+    """Compute the unsigned distance of points (P, 3) in the frame of a ``FaceGrid`` to its mesh [m].
 
     Beyond the grid, where no face is known to be near, a lower bound: ``MARGIN`` and the distance to the grid.
     """
@@ -67,7 +67,10 @@ class HandContacts:
 
 
 def contact_ids(hand: HandTrack, per_region: int | None = None) -> list[Int[ndarray, "_"]]:
-    """Vertex ids of the regions, the five fingertips first: all, or at most ``per_region`` spread evenly over each."""
+    """Return vertex ids of the regions, the five fingertips first.
+
+    All, or at most ``per_region`` spread evenly over each.
+    """
     ids = [hand.regions[name] for name in (*FINGERS, *sorted(set(hand.regions) - set(FINGERS)))]
     if per_region is None:
         return ids
@@ -116,7 +119,7 @@ def add_height(d, tolerance, m0, m1, m2, x, y, z, R, centre, scale, weight, delt
 
 @njit(**OPTIONS)
 def nearest_points(queries, points, begin, end, squared, nearest):
-    """For each query (3, V) the nearest point (3, Q) from ``begin`` to ``end``: index and squared distance (V,).
+    """Find for each query (3, V) the nearest point (3, Q) from ``begin`` to ``end``: index and squared distance (V,).
 
     In single precision, which vectorises twice as wide, and with the queries inside, so that it vectorises at all:
     faster than trees for some hundred points.

@@ -2,7 +2,8 @@
 
 The parameters that frames share (axis, base pose, scale) stay fixed. In the other frames that show the object, the
 parameters of the frame (angle, deviations) start between its neighbours and are fitted to the frame's mask. Where no
-mask shows the object, it is an outlier, or the method has no motion model for other frames, poses are interpolated."""
+mask shows the object, it is an outlier, or the method has no motion model for other frames, poses are interpolated.
+"""
 
 from __future__ import annotations
 
@@ -66,7 +67,8 @@ def at_every_frame(clip: Clip, masks: Masks | None, problem: Problem, found: Met
     """Extend a method's solutions to every frame of the clip; in the problem's frames, those of ``track`` stay.
 
     Masks beyond the outlier threshold of the problem's frames are outliers, too (``Trust.outlier_threshold``).
-    ``masks`` are those of the whole clip; without them, they are read from its folder, a few at a time."""
+    ``masks`` are those of the whole clip; without them, they are read from its folder, a few at a time.
+    """
     sampled = clip.index_of(problem.clip.frames)
     clip = clip.with_hand_at(hand_everywhere(clip, problem, sampled))
     T, K, scale = len(clip), len(track.T_hand_obj), float(found.poses.scale[0])

@@ -62,12 +62,12 @@ class HandErrors:
         return replace(self, tracked=taken)
 
     def T_cam_hand(self, x: Float[ndarray, "N P"]) -> Float[ndarray, "N 4 4"]:
-        """Poses of the corrected hand."""
+        """Return the poses of the refined hand."""
         R = se3.exp_so3(x[:, TURN])
         return self.tracked.T_cam_hand @ se3.rigid(R, self.middle + x[:, SHIFT] - R @ self.middle)
 
     def surface(self, x: Float[ndarray, "N P"]) -> tuple[Float[ndarray, "N V 3"], Float[ndarray, "N 21 3"] | None]:
-        """Vertices and joints in the corrected hand's frame, in the size and with the bends that explain it best."""
+        """Return vertices and joints in the refined hand's frame, with the size and the bends that fit best."""
         vertices, joints = self.tracked.vertices, self.tracked.joints
         if self.weights is not None and joints is not None:
             vertices, joints = bent(vertices, joints, self.weights, x[:, BENDS].reshape(-1, 5, 3))

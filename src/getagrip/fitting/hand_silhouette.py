@@ -144,7 +144,7 @@ class HandSilhouette:
         return replace(self, errors=self.errors.take(index), mask=self.mask.take(index))
 
     def differing(self, x: Float[ndarray, "N P"]) -> float:
-        """Pixels in which silhouette and mask differ, in all frames."""
+        """Count the pixels in which silhouette and mask differ, in all frames."""
         in_camera = se3.transform(self.errors.T_cam_hand(x), self.errors.surface(x)[0])
         return float(_contours(in_camera, self.errors.tracked, self.edges, self.mask, 0)[0].sum())
 

@@ -62,5 +62,5 @@ def overlap(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale
 
 
 def image_iou(clip: Clip, masks: Masks, T_hand_obj: Float[ndarray, "T 4 4"], scale: float) -> Float[ndarray, "T"]:
-    """IOU of rendered and observed object mask on the full image, outside ignored pixels."""
+    """Compute the IOU of rendered and observed object mask on the full image, outside ignored pixels."""
     return overlap(clip, masks, T_hand_obj, scale).iou

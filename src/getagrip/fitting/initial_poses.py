@@ -17,7 +17,7 @@ from getagrip.geometry import camera, se3
 def initial_poses(
     clip: Clip, masks: Masks, inits: int, seed: int = 0, poses: Float[ndarray, "k 4 4"] | None = None
 ) -> Fixed:
-    """B = ``inits`` poses: the first of ``poses`` (``T_hand_obj``), then rotations spread uniformly over SO(3).
+    """Return B = ``inits`` poses: the first of ``poses`` (``T_hand_obj``), then rotations spread uniformly over SO(3).
 
     The latter place the object's centre at ``grip_point``. A free scale is initialised so that the object at that
     place is as large as its masks.

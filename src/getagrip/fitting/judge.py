@@ -88,7 +88,7 @@ def probability_right(
 
 
 def uncalibrated(options: Options, findings: Sequence[Finding]) -> str:
-    """Why there is no probability that a result is right, in words; empty where there is one.
+    """Say why there is no probability that a result is right; empty where there is one.
 
     There is none for methods and energies other than those that were calibrated, for shorter searches, and where a
     finding is serious: wrong inputs were no part of the calibration.

@@ -73,7 +73,7 @@ class Priors:
 
 
 def subject_of(clip: Clip) -> str:
-    """Whose hand is in a clip, as its provenance says; empty where it does not."""
+    """Return the subject whose hand is in a clip, as its provenance says; empty where it does not."""
     return str(clip.provenance.get("subject", ""))
 
 
@@ -128,7 +128,7 @@ class LearntGrasps:
         return replace(self, holds=tuple(kept))
 
     def of(self, category: str, side: str) -> LearntGrasps:
-        """Those of a category in a hand."""
+        """Return those of a category in a hand."""
         return replace(self, holds=tuple(h for h in self.holds if (h.category, h.side) == (category, side)))
 
     def poses(self) -> Priors:
@@ -164,7 +164,7 @@ def learn(holds: Sequence[Hold], k: int, way: Way = "geodesic", seed: int = 0) -
 
 
 def clustered(R: Float[ndarray, "n 3 3"], k: int, way: Way = "geodesic", seed: int = 0) -> Float[ndarray, "m 3 3"]:
-    """At most k rotations that stand for n by k-means, those that stand for most first.
+    """Cluster n rotations into at most k by k-means, those that stand for most first.
 
     ``geodesic``: on SO(3), with the angle between rotations for their distance, and for their mean the rotation of
     least mean squared angle. ``axis-angle``: of rotation vectors, as in the paper; there, half turns about opposite

@@ -19,7 +19,7 @@ POWER = 3.0
 
 
 def misfit(observation: Observation, mask: float) -> float:
-    """Mean distance of contours from those of the masks, in those that the object's own mesh would leave.
+    """Compute the mean distance of contours from those of the masks, relative to that of the object's own mesh.
 
     ``mask`` is the mean E_mask of a frame [px^2 of the crop], that distance times the visible length.
     """

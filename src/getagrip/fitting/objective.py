@@ -37,12 +37,12 @@ PER_REGION, POINTS = 2, 20
 
 
 def energy_of(problem: Problem, push: float, pull: float) -> Energy:
-    """E_mask, E_push and E_pull."""
+    """Return E_mask, E_push and E_pull."""
     return plus(mask_of(problem), contact_of(problem, push, pull))
 
 
 def mask_of(problem: Problem) -> Energy:
-    """E_mask."""
+    """Return E_mask."""
     clip, observation, coarse = problem.clip, problem.observation, problem.surface.coarse
     fine, centre = decimate(clip.mesh, FINE_FACES), clip.mesh.centre
     mesh = {64: SilhouetteMesh.of(coarse, centre)}
@@ -57,7 +57,7 @@ def mask_of(problem: Problem) -> Energy:
 
 
 def contact_of(problem: Problem, push: float, pull: float) -> Energy:
-    """E_push and E_pull, with lambda_f, the focal length in pixels of the crop.
+    """Return E_push and E_pull, with lambda_f, the focal length in pixels of the crop.
 
     ``push`` and ``pull`` are the paper's lambda_2 and lambda_3 without the focal length; weight 0 leaves a term out.
     """
@@ -75,13 +75,13 @@ def contact_weights(problem: Problem, push: float, pull: float) -> tuple[Float[n
 
 
 def push_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
-    """E_push, our way, by its weight in each frame [px^2 / m]."""
+    """Return our E_push, by its weight in each frame [px^2 / m]."""
     hands, solid = _contacts(problem), problem.surface.solid
     return lambda level, index: [PushTerm(solid, hands[level].take(index), weight[index])]
 
 
 def pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
-    """E_pull, likewise."""
+    """Return our E_pull, by its weight in each frame [px^2 / m]."""
     hands, solid = _contacts(problem), problem.surface.solid
     return lambda level, index: [PullTerm(solid, hands[level].take(index), weight[index], problem.trust.reach)]
 

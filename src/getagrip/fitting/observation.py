@@ -126,14 +126,20 @@ def _coarser(pixels: Bool[ndarray, "N s s"], size: int) -> Bool[ndarray, "N n n"
 
 
 def signed_distance(observed: Bool[ndarray, "s s"], valid: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
-    """Distance to the visible contour [px]: to the object outside of it, minus that to visible background inside."""
+    """Compute the distance to the visible contour [px].
+
+    To the object outside of it, minus that to background inside.
+    """
     background = valid & ~observed
     to_object, to_background = distance_to(observed), distance_to(background)
     return np.where(observed, 0.5 - to_background, np.where(background, to_object - 0.5, to_object - to_background))
 
 
 def distance_to(target: Bool[ndarray, "s s"]) -> Float32[ndarray, "s s"]:
-    """Distance of each pixel's centre to the nearest of the target [px], correctly rounded; 2 s where there is none."""
+    """Compute the distance of each pixel's centre to the nearest of the target [px], correctly rounded.
+
+    2 s without one.
+    """
     if not target.any():
         return np.full(target.shape, np.float32(2 * len(target)))
     rounded = cv2.distanceTransform((~target).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)

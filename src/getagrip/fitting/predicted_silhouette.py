@@ -71,7 +71,7 @@ class NeighbourPrediction:
 
 
 def typical(poses: PosesInHand, points: Float[ndarray, "P 3"]) -> PosesInHand:
-    """For one hypothesis, choose in each frame the pose among it and its neighbours that is nearest to all of them."""
+    """Choose in each frame, for one hypothesis, the pose among it and its neighbours that is nearest to all of them."""
     x = float(poses.scale[0]) * points @ np.swapaxes(poses.R[0], -1, -2) + poses.centre[0, :, None]
     apart = np.sqrt(np.mean(np.sum((x[:, None] - x[None]) ** 2, axis=-1), axis=-1))
     frame = np.arange(len(x))

@@ -16,7 +16,7 @@ LEVEL, ITERATIONS = 128, 8
 
 
 def scale_check(problem: Problem, found: MethodResult) -> tuple[float, float]:
-    """Free the scale for a few iterations.
+    """Check whether the energy prefers another scale, in a few iterations with a free scale.
 
     Return the factor that the energy prefers, and the share of energy that it saves.
 

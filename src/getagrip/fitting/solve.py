@@ -124,7 +124,7 @@ class _State(Generic[M]):
 def evaluate(
     motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], bound: Float[ndarray, "B"]
 ) -> _State[M]:
-    """Energy and derivatives; derivatives may be missing where the energy exceeds ``bound``."""
+    """Evaluate energy and derivatives; derivatives may be missing where the energy exceeds ``bound``."""
     poses = in_camera(motion, T_cam_hand)
     prior = motion.prior().value
     values = np.empty((len(prior), len(terms) + 1))

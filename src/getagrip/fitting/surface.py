@@ -74,7 +74,7 @@ class ObjectSurface:
         others_centre: Float[ndarray, "C N 3"],
         others_scale: Float[ndarray, "C"],
     ) -> Float[ndarray, "C"]:
-        """Root mean square distance of the posed surface from C other poses of it, over N frames, in diameters.
+        """Compute the root mean square distance of the posed surface from C other poses of it, in diameters.
 
         A bottle that is rotated about its axis has not moved. Where the two are far apart, this is a lower bound.
         """

@@ -21,7 +21,7 @@ NEAR = 0.02
 def depth_and_face(
     vertices_cam: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> tuple[Float32[ndarray, "H W"], Int32[ndarray, "H W"]]:
-    """Depth z [m] of the nearest surface (infinity: nothing) and its face (-1: nothing), both sides of faces drawn.
+    """Render the depth z [m] of the nearest surface (infinity: nothing) and its face (-1: nothing), both sides drawn.
 
     ``vertices_cam`` are in the camera frame [m], ``size`` is (width, height) [px]. Pixels are taken at their centres;
     of faces at the same depth the first is kept.
@@ -37,7 +37,7 @@ def depth_and_face(
 def covered(
     vertices_cam: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], K: Float[ndarray, "3 3"], size: tuple[int, int]
 ) -> Bool[ndarray, "H W"]:
-    """Pixels that show a surface: ``depth_and_face(...)[1] >= 0``, without the depths."""
+    """Return the pixels that show a surface: ``depth_and_face(...)[1] >= 0``, without the depths."""
     width, height = size
     mask = np.zeros((height, width), dtype=np.bool_)
     corners = np.ascontiguousarray(vertices_cam @ K.T, dtype=np.float64)
@@ -52,7 +52,7 @@ def interpolated(
     face: Int32[ndarray, "H W"],
     values: Float[ndarray, "V C"],
 ) -> Float[ndarray, "n C"]:
-    """Values of the vertices on the visible face, for every pixel with ``face >= 0`` in row-major order."""
+    """Interpolate values of the vertices on the visible face, for every pixel with ``face >= 0`` in row-major order."""
     corners = np.ascontiguousarray(vertices_cam @ K.T, dtype=np.float64)
     out = np.empty((np.count_nonzero(face >= 0), values.shape[1]))
     _interpolate(corners, np.ascontiguousarray(faces, dtype=np.int64), face, np.ascontiguousarray(values), out)

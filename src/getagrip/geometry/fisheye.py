@@ -48,7 +48,7 @@ class Fisheye624:
 
     @classmethod
     def from_parameters(cls, parameters: Sequence[float], size: tuple[int, int]) -> Fisheye624:
-        """From the 15 numbers f, cx, cy, k0-k5, p0, p1, s0-s3, or 16 with two equal focal lengths first.
+        """Make it from the 15 numbers f, cx, cy, k0-k5, p0, p1, s0-s3, or 16 with two equal focal lengths first.
 
         Raises ``ValueError`` for another count, numbers that are not finite, or a focal length that is not positive.
         """
@@ -60,7 +60,7 @@ class Fisheye624:
         return cls(float(numbers[0]), numbers[1:3] + 0.5, numbers[3:9], numbers[9:11], numbers[11:15], size)
 
     def project(self, X_cam: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 2"]:
-        """Pixel coordinates (u, v) of points in the camera frame [m], z > 0."""
+        """Project points in the camera frame [m], z > 0, to pixel coordinates (u, v)."""
         xy = X_cam[..., :2] / X_cam[..., 2:]
         r = np.linalg.norm(xy, axis=-1, keepdims=True)
         theta = np.arctan(r)
@@ -68,7 +68,7 @@ class Fisheye624:
         return self.f * self._bent(m) + self.c
 
     def unproject(self, uv: Float[ndarray, "*batch 2"]) -> Float[ndarray, "*batch 3"]:
-        """Points at depth 1 on the rays through pixel coordinates, by Newton's method.
+        """Return the points at depth 1 on the rays through pixel coordinates, by Newton's method.
 
         Only where the model can be inverted: pixels of rays within some 75 degrees of the axis.
         """

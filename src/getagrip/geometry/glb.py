@@ -34,7 +34,9 @@ TRIANGLES, STRIP = 4, 5
 
 
 def parse_glb(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
-    """Vertices and faces of the scene, its parts where its nodes put them. ``path`` is only named in errors.
+    """Parse vertices and faces of the scene, its parts where its nodes put them.
+
+    ``path`` is only named in errors.
 
     Materials, normals, textures, skins and animations are passed over. Raises ``InputError``.
     """

@@ -159,7 +159,7 @@ def _paired(faces: Int[ndarray, "F 3"]) -> Int[ndarray, "E 4"]:
 
 
 def diameter(points: Float[ndarray, "V 3"]) -> float:
-    """Largest distance between two points [m], in memory that grows only linearly with their number.
+    """Compute the largest distance between two points [m], in memory that grows only linearly with their number.
 
     Let the direction of q - p be within an angle a of the unit vector u. Then (q - p) . u >= |q - p| cos(a), so p and q
     are near the extreme points along u. Triangles that cover half of all directions are divided until few such points
@@ -189,7 +189,7 @@ def diameter(points: Float[ndarray, "V 3"]) -> float:
 
 
 def merged(vertices: Float[ndarray, "V 3"]) -> Int[ndarray, "V"]:
-    """For each vertex the index of the first vertex at the same place."""
+    """Return for each vertex the index of the first vertex at the same place."""
     place = same_rows(vertices)
     _, first = np.unique(place, return_index=True)
     return np.asarray(first[place], dtype=np.int64)
@@ -234,7 +234,7 @@ def decimate(mesh: Mesh, faces: int) -> Mesh:
 
 
 def same_rows(rows: Shaped[ndarray, "N K"]) -> Int[ndarray, "N"]:
-    """For each row a number, the same for equal rows: 0, 1, ... in the rows' lexicographic order."""
+    """Return a number for each row, the same for equal rows: 0, 1, ... in the rows' lexicographic order."""
     order = np.lexsort(rows.T[::-1])
     in_order = rows[order]
     new = np.any(in_order[1:] != in_order[:-1], axis=1)

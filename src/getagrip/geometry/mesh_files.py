@@ -37,7 +37,7 @@ def read_mesh(path: str | Path) -> Mesh:
 
 
 def parse_mesh(path: Path) -> tuple[Float[ndarray, "..."], Int[ndarray, "..."]]:
-    """Vertices and faces of a mesh file, not checked, in the file's own unit. Raises ``InputError``."""
+    """Parse vertices and faces of a mesh file, not checked, in the file's own unit. Raises ``InputError``."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(path, "mesh", f"the suffix {files.shown(path.suffix)}", f"one of {', '.join(SUFFIXES)}")

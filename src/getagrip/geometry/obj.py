@@ -27,7 +27,9 @@ _ANY = {kind: re.compile(rb"^[ \t\v\f]*" + kind + rb"[ \t]", re.MULTILINE) for k
 
 
 def parse_obj(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
-    """Vertices, and faces with polygons cut into triangles. ``path`` is only named in errors: nothing is opened.
+    """Parse vertices, and faces with polygons cut into triangles.
+
+    ``path`` is only named in errors: nothing is opened.
 
     Parts, materials, normals and textures are passed over. Raises ``InputError``, which names the line.
     """

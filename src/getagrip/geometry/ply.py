@@ -54,7 +54,9 @@ Columns = dict[str, tuple[Int[ndarray, "n"], ndarray]]
 
 
 def parse_ply(path: Path, content: bytes) -> tuple[Float[ndarray, "V 3"], Int[ndarray, "F 3"]]:
-    """Vertices, and faces with polygons cut into triangles. ``path`` is only named in errors.
+    """Parse vertices, and faces with polygons cut into triangles.
+
+    ``path`` is only named in errors.
 
     Raises ``InputError``.
     """

@@ -33,7 +33,7 @@ class Effort:
 def triangles(
     path: Path, points: Float[ndarray, "V 3"], counts: Int[ndarray, "n"], corners: Int[ndarray, "c"]
 ) -> Int[ndarray, "F 3"]:
-    """Triangles of polygons with ``counts`` corners each (3 or more), which are listed one after the other.
+    """Triangulate polygons with ``counts`` corners each (3 or more), which are listed one after the other.
 
     Those of a polygon that is no plane one of these points are a fan. Raises ``InputError`` for polygons that take too
     long to be cut.

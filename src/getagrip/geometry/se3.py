@@ -17,7 +17,7 @@ _SMALL = 1e-8
 
 
 def hat(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Cross-product matrix: ``hat(w) @ x == cross(w, x)``."""
+    """Return the cross-product matrix: ``hat(w) @ x == cross(w, x)``."""
     out = np.zeros((*w.shape[:-1], 3, 3))
     out[..., 0, 1], out[..., 0, 2] = -w[..., 2], w[..., 1]
     out[..., 1, 0], out[..., 1, 2] = w[..., 2], -w[..., 0]
@@ -26,7 +26,7 @@ def hat(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
 
 
 def exp_so3(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Rotation matrix of a rotation vector [rad] (Rodrigues' formula)."""
+    """Return the rotation matrix of a rotation vector [rad] (Rodrigues' formula)."""
     theta = np.sqrt(np.add.reduce(w * w, axis=-1))[..., None, None]
     small = theta < 1e-4
     safe = np.where(small, 1.0, theta)
@@ -39,7 +39,7 @@ def exp_so3(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
 
 
 def log_so3(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3"]:
-    """Rotation vector [rad], of angle in [0, pi], of a rotation matrix; exact at 0 and at pi as well."""
+    """Return the rotation vector [rad], of angle in [0, pi], of a rotation matrix; exact at 0 and at pi as well."""
     q = quaternion(R)
     vec = q[..., 1:]
     norm = np.linalg.norm(vec, axis=-1, keepdims=True)
@@ -49,7 +49,7 @@ def log_so3(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3"]:
 
 
 def left_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Left Jacobian of SO(3): ``exp(w + dw) = exp(left_jacobian(w) @ dw) exp(w)`` to first order."""
+    """Return the left Jacobian of SO(3): ``exp(w + dw) = exp(left_jacobian(w) @ dw) exp(w)`` to first order."""
     theta = np.linalg.norm(w, axis=-1)[..., None, None]
     small = theta < 1e-4
     safe = np.where(small, 1.0, theta)
@@ -60,7 +60,7 @@ def left_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]
 
 
 def right_jacobian(w: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Right Jacobian of SO(3): ``exp(w + dw) = exp(w) exp(right_jacobian(w) @ dw)`` to first order."""
+    """Return the right Jacobian of SO(3): ``exp(w + dw) = exp(w) exp(right_jacobian(w) @ dw)`` to first order."""
     return left_jacobian(-w)
 
 
@@ -84,7 +84,7 @@ def quaternion(R: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 4"]:
 
 
 def quaternions_in_time(R: Float[ndarray, "T 3 3"]) -> Float[ndarray, "T 4"]:
-    """Quaternions (w, x, y, z), each on the side of the one before it, so that those between are the short way."""
+    """Return quaternions (w, x, y, z), each on the side of the one before it, so that interpolation is short."""
     q = quaternion(R)
     q[1:] *= np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
     return q
@@ -105,7 +105,7 @@ def between(a: Float[ndarray, "*#batch 3"], b: Float[ndarray, "*#batch 3"]) -> F
 
 
 def from_quaternion(q: Float[ndarray, "*batch 4"]) -> Float[ndarray, "*batch 3 3"]:
-    """Rotation matrix of a quaternion (w, x, y, z); the quaternion need not have unit length."""
+    """Return the rotation matrix of a quaternion (w, x, y, z); the quaternion need not have unit length."""
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     W = hat(q[..., 1:])
     return np.eye(3) + 2.0 * (q[..., 0, None, None] * W + W @ W)
@@ -114,7 +114,7 @@ def from_quaternion(q: Float[ndarray, "*batch 4"]) -> Float[ndarray, "*batch 3 3
 def rigid(
     R: Float[ndarray, "*#batch 3 3"] | None = None, t: Float[ndarray, "*#batch 3"] | None = None
 ) -> Float[ndarray, "*batch 4 4"]:
-    """4x4 matrix of a rotation (identity when left out) and a translation (zero when left out)."""
+    """Return the 4x4 matrix of a rotation (identity when left out) and a translation (zero when left out)."""
     R = np.eye(3) if R is None else R
     t = np.zeros(3) if t is None else t
     batch = np.broadcast_shapes(R.shape[:-2], t.shape[:-1])
@@ -124,7 +124,7 @@ def rigid(
 
 
 def inverse(T: Float[ndarray, "*batch 4 4"]) -> Float[ndarray, "*batch 4 4"]:
-    """Inverse of rigid motions (of nothing else)."""
+    """Return the inverse of rigid motions (of nothing else)."""
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return rigid(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
 
@@ -132,7 +132,7 @@ def inverse(T: Float[ndarray, "*batch 4 4"]) -> Float[ndarray, "*batch 4 4"]:
 def transform(
     T: Float[ndarray, "*#batch 4 4"], X: Float[ndarray, "*#batch points 3"]
 ) -> Float[ndarray, "*batch points 3"]:
-    """Points X of frame b in frame a, for ``T = T_a_b``."""
+    """Transform points X of frame b to frame a, for ``T = T_a_b``."""
     return X @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
 
 
@@ -154,7 +154,7 @@ def is_rigid(T: Float[ndarray, "*batch 4 4"], tolerance: float = 1e-3) -> Bool[n
 
 
 def nearest_rotation(M: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 3 3"]:
-    """Rotation matrix nearest to M in the Frobenius norm."""
+    """Return the rotation matrix nearest to M in the Frobenius norm."""
     U, _, Vt = np.linalg.svd(M)
     U = U.copy()
     U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
@@ -162,7 +162,7 @@ def nearest_rotation(M: Float[ndarray, "*batch 3 3"]) -> Float[ndarray, "*batch 
 
 
 def angle_between(Ra: Float[ndarray, "*#batch 3 3"], Rb: Float[ndarray, "*#batch 3 3"]) -> Float[ndarray, "*batch"]:
-    """Angle [rad] of the rotation that takes one rotation matrix to the other."""
+    """Return the angle [rad] of the rotation that takes one rotation matrix to the other."""
     return np.asarray(np.linalg.norm(log_so3(np.swapaxes(Ra, -1, -2) @ Rb), axis=-1))
 
 

@@ -59,7 +59,7 @@ class Warp(ArrayData):
         return np.asarray(np.linalg.det(J))
 
     def displacement(self, mesh: Mesh) -> float:
-        """Root mean square distance by which the mesh's surface is displaced [m]."""
+        """Compute the root mean square distance by which the mesh's surface is displaced [m]."""
         squared = np.sum((self.moved(mesh.vertices) - mesh.vertices) ** 2, axis=1)
         return float(np.sqrt(np.average(squared, weights=mesh.vertex_areas)))
 
@@ -78,7 +78,7 @@ def settled(warp: Warp, mesh: Mesh, resize: bool) -> tuple[Warp, Float[ndarray, 
 
 
 def monomials(x: Float[ndarray, "n 3"]) -> Float[ndarray, "n 10"]:
-    """1, x, y, z, xx, xy, xz, yy, yz, zz of each point."""
+    """Return 1, x, y, z, xx, xy, xz, yy, yz, zz of each point."""
     first, second = np.triu_indices(3)
     return np.concatenate([np.ones((len(x), 1)), x, x[:, first] * x[:, second]], axis=1)
 

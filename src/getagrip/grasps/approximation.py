@@ -63,12 +63,12 @@ class AxisRotation:
         return np.arctan2(sine, cosine)
 
     def at(self, angle: Float[ndarray, "N"]) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"]]:
-        """Rotations, and positions of the centre [m], at some angles."""
+        """Return the rotations, and positions of the centre [m], at some angles."""
         rotation = se3.exp_so3(angle[:, None] * self.direction)
         return rotation @ self.R, self.point + rotation @ self.arm
 
     def energy(self, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> float:
-        """E of the nearest poses."""
+        """Return E of the nearest poses."""
         R_found, c_found = self.nearest(R, c)
         return float(np.sum((R_found - R) ** 2) + np.sum((c_found - c) ** 2) / self.size**2)
 

@@ -43,7 +43,7 @@ class Cut:
     def of(
         self, clip: Clip, progress: Callable[[float], None] = lambda _: None
     ) -> tuple[PairwiseIou, list[tuple[int, int]]]:
-        """Contact IOU of a clip's frames, and its grasps: first and last frame of each, both included.
+        """Return the contact IOU of a clip's frames, and its grasps: first and last frame of each, both included.
 
         Raises ``InputError`` for a clip without ground truth.
         """

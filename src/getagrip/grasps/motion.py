@@ -63,7 +63,7 @@ class Residual:
 
     @staticmethod
     def beside(hinge: AxisRotation, R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> Residual:
-        """Beside a hinge that is known."""
+        """Compute the residual beside a hinge that is known."""
         angle = np.unwrap(hinge.angles(R, c))
         R_hinge, c_hinge = hinge.at(angle)
         axes = hinge_axes(hinge.direction, se3.exp_so3(np.median(angle) * hinge.direction) @ hinge.arm)
@@ -96,7 +96,7 @@ def measure(
     touched: Float[ndarray, "P 3"],
     fps: float,
 ) -> tuple[dict[str, float], Residual]:
-    """Every one of ``MOTION_MEASURES`` of one grasp, not a number where it has no value; and what it left of the hinge.
+    """Measure ``MOTION_MEASURES`` of one grasp, NaN where one has no value; also return the residual of the hinge.
 
     Args:
         T_hand_obj: poses of the object, of unit scale.
@@ -133,7 +133,7 @@ def measure(
 
 
 def axis_drift(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> float:
-    """Angle between the best axes of the rotations of both halves [rad]; not a number where one hardly turns."""
+    """Measure the angle between the best axes of the rotations of both halves [rad]; NaN where one hardly turns."""
     half = len(R) // 2
     hinges = [rotation_hinge(R[part], c[part]) for part in (slice(half), slice(half, None))]
     for hinge, part in zip(hinges, (slice(half), slice(half, None)), strict=True):
@@ -143,7 +143,7 @@ def axis_drift(R: Float[ndarray, "N 3 3"], c: Float[ndarray, "N 3"]) -> float:
 
 
 def bend(residual: Residual) -> float:
-    """Share of the residual's rotation square to the axis that a parabola of the angle explains: the axis drifts."""
+    """Measure the share of the residual's rotation square to the axis that a parabola of the angle explains."""
     x = residual.rotation[:, 1:]
     powers = np.vander(residual.angle - residual.angle.mean(), 3)
     unexplained = x - powers @ np.linalg.lstsq(powers, x, rcond=None)[0]
@@ -152,7 +152,10 @@ def bend(residual: Residual) -> float:
 
 
 def correlation_time(x: Float[ndarray, "N 3"], fps: float) -> float:
-    """Lag at which the autocorrelation of a curve first falls to 1/e [s], linear between frames; at most half of it."""
+    """Measure the lag at which a curve's autocorrelation first falls to 1/e [s], linear between frames.
+
+    At most half of it.
+    """
     x = x - x.mean(axis=0)
     lags = np.arange(len(x) // 2)
     product = np.array([np.mean(np.sum(x[: len(x) - lag] * x[lag:], axis=1)) for lag in lags])
@@ -168,7 +171,7 @@ def correlation_time(x: Float[ndarray, "N 3"], fps: float) -> float:
 
 
 def spectrum(x: Float[ndarray, "N k"]) -> Float[ndarray, "M"]:
-    """Share of a curve's energy in each of ``MODES`` cosines over its time, cos(pi m t); the constant is left out."""
+    """Measure the share of a curve's energy in each of ``MODES`` cosines cos(pi m t), without the constant."""
     from scipy.fft import dct
 
     energy = np.sum(dct(x, axis=0, norm="ortho")[1:] ** 2, axis=1)

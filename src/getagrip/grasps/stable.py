@@ -44,7 +44,7 @@ OPENED = np.radians(5.0)
 def segment(
     clip: Clip, definition: Definition | None = None, progress: Callable[[float], None] = lambda _: None
 ) -> tuple[PairwiseIou, list[tuple[int, int]]]:
-    """Contact IOU of a clip's frames, and its stable grasps as ``stable_grasps`` gives them, all from the ground truth.
+    """Find the stable grasps of a clip from the ground truth; also return the contact IOU of its frames.
 
     Where an object has a joint, frames between which it has rotated by more than ``OPENED`` have IOU 0: opening or
     closing an object ends a grasp. ``progress`` is called with the share of the frames done. Raises ``InputError`` for
@@ -153,7 +153,7 @@ class PairwiseIou:
 
 
 def contact_iou(contact: Bool[ndarray, "T P"], weights: Float[ndarray, "P"] | None = None) -> Float[ndarray, "T T"]:
-    """IOU of the contact sets of every pair of frames; 0 for two empty sets, and for an empty set with itself.
+    """Compute the IOU of the contact sets of every pair of frames; 0 for empty sets, also of one with itself.
 
     ``weights`` of the points (areas, say) are not negative. Where T is many thousands, ``PairwiseIou`` saves memory.
     """
@@ -163,7 +163,7 @@ def contact_iou(contact: Bool[ndarray, "T P"], weights: Float[ndarray, "P"] | No
 def stable_grasps(
     iou: Float[ndarray, "T T"] | PairwiseIou, tau: float = 0.5, shortest: int = 20, rule: Rule = "all-pairs"
 ) -> list[tuple[int, int]]:
-    """First and last frame (both included) of each stable grasp of at least ``shortest`` frames, by start.
+    """Find the first and last frame (both included) of each stable grasp of at least ``shortest`` frames, by start.
 
     - ``all-pairs``: Eq. 2. Of equally long intervals the earlier is taken.
     - ``first``: every frame is compared with the interval's first only, and IOU = tau will do: as the ARCTIC grasps of

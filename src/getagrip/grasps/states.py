@@ -100,7 +100,7 @@ def interactions(segments: Sequence[Segment]) -> Iterator[Int[ndarray, "n"]]:
 def static_runs(
     T_world_obj: Float[ndarray, "T 4 4"], vertices: Float[ndarray, "V 3"], touched: Bool[ndarray, "T"]
 ) -> Iterator[tuple[int, int]]:
-    """First and last of the runs of frames in which nothing touches an object and it stays where it is at first."""
+    """Yield first and last of each run of frames in which an untouched object stays where it is at first."""
     first = 0
     while first < len(T_world_obj):
         length = _still(T_world_obj[first:], vertices, touched[first:])

@@ -191,7 +191,7 @@ def _errors(
 
 
 def object_in_hand(clip: Clip) -> tuple[Float[ndarray, "T 3 3"], Float[ndarray, "T 3"], float]:
-    """Rotation and position of the centre [m] of the object in the true hand's frame, and its ``size`` [m] (Eq. 3).
+    """Return rotation, position of the centre [m] and ``size`` [m] of the object in the true hand's frame (Eq. 3).
 
     The centre is that of the object's surface, and the size its radius of gyration over the root of 3. Raises
     ``InputError`` for a clip without ground truth.
@@ -211,7 +211,9 @@ def _truth(clip: Clip) -> Truth:
 
 
 def kept_contact(iou: PairwiseIou | Float[ndarray, "T T"], frames: slice, grasp: slice) -> Float[ndarray, "N"]:
-    """Mean contact IOU of each of some frames with all frames of a grasp but itself; not a number where there is none.
+    """Return the mean contact IOU of each of some frames with all frames of a grasp but itself.
+
+    NaN where there is none.
 
     Both slices count the sequence's frames.
     """

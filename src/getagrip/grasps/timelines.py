@@ -51,7 +51,7 @@ class Timeline:
 def read(
     path: Path, content: Sequence[Json], note: Callable[[str], None]
 ) -> tuple[tuple[Timeline, ...], dict[str, int]]:
-    """HOT3D's timelines, and how many frames each recording has.
+    """Read HOT3D's timelines, and the number of frames of each recording.
 
     Segments that end before they start are skipped, and reported. Raises ``InputError`` in the name of the file.
     """

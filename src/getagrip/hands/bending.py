@@ -51,7 +51,7 @@ def bent(
     weights: Float[ndarray, "V 5 3"],
     angles: Float[ndarray, "T 5 3"],
 ) -> tuple[Float[ndarray, "T V 3"], Float[ndarray, "T 21 3"]]:
-    """Vertices and joints with each finger's joints bent further by ``angles`` [rad], thumb first.
+    """Bend each finger's joints further by ``angles`` [rad], thumb first; return vertices and joints.
 
     Fingers bend about an axis across the palm, the thumb towards the knuckle of the index finger or away from it.
     """

@@ -26,7 +26,7 @@ class Hands(Protocol):
     """The unknowns."""
 
     def retract(self, frames: Float[ndarray, "T 51"], shared: Float[ndarray, "S"]) -> Self:
-        """After a step."""
+        """Return the hands after a step."""
         ...
 
 

@@ -100,7 +100,7 @@ class State(NamedTuple):
     """Wrist of the mean hand, which rotations are about."""
 
     def retract(self, frames: Float[ndarray, "T 51"], shared: Float[ndarray, "S"]) -> State:
-        """After a step: the hand shifts in its own axes and turns about the wrist, the rest adds up."""
+        """Apply a step: the hand shifts in its own axes and turns about the wrist, the rest adds up."""
         T = stepped(self.T, frames[:, :6], self.wrist)
         return self._replace(T=T, q=self.q + frames[:, 6:].reshape(self.q.shape), shape=self.shape + shared)
 
@@ -108,7 +108,7 @@ class State(NamedTuple):
 def stepped(
     T: Float[ndarray, "T 4 4"], step: Float[ndarray, "T 6"], wrist: Float[ndarray, "3"]
 ) -> Float[ndarray, "T 4 4"]:
-    """Hands shifted in their own axes and turned about the wrist."""
+    """Shift hands in their own axes and turn them about the wrist."""
     R = se3.exp_so3(step[:, 3:])
     return T @ se3.rigid(R, step[:, :3] + wrist - R @ wrist)
 

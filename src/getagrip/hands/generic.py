@@ -75,7 +75,7 @@ def load(side: Side) -> HandModel:
 def skin_weights(
     vertices: Float[ndarray, "V 3"], faces: Int[ndarray, "F 3"], fingers: Mapping[str, Finger]
 ) -> Float[ndarray, "V 16"]:
-    """Skinning weights: a vertex belongs to the nearest finger, and along it to the bones whose joints it lies between.
+    """Compute skinning weights: a vertex belongs to the nearest finger, and along it to the adjacent bones.
 
     Both memberships are smooth; what lies before the first joint of its finger belongs to the wrist.
     """
@@ -110,7 +110,7 @@ def stretch_directions(
     weights: Float[ndarray, "V 16"],
     fingers: Mapping[str, Finger],
 ) -> tuple[Float[ndarray, "V 3 S"], Float[ndarray, "16 3 S"]]:
-    """Displacements of vertices and joints per unit of each shape parameter.
+    """Compute the displacements of vertices and joints per unit of each shape parameter.
 
     A parameter stretches the space around each bone by a 3x3 matrix M_j: a point x that goes with joint j moves by
     d_j + M_j (x - J_j), where d_j is what the parent's stretch does to J_j; skinning weights blend these.

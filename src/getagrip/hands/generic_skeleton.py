@@ -83,7 +83,7 @@ class Finger:
 
 
 def half_depth(breadth: float, circumference: float) -> float:
-    """Half the other axis of an ellipse of given breadth and circumference, C ~ pi sqrt((b^2 + d^2) / 2)."""
+    """Return half the other axis of an ellipse of given breadth and circumference, C ~ pi sqrt((b^2 + d^2) / 2)."""
     return 0.5 * float(np.sqrt(2.0 * (circumference / np.pi) ** 2 - breadth**2))
 
 

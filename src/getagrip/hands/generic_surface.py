@@ -132,7 +132,7 @@ def _smooth_min(a: Float[ndarray, "N"], b: Float[ndarray, "N"], k: float) -> Flo
 
 
 def triangulate() -> Mesh:
-    """Mesh the surface: marching cubes, then the dual of evenly grown patches of it.
+    """Build the mesh of the surface: marching cubes, then the dual of evenly grown patches of it.
 
     The patches are the cells of Lloyd's algorithm on the points of the fine mesh (Valette, Chassery, "Approximated
     Centroidal Voronoi Diagrams for Uniform Polygonal Mesh Coarsening", 2004), whose density goes with the square root
@@ -197,13 +197,13 @@ def fineness(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N"]:
 
 
 def gradient(X: Float[ndarray, "N 3"]) -> Float[ndarray, "N 3"]:
-    """Gradient of ``distance``, by central differences."""
+    """Compute the gradient of ``distance``, by central differences."""
     h = 1e-5 * np.eye(3)
     return np.stack([distance(X + e) - distance(X - e) for e in h], axis=-1) / 2e-5
 
 
 def project(X: Float[ndarray, "N 3"], steps: int = 3) -> Float[ndarray, "N 3"]:
-    """Points moved onto the surface by Newton steps along the gradient."""
+    """Move points onto the surface by Newton steps along the gradient."""
     for _ in range(steps):
         g = gradient(X)
         X = X - (distance(X) / np.sum(g * g, axis=1))[:, None] * g

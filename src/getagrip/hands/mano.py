@@ -169,7 +169,7 @@ def regions(
     joints: Float[ndarray, "16 3"],
     weights: Float[ndarray, "V 16"],
 ) -> dict[str, Int[ndarray, "_"]]:
-    """Contact regions of a flat hand of either side, skinned to MANO's joints; see ``hands.regions``.
+    """Return the contact regions of a flat hand of either side, skinned to MANO's joints; see ``hands.regions``.
 
     A fingertip's pad faces where its finger does, at right angles to the finger.
     """

@@ -164,7 +164,7 @@ ORDER_21 = np.array([0] + [i for n, knuckle in enumerate(KNUCKLES) for i in (*ra
 def joint_transforms(
     R: Float[ndarray, "*#batch 15 3 3"], joints: Float[ndarray, "*#batch 16 3"]
 ) -> Float[ndarray, "*batch 16 4 4"]:
-    """Frames of the joints in the hand frame, ``T_hand_joint``; at rest their axes are the hand's."""
+    """Return the frames of the joints in the hand frame, ``T_hand_joint``; at rest their axes are the hand's."""
     batch = np.broadcast_shapes(R.shape[:-3], joints.shape[:-2])
     T = np.empty((*batch, 16, 4, 4))
     T[..., 0, :, :] = se3.rigid(None, joints[..., 0, :])
@@ -181,7 +181,7 @@ def skin(
     T: Float[ndarray, "*#batch joints 4 4"],
     joints: Float[ndarray, "*#batch joints 3"],
 ) -> Float[ndarray, "*batch V 3"]:
-    """Linear blend skinning: each vertex moves with the mean, by its weights, of the joints' motions since rest.
+    """Apply linear blend skinning: a vertex moves with the weighted mean of the joints' motions since rest.
 
     ``T`` maps joint frames into the hand frame; ``joints`` are their origins at rest, where their axes are the hand's.
     """
@@ -203,7 +203,7 @@ def root_transform(
 
 
 def mirrored(points: Float[ndarray, "*batch 3"]) -> Float[ndarray, "*batch 3"]:
-    """Points of a right hand in the frame of the left one, and back."""
+    """Mirror points of a right hand into the frame of the left one, and back."""
     return points * MIRROR
 
 

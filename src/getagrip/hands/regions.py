@@ -26,7 +26,7 @@ def contact_regions(
     length: Float[ndarray, "V"],
     across: Float[ndarray, "V"],
 ) -> dict[str, Int[ndarray, "_"]]:
-    """Vertex ids of the five ``FINGERS``' pads and of the ``PALM_REGIONS``.
+    """Return vertex ids of the five ``FINGERS``' pads and of the ``PALM_REGIONS``.
 
     ``of_palm`` and ``of_fingers`` are skinning weights, the latter of three bones for each of the ``FINGERS``.
     ``towards_pads`` and ``towards_palm`` are the components of the unit normals in the direction that each last phalanx

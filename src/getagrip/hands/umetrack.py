@@ -146,7 +146,7 @@ def load(path: Path) -> UmeTrackHand:
 
 
 def T_world_hand(side: Side, T_world_wrist: Float[ndarray, "*batch 4 4"]) -> Float[ndarray, "*batch 4 4"]:
-    """Our hand frame in the world, from HOT3D's ``wrist_xform``."""
+    """Return our hand frame in the world, from HOT3D's ``wrist_xform``."""
     return T_world_wrist @ _t_wrist_hand(side)
 
 

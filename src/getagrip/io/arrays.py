@@ -73,7 +73,7 @@ def parse_npy(path: Path, key: str, content: bytes) -> Shaped[ndarray, "..."]:
 
 
 def from_lists(value: object) -> Shaped[ndarray, "..."] | None:
-    """Numbers in nested lists, as JSON and pickles have them, as an array; arrays come as they are.
+    """Convert nested lists of numbers, as JSON and pickles have them, to an array; arrays stay as they are.
 
     None for anything else, rows of different lengths included. Every item is looked at before memory is taken: numpy
     would make a text of each where one is a text, all of them as long as the longest. Arrays in lists count in full.
@@ -98,7 +98,9 @@ def from_lists(value: object) -> Shaped[ndarray, "..."] | None:
 
 
 def names(value: object) -> Shaped[ndarray, "n"] | None:
-    """Names or whole numbers in a list, none of them long, as an array, or in an array. None for anything else.
+    """Convert a list of short names or of whole numbers, or an array, to an array.
+
+    None for anything else.
 
     None also for more than ``MOST_NAMES``.
     """

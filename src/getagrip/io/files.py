@@ -150,7 +150,7 @@ def csv_rows(path: Path, content: bytes, what: str) -> tuple[list[str], list[tup
 
 
 def sha256(paths: Mapping[str, Path]) -> str:
-    """Checksum of some files by name, their names and lengths included."""
+    """Compute the checksum of some files by name, their names and lengths included."""
     total = hashlib.sha256()
     for name, path in paths.items():
         content = read_bytes(path)
@@ -248,7 +248,8 @@ def new_folder(target: Path, replace: tuple[str, ...] = ()) -> Iterator[Path]:
 
     An older folder is replaced only where it holds all that ``replace`` names: files that every such folder holds, and
     none that was named by mistake. Raises ``UsageError`` for another. An ``OSError`` of the block about a file in the
-    folder names it by the path that it was to have. What a killed process leaves, ``leftovers.sweep`` removes."""
+    folder names it by the path that it was to have. What a killed process leaves, ``leftovers.sweep`` removes.
+    """
     refuse_link(target)
     missing = [f" without {name!r} in it" for name in replace if not (target / name).exists()]
     if target.exists() and (missing or not replace):

@@ -49,7 +49,9 @@ COLOURS = {
 
 
 def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
-    """Red, green and blue of a PNG or JPEG of the given (width, height). Raises ``InputError``.
+    """Read red, green and blue of a PNG or JPEG of the given (width, height).
+
+    Raises ``InputError``.
 
     The decoder that says how large an image is also decodes it: of a crafted file others may see another size.
     """
@@ -74,7 +76,7 @@ def read_image(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
 
 
 def decoded(path: Path, key: str, content: bytes, largest: int) -> UInt8[ndarray, "H W 3"]:
-    """Red, green and blue of a JPEG or PNG in memory, of at most ``largest`` pixels a side, upright.
+    """Decode red, green and blue of a JPEG or PNG in memory, of at most ``largest`` pixels a side, upright.
 
     ``path`` and ``key`` are named in errors. Raises ``InputError``, for too large ones before memory is taken.
     """
@@ -152,7 +154,10 @@ def read_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W"]:
 
 
 def read_colour_png(path: Path, size: tuple[int, int]) -> UInt8[ndarray, "H W 3"]:
-    """Red, green and blue of a PNG of the given (width, height), also of one with a palette. Raises ``InputError``."""
+    """Read red, green and blue of a PNG of the given (width, height), also of one with a palette.
+
+    Raises ``InputError``.
+    """
     image, colours, bits = open_png(path, size)
     if bits > 8:
         raise InputError(path, "channels", f"{bits} bit {colours}", "8 bit")

@@ -50,7 +50,10 @@ def items(path: Path, key: str) -> Iterator[dict[str, object]]:
 
 
 def entries(path: Path, key: str) -> Iterator[tuple[str, object]]:
-    """Names and values in the object ``key`` of a JSON object, in order. Raises ``InputError`` as ``items`` does."""
+    """Yield names and values in the object ``key`` of a JSON object, in order.
+
+    Raises ``InputError`` as ``items`` does.
+    """
     with _opened(path) as stream:
         text = _Text(path, stream)
         text.enter(key)

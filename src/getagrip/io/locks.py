@@ -18,7 +18,7 @@ KNOWN = fcntl is not None
 
 @contextmanager
 def holding(path: Path) -> Iterator[None]:
-    """Within it this process has the lock of a file or folder, for which it waits; or none, where it cannot be had."""
+    """Hold the lock of a file or folder, for which it waits; or none, where it cannot be had."""
     lock = locked(path, wait=True)
     try:
         yield

@@ -44,7 +44,7 @@ class UnknownSourceError(Exception):
 
 
 def checksum(value: object) -> str:
-    """Checksum of all that a function or another value is made of besides this package, 16 hexadecimal digits.
+    """Compute the checksum of all that a function or another value is made of besides this package.
 
     That are the source files of functions and classes, those that they import and that belong to no installed library,
     and the values that partials, closures, defaults and objects hold. Raises ``UnknownSourceError`` where a source is

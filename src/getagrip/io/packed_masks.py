@@ -68,7 +68,7 @@ class PackedMasks(NDArrayOperatorsMixin):
         return PackedMasks([PackedMask.of(mask) for mask in masks], (size[1], size[0]))
 
     def as_array(self) -> Bool[ndarray, "T H W"]:
-        """Itself, under the type of what it stands for."""
+        """Return itself, under the type of what it stands for."""
         return cast(ndarray, self)
 
     @property

@@ -185,7 +185,7 @@ def _spread(low, spacing, face, part, squared, point):
 
 @njit(**OPTIONS)
 def screen(points, R, centre, scale, distance, origin, spacing, local, rough):
-    """Points (Q, 3) in the frame of an object posed at (R, centre, scale) and the distance of the node next to each.
+    """Move points (Q, 3) into the frame of a posed object, and look up the nearest node's distance.
 
     Fills local (Q, 3) [m, of the unscaled object], rough (Q,) [m, likewise]: infinite beyond the grid. The exact
     distance differs from the rough one by at most ``SLACK * spacing``, so that most points need no more.
@@ -205,7 +205,9 @@ def screen(points, R, centre, scale, distance, origin, spacing, local, rough):
 
 @njit(**OPTIONS)
 def signed_distance(x, y, z, corners, normals, face, origin, spacing):
-    """Signed distance to the mesh and its direction: (d, n0, n1, n2), d < 0 inside, n the unit gradient of d.
+    """Compute the signed distance to the mesh and its direction.
+
+    (d, n0, n1, n2), d < 0 inside, n the unit gradient of d.
 
     Of the faces that the eight nodes around the point remember the nearest counts. The point must lie within the grid.
     """

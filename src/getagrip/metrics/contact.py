@@ -121,7 +121,7 @@ def contact_distances(
     hand_faces: Int[ndarray, "F 3"],
     max_distance: float = MAX_DISTANCE,
 ) -> list[ContactDistances]:
-    """Distances between an object and a hand (in the hand frame), both ways, for each track of the object.
+    """Compute distances between an object and a hand (in the hand frame), both ways, for each track of the object.
 
     They are exact up to ``max_distance`` [m]. Holes of the hand are closed first. Tracks share the hand's search trees.
     """
@@ -144,7 +144,7 @@ def signed_distance(
     faces: Int[ndarray, "F 3"],
     max_distance: float = np.inf,
 ) -> Float[ndarray, "P"]:
-    """Distance [m] of points to a surface, negative inside; beyond ``max_distance`` it may be infinite.
+    """Compute the distance [m] of points to a surface, negative inside; beyond ``max_distance`` it may be infinite.
 
     Inside is where the winding number exceeds a half (Barill et al., "Fast Winding Numbers for Soups and Clouds",
     2018): right also for bodies of several overlapping closed parts, where the nearest surface's normal misleads.
@@ -250,7 +250,7 @@ def stable_contact(distances: ContactDistances, definition: ContactDefinition) -
 
 
 def pairwise_iou(contact: Bool[ndarray, "T P"]) -> Float[ndarray, "T T"]:
-    """IOU of the contact sets of every pair of frames; 0 for two empty sets, and for an empty set with itself."""
+    """Compute the IOU of the contact sets of every pair of frames; 0 for empty sets, also of one with itself."""
     bits = np.packbits(contact, axis=1)
     both = np.stack([np.bitwise_count(bits & row).sum(axis=1, dtype=float) for row in bits])
     count = np.diag(both)
@@ -259,7 +259,7 @@ def pairwise_iou(contact: Bool[ndarray, "T P"]) -> Float[ndarray, "T T"]:
 
 
 def stable_contact_area(overlap: Float[ndarray, "T T"], diagonal: bool = False) -> float:
-    """SCA from the pairwise IOU: the mean over pairs i < j (the paper's), or over the full T x T matrix.
+    """Compute SCA from the pairwise IOU: the mean over pairs i < j (the paper's), or over the full T x T matrix.
 
     With the diagonal (the authors' code) each frame also counts with itself: never overlapping contacts then score
     1 / T. NaN where there is no pair.

@@ -65,7 +65,10 @@ class PoseErrors:
 def pose_errors(
     mesh: Mesh, predicted: ObjectTrack, true: ObjectTrack, symmetry: Float[ndarray, "4 4"] | None = None
 ) -> PoseErrors:
-    """Errors of a prediction; ``symmetry``, a map of the unscaled object onto itself, is applied to the true one."""
+    """Compute the errors of a prediction.
+
+    ``symmetry``, a map of the unscaled object onto itself, applies to the true one.
+    """
     S = np.eye(4) if symmetry is None else symmetry
     A, b = _difference(predicted, true, S)
     add = np.stack([np.linalg.norm(mesh.vertices @ M.T + c, axis=1).mean() for M, c in zip(A, b, strict=True)])

@@ -51,7 +51,7 @@ class Symmetries:
         return se3.rigid(R, self.centre - R @ self.centre)
 
     def describe(self) -> str:
-        """In words, for tables."""
+        """Describe the symmetries in words, for tables."""
         if len(self.axes) == 3:
             return "ball"
         if len(self.axes) == 1:
@@ -150,7 +150,7 @@ class _Surface:
 
 
 def surface_points(mesh: Mesh, count: int) -> Float[ndarray, "count 3"]:
-    """Points spread evenly over a surface by area; the same ones every time."""
+    """Sample points evenly over a surface by area; the same ones every time."""
     return at_places(mesh, *surface_places(mesh, count))
 
 

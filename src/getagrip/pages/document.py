@@ -57,7 +57,7 @@ def document(title: str, body: str, scripts: Sequence[str], data: Mapping[str, o
 
 
 def to_script(data: Mapping[str, object]) -> str:
-    """JSON that can stand in a script element: it holds nothing that ends or begins an element."""
+    """Write JSON that can stand in a script element: it holds nothing that ends or begins an element."""
     compact = json.dumps(json.loads(files.to_json(data)), separators=(",", ":"), ensure_ascii=True)
     return compact.translate(ESCAPED)
 

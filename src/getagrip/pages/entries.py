@@ -71,7 +71,7 @@ def labels(views: Sequence[View], folders: Sequence[str]) -> list[str]:
 def entries(
     results: Sequence[Path], clip_folders: Sequence[Path], clips: Path | None, fail: Callable[[Exception], None]
 ) -> list[Entry]:
-    """Results of the same clip and inputs make one entry: the serious ones first, then by mean IOU; clips follow.
+    """Group results of the same clip and inputs: the serious ones first, then by mean IOU; clips follow.
 
     Those that cannot be read go to ``fail``.
     """
@@ -90,7 +90,7 @@ def entries(
 
 
 def badness(results: Sequence[Reconstruction]) -> tuple[bool, float]:
-    """Sorts the worst first: whether nothing serious is found, then the lowest mean IOU."""
+    """Return a key that sorts the worst first: whether nothing serious is found, then the lowest mean IOU."""
     serious = any(finding.serious for result in results for finding in result.findings)
     return not serious, min(_iou(result) for result in results)
 

@@ -21,7 +21,10 @@ PICTURE, QUALITY = 480, 78
 
 
 def drawn(view: View, n: int, crops: Crops, k: int) -> dict[str, object]:
-    """Frame ``n`` in window ``k``: the image, and the contours of the object, the hands, the truth and the mask."""
+    """Draw frame ``n`` in window ``k``.
+
+    The image, and the contours of the object, the hands, the truth and the mask.
+    """
     outlines = {"hand": _contour(view.hands(n), view, n, crops, k)}
     if view.posed:
         outlines["object"] = outline(view, n, crops, k)

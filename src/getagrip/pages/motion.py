@@ -22,7 +22,9 @@ FOLLOWED = 0.35
 
 
 def fixed(view: View, surface: Mesh) -> dict[str, ndarray]:
-    """Arrays by their names, as ``parts/viewer.js`` reads them: metres, and poses as 4x4 matrices, of all frames.
+    """Return arrays by their names, as ``parts/viewer.js`` reads them.
+
+    Metres, and poses as 4x4 matrices, of all frames.
 
     ``object_vertices`` are of the mesh as it is, to be scaled by ``scale``, one for each candidate, as ``T_hand_obj``
     and ``axis`` are. ``other_hand_known`` is 1 in the frames of the other hand. ``focus`` is where to look, in the
@@ -56,7 +58,7 @@ def fixed(view: View, surface: Mesh) -> dict[str, ndarray]:
 
 
 def moving(view: View, surface: Mesh) -> dict[str, ndarray]:
-    """Arrays with one block for each frame: hands in their own frames, and how near the surfaces are to each other.
+    """Return arrays with one block for each frame: hands in their own frames, and the closeness of the surfaces.
 
     ``object_near``, ``hand_near`` and ``other_hand_near`` go from 0, at ``REACH`` or farther, to 1, touching or inside.
     """

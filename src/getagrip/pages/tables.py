@@ -21,7 +21,7 @@ SAID = {"iou": "iou, in the crop", "iou_soft": "iou_soft, in the crop"}
 
 
 def tables(view: View, evaluation: Evaluation, record: Json) -> list[dict[str, object]]:
-    """Tables as ``parts/report.js`` reads them: a title, names of columns or none, and rows of texts."""
+    """Return tables as ``parts/report.js`` reads them: a title, names of columns or none, and rows of texts."""
     result = view.result
     known = {metric.key(contact): metric for metric in METRICS for contact in CONTACT_DEFINITIONS}
     values = [

@@ -39,24 +39,24 @@ class Sheet:
         return Sheet(figure, width, height, dpi)
 
     def pixels(self, inches: float) -> int:
-        """Pixels of a length."""
+        """Return the pixels of a length."""
         return round(inches * self.dpi)
 
     def axes(self, x: float, top: float, width: float, height: float) -> Axes:
-        """Axes at a place."""
+        """Add axes at a place."""
         return self.figure.add_axes(
             (x / self.width, 1.0 - (top + height) / self.height, width / self.width, height / self.height)
         )
 
     def tile(self, x: float, top: float, side: float, size: int | None = None) -> Axes:
-        """Square axes without ticks, which count pixels of a picture of ``size`` (default: the tile's own)."""
+        """Add square axes without ticks, which count pixels of a picture of ``size`` (default: the tile's own)."""
         size = size or self.pixels(side)
         axes = self.axes(x, top, side, side)
         axes.set(xticks=[], yticks=[], xlim=(0, size), ylim=(size, 0), facecolor=PAPER)
         return axes
 
     def text(self, x: float, top: float, words: str, within: float = np.inf, **style: Any) -> None:
-        """Words at a place, as they are: a dollar sign in a name begins no formula.
+        """Write words at a place, as they are: a dollar sign in a name begins no formula.
 
         Words that are wider than ``within`` [in] are shortened in the middle: names of clips differ at their ends.
         """
@@ -73,7 +73,7 @@ class Sheet:
         self.text(0.25, 0.47, under, self.width - 0.4, fontsize=9.5, color=FAINT)
 
     def legend(self, x: float, top: float, entries: Sequence[tuple[str, str]], style: str = "line") -> None:
-        """Colours and what each means, side by side: as lines, dots or squares."""
+        """Draw colours and the meaning of each, side by side: as lines, dots or squares."""
         from matplotlib.lines import Line2D
 
         looks: dict[str, dict[str, Any]] = {

@@ -41,7 +41,7 @@ def smoothed(track: Float[ndarray, "T k"], over: float) -> Float[ndarray, "T k"]
 
 
 def overlay(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
-    """Frame ``n`` in window ``k``, with the contours of hand and object."""
+    """Draw frame ``n`` in window ``k``, with the contours of hand and object."""
     picture, K = image_in(view, n, crops, k), intrinsics_of(view, n, crops, k)
     for hand in view.hands(n):
         _draw(picture, silhouette_lines(*hand, K, crops.size), HAND_LINE, crops.size / 400.0)
@@ -51,7 +51,7 @@ def overlay(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size si
 
 
 def turned(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size size 3"]:
-    """Hand, object and axis of frame ``n``, from the side."""
+    """Draw hand, object and axis of frame ``n``, from the side."""
     picture, line = posed(view, n, crops, k, from_side=True)
     if line is not None:
         uv, visible = line

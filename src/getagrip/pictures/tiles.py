@@ -42,7 +42,7 @@ AxisLine = tuple[Float[ndarray, "n 2"], Bool[ndarray, "n"]]
 
 
 def windows(views: Sequence[View], frames: Int[ndarray, "n"], size: int) -> Crops:
-    """Square windows of one size around hand and object of all views, which show the same frames of the same clip."""
+    """Return square windows of one size around hand and object of all views, at the same frames of one clip."""
     boxes = []
     for n in frames:
         uv = np.concatenate([project(v.clip.K[n], np.concatenate([v.hand(n), v.object(n)])) for v in views])
@@ -91,7 +91,7 @@ def image_in(view: View, n: int, crops: Crops, k: int) -> UInt8[ndarray, "size s
 
 
 def rendered(axes: Axes, view: View, n: int, crops: Crops, k: int, from_side: bool) -> None:
-    """Hand, object and axis in window ``k``, from the camera; or from the side, at the same scale if it fits."""
+    """Draw hand, object and axis in window ``k``, from the camera; or from the side, at the same scale if it fits."""
     picture, line = posed(view, n, crops, k, from_side)
     show(axes, picture)
     if line is not None:

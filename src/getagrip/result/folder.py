@@ -120,7 +120,7 @@ def _resolved(folder: str) -> str:
 
 
 def software(*also: str) -> dict[str, str]:
-    """Versions of the package, of Python, and of the libraries that the numbers depend on; and which code it is.
+    """Return the versions of the package, of Python and of the libraries, and the code's checksum.
 
     ``also`` are parts of the package that a reconstruction does not depend on, but what is made does.
     """

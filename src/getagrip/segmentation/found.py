@@ -126,7 +126,7 @@ def _at_all(found: DetectedSegments, rows: Int[ndarray, "n"], frames: int) -> De
 
 
 def moving_runs(clip: Clip, masks: Masks) -> list[tuple[int, int]]:
-    """First and last frame of each run of frames in which the object does not lie still, by its image motion alone."""
+    """Return first and last frame of each run of frames in which the object moves, by image motion alone."""
     return _runs(_moved(clip, masks))
 
 
@@ -254,7 +254,7 @@ def reconstructed(
 
 
 def stable_in(clip: Clip, found: Reconstructed, definition: Definition) -> list[tuple[int, int]]:
-    """First and last frame of each stable grasp (Eq. 2) that has a frame in which the object is held."""
+    """Return first and last frame of each stable grasp (Eq. 2) that contains a grasped frame."""
     part = clip.take(found.frames)
     fingers = gaussian_filter1d(part.hand.vertices, STEADIED * clip.fps, axis=0, mode="nearest")
     posed = Truth(found.T_cam_obj, found.scale, found.T_cam_hand, fingers)

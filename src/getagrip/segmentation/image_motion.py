@@ -87,7 +87,7 @@ def image_motion(clip: Clip, masks: Masks, lags: int) -> ImageMotion:
 
 
 def visible_contour(object_: Bool[ndarray, "H W"], ignore: Bool[ndarray, "H W"]) -> float:
-    """Length of a mask's border with visible background [px]."""
+    """Return the length of a mask's border with visible background [px]."""
     rows, cols = np.flatnonzero(object_.any(axis=1)), np.flatnonzero(object_.any(axis=0))
     if not rows.size:
         return 0.0

@@ -82,7 +82,7 @@ def _misfit(one: HingeFit, jitter: float) -> Float[ndarray, "n"]:
 
 
 def residual(distance: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
-    """Cost of distances in standard deviations, those that are not known for nothing."""
+    """Compute the cost of distances in standard deviations; unknown ones cost nothing."""
     excess = np.maximum(np.nan_to_num(distance, nan=0.0) - 1.0, 0.0)
     return np.asarray(np.minimum(0.5 * SAMPLES * excess**2, MOST))
 

@@ -46,12 +46,12 @@ class Paths:
     """Which pose each path began with."""
 
     def at(self, frames: Int[ndarray, "m"]) -> Paths:
-        """At some of the frames."""
+        """Return the paths at some of the frames."""
         return Paths(self.found.at(frames), self.start)
 
 
 def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypotheses) -> Paths:
-    """Hypotheses of the frame ``begin``, taken through others in the given order, which may lead back in time.
+    """Follow hypotheses of the frame ``begin`` through others in the given order, which may lead back in time.
 
     In frames that do not show the object it stays where it was.
     """

@@ -46,7 +46,7 @@ class Footage:
 
     @staticmethod
     def of(clip: Clip, masks: Masks, options: Options) -> Footage:
-        """Without a world, the camera's own frame stands for one.
+        """Make the footage; without a world, the camera's own frame stands for one.
 
         Raises ``InputError`` where the object is visible in fewer than two frames.
         """
@@ -91,9 +91,9 @@ class Footage:
         return grasp_clip(self.clip, self.masks, segment)
 
     def observed(self, rows: Int[ndarray, "n"]) -> Int[ndarray, "m"]:
-        """Those of some frames whose masks show the object."""
+        """Return those of some frames whose masks show the object."""
         return rows[self.masks.take(rows).observed]
 
     def problem(self, rows: Int[ndarray, "n"]) -> Problem:
-        """At frames that show the object, in the given order, with the hand as it was given."""
+        """Make the problem at frames that show the object, in the given order, with the input hand."""
         return self.some.at(self.clip.take(rows), self.masks.take(rows))

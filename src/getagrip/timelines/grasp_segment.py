@@ -107,7 +107,7 @@ class GraspTrack:
 
 
 def in_all_frames(footage: Footage, grasp: GraspSolutions, k: int, neighbours: Sequence[Neighbour]) -> GraspTrack:
-    """Solution k, fitted once more with its links, in every frame."""
+    """Fit solution k once more with its links, in every frame."""
     motion = grasp.motion.take(np.array([k]))
     energy = {"total": grasp.energy[[k]]}
     solution = Solution(motion, grasp.energy[[k]], energy, [Status.FINISHED], 0)

@@ -28,18 +28,18 @@ class Hypotheses(Batch):
     energy: Float[ndarray, "K"]
 
     def at(self, frames: Int[ndarray, "m"]) -> Hypotheses:
-        """At some of the frames."""
+        """Return the hypotheses at some of the frames."""
         return Hypotheses(self.R[:, frames], self.centre[:, frames], self.scale, self.energy)
 
     def T_world_obj(self, centre: Float[ndarray, "3"]) -> Float[ndarray, "K n 4 4"]:
-        """Poses of the mesh's own frame, in which its centre is where it is given."""
+        """Return poses of the mesh's own frame, in which its centre is where it is given."""
         scale = self.scale[:, None, None]
         return se3.rigid(self.R, self.centre - scale * (self.R @ centre))
 
     def seen_from(
         self, T_cam_world: Float[ndarray, "n 4 4"]
     ) -> tuple[Float[ndarray, "K n 3 3"], Float[ndarray, "K n 3"]]:
-        """Rotations and centres in another frame than the world, as the camera's or the hand's."""
+        """Return rotations and centres in another frame than the world, as the camera's or the hand's."""
         return T_cam_world[:, :3, :3] @ self.R, se3.transform(T_cam_world, self.centre[:, :, None])[:, :, 0]
 
 
@@ -50,6 +50,6 @@ def in_world(
     energy: Float[ndarray, "K"],
     T_world_other: Float[ndarray, "n 4 4"],
 ) -> Hypotheses:
-    """Hypotheses from poses in another frame than the world."""
+    """Make hypotheses from poses in another frame than the world."""
     placed = se3.transform(T_world_other, centre[:, :, None])[:, :, 0]
     return Hypotheses(T_world_other[:, :3, :3] @ R, np.asarray(placed), scale, energy)

@@ -44,6 +44,7 @@ def joint(footage: Footage, support: bool = True, on_stage: Callable[[str], None
 
 
 
+
     """
     static = _static(footage, support)
     on_stage("static")

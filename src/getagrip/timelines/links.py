@@ -19,7 +19,7 @@ from getagrip.timelines.link_term import SLIP
 
 
 def link_cost(mesh: Mesh, paths: Paths, start: Hypotheses, ends: Hypotheses, most: float) -> Float[ndarray, "K L"]:
-    """Energy of each pair of hypotheses of two segments [px^2], ``most`` at the most, each at one frame.
+    """Compute the energy of each pair of hypotheses of two segments [px^2], ``most`` at the most, each at one frame.
 
     ``paths`` lead from ``start`` to the frame that ``ends`` are of.
     """
@@ -31,14 +31,14 @@ def link_cost(mesh: Mesh, paths: Paths, start: Hypotheses, ends: Hypotheses, mos
 
 
 def distance2(mesh: Mesh, one: Hypotheses, other: Hypotheses) -> Float[ndarray, "K L"]:
-    """Mean squared distance of the vertices between hypotheses, each at one frame [m^2]."""
+    """Compute the mean squared distance of the vertices between hypotheses, each at one frame [m^2]."""
     about = mesh.vertices - mesh.centre
     posed = [h.scale[:, None, None] * about @ np.swapaxes(h.R[:, 0], -1, -2) + h.centre[:, :1] for h in (one, other)]
     return np.asarray(np.sum((posed[0][:, None] - posed[1][None]) ** 2, axis=-1).mean(axis=-1))
 
 
 def followed_to(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypotheses) -> Paths:
-    """Hypotheses of the frame ``begin`` in later frames, or in earlier ones, in the order in which they are met."""
+    """Follow hypotheses of the frame ``begin`` into later frames, or earlier ones, in the order of the frames."""
     step = 1 if rows[-1] > begin else -1
     through = np.arange(begin + step, rows[-1] + step, step)
     return follow(footage, begin, through, start).at((rows - through[0]) * step)

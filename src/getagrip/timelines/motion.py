@@ -42,7 +42,7 @@ class Motion:
 
     @staticmethod
     def of(footage: Footage) -> Motion:
-        """Nothing known yet."""
+        """Make a motion of which nothing is known yet."""
         T, clip = len(footage), footage.clip
         hands = {clip.side: clip.hand.T_cam_hand.copy()}
         if clip.other_hand is not None:

@@ -39,7 +39,7 @@ LIKELY = 1.5
 def static_hypotheses(
     footage: Footage, segment: Segment, support: bool, start: Hypotheses | None = None
 ) -> Hypotheses | None:
-    """Solutions in the frames of a segment, all the same pose; None where fewer than two of them show the object.
+    """Search for the pose in the frames of a segment; None where fewer than two of them show the object.
 
     ``start`` are poses to begin with besides uniform rotations (their first frame's). ``support``: whether the plane
     counts. Raises ``GetagripError`` where nothing can be rendered.
@@ -74,7 +74,7 @@ def support_of(problem: Problem) -> Energy:
 
 
 def initial_poses(problem: Problem, start: Hypotheses | None) -> Fixed:
-    """Given poses, then uniform rotations on the ray through the first mask, as far as the mask is small.
+    """Return the given poses, then uniform rotations on the ray through the first mask, as far as the mask is small.
 
     A free scale begins where the object is as far away as the hand is on average.
     """

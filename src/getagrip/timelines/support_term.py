@@ -46,7 +46,7 @@ class SupportTerm:
 
 
 def hull_vertices(vertices: Float[ndarray, "V 3"]) -> Float[ndarray, "n 3"]:
-    """Those that can be the lowest."""
+    """Return the vertices that can be the lowest."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:

@@ -66,7 +66,10 @@ class DexYcb(TrackedDataset):
         return [Source(s.name, partial(_tracks, s, models, self.whole, shortest)) for s in found]
 
     def parts(self, note: Note) -> AnyOf[Part]:
-        """Its sequences, cut to stable grasps, or whole. Raises ``UsageError`` for options that exclude each other."""
+        """List its sequences, cut to stable grasps, or whole.
+
+        Raises ``UsageError`` for options that exclude each other.
+        """
         if not self.timelines:
             return super().parts(note)
         if self.whole or self.grasps.listed is not None:
@@ -133,7 +136,7 @@ class FittedTrack(Track):
         }
 
     def hand_depth(self) -> Float[ndarray, "T V"]:
-        """Signed distances of the hand's vertices to the object [m], negative inside."""
+        """Compute the signed distances of the hand's vertices to the object [m], negative inside."""
         mesh = self.mesh
         points = se3.transform(se3.inverse(self.T_cam_obj) @ self.hand.T_cam_hand, self.hand.vertices)
         return signed_distance(points.reshape(-1, 3), mesh.vertices, mesh.faces).reshape(points.shape[:2])

@@ -98,7 +98,9 @@ class EpicCamera:
 
 
 def annotated(files: Sequence[Path], mapping: visor.Mapping, grasps: Sequence[EpicGrasp]) -> dict[str, VisorFrames]:
-    """VISOR's frames within each grasp, by the grasp's name, that show its object. Raises ``InputError``.
+    """Collect VISOR's frames within each grasp, by the grasp's name, that show its object.
+
+    Raises ``InputError``.
 
     Where a frame is annotated more than once, people's annotations come before interpolated ones, then the fullest.
     """

@@ -77,7 +77,7 @@ class Action:
 
 
 def numbering_rate(video: str) -> float:
-    """Frames that EPIC numbers in a second of a video: 50 or 60, whatever the rate of the file."""
+    """Return the number of frames that EPIC counts in a second of a video: 50 or 60, whatever the rate of the file."""
     return 50.0 if len(video.partition("_")[2]) == 3 else 60.0
 
 

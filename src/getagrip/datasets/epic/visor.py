@@ -86,7 +86,7 @@ class Mapping:
     """EPIC's numbers of sparse frames; empty without a mapping: then the same numbers are assumed."""
 
     def number(self, frame: Frame) -> int:
-        """EPIC's number of a frame: its own or, for a dense frame, moved as the nearer of its two ends is."""
+        """Return EPIC's number of a frame: its own or, for a dense frame, moved as the nearer of its two ends is."""
         known = [n for n in (frame.number, *(frame.ends or ())) if n in self.epic]
         if not known:
             return frame.number

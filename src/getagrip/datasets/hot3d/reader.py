@@ -178,7 +178,7 @@ def _tracks(
 
 
 def tracks(folder: Path, recording: Recording, objects: Objects, note: Note) -> Iterator[Track]:
-    """Every hand with every object of a recording that has a mesh, object by object. Raises ``InputError``."""
+    """Yield every hand with every object of a recording that has a mesh, object by object. Raises ``InputError``."""
     meshes = objects.read(recording, note)
     covered = recording.camera.pinhole.covered(recording.camera.fisheye)
     for uid, poses in recording.objects.items():  # timelines look at both hands of an object

@@ -49,7 +49,7 @@ def drawn(mesh: Mesh, share: float, rng: np.random.Generator) -> Deformation:
 
 
 def misfit(cad: Mesh, grasped: Mesh) -> float:
-    """Root mean square distance of corresponding points of the surfaces after the best similarity [m]."""
+    """Compute the root mean square distance of corresponding points of the surfaces after the best similarity [m]."""
     T, size = aligned(cad, grasped, resize=True)
     off = np.sum((se3.transform(T, size * cad.vertices) - grasped.vertices) ** 2, axis=1)
     return float(np.sqrt(grasped.vertex_areas @ off / grasped.vertex_areas.sum()))

@@ -60,7 +60,7 @@ def other_hand(
 
 
 def smooth(rng: np.random.Generator, frames: int, curves: int) -> Float[ndarray, "T curves"]:
-    """Random slow curves with values in [-1, 1]: a few low frequencies over the clip."""
+    """Draw random slow curves with values in [-1, 1]: a few low frequencies over the clip."""
     t = np.linspace(0.0, 1.0, frames)[:, None, None]
     frequency = np.pi * np.array([1.0, 2.0, 3.0])[:, None]
     amplitude = rng.normal(size=(3, curves)) / np.array([1.0, 2.0, 4.0])[:, None]

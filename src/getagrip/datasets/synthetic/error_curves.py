@@ -86,7 +86,7 @@ class Drawn:
 
 
 def draw(noise: Noise, frames: int, fps: float, rng: np.random.Generator) -> Drawn:
-    """Errors of a clip. The same generator draws the same errors, larger or smaller, for every noise."""
+    """Draw the errors of a clip. The same generator draws the same errors, larger or smaller, for every noise."""
     # Generators of their own: hands err alike whatever their depth, fingers and outliers do.
     depth, fingers, levels, bursts = rng.spawn(4)
     a = float(np.exp(-1.0 / (fps * noise.jitter_memory_s))) if noise.jitter_memory_s > 0.0 else 0.0

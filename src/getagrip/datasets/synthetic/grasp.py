@@ -179,7 +179,7 @@ class Grasper:
         return se3.rigid(None, offset[k]) @ T_hand_obj
 
     def close(self, T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 5 3"]:
-        """Joint angles [rad] of the hand closed on the object at each of its poses."""
+        """Close the hand on the object at each of its poses; return its joint angles [rad]."""
         angles = np.broadcast_to(np.radians(_HOLDS[self.hold].opened), (len(T_hand_obj), 5, 3))
         angles = self._sweep(angles, T_hand_obj, range(1, 5))
         return self._close_thumb(angles, T_hand_obj, self._other_fingers(angles))
@@ -243,7 +243,7 @@ class Grasper:
         return _first_below(gap, -TOUCH)
 
     def gaps(self, angles: Float[ndarray, "A 5 3"], T_hand_obj: Float[ndarray, "A 4 4"]) -> Float[ndarray, "A 6"]:
-        """Smallest signed distance of each finger, thumb first, and of the palm to the object [m]."""
+        """Compute the smallest signed distance of each finger, thumb first, and of the palm to the object [m]."""
         parts = [self._members(f) for f in range(5)] + [self._members(0, wrist=True)]
         posed = self.posed(angles)
         return np.stack([self._gap(posed, part, T_hand_obj) for part in parts], axis=-1)

@@ -76,7 +76,7 @@ class InHand:
 
 
 def hinge(grasper: Grasper, T_base: Float[ndarray, "4 4"], options: SceneOptions, rng: np.random.Generator) -> InHand:
-    """Nearly a rotation about one axis."""
+    """Make a motion that is nearly a rotation about one axis."""
     axis = _turning_axis(grasper, T_base, options, rng)
     line = se3.rotation_about_line(axis.point, axis.direction, axis.angle)
     residual = about(
@@ -116,7 +116,7 @@ def measured(
 
 
 def draw(statistics: MotionStatistics, rng: np.random.Generator) -> dict[str, float]:
-    """Numbers of one grasp, in SI units: the measures of ``JOINT``."""
+    """Draw the numbers of one grasp, in SI units: the measures of ``JOINT``."""
     root = np.linalg.cholesky(statistics.log_covariance)
     while np.abs(z := rng.normal(size=len(JOINT))).max() > UNUSUAL:
         pass
@@ -131,7 +131,9 @@ def motion(
     frames: int,
     rng: np.random.Generator,
 ) -> tuple[Float[ndarray, "N 3 3"], Float[ndarray, "N 3"], Residual]:
-    """Rotations and positions of the centre [m] about nearly a hinge, with some spectra; and their residual.
+    """Draw rotations and positions of the centre [m] about nearly a hinge, with some spectra.
+
+    Also return their residual.
 
     Args:
         starts: hinges to begin with; ``grasps.motion`` may find others in what is made of them.

@@ -46,7 +46,7 @@ class Tube:
 
 
 def loft(rings: Float[ndarray, "R N 3"], tubes: Sequence[Tube] = ()) -> Mesh:
-    """Mesh rings of points, each counter-clockwise about the direction to the next, with tubes grown on; closed.
+    """Build a closed mesh from rings, each counter-clockwise about the direction to the next, with tubes on it.
 
     The first and the last ring are capped by a fan about their mean.
     """
@@ -87,7 +87,7 @@ def torus(path: Float[ndarray, "P 3"], side: Float[ndarray, "3"], radius: float)
 
 
 def together(meshes: Sequence[Mesh]) -> Mesh:
-    """Several closed parts as one mesh; they may overlap."""
+    """Join several closed parts to one mesh; they may overlap."""
     offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     faces = [m.faces + offset for m, offset in zip(meshes, offsets[:-1], strict=True)]
     return Mesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces))

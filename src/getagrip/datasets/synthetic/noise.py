@@ -140,7 +140,7 @@ def noisy_hand(clip: Clip, noise: Noise, rng: np.random.Generator) -> HandTrack:
 
 
 def noisy_masks(masks: Masks, noise: Noise, rng: np.random.Generator) -> Masks:
-    """Masks whose boundaries are off; what is ignored stays ignored rather than the object's."""
+    """Displace the boundaries of masks; what is ignored stays ignored rather than the object's."""
     if noise.mask_ragged_px == 0.0:
         return masks
     objects, ignored, hands = [], [], []

@@ -231,7 +231,7 @@ def ground_truth_masks(scene: Scene) -> Masks:
 
 
 def pictures(scene: Scene) -> list[UInt8[ndarray, "H W 3"]]:
-    """Plain pictures of the scene, one per frame."""
+    """Render plain pictures of the scene, one per frame."""
     width, height = scene.options.size
     shade = np.linspace(0.93, 0.74, height)[:, None, None] * np.array([1.0, 0.98, 0.95])
     background = np.broadcast_to(255.0 * shade, (height, width, 3)).astype(np.uint8)

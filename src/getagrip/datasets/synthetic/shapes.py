@@ -18,7 +18,7 @@ from getagrip.geometry.mesh import Mesh
 
 
 def scaled(corners: str, across: float, along: float) -> list[tuple[float, float]]:
-    """Corners "a b, a b, ..." in units of two sizes of the object, in metres."""
+    """Parse corners "a b, a b, ..." in units of two sizes of the object, in metres."""
     pairs = [pair.split() for pair in corners.split(",")]
     return [(float(a) * across, float(b) * along) for a, b in pairs]
 
@@ -36,7 +36,7 @@ def _resampled(corners: Sequence[tuple[float, float]], spacing: float) -> Float[
 def revolved(
     corners: Sequence[tuple[float, float]], columns: int, spacing: float, focus: float = 0.0
 ) -> Float[ndarray, "R N 3"]:
-    """Rings of a surface of revolution about z, from a profile of (radius, height) corners.
+    """Make the rings of a surface of revolution about z, from a profile of (radius, height) corners.
 
     ``focus`` in [0, 1) crowds the columns towards +x, where a handle is to leave.
     """
@@ -214,7 +214,10 @@ def spoon(length: float = 0.19, width: float = 0.046) -> Mesh:
 
 
 def scissors(length: float = 0.19, spread: float = 0.30) -> Mesh:
-    """Slightly open scissors, blades towards +x: two crossing blades and two finger rings, ``spread`` in radians."""
+    """Make slightly open scissors, blades towards +x.
+
+    Two crossing blades and two finger rings, ``spread`` in radians.
+    """
     halves = []
     n = 14
     s = np.linspace(0.0, 1.0, n)

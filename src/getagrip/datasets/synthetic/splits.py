@@ -39,7 +39,7 @@ BOTH_HANDS = 0.3
 
 
 def split(name: Split, preset: str = "clean") -> list[tuple[str, int, SceneOptions]]:
-    """Category, seed and options of every clip of a split, as ``synthesise`` takes them.
+    """List category, seed and options of every clip of a split, as ``synthesise`` takes them.
 
     Left and right hands alternate. Grips vary, and the object departs from its axis by up to 4 degrees and 2 mm, except
     in ``measured``.

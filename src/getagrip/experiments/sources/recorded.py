@@ -31,7 +31,10 @@ class Recorded(ClipSource):
         raise NotImplementedError
 
     def training(self, subjects: Collection[str]) -> Collection[str]:
-        """Those of the subjects that are for training: unless a dataset says otherwise, of every three the first."""
+        """Return the subjects that are for training.
+
+        Unless a dataset says otherwise, every third, beginning with the first.
+        """
         return sorted(subjects)[::3]
 
     def samples(self, clips: Path, debug: bool, share: Share | None = None) -> tuple[list[Sample], list[Outcome]]:

@@ -27,7 +27,7 @@ class TangentPlanes:
 
     @staticmethod
     def of(hand: HandTrack, per_region: int | None = None) -> TangentPlanes:
-        """At all vertices of the regions, or at most ``per_region`` spread evenly over each."""
+        """Make the planes at all vertices of the regions, or at most ``per_region`` spread evenly over each."""
         ids = np.concatenate(contact_ids(hand, per_region))
         R, t = hand.T_cam_hand[:, :3, :3], hand.T_cam_hand[:, :3, 3, None]
         normals = vertex_normals(hand.vertices, hand.faces)[:, ids]

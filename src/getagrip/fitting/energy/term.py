@@ -36,7 +36,7 @@ class Quadratic:
 
     @staticmethod
     def zero(poses: PosesInCamera) -> Quadratic:
-        """Zeros, for a term to fill in."""
+        """Return zeros, for a term to fill in."""
         B, N = poses.centre.shape[:2]
         return Quadratic(np.zeros((B, N)), np.zeros((B, N, 7)), np.zeros((B, N, 7, 7)))
 

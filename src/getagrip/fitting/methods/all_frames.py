@@ -138,7 +138,7 @@ def dynamic(problem: Problem, on_stage: OnStage, energy_of: EnergyOf | None = No
 
 
 def energy_alone(problem: Problem) -> Energy:
-    """Eq. 5 where no other term ties the object to the hand."""
+    """Return Eq. 5 where no other term links the object to the hand."""
     return total_energy(problem, ALONE)
 
 

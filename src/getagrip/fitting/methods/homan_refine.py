@@ -66,7 +66,7 @@ class Bodies:
         return PosesInHand(T_hand_obj[None, :, :3, :3], T_hand_obj[None, :, :3, 3], np.array([self.scale]))
 
     def retract(self, step: Float[ndarray, "N 12"], stretch: float) -> Bodies:
-        """After local steps of object and hand, and of the log scale."""
+        """Apply local steps of object and hand, and of the log scale."""
         return replace(
             self,
             R=se3.exp_so3(step[:, 3:6]) @ self.R,
@@ -157,7 +157,7 @@ class JointEnergy:
 
 
 def refine(problem: Problem, track: Free) -> Refined:
-    """Object and hand from one track of the object and the given hand."""
+    """Refine object and hand, from one track of the object and the input hand."""
     tracked = problem.clip.hand
     grip = tracked.vertices.mean(axis=1)
     bodies = Bodies(
@@ -232,7 +232,7 @@ class _State:
 
 
 def descend(energy: JointEnergy, bodies: Bodies, iterations: int, free_scale: bool) -> Refined:
-    """Levenberg-Marquardt on all numbers of a track at once, by the rules of ``solve.minimise``."""
+    """Run Levenberg-Marquardt on all numbers of a track at once, by the rules of ``solve.minimise``."""
     found = least_squares.minimise(_State.of(energy, bodies, free_scale), iterations)
     values = found.state.values
     return Refined(found.state.bodies, sum(values.values()), values, STATUS[found.endings[0]])

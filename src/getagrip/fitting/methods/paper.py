@@ -103,7 +103,7 @@ def about_z(initial: Fixed, centre: Float[ndarray, "3"], anywhere: bool = True) 
 
 
 def energy_of(problem: Problem) -> Energy:
-    """Eq. 5 to the letter, but for the departures that the options name."""
+    """Return Eq. 5 to the letter, but for the departures that the options name."""
     ours, options = problem.options.departures, problem.options
     if ours.scale:
         push, pull = contact_weights(problem, ALONE * options.push, ALONE * options.pull)
@@ -117,14 +117,14 @@ def energy_of(problem: Problem) -> Energy:
 
 
 def paper_push_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
-    """E_push of the appendix, by its weight in each frame [px^2 / m]."""
+    """Return E_push of the appendix, by its weight in each frame [px^2 / m]."""
     vertices, _ = _surface(problem)
     planes = {level: TangentPlanes.of(problem.clip.hand, count) for level, count in CONTACTS.items()}
     return lambda level, index: [PaperPushTerm(vertices, planes[level].take(index), weight[index])]
 
 
 def paper_pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
-    """E_pull of the appendix, likewise."""
+    """Return E_pull of the appendix, by its weight in each frame [px^2 / m]."""
     surface = _surface(problem)
     hands = {level: HandContacts.of(problem.clip.hand, count) for level, count in CONTACTS.items()}
     return lambda level, index: [PaperPullTerm(*surface, hands[level].take(index), weight[index])]
@@ -138,7 +138,7 @@ def _surface(problem: Problem) -> tuple[Float[ndarray, "3 V"], Float[ndarray, "3
 
 
 def every_start(problem: Problem, motion: M, energy: Energy, on_stage: OnStage) -> Solution[M]:
-    """Every hypothesis fitted to its end, on all frames at 256 pixels."""
+    """Fit every hypothesis to its end, on all frames at 256 pixels."""
     T = problem.clip.hand.T_cam_hand
     terms = energy(CROP, np.arange(len(T)))
     parts = []
@@ -154,7 +154,10 @@ def every_start(problem: Problem, motion: M, energy: Energy, on_stage: OnStage) 
 
 
 def chosen(problem: Problem, found: Solution[M]) -> Solution[M]:
-    """Distinct solutions, best first: by IOU, or by energy. Raises ``GetagripError`` where nothing was rendered."""
+    """Choose distinct solutions, best first: by IOU, or by energy.
+
+    Raises ``GetagripError`` where nothing was rendered.
+    """
     score = found.energy
     if not problem.options.departures.choice:
         score = np.where(np.isfinite(score), -crop_iou(problem, found.motion), np.inf)
@@ -165,7 +168,7 @@ def chosen(problem: Problem, found: Solution[M]) -> Solution[M]:
 
 
 def crop_iou(problem: Problem, motion: Motion) -> Float[ndarray, "B"]:
-    """Mean IOU of rendered and observed masks over the frames, in the crops, outside hidden pixels."""
+    """Compute the mean IOU of rendered and observed masks over the frames, in the crops, outside hidden pixels."""
     observation, clip = problem.observation, problem.clip
     poses = in_camera(motion, clip.hand.T_cam_hand)
     tables = SilhouetteMesh.of(clip.mesh, clip.mesh.centre).tables

@@ -61,7 +61,7 @@ def placed(poses: PosesInHand, centre: Float[ndarray, "3"]) -> Float[ndarray, "B
 
 
 def moved(poses: PosesInHand, T: Float[ndarray, "N 4 4"]) -> PosesInHand:
-    """Poses as another frame has them, given the hand's pose in it, and the other way round with the inverse."""
+    """Transform poses to another frame, given the hand's pose in it; the inverse leads back."""
     R = T[:, :3, :3]
     return PosesInHand(R @ poses.R, (R @ poses.centre[..., None])[..., 0] + T[:, :3, 3], poses.scale)
 

@@ -163,7 +163,7 @@ class Hinge(Batch):
 
 
 def tangents(direction: Float[ndarray, "B 3"]) -> Float[ndarray, "B 2 3"]:
-    """Two unit vectors orthogonal to each unit vector, and to each other."""
+    """Return two unit vectors orthogonal to each unit vector, and to each other."""
     helper = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
     first = np.cross(direction, helper)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)

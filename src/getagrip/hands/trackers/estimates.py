@@ -125,7 +125,7 @@ class Estimates:
 
 
 def rotations(path: Path, key: str, values: Float[ndarray, "... 3"], axes: int) -> Float[ndarray, "... 3 3"]:
-    """Rotation matrices (..., 3, 3) from rotation vectors [rad] (..., 3), or from matrices that a network has rounded.
+    """Convert rotation vectors [rad] (..., 3), or rounded matrices, to rotation matrices (..., 3, 3).
 
     ``axes`` is the number of leading axes: three vectors are no matrix. Raises ``InputError`` for other matrices.
     """

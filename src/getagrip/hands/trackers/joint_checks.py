@@ -51,7 +51,7 @@ def check_before_camera(path: Path, joints: Float[ndarray, "T 21 3"]) -> None:
 
 
 def in_order(path: Path, joints: Float[ndarray, "T 21 3"], order: Order, side: Side) -> Ordered:
-    """Joints (T, 21, 3) [m] in an order that is stated, or that is found by the hand that fits.
+    """Return joints (T, 21, 3) [m] in an order that is stated, or that is found by the hand that fits.
 
     Raises ``InputError`` for joints that another order or the other side fits clearly better.
     """

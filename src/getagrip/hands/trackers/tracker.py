@@ -41,7 +41,7 @@ class Tracker:
 
 
 def per_image(paths: Sequence[Path], request: Request) -> Iterator[tuple[Path, int, records.Record]]:
-    """Yield, for single images whose names are like those of frames: the file, the frame's index, the content.
+    """Yield the file, the frame's index and the content of single images whose names are like those of frames.
 
     A file is of one image, and named like it, or holds a dictionary with the names of images as keys. Raises
     ``InputError`` where no name is that of a frame of the request.

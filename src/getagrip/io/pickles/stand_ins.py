@@ -94,7 +94,7 @@ class StandIns:
         return self._names[module, name]
 
     def make(self, name: object, arguments: object) -> object:
-        """With the arguments that numpy writes; all others are refused, as a forbidden name is."""
+        """Return the stand-in for the arguments that numpy writes; all others are refused, as a forbidden name is."""
         match name, arguments:
             case Name("dtype"), (str() as kind, *_):
                 return DType(kind)

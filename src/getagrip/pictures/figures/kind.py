@@ -81,7 +81,7 @@ def summary(view: View) -> str:
 
 
 def about(view: View) -> list[str]:
-    """Object and hand, number of frames, and what is a guess."""
+    """Describe object and hand, number of frames, and assumptions."""
     clip = view.clip
     return [f"{clip.category} in a {clip.side} hand", view.frames_in_words, *guesses(view)]
 
