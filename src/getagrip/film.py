@@ -16,7 +16,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 from scipy.spatial import ConvexHull, QhullError
 
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.geometry import se3
 from getagrip.geometry.render import nearest_surface, render_rgb
 from getagrip.io.videos import write_video
@@ -95,7 +95,7 @@ def _timeline(view: View) -> Iterator[UInt8[ndarray, "H W 3"]]:
 def _under(view: View) -> Iterator[str]:
     """Yield the line of words under each frame."""
     result, clip = view.result, view.clip
-    shared = [method_of(result.method).label, *["scale is a guess"] * (clip.scale == "free")]
+    shared = [label_of(result.method), *["scale is a guess"] * (clip.scale == "free")]
     shared += ["shape is a guess"] * (result.warp is not None)
     shared += ["ambiguous"] * result.ambiguous
     for name, kind in zip(result.frames, result.frame_kind, strict=True):

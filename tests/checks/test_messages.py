@@ -15,7 +15,7 @@ from getagrip.finding import read_findings
 from getagrip.io.files import to_json
 from helpers.clips import small_clip
 
-CHECKS = {check.name: check for check in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP, FLOATS)}
+CHECKS = {check.name: check for check in (*INPUT_CHECKS.values(), *RESULT_CHECKS.values(), JUMP, FLOATS)}
 
 
 @pytest.mark.parametrize(

@@ -52,10 +52,10 @@ def test_a_focal_length_in_millimetres_is_refused() -> None:
 
 def test_a_clip_with_such_a_camera_has_a_serious_finding() -> None:
     clip, masks = small_clip()
-    _, right = examine(INPUT_CHECKS, Evidence(clip, masks))
+    _, right = examine(INPUT_CHECKS.values(), Evidence(clip, masks))
     K = clip.K.copy()
     K[:, :2] *= 1.5
-    _, found = examine(INPUT_CHECKS, Evidence(replace(clip, K=K), masks))
+    _, found = examine(INPUT_CHECKS.values(), Evidence(replace(clip, K=K), masks))
     assert not {"principal-point", "field-of-view", "pixel-stretch"} & {one.check for one in right}
     (finding,) = (one for one in found if one.check == "principal-point")
     width, height = (round(1.5 * side) for side in clip.size)

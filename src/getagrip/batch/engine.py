@@ -17,7 +17,7 @@ from getagrip.batch.executor import Ended, Start
 from getagrip.batch.ledger import Ledger
 from getagrip.batch.limits import NONE, Limits
 from getagrip.batch.pool import in_turn, shared_out
-from getagrip.io import code, files
+from getagrip.io import files, plugins
 
 
 class Named(Protocol):
@@ -92,7 +92,7 @@ class Engine(Generic[J, R]):
         self, task: J, ledger: Ledger, digest: str, failed_elsewhere: deque[R], waiting: deque[J]
     ) -> Iterator[J]:
         """Claim a task; else wait for it, or pass it over where it has failed elsewhere."""
-        entry = ledger.claim(task.name, digest, code.fingerprint())
+        entry = ledger.claim(task.name, digest, plugins.fingerprint())
         if entry is None:
             waiting.append(task)
         elif entry.state == "failed":
@@ -105,7 +105,7 @@ class Engine(Generic[J, R]):
 
     def _note(self, ended: Ended[J, R], result: R, ledger: Ledger, digest: str) -> None:
         """Write into the ledger what has become of a task."""
-        entry = replace(self.entry(result), name=ended.job.name, options=digest, code=code.fingerprint())
+        entry = replace(self.entry(result), name=ended.job.name, options=digest, code=plugins.fingerprint())
         if entry.state != "kept":
             worker = f"{ended.machine}:{ended.process}"
             entry = replace(entry, worker=worker, attempts=ended.attempts, seconds=ended.seconds)

@@ -9,7 +9,7 @@ from typing import Generic, Protocol, TypeVar
 
 from getagrip.batch.limits import Limits
 from getagrip.errors import GetagripError
-from getagrip.io import code
+from getagrip.io import code, plugins
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -67,9 +67,9 @@ class Executor(Protocol[J, R]):
 
 def check_code(expected: str) -> None:
     """Raise ``GetagripError`` where this machine has another getagrip than the one that gave out the jobs."""
-    if code.fingerprint() != expected:
+    if plugins.fingerprint() != expected:
         here = f"{code.PACKAGE} on {socket.gethostname()}"
-        got = f"getagrip of other code ({code.fingerprint()})"
+        got = f"getagrip of other code ({plugins.fingerprint()})"
         raise GetagripError(f"{here} must be the same on every machine, {expected} (got {got})")
 
 

@@ -21,7 +21,7 @@ from getagrip.batch.limits import Limits
 from getagrip.batch.pool import cores
 from getagrip.batch.processes import Processes
 from getagrip.errors import UsageError
-from getagrip.io import code, extras
+from getagrip.io import extras, plugins
 from getagrip.io.terminal import report
 
 J = TypeVar("J")
@@ -66,7 +66,7 @@ class RayExecutor(Generic[J, R]):
             _connect(self._ray, workers, address or os.environ.get("RAY_ADDRESS"))
         self._workers = workers
         task = self._ray.remote(num_cpus=1, max_retries=0)(_do)
-        how = self._ray.put((work, limits, prepare, code.fingerprint(), os.getcwd()))
+        how = self._ray.put((work, limits, prepare, plugins.fingerprint(), os.getcwd()))
         self._start: Callable[[J], object] = lambda job: task.remote(how, job)
         self._at_work: dict[object, _Submitted[J]] = {}
         self._cpus, self._looked = 0, -LOOK_EVERY

@@ -21,7 +21,7 @@ from getagrip.batch.limits import Limits
 from getagrip.batch.pool import shared_out
 from getagrip.batch.processes import Processes
 from getagrip.errors import GetagripError, UsageError
-from getagrip.io import code, extras
+from getagrip.io import extras, plugins
 from getagrip.io.terminal import report
 
 J = TypeVar("J")
@@ -59,7 +59,7 @@ class SlurmExecutor(Generic[J, R]):
         if shutil.which("sbatch") is None:
             raise UsageError("missing command sbatch: --engine slurm needs a machine that can submit to Slurm")
         self._workers = workers or TASKS
-        self._how = work, limits, prepare, code.fingerprint()
+        self._how = work, limits, prepare, plugins.fingerprint()
         self._errors = submitit.core.utils.UncompletedJobError, submitit.core.utils.FailedJobError
         self._folder = state_folder() / "slurm" / uuid4().hex[:12]
         self._folder.mkdir(parents=True, mode=0o700)

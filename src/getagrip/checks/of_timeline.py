@@ -16,7 +16,7 @@ from getagrip.checks.check import Check, millimetres, of_diameter
 from getagrip.checks.evidence import Evidence, Glitches
 from getagrip.checks.of_segment import SEGMENT_CHECKS, STATIC
 from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, examine
-from getagrip.clip import Clip, Masks, Segment
+from getagrip.clip import Clip, Masks, Segment, modalities, with_evidence, with_masks
 from getagrip.clip.sampling import frame_indices
 from getagrip.finding import Finding
 from getagrip.geometry import se3
@@ -67,7 +67,8 @@ def examine_timeline(
     """Check a timeline and its result: the poses that were found, hands corrected, and IOU, NaN where unobserved."""
     T_hand_obj = se3.inverse(T_cam_hand) @ T_cam_obj
     whole = Evidence(clip.with_hand_at(T_cam_hand, T_cam_other_hand), masks, T_hand_obj, scale, iou, glitches=glitches)
-    of_clip = [c for c in (*INPUT_CHECKS, *RESULT_CHECKS, JUMP) if c.name not in (*WITH_HAND, *OF_MASKS)]
+    every = (*INPUT_CHECKS.working().values(), *RESULT_CHECKS.working().values(), JUMP)
+    of_clip = [c for c in every if c.name not in (*WITH_HAND, *OF_MASKS)]
     checks, findings = examine(of_clip, whole)
     of_segments, failed = [], []
     for segment in clip.segments:
@@ -105,14 +106,16 @@ def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, f
         by, of = (_by_other(one) for one in (by, of))
         T_hand_obj = se3.inverse(by.hand.T_cam_hand) @ whole.clip.hand.T_cam_hand @ T_hand_obj
         masks = replace(masks, hand=None)
-    result = Evidence(by.take(rows), masks, T_hand_obj[rows], whole.scale, iou)
-    checks = [c for c in RESULT_CHECKS if c.name in OF_MASKS or (grasped and c.name in WITH_HAND)]
+    seen_at = with_evidence(with_masks(by.take(rows), masks))
+    result = Evidence(seen_at, masks, T_hand_obj[rows], whole.scale, iou)
+    checks = [c for c in RESULT_CHECKS.working().values() if c.name in OF_MASKS or (grasped and c.name in WITH_HAND)]
     checks += [*SEGMENT_CHECKS, *((STATIC, FLOATS) if segment.state == "static" else ())]
+    checks += [check for one in modalities() for check in (*one.input_checks, *one.result_checks)]
     measured, findings = examine(checks, result)
     if not grasped:
         return measured, findings
     value, wanted = Evidence(of.take(rows), masks), (*WITH_HAND, HAND_SIDE) if other else WITH_HAND
-    of_input, before = examine([c for c in INPUT_CHECKS if c.name in wanted], value)
+    of_input, before = examine([c for c in INPUT_CHECKS.own.values() if c.name in wanted], value)
     return of_input | measured, (*before, *findings)
 
 

@@ -10,8 +10,10 @@ from getagrip.checks import frame_order, mask_agreement, mesh_form, plausibility
 from getagrip.checks.check import Check, millimetres, of_diameter, percent
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.hand_side import bend
-from getagrip.clip import intrinsics
+from getagrip.clip import intrinsics, modalities
 from getagrip.finding import Finding
+from getagrip.io import plugins
+from getagrip.io.plugins import Table
 
 GRAVER = {
     "mesh-open": "mesh-holes",
@@ -69,7 +71,7 @@ CAUSES = (
 )
 """Possible causes of contours that are off the masks."""
 
-INPUT_CHECKS: tuple[Check, ...] = (
+_INPUT: tuple[Check, ...] = (
     Check(
         "mesh-holes", lambda it: mesh_form.hole_share(it.clip.mesh), high=0.15, shown=percent,
         fault="holes are {value} of the mesh's surface",
@@ -156,7 +158,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
     ),
 )  # fmt: skip
 
-RESULT_CHECKS: tuple[Check, ...] = (
+_RESULT: tuple[Check, ...] = (
     Check(
         "mask-fit", lambda it: float(np.nanmean(it.overlaps)), low=0.7,
         fault="the masks are met with a mean IOU of {value}",
@@ -251,14 +253,50 @@ RESULT_CHECKS: tuple[Check, ...] = (
 )  # fmt: skip
 
 
+def _table(kind: str, own: tuple[Check, ...]) -> Table[Check]:
+    """Make the table of checks by name."""
+    named = {check.name: check for check in own}
+    return Table(kind, named, "a Check of the same name", lambda name, it: isinstance(it, Check) and it.name == name)
+
+
+INPUT_CHECKS = _table("input_checks", _INPUT)
+RESULT_CHECKS = _table("result_checks", _RESULT)
+
+
+def input_checks() -> tuple[Check, ...]:
+    """Return ``INPUT_CHECKS``, and those of each modality."""
+    return (*INPUT_CHECKS.working().values(), *(check for modality in modalities() for check in modality.input_checks))
+
+
+def result_checks() -> tuple[Check, ...]:
+    """Return ``RESULT_CHECKS``, and those of each modality."""
+    return (
+        *RESULT_CHECKS.working().values(),
+        *(check for modality in modalities() for check in modality.result_checks),
+    )
+
+
 MOST = 1e9
 """JSON has no infinity."""
 
 
 def examine(checks: Iterable[Check], it: Evidence) -> tuple[dict[str, float], tuple[Finding, ...]]:
-    """Run checks: return the value of each, at most ``MOST`` in magnitude, and the findings."""
-    measured = {check.name: float(np.clip(check.measure(it), -MOST, MOST)) for check in checks}
-    findings = [check.finding(measured[check.name], it) for check in checks]
-    found = [finding for finding in findings if finding is not None]
+    """Run checks: return the value of each, at most ``MOST`` in magnitude, and the findings.
+
+    That one of another package has raised is a finding, too.
+    """
+    measured: dict[str, float] = {}
+    found: list[Finding] = []
+    for check in checks:
+        try:
+            measured[check.name] = float(np.clip(check.measure(it), -MOST, MOST))
+            finding = check.finding(measured[check.name], it)
+        except Exception as error:
+            if (plugin := plugins.origin(check)) is None:
+                raise
+            measured[check.name] = np.nan
+            message = f"{plugin} failed: {type(error).__name__}: {error}"
+            finding = Finding(check.name, False, 0.0, 0.0, message)
+        found += [] if finding is None else [finding]
     names = {finding.check for finding in found}
     return measured, tuple(f for f in found if GRAVER.get(f.check) not in names)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, make_dataclass, replace
+from dataclasses import dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
@@ -21,7 +21,7 @@ from getagrip.commands.command import Command, OptionalSide
 from getagrip.errors import InputError, UsageError
 from getagrip.geometry.lens import Lens
 from getagrip.hands.model import Side
-from getagrip.hands.trackers import CHOSEN, EXTRAPOLATED, TRACKERS, Hands, Request, Tracker, choose, read
+from getagrip.hands.trackers import CHOSEN, EXTRAPOLATED, Hands, Request, Tracker, choose, read, usable
 from getagrip.io import files
 from getagrip.io.arguments import Flag, OptionalFile
 from getagrip.io.terminal import report, say
@@ -33,16 +33,9 @@ MOST_FRAMES = 20_000
 """Most frames of a hand file."""
 WARNED = 3
 """Exit status where the hands are written, and something seems to be wrong with them or with the camera."""
-
-
 if TYPE_CHECKING:
     Source: TypeAlias = str
     Trackers: TypeAlias = object
-else:  # the choices of --from, and the options of each tracker, as the table has them
-    TAKES = "; ".join(f"{name}: {tracker.takes}" for name, tracker in TRACKERS.items())
-    Source = Annotated[Literal[tuple(TRACKERS)], arg(name="from", help=f"Whose they are. {TAKES}.")]
-    OPTIONS = [(name, type(tracker), field(default=tracker)) for name, tracker in TRACKERS.items()]
-    Trackers = Annotated[make_dataclass("Trackers", OPTIONS, frozen=True), arg(name="")]
 
 
 @dataclass(frozen=True)
@@ -214,6 +207,15 @@ class ImportHands(Command):
         if self.first is None:
             return Request(side, frames, K, size, self.mano)
         return Request(side, renumbered(frames, self.first, "--first"), K, size, self.mano, ask_first="")
+
+
+if not TYPE_CHECKING:  # the choices of --from, and the options of each tracker, as the table has them
+    TAKEN = [field.name for command in (ImportHands, NewFrames, Lens) for field in fields(command)]
+    USABLE = usable(["from", *TAKEN])
+    TAKES = "; ".join(f"{name}: {tracker.takes}" for name, tracker in USABLE.items())
+    Source = Annotated[Literal[tuple(USABLE)], arg(name="from", help=f"Whose they are. {TAKES}.")]
+    OPTIONS = [(name, type(tracker), field(default=tracker)) for name, tracker in USABLE.items()]
+    Trackers = Annotated[make_dataclass("Trackers", OPTIONS, frozen=True), arg(name="")]
 
 
 def _fields(header: ClipHeader, hands: Hands) -> dict[str, object]:

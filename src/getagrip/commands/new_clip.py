@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from getagrip.clip import Clip, HandTrack
     from getagrip.clip.mask_request import MaskReader
     from getagrip.clip.segment_files import SegmentList
-    from getagrip.commands.hand_file import HandFile, HandsInClip
+    from getagrip.commands.hand_file import HandFile
+    from getagrip.hands.trackers import Hands
     from getagrip.provenance import Provenance, Source
 
 MOST_FRAMES = 20_000
@@ -145,8 +146,8 @@ class NewClip(Command):
         found_hands = None if hands is None else hands.at(names, self.side, self.hand_first)
         of_hands: Provenance = {"hands": "none yet"}
         if hands is not None and found_hands is not None:
-            check_in_view(hands.path, found_hands.track, np.tile(K, (len(found_hands.rows), 1, 1)), size)
-            of_hands = found_hands.provenance | without_hand(names, found_hands.rows)
+            check_in_view(hands.path, found_hands.track, np.tile(K, (len(found_hands.found), 1, 1)), size)
+            of_hands = found_hands.provenance | without_hand(names, found_hands.found)
         clip = Clip(
             folder=self.out,
             name=self.out.name,
@@ -246,7 +247,7 @@ def _masks(new: NewClip, names: tuple[str, ...], size: tuple[int, int]) -> MaskR
 
 def _write(
     clip: Clip,
-    hands: HandsInClip | None,
+    hands: Hands | None,
     images: Iterator[UInt8[ndarray, "H W 3"]],
     masks: MaskReader | None,
     out: Path,
@@ -265,7 +266,7 @@ def _write(
         if masks:
             visible = write_masks(masks, clip.frames, new / "masks")
         if hands:
-            write_hand_at(hands.track, clip.frames, hands.rows, new / "hand.npz")
+            write_hand_at(hands.track, clip.frames, hands.found, new / "hand.npz")
             _check(new, masks is not None, out)
     return visible
 
@@ -283,14 +284,14 @@ def _check(made: Path, masks: bool, out: Path) -> None:
         raise InputError(out / inside, error.key, error.got, error.expected) from error
 
 
-def _summary(clip: Clip, new: NewClip, hands: HandsInClip | None, out: Path) -> int:
+def _summary(clip: Clip, new: NewClip, hands: Hands | None, out: Path) -> int:
     """Print what was made, what is a guess and what is missing; 3 where something is."""
     from getagrip.clip.intrinsics import camera_warning
     from getagrip.provenance import is_assumed, warn_of
 
     print(f"{out}: {len(clip)} frames")
-    if hands and len(hands.rows) < len(clip):
-        bare = len(clip) - len(hands.rows)
+    if hands and len(hands.found) < len(clip):
+        bare = len(clip) - len(hands.found)
         print(
             f"warning: no hand in {bare} of {len(clip)} frames, which are left out until they have one; "
             f"getagrip import hands ... --clip {out} --overwrite",
@@ -304,5 +305,5 @@ def _summary(clip: Clip, new: NewClip, hands: HandsInClip | None, out: Path) -> 
     missing = [key for key, there in (("masks", new.masks), ("hands", new.hands)) if there is None]
     for key in missing:
         print(f"missing: {key}: {LATER[key].format(out=out, video=new.video)}", file=sys.stderr)
-    few_hands = hands is not None and 2 * len(hands.rows) < len(clip)
+    few_hands = hands is not None and 2 * len(hands.found) < len(clip)
     return INCOMPLETE if missing or warning or few_hands else 0

@@ -135,7 +135,7 @@ def evaluate(
         UsageError: the masks are another clip's.
     """
     contacts = CONTACT_DEFINITIONS if contacts is None else contacts
-    wanted = METRICS if wanted is None else wanted
+    wanted = tuple(METRICS.working().values()) if wanted is None else wanted
     if masks is not None:
         check_masks(clip, masks)
     index, whole_mesh, clip = clip.index_of(result.frames), clip.mesh, clip.light()
@@ -155,7 +155,7 @@ def evaluate(
     )
 
 
-def evaluation(it: Comparison, method: str, symmetry: str | None, wanted: Sequence[Metric] = METRICS) -> Evaluation:
+def evaluation(it: Comparison, method: str, symmetry: str | None, wanted: Sequence[Metric] | None = None) -> Evaluation:
     """Measure a comparison."""
     metrics, per_frame = measure(it, wanted)
     return Evaluation(

@@ -15,12 +15,20 @@ from getagrip.experiments.statistics import Estimate, estimate
 from getagrip.experiments.trials import Score, Scores
 from getagrip.experiments.variants import Variant
 
-COLUMNS = tuple(metric for metric in METRICS if metric.label and metric.unit == "%" and not metric.folded)
-"""Metrics shown as means: the paper's, and up to the object's symmetries."""
-FOLDED = tuple(metric for metric in METRICS if metric.folded)
-"""Means that pages fold away."""
-ERRORS = tuple(metric for metric in METRICS if metric.label and metric.unit != "%")
-"""Metrics shown as medians."""
+
+def columns() -> tuple[Metric, ...]:
+    """Return the metrics shown as means: the paper's, and up to the object's symmetries."""
+    return tuple(m for m in METRICS.working().values() if m.label and m.unit == "%" and not m.folded)
+
+
+def folded_columns() -> tuple[Metric, ...]:
+    """Return the means that pages fold away."""
+    return tuple(metric for metric in METRICS.working().values() if metric.folded)
+
+
+def error_columns() -> tuple[Metric, ...]:
+    """Return the metrics shown as medians."""
+    return tuple(metric for metric in METRICS.working().values() if metric.label and metric.unit != "%")
 
 
 @dataclass(frozen=True)
@@ -33,7 +41,7 @@ class Row:
     differences: dict[str, Estimate]
     """Mean differences in pairs from the variant that it is compared with; empty for that variant itself."""
     medians: dict[str, float]
-    """Medians of ``ERRORS``, by label, over clips on which the method did not fail."""
+    """Medians of ``error_columns``, by label, over clips on which the method did not fail."""
     ambiguous: int
     """Results marked ambiguous."""
     wrong: int
@@ -68,7 +76,7 @@ class Table:
     columns: tuple[Metric, ...]
     """Those for which there are values."""
     folded: tuple[Metric, ...]
-    """Metrics of ``FOLDED`` that can be known; none for results made before they were measured."""
+    """Metrics of ``folded_columns`` that can be known; none for results made before they were measured."""
     rows: tuple[Row, ...]
 
     def ranks(self, column: Metric) -> list[int]:
@@ -110,10 +118,10 @@ def groups(scores: Sequence[Scores]) -> list[str]:
 
 
 def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of: Sequence[str]) -> Table:
-    means = (*COLUMNS, *FOLDED)
+    means = (*columns(), *folded_columns())
     cells = {v.label: {column.label: _values(scores, v, column) for column in means} for v in variants}
-    there = tuple(c for c in COLUMNS if any(not np.isnan(values[c.label]).all() for values in cells.values()))
-    folded = tuple(c for c in FOLDED if not c.needs_truth or any(clip.has_truth for clip in scores))
+    there = tuple(c for c in columns() if any(not np.isnan(values[c.label]).all() for values in cells.values()))
+    folded = tuple(c for c in folded_columns() if not c.needs_truth or any(clip.has_truth for clip in scores))
     rows = []
     for variant in variants:
         own, other = cells[variant.label], cells.get(variant.against)
@@ -121,7 +129,9 @@ def _table(title: str, scores: Sequence[Scores], variants: Sequence[Variant], of
         tried = [score for clip in scores if (score := _score(clip, variant))]
         done = [score for score in tried if not score.failed]
         wrong = [score for score in done if _is_right(score, variant) is False]
-        errors = {e.label: [score.metrics.get(e.key(variant.contact), np.nan) for score in done] for e in ERRORS}
+        errors = {
+            e.label: [score.metrics.get(e.key(variant.contact), np.nan) for score in done] for e in error_columns()
+        }
         rows.append(
             Row(
                 variant,

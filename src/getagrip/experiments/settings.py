@@ -28,8 +28,8 @@ from getagrip.metrics.contact import CONTACT_DEFINITIONS, ContactDefinition
 
 REFERENCE = "one-dof"
 """Ours after the paper, the plain hinge: what the others are compared with."""
-COMPARED = tuple(name for name, method in METHODS.items() if not method.slow)
-"""Methods that are compared where none is named."""
+COMPARED = tuple(name for name, method in METHODS.own.items() if not method.slow)
+"""Methods that are compared where none is named; those of other packages only where they are."""
 CONTACTS = (ContactDefinition("object", 0.010),)
 """Definitions of contact (docs/metrics.md) in the tables, unless a run or a setting says otherwise."""
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from getagrip.experiments.comparison import ERRORS, Table
+from getagrip.experiments.comparison import Table, error_columns
 from getagrip.experiments.statistics import LEVEL, Estimate
 from getagrip.experiments.trials import Scores
 from getagrip.experiments.variants import Variant
@@ -117,7 +117,9 @@ def _differences(table: Table, style: Style) -> list[list[str]]:
 
 def _errors(table: Table, style: Style) -> list[list[str]]:
     """Headings and rows of the means that are folded away, of the medians, and of what is marked ambiguous."""
-    labels = [error.label for error in ERRORS if not all(math.isnan(row.medians[error.label]) for row in table.rows)]
+    labels = [
+        error.label for error in error_columns() if not all(math.isnan(row.medians[error.label]) for row in table.rows)
+    ]
     rows = [["", *(f"{column.label}, %" for column in table.folded), *labels, "ambiguous", "of wrong poses"]]
     for row in table.rows:
         means = [row.values[column.label] for column in table.folded]
@@ -135,7 +137,7 @@ def _findings(table: Table, style: Style) -> list[list[str]]:
     """Return headings and rows of the number of results that each check flags (docs/checks.md)."""
     rows = [["", "flagged", "right ones", "serious findings", "notes"]]
     for row in table.rows:
-        known = any(not math.isnan(row.medians[error.label]) for error in ERRORS)
+        known = any(not math.isnan(row.medians[error.label]) for error in error_columns())
         right = str(row.flagged_right) if known else "–"
         named = [", ".join(f"{name} {count}" for name, count in of.items()) or "–" for of in (row.serious, row.noted)]
         rows.append([style.text(row.variant.label), f"{row.flagged} of {table.clips}", right, *named])

@@ -67,7 +67,7 @@ class TimelineTrial(Trial[TimelineScores]):
 
 def _found(trial: TimelineTrial, level: str) -> dict[str, Any]:
     """Return the scores of every variant at a level, for timelines with both a static segment and a grasp."""
-    from getagrip.timelines.variants import VARIANTS, reconstruct_with
+    from getagrip.timelines.baselines import VARIANTS, reconstruct_with
 
     tracked = read_clip(trial.sample.folder)
     input_masks = read_masks(tracked)

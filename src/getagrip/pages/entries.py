@@ -12,7 +12,7 @@ import numpy as np
 from getagrip.clip import read_clip
 from getagrip.errors import GetagripError
 from getagrip.evaluation import read_with_clip
-from getagrip.fitting.methods import METHODS
+from getagrip.fitting.methods import label_of
 from getagrip.io.files import Json
 from getagrip.pictures.shown import View
 from getagrip.pictures.stored_results import StoredResult, at_common_frames, distinct, hand_alone, true_view
@@ -61,7 +61,7 @@ class Entry:
 
 def labels(views: Sequence[View], folders: Sequence[str]) -> list[str]:
     """Return the results' methods; where these agree, also the folders that tell the results apart."""
-    named = [METHODS[v.result.method].label if v.result.method in METHODS else v.result.method for v in views]
+    named = [label_of(v.result.method) for v in views]
     return [
         label if named.count(label) == 1 else f"{label} ({folder})"
         for label, folder in zip(named, folders, strict=True)

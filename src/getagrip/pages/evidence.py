@@ -91,7 +91,7 @@ def numbers(view: View) -> list[Numbers]:
         mean, deep, far, stable = (float("nan"),) * 4
         if view.masks is not None and np.isfinite(iou).any():
             grasp = Evidence(view.clip, view.masks, T_hand_obj, track.scale, iou)
-            findings = examine(RESULT_CHECKS, grasp)[1]
+            findings = examine(RESULT_CHECKS.working().values(), grasp)[1]
             mean, deep, far = float(np.nanmean(iou)), penetration(grasp), gap(grasp)
             stable = stable_contact_area(pairwise_iou(grasp.to_object <= TOUCHING))
         excess = float(energy) / lowest - 1.0 if lowest > 0.0 else float("nan")

@@ -232,6 +232,7 @@ def _track(
             "hands": "HOT3D's UmeTrack hands (true)",
             "masks": "rendered from the true poses, hidden by both hands and by the other objects that have a mesh",
             "camera": f"{camera.device}, {camera.label}: a pinhole of the fisheye lens's focal length and axis",
+            "bop": camera.bop,
             "scale": "HOT3D's scanned mesh, true size",
             "times": "poses are the nearest in time to the frame, at most 5 ms off",
         },

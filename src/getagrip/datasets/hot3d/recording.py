@@ -75,6 +75,12 @@ class HeadsetCamera:
     T_world_cam: Float[ndarray, "N 4 4"]
     """Pinhole camera to world."""
 
+    @property
+    def bop(self) -> dict[str, str]:
+        """Names in the BOP benchmark of the dataset, the headset's images and the files of the camera."""
+        split = "test-aria" if self.device == "Aria" else "test-quest3"
+        return {"dataset": "hot3d", "split": split, "camera": "rgb" if self.label == "camera-rgb" else "gray1"}
+
 
 @dataclass(frozen=True)
 class Recording:

@@ -11,7 +11,7 @@ import numpy as np
 from getagrip.errors import GetagripError, InputError, UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, ROTATION_SYM, SCA, Metric
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.metrics.contact import ContactDefinition
 from getagrip.pictures.figures.kind import Count, Fail, Kind, guesses, warnings
 from getagrip.pictures.sheet import HEAD, Sheet
@@ -112,7 +112,6 @@ class Gallery(Kind):
     def _score(self, stored: StoredResult) -> _Scored:
         """Return a result's value of the metric, and its worst frame. Raises ``InputError`` where it has none."""
         metric, view = METRICS[self.by][1], stored.read()
-        method_of(view.result.method)
         if metric.needs_truth and view.clip.truth is None:
             raise InputError(view.clip.origin / "truth.npz", "", "no ground truth", f"some, for --by {self.by}")
         if metric is IOU and view.masks is None:
@@ -139,7 +138,7 @@ class Gallery(Kind):
     def _clip(self, sheet: Sheet, x: float, y: float, one: _Scored, words: str) -> None:
         """Draw a clip's two tiles, under its name and value."""
         view, n = one.stored.read(), one.worst
-        label = method_of(view.result.method).label
+        label = label_of(view.result.method)
         sheet.text(x, y + 0.02, view.clip.name, 2 * SIDE, fontsize=8.5, fontweight="bold")
         facts = [words, label, *guesses(view), *warnings(view), f"frame {view.result.frames[n]}"]
         sheet.text(x, y + 0.20, "  ·  ".join(facts), 2 * SIDE, fontsize=8, color=FAINT)

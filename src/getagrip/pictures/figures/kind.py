@@ -10,7 +10,7 @@ import numpy as np
 from tyro.conf import arg
 
 from getagrip.errors import GetagripError, UsageError
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.pictures.shown import View
 from getagrip.pictures.stored_results import StoredResult
 from getagrip.provenance import assumptions
@@ -76,7 +76,7 @@ def evenly(count: int, total: int) -> list[int]:
 
 def summary(view: View) -> str:
     """Summarise method, object and hand, number of frames, and assumptions in a line."""
-    label = "ground truth" if view.of_truth else method_of(view.result.method).label
+    label = "ground truth" if view.of_truth else label_of(view.result.method)
     return "  ·  ".join([label, *about(view)])
 
 

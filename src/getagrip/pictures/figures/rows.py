@@ -20,7 +20,7 @@ from getagrip.clip import input_sha256
 from getagrip.errors import InputError, UsageError
 from getagrip.evaluation import evaluate
 from getagrip.evaluation.metric import ADD_MM, ADD_SYM_MM, IOU, SCA
-from getagrip.fitting.methods import method_of
+from getagrip.fitting.methods import label_of
 from getagrip.metrics.contact import ContactDefinition, at_millimetres
 from getagrip.pictures.figures.kind import Count, Fail, Kind, Millimetres, about, evenly, readable, summary, warnings
 from getagrip.pictures.sheet import HEAD, Sheet
@@ -67,7 +67,7 @@ class Methods(Rows):
         read = readable(results, fail)
         views = at_common_frames(read)
         _check_inputs(read)
-        labels = [method_of(view.result.method).label for view in views]
+        labels = [label_of(view.result.method) for view in views]
         folders = distinct([value for value, _ in read])
         names = [f"{a}\n{b}" if Counter(labels)[a] > 1 else a for a, b in zip(labels, folders, strict=True)]
         rows = [Row(name, numbers(view, contact), view) for name, view in zip(names, views, strict=True)]
