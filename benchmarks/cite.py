@@ -40,8 +40,8 @@ INPUTS = {
     "masks off by 4 px": "masks off by 4 px",
     "another object in 20 %": "masks of something else in one frame of five",
     "size unknown": "the object's size unknown",
-    "of its kind": "a mesh that is only of the object's kind",
-    "of its kind, size unknown, hands moderate": "the same, size unknown, hands off (`moderate`, assumed)",
+    "category mesh": "a mesh that is only of the object's kind",
+    "category mesh, size unknown, hands moderate": "the same, size unknown, hands off (`moderate`, assumed)",
 }
 """Settings of the ablations ``inputs`` and ``final``, in words."""
 CLIPS = {

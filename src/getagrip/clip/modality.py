@@ -55,7 +55,7 @@ class Modality(ABC, Generic[D]):
         return Terms()
 
     def of(self, clip: Clip) -> D | None:
-        """The data that a clip has in memory."""
+        """Return the data that a clip has in memory."""
         return cast("D | None", clip.evidence.get(self.name))
 
 
@@ -76,12 +76,12 @@ def modalities() -> tuple[Modality[Any], ...]:
 
 @cache
 def _loaded(entry: str) -> Modality[Any]:
-    """The modality of a class named as ``module:class``."""
+    """Return the modality of a class named as ``module:class``."""
     return cast(Modality[Any], resolve_name(entry)())
 
 
 def with_evidence(clip: Clip) -> Clip:
-    """The clip with all evidence of its frames in memory: what it does not hold yet is read from its folder.
+    """Return the clip with all evidence of its frames in memory; missing data is read from its folder.
 
     Raises ``InputError``.
     """

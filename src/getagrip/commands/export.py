@@ -14,7 +14,7 @@ from getagrip.io.arguments import Flag, OptionalFolder
 
 
 def _others(_: str) -> str:
-    """What other packages add, for the help."""
+    """Return the formats of other packages, for the help."""
     others = plugins.names("exports")
     return f"(required; of other packages: {', '.join(others)})" if others else "(required)"
 
@@ -31,7 +31,7 @@ class Export(Command):
     replay and to simulate; lerobot: a dataset; spider: keypoint trajectories; dex-retargeting: joints and object
     poses, z up."""
     out: OptionalFolder = None
-    """Where the exports go, each into a folder named as its result's. Otherwise RESULT/export-FORMAT."""
+    """Folder of the exports, each in a folder named as its result's. Otherwise RESULT/export-FORMAT."""
     clips: ClipsFolder = None
     """A clip, or the folder that holds the clips by name."""
     overwrite: Flag = False

@@ -36,10 +36,10 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Found:
-    """What a method has found.
+    """The solutions of a method.
 
     Attributes:
-        problem: the clip at the frames whose masks are believed, with the mesh that was fitted.
+        problem: the clip at the frames without outlier masks, with the fitted mesh.
         result: the solutions.
         sampled: the solutions at the problem's frames.
     """
@@ -59,7 +59,7 @@ def _prepare(source: Input) -> Prepared:
 
 
 def _search(prepared: Prepared, clock: Clock) -> Found:
-    """What the method finds in the frames whose masks are believed.
+    """Run the method in the frames without outlier masks.
 
     Where it fails, the error also says what was unusual about its inputs.
     """
@@ -81,7 +81,7 @@ def _search(prepared: Prepared, clock: Clock) -> Found:
 
 
 def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:
-    """The solutions in all frames that the options ask for."""
+    """Extend the solutions to all frames that the options ask for."""
     source, result, problem = prepared.source, found.result, found.problem
     clip, masks = source.clip, source.masks
     if not problem.options.every_frame:
@@ -104,7 +104,7 @@ def _fit_all_frames(prepared: Prepared, found: Found, clock: Clock) -> Answer:
 
 
 def _judge(prepared: Prepared, found: Found, answer: Answer) -> Judgement:
-    """What checks and signs say of it, and how probable it is that it is right."""
+    """Run the checks, and compute signs and probabilities."""
     source = prepared.source
     solved = solved_of(source.clip, found.problem, found.result, found.sampled, answer.track)
     checks, after = examine(result_checks(), solved)

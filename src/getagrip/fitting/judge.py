@@ -27,7 +27,7 @@ TERMS = ("total", "mask", "push", "pull", "consistency", "prior")
 
 
 def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: Track, whole: Track) -> Solved:
-    """A result as its checks and signs look at it.
+    """Make the view of a result for its checks and signs.
 
     ``input_clip`` has the hand and the mesh as they came; ``sampled`` and ``whole`` are the poses in the frames that
     were fitted together and in every frame.
@@ -48,7 +48,10 @@ def solved_of(input_clip: Clip, problem: Problem, found: MethodResult, sampled: 
 def probabilities(
     clip: Clip, options: Options, signs: Mapping[str, float], findings: Sequence[Finding], terms: Iterable[str]
 ) -> dict[Where, Probability | None]:
-    """How probable it is that a result is right, in the hand and in the camera; ``terms`` are those of its energy."""
+    """Compute the probability that a result is right, in the hand and in the camera.
+
+    ``terms`` are those of its energy.
+    """
     if uncalibrated(options, findings, terms):
         return {"hand": None, "camera": None}
     in_hand = probability_right(options, signs, findings)
@@ -60,7 +63,9 @@ def probabilities(
 def probability_right(
     options: Options, signs: Mapping[str, float], findings: Sequence[Finding], where: Where = "hand"
 ) -> Probability | None:
-    """How probable it is that a result with such signs is right; ``findings`` are those about its input and itself.
+    """Compute the probability that a result with such signs is right.
+
+    ``findings`` are those about its input and itself.
 
     None where nothing is calibrated (``uncalibrated``).
     """
@@ -73,7 +78,7 @@ def probability_right(
 
 
 def uncalibrated(options: Options, findings: Sequence[Finding], terms: Iterable[str] = ()) -> str:
-    """Why there is no probability that a result is right, in words; empty where there is one.
+    """Say why there is no probability that a result is right; empty where there is one.
 
     ``terms`` are the names of its energy's terms.
 

@@ -58,7 +58,7 @@ class Solution(Generic[M]):
     evaluations: int
 
     def take(self, index: Int[ndarray, "n"]) -> Solution[M]:
-        """Some of the solutions."""
+        """Return some of the solutions."""
         return Solution(
             self.motion.take(index),
             self.energy[index],
@@ -68,7 +68,7 @@ class Solution(Generic[M]):
         )
 
     def concatenate(self, other: Solution[M]) -> Solution[M]:
-        """These solutions, then the other's."""
+        """Return these solutions, then the other's."""
         return Solution(
             self.motion.concatenate(other.motion),
             np.concatenate([self.energy, other.energy]),
@@ -79,7 +79,7 @@ class Solution(Generic[M]):
 
 
 def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCamera:
-    """The motion's poses as the terms read them."""
+    """Return the motion's poses as the terms read them."""
     in_camera_poses = moved(motion.poses(), T_cam_hand)
     # Kernels are compiled for one layout; another would compile each of them again.
     return PosesInCamera(
@@ -124,7 +124,7 @@ class _State(Generic[M]):
 def evaluate(
     motion: M, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"], bound: Float[ndarray, "B"]
 ) -> _State[M]:
-    """Energy and derivatives; derivatives may be missing where the energy exceeds ``bound``."""
+    """Evaluate energy and derivatives; derivatives may be missing where the energy exceeds ``bound``."""
     poses = in_camera(motion, T_cam_hand)
     prior = motion.prior().value
     values = np.empty((len(prior), len(terms) + 1))
@@ -176,7 +176,7 @@ def _minimised(
 def _step(
     motion: Motion, local: Quadratic, damping: Float[ndarray, "B"], T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
-    """The damped Gauss-Newton step of the motion's shared and per-frame parameters, not longer than ``LONGEST``."""
+    """Solve for the damped Gauss-Newton step of the shared and per-frame parameters, not longer than ``LONGEST``."""
     J_shared, J_local = motion.jacobian()
     S = J_shared.shape[-1]
     prior = motion.prior()
@@ -202,13 +202,13 @@ def _step(
 def seen_from_camera(
     J_shared: Float[ndarray, "B N 7 S"], J_local: Float[ndarray, "B N 7 L"], T_cam_hand: Float[ndarray, "N 4 4"]
 ) -> Float[ndarray, "B N 7 P"]:
-    """A motion's Jacobians side by side, of local 7-vectors in the camera's frame."""
+    """Return a motion's Jacobians side by side, of local 7-vectors in the camera's frame."""
     J, R = np.concatenate([J_shared, J_local], axis=-1), T_cam_hand[:, :3, :3]
     return np.concatenate([R @ J[..., :3, :], R @ J[..., 3:6, :], J[..., 6:, :]], axis=-2)
 
 
 def hessian(motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"]) -> Float[ndarray, "B N P P"]:
-    """The Gauss-Newton Hessian of each frame's terms by the shared parameters and those of the frame, in this order.
+    """Compute the Gauss-Newton Hessian of each frame's terms by the shared parameters, then those of the frame.
 
     Without the motion's own prior, and without what ties frames to each other.
     """
@@ -220,8 +220,9 @@ def hessian(motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N
 def _between_frames(
     cross: Float[ndarray, "B N 7 N 7"], J_s: Float[ndarray, "B N 7 S"], J_l: Float[ndarray, "B N 7 L"]
 ) -> tuple[Float[ndarray, "B S S"], Float[ndarray, "B N S L"], Float[ndarray, "B N L N L"]]:
-    """The Hessian between frames by the parameters: ``sum_ij Js_i^T A_ij Js_j``, ``sum_i Js_i^T A_ij Jl_j``,
-    ``Jl_i^T A_ij Jl_j``.
+    """Compute the Hessian between frames.
+
+    ``sum_ij Js_i^T A_ij Js_j``, ``sum_i Js_i^T A_ij Jl_j``, ``Jl_i^T A_ij Jl_j``.
     """
     B, N, _, S = J_s.shape
     L = J_l.shape[-1]

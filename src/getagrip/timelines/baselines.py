@@ -3,7 +3,7 @@
 Propagation after the authors' later code (objects-along-hit): it starts at the longest static segment, goes back to the
 first, on to the last and back again. Each segment is fitted with one more start, the pose of the segment visited before
 it where the two are nearest in time, and keeps the fit with the highest mean IOU over its visits. Static: one pose,
-E_mask. Held or in contact: a free pose per frame, with contact consistency. So it can only gain IOU by propagating, by
+E_mask. Grasp or contact: a free pose per frame, with contact consistency. So it can only gain IOU by propagating, by
 construction; the weight of its links is 0. Search, optimiser and hand correction are ours.
 """
 
@@ -35,8 +35,10 @@ from getagrip.timelines.static_pose import frames_to_fit, static_hypotheses
 
 
 def grasp_only(footage: Footage) -> Motion:
-    """Each grasp by itself. Static poses are those of the nearest frame of a grasp; elsewhere, the object goes with the
-    hand. Raises ``InputError`` where no grasp shows the object.
+    """Fit each grasp by itself.
+
+    Static poses are those of the nearest frame of a grasp; elsewhere, the object goes with the hand. Raises
+    ``InputError`` where no grasp shows the object.
     """
     motion, known = Motion.of(footage.clip, footage.shown), list[Segment]()
     for segment in footage.clip.segments:
@@ -83,7 +85,7 @@ def _carry(motion: Motion, footage: Footage, known: list[Segment]) -> None:
 
 
 def _with_hand(motion: Motion, footage: Footage, source: int, row: int) -> Float[ndarray, "4 4"]:
-    """The pose in the world of an object that goes with the given hand from one frame to another."""
+    """Return the pose in the world of an object that goes with the given hand from one frame to another."""
     T_cam_hand = footage.clip.hand.T_cam_hand
     T_hand_obj = se3.inverse(T_cam_hand[source]) @ motion.T_cam_obj[source]
     return np.asarray(footage.T_world_cam[row] @ T_cam_hand[row] @ T_hand_obj)
@@ -158,5 +160,5 @@ VARIANTS: dict[str, Callable[[Footage], Motion]] = {
 
 
 def reconstruct_with(variant: str, clip: Clip, masks: Masks, options: Options) -> Motion:
-    """An object's motion in a clip of known scale, found by a variant. Raises as that variant does."""
+    """Reconstruct an object's motion in a clip of known scale by a variant. Raises as that variant does."""
     return VARIANTS[variant](Footage.of(repair(clip, masks, options)))

@@ -29,7 +29,7 @@ from getagrip.timelines.hypotheses import Hypotheses
 RIDGE = (5e4, 300.0)
 """Stiffness of a frame's motion from where it was proposed [px^2 per m^2, per rad^2]."""
 TURN = np.radians(15.0)
-"""Of proposals that turn about the object's principal axes [rad]."""
+"""Angles of proposals that turn about the object's principal axes [rad]."""
 PATHS = 4
 """Kept of each pose."""
 ROUNDS = ((2, ((64, 2),)), (1, ((64, 4), (128, 5))))
@@ -42,19 +42,19 @@ LOST = 1e9
 
 @dataclass(frozen=True)
 class Paths:
-    """Where poses may have gone, least energy first; a path's energy is its pose's, that of its masks and its steps."""
+    """The paths of poses, least energy first; a path's energy is its pose's, that of its masks and its steps."""
 
     found: Hypotheses
     start: Int[ndarray, "P"]
     """Which pose each path began with."""
 
     def at(self, frames: Int[ndarray, "m"]) -> Paths:
-        """At some of the frames."""
+        """Return the paths at some of the frames."""
         return Paths(self.found.at(frames), self.start)
 
 
 def follow(footage: Footage, begin: int, rows: Int[ndarray, "n"], start: Hypotheses) -> Paths:
-    """Hypotheses of the frame ``begin`` in later frames, or in earlier ones, in the order in which they are met.
+    """Follow hypotheses of the frame ``begin`` into later frames, or earlier ones, in the order of the frames.
 
     Frames between are passed as well. In frames that do not show the object it stays where it was.
     """
@@ -117,7 +117,7 @@ def _followed(
 def _proposals(
     here: Hypotheses, before: Hypotheses, carried: Sequence[Float[ndarray, "4 4"]], axes: Float[ndarray, "3 3"]
 ) -> tuple[Frozen[Soft[Fixed]], Int[ndarray, "M"]]:
-    """Where paths may go on, one frame each, and which path each proposal is of.
+    """Propose how paths may go on, one frame each, and the path that each proposal is of.
 
     Half a step on, a whole one with its turn, with a hand (``carried``), or turned about one of the axes.
     """
@@ -146,7 +146,7 @@ def _spots(about: Float[ndarray, "4 4"], poses: PosesInHand) -> Float[ndarray, "
 def _distinct(
     spots: Float[ndarray, "M 12"], cost: Float[ndarray, "M"], start: Int[ndarray, "M"], keep: int, same: float
 ) -> Int[ndarray, "P"]:
-    """The ``keep`` cheapest of each start, near-copies of a cheaper one left out, cheapest first."""
+    """Return the ``keep`` cheapest of each start, near-copies of a cheaper one left out, cheapest first."""
     chosen: dict[int, list[int]] = {}
     order: list[int] = []
     for m in np.argsort(cost, kind="stable"):

@@ -23,7 +23,7 @@ METHOD = "soft-hinge"
 
 @dataclass(frozen=True)
 class Footage:
-    """What a timeline is reconstructed from.
+    """The inputs of a timeline's reconstruction.
 
     Attributes:
         source: the clip as it came.
@@ -69,7 +69,7 @@ class Footage:
         return len(self.clip)
 
     def problem(self, rows: Int[ndarray, "n"]) -> Problem:
-        """At frames that show the object, in the given order, with the repaired hand."""
+        """Make the problem at frames that show the object, in the given order, with the repaired hand."""
         return self.some.at(self.clip.take(rows), self.masks.take(rows))
 
 

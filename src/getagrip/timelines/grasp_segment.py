@@ -38,13 +38,13 @@ POLISH = 6
 
 @dataclass(frozen=True)
 class Neighbour:
-    """Where the hypotheses of a neighbouring segment, followed, have the object in some frames of a grasp's problem."""
+    """The object's pose in some frames of a grasp's problem, by the followed hypotheses of a neighbouring segment."""
 
     paths: Paths
     frames: Int[ndarray, "m"]
-    """Of the problem's frames, rising."""
+    """Rising indices of the problem's frames."""
     earlier: bool
-    """Whether the neighbour comes before the grasp."""
+    """True if the neighbour comes before the grasp."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class GraspTrack:
 
 
 def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Neighbour]) -> GraspTrack:
-    """Solution k, fitted once more with its links, in every frame."""
+    """Fit solution k once more with its links, in every frame."""
     motion = solutions.motion.take(np.array([k]))
     energy = {"total": solutions.energy[[k]]}
     solution = Solution(motion, solutions.energy[[k]], energy, [Status.FINISHED], 0)
@@ -124,17 +124,17 @@ def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighb
 
 
 def links_of(problem: Problem, neighbours: Sequence[Neighbour]) -> Energy:
-    """The energy of the links of a grasp."""
+    """Return the energy of the links of a grasp."""
     return plus(*(_link(problem, neighbour) for neighbour in neighbours)) if neighbours else NOTHING
 
 
 def most(problem: Problem) -> float:
-    """The most that a link to a problem can cost [px^2]."""
+    """Return the most that a link to a problem can cost [px^2]."""
     return WEIGHT * float(problem.observation.area.mean()) * len(problem.clip)
 
 
 def _link(problem: Problem, neighbour: Neighbour) -> Energy:
-    """The energy of one link."""
+    """Return the energy of one link."""
     clip, frames, expected = problem.clip, neighbour.frames, neighbour.paths.found
     assert clip.world is not None
     seen = moved(expected, se3.inverse(clip.world.T_world_cam[frames]))

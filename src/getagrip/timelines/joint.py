@@ -50,13 +50,13 @@ class Anchor:
     near: tuple[Neighbour, ...] = ()
 
     def end(self, side: int) -> tuple[Hypotheses, int]:
-        """Its hypotheses at the first known frame (side 0) or the last (-1), and which that is."""
+        """Return its hypotheses at the first known frame (side 0) or the last (-1), and which that is."""
         segment = self.segment
         row = int(self.solutions.sampled[side]) if self.solutions else segment.last if side else segment.first
         return self.found.at(np.array([side])), row
 
     def near_at(self, earlier: bool) -> Paths | None:
-        """The paths of the neighbour before or after it at its end there, if it was searched with them."""
+        """Return the paths of the neighbour before or after it at its end there, if it was searched with them."""
         at = np.array([0 if earlier else -1])
         return next((one.paths.at(at) for one in self.near if one.earlier == earlier), None)
 
@@ -72,9 +72,9 @@ class Chain:
 
 
 def choose_hypotheses(footage: Footage, support: bool, on_stage: Callable[[str], None] = lambda _: None) -> Chain:
-    """The chain of least energy; ``support``: whether the plane counts that static objects lie on.
+    """Find the chain of least energy; ``support`` includes the plane that static objects lie on.
 
-    Raises ``InputError`` where no segment shows the object, as static or held.
+    Raises ``InputError`` where no static segment and no grasp shows the object.
     """
     static = {}
     for segment in footage.clip.segments:
@@ -146,7 +146,7 @@ def _copies(surface: ObjectSurface, hypotheses: Hypotheses, k: int) -> Bool[ndar
 
 
 def _link(footage: Footage, one: Anchor, other: Anchor) -> Float[ndarray, "K L"]:
-    """What each pair of hypotheses of two neighbouring segments costs."""
+    """Compute the cost of each pair of hypotheses of two neighbouring segments."""
     mesh, (before, end), (after, begin) = footage.clip.mesh, one.end(-1), other.end(0)
     problems = [anchor.solutions.problem for anchor in (one, other) if anchor.solutions is not None]
     weight = most(problems[0]) if problems else float(min(one.found.energy.min(), other.found.energy.min()))

@@ -32,8 +32,8 @@ from getagrip.timelines.motion import Motion
 
 CANDIDATES = 4
 """Solutions that count, the chosen one included: as many as a search by itself ends with."""
-MEANING = f"{MEANING_ALONE.format('hand')}; calibrated on grasps by themselves, of timelines a rough guide only"
-"""Of a grasp's probability (docs/checks.md)."""
+MEANING = f"{MEANING_ALONE.format('hand')}; calibrated on single grasps, a rough guide for timelines"
+"""Meaning of a grasp's probability (docs/checks.md)."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def _probability(
 
 
 def read_grasp_signs(track: GraspTrack) -> dict[str, float]:
-    """The signs of a grasp, at the frames that were fitted together; solutions' energies are without links."""
+    """Return the signs of a grasp, at the frames that were fitted together; solutions' energies are without links."""
     solutions, found = track.solutions, track.found
     problem, poses = solutions.problem, solutions.motion.poses()
     energy = solutions.energy.copy()

@@ -69,7 +69,7 @@ class Motion:
             self.kind[row] = kind
 
     def put_grasp(self, found: GraspTrack) -> None:
-        """A grasp in its frames, and its hand."""
+        """Put a grasp into its frames, with its hand."""
         grasp, track = found.solutions.grasp, found.track
         self.T_cam_obj[grasp.rows] = track.T_cam_hand @ track.T_hand_obj[0]
         self.T_cam_hands[grasp.clip.side][grasp.rows] = track.T_cam_hand
@@ -87,6 +87,6 @@ class Motion:
 
 
 def split_at_gaps(segment: Segment, rows: Int[ndarray, "n"]) -> list[Segment]:
-    """The parts of a segment that have no gaps: some of its frames, which rise."""
+    """Split a segment into the parts that have no gaps: some of its frames, which rise."""
     parts = np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1)
     return [replace(segment, first=int(part[0]), last=int(part[-1])) for part in parts]

@@ -40,7 +40,7 @@ def reconstruct(
         clip: hands, mesh and camera (``read_clip``, ``Clip``); a free scale is found, too.
         masks: masks of all of the clip's frames. Without them, those of the frames that are used are read from the
             clip's folder.
-        options: method, number of initial poses, weights and what of the inputs is believed; None for the usual ones.
+        options: method, number of initial poses, weights and use of the inputs; None for the defaults.
             ``options.frames`` frames, sampled evenly, are fitted together, and the others follow from them.
         progress: called with the name of the stage that has ended and the fraction done, 0 to 1.
         threads: number of threads that share the hypotheses of a search. The result is the same to the last bit
@@ -48,7 +48,7 @@ def reconstruct(
             processes. A timeline is solved on one.
 
     Returns:
-        The object's poses in the hand, what was believed, and how probable it is that they are right.
+        The object's poses in the hand, the assumptions behind them, and the probability that they are right.
 
     Raises:
         UsageError: masks of another clip, or a timeline and another method than the soft hinge.
@@ -63,7 +63,7 @@ def reconstruct(
 
 
 def _search(footage: Footage, clock: Clock) -> Chain:
-    """The hypotheses of all segments that are best together.
+    """Search for the hypotheses of all segments that are best together.
 
     Where there are none, the error also says what is unusual about the inputs.
     """
@@ -80,7 +80,7 @@ def _search(footage: Footage, clock: Clock) -> Chain:
 
 
 def _fit_all_frames(footage: Footage, chain: Chain, clock: Clock) -> TimelineAnswer:
-    """The motion over all segments and what lies between them."""
+    """Fill the motion over all segments and between them."""
     motion, clip = fill_all_frames(footage, chain, clock), footage.clip
     T_cam_hand = motion.T_cam_hand
     T_hand_obj = se3.inverse(T_cam_hand) @ motion.T_cam_obj

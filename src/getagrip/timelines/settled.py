@@ -63,7 +63,9 @@ def settle(motion: Motion, problem: Problem, seen: Int[ndarray, "n"], side: Side
 
 
 def depth_jitter(places: Float[ndarray, "n 3"]) -> float:
-    """Standard deviation of errors of depth that differ from frame to frame [m]; places are in the camera frame.
+    """Estimate the standard deviation of errors of depth that differ between frames [m].
+
+    Places are in the camera frame.
 
     Second differences show errors that remember a tenth of a second nearly in full. Motion has its share in them, which
     is as large across the ray: what they have along the ray beyond that is jitter. 0 for fewer than 3 frames.

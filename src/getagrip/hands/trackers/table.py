@@ -39,7 +39,7 @@ TRACKERS = Table("trackers", _TRACKERS, "a Tracker, under a name that is a Pytho
 
 
 def usable(taken: Iterable[str] = ()) -> dict[str, Tracker]:
-    """All that can be loaded, but for those of other packages whose options are ``taken``, by another tracker maybe."""
+    """Return all trackers that can be loaded, except those of other packages whose options are already ``taken``."""
     owners, there = dict.fromkeys(taken, "import hands"), dict[str, Tracker]()
     for name, tracker in TRACKERS.working().items():
         options = vars(tracker)
@@ -52,7 +52,7 @@ def usable(taken: Iterable[str] = ()) -> dict[str, Tracker]:
 
 
 def choose(name: str, entry: Mapping[str, Tracker] = TRACKERS) -> Tracker:
-    """The tracker of a name, with its options as ``given``.
+    """Return the tracker of a name, with its options as ``given``.
 
     Raises ``UsageError`` for an unknown name, and for options that are given to another tracker.
     """
