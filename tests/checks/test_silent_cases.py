@@ -19,9 +19,9 @@ from getagrip.experiments.wrong_inputs import MISTAKES
 from getagrip.fitting.methods import METHODS, Method, OnStage
 from getagrip.fitting.options import Options
 from getagrip.fitting.problem import MethodResult, Problem
-from getagrip.fitting.reconstruct import reconstruct
 from getagrip.geometry import se3
 from getagrip.provenance import assumed
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.command_line import Run
 from helpers.scenes import SMALL, scene
 

@@ -13,7 +13,7 @@ from getagrip.fitting.motion import PosesInHand
 from getagrip.fitting.options import Options
 from getagrip.fitting.outlier_masks import SHARE, TIMES, outlier_threshold
 from getagrip.fitting.predicted_silhouette import typical
-from getagrip.fitting.reconstruct import reconstruct
+from getagrip.timelines.reconstruct import reconstruct
 from helpers.scenes import SMALL, scene, scores
 
 WRONG = [4, 7]

@@ -16,7 +16,7 @@ from getagrip.checks.check import Check, millimetres, of_diameter
 from getagrip.checks.evidence import Evidence, Glitches
 from getagrip.checks.of_segment import SEGMENT_CHECKS, STATIC
 from getagrip.checks.table import INPUT_CHECKS, LEAST_IOU, RESULT_CHECKS, examine
-from getagrip.clip import Clip, Masks, Segment
+from getagrip.clip import Clip, Masks, Segment, modalities, with_evidence, with_masks
 from getagrip.clip.sampling import frame_indices
 from getagrip.finding import Finding
 from getagrip.geometry import se3
@@ -106,9 +106,11 @@ def _examine(segment: Segment, clip: Clip, whole: Evidence) -> tuple[dict[str, f
         by, of = (_by_other(one) for one in (by, of))
         T_hand_obj = se3.inverse(by.hand.T_cam_hand) @ whole.clip.hand.T_cam_hand @ T_hand_obj
         masks = replace(masks, hand=None)
-    result = Evidence(by.take(rows), masks, T_hand_obj[rows], whole.scale, iou)
+    seen_at = with_evidence(with_masks(by.take(rows), masks))
+    result = Evidence(seen_at, masks, T_hand_obj[rows], whole.scale, iou)
     checks = [c for c in RESULT_CHECKS.working().values() if c.name in OF_MASKS or (grasped and c.name in WITH_HAND)]
     checks += [*SEGMENT_CHECKS, *((STATIC, FLOATS) if segment.state == "static" else ())]
+    checks += [check for one in modalities() for check in (*one.input_checks, *one.result_checks)]
     measured, findings = examine(checks, result)
     if not grasped:
         return measured, findings

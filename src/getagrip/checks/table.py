@@ -10,7 +10,7 @@ from getagrip.checks import frame_order, mask_agreement, mesh_form, plausibility
 from getagrip.checks.check import Check, millimetres, of_diameter, percent
 from getagrip.checks.evidence import Evidence
 from getagrip.checks.hand_side import bend
-from getagrip.clip import intrinsics
+from getagrip.clip import intrinsics, modalities
 from getagrip.finding import Finding
 from getagrip.io import plugins
 from getagrip.io.plugins import Table
@@ -261,6 +261,20 @@ def _table(kind: str, own: tuple[Check, ...]) -> Table[Check]:
 
 INPUT_CHECKS = _table("input_checks", _INPUT)
 RESULT_CHECKS = _table("result_checks", _RESULT)
+
+
+def input_checks() -> tuple[Check, ...]:
+    """``INPUT_CHECKS``, and those of each modality."""
+    return (*INPUT_CHECKS.working().values(), *(check for modality in modalities() for check in modality.input_checks))
+
+
+def result_checks() -> tuple[Check, ...]:
+    """``RESULT_CHECKS``, and those of each modality."""
+    return (
+        *RESULT_CHECKS.working().values(),
+        *(check for modality in modalities() for check in modality.result_checks),
+    )
+
 
 MOST = 1e9
 """JSON has no infinity."""

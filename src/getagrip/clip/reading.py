@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from getagrip.clip.data import Clip
 from getagrip.clip.hand_track import FINGERS, HandTrack, OtherHand
-from getagrip.clip.masks import has_mask
+from getagrip.clip.modality import modalities
 from getagrip.clip.per_frame import CAMERA, frame_names, intrinsics, times, world
 from getagrip.clip.plausible import FASTEST, SLOWEST, check_hand, check_in_view
 from getagrip.clip.reading_truth import read_truth
@@ -137,7 +137,7 @@ def read_name(folder: str | Path) -> str:
 
 
 def input_sha256(folder: str | Path) -> str:
-    """Checksum of what a reconstruction depends on: ``clip.json``, hands, mesh and masks; not images, not truth.
+    """Checksum of what a reconstruction depends on: ``clip.json``, hands, mesh, evidence; not images, not truth.
 
     Raises ``InputError`` where one of them is missing.
     """
@@ -148,11 +148,9 @@ def input_sha256(folder: str | Path) -> str:
     paths = {"clip.json": folder / "clip.json", "hand.npz": hand, fields["mesh"]: _mesh(folder, fields)}
     if (folder / OTHER_HAND).exists():
         paths[OTHER_HAND] = files.inside(folder, OTHER_HAND, "", HANDS)
-    for kind in ("object", "ignore", "hand"):
-        if (folder / "masks" / kind).exists():
-            known = (frames[row] for row in frames_with_hand(hand, frames) if has_mask(folder, frames[row]))
-            names = [f"masks/{kind}/{frame}.png" for frame in known]
-            paths |= {name: files.inside(folder, name, "", "a mask for each frame of clip.json") for name in names}
+    with_hand = [frames[row] for row in frames_with_hand(hand, frames)]
+    for name in (name for modality in modalities() for name in modality.files(folder, with_hand)):
+        paths[name] = files.inside(folder, name, "", "evidence for each frame of clip.json")
     return files.sha256(paths)
 
 

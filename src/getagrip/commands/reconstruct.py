@@ -62,7 +62,7 @@ class Reconstruct(Command):
         from getagrip.batch.found import FindJob
         from getagrip.batch.plan import by_name
         from getagrip.batch.shard import ALL
-        from getagrip.timelines.reconstruct import METHOD
+        from getagrip.timelines.footage import METHOD
 
         if not self.cut_grasps and self.options.method != METHOD:
             allowed = f"only {METHOD}, or any method with --cut-grasps"

@@ -67,7 +67,7 @@ class TimelineTrial(Trial[TimelineScores]):
 
 def _found(trial: TimelineTrial, level: str) -> dict[str, Any]:
     """The scores of every way at a level; of timelines that hold both a static segment and a grasp."""
-    from getagrip.timelines.variants import VARIANTS, reconstruct_with
+    from getagrip.timelines.baselines import VARIANTS, reconstruct_with
 
     tracked = read_clip(trial.sample.folder)
     input_masks = read_masks(tracked)

@@ -127,7 +127,7 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
     raised.
     """
     from getagrip.evaluation import evaluate
-    from getagrip.fitting.reconstruct import reconstruct
+    from getagrip.timelines.reconstruct import reconstruct
 
     clip, place = changed[0], _place(trial, variant)
     try:
@@ -137,7 +137,7 @@ def _try(trial: GraspTrial, variant: Variant, changed: tuple[Clip, Masks], masks
         elif variant.system is not None:
             result = replace(result_of(variant, *changed), options=options_of(variant, clip.name))
         else:
-            result = reconstruct(*changed, variant.options)
+            result = reconstruct(replace(clip, segments=()), changed[1], variant.options)
         metrics = evaluate(result, clip, masks, trial.contacts).metrics
         write_result(result, place, checksum, metrics, clip.folder, overwrite=True, made_by=_made_by(variant))
     except Exception as error:

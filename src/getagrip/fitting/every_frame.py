@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Clip, Masks, read_masks
+from getagrip.clip import Clip, Masks
 from getagrip.fitting.image_iou import image_iou
 from getagrip.fitting.motion import Frozen, Motion, PosesInHand, interpolated, placed
 from getagrip.fitting.predicted_silhouette import NeighbourPrediction
@@ -153,7 +153,7 @@ def _others(
     for k in range(parts):
         index = rest[k::parts]
         part = clip.take(index)
-        yield index, problem.at(part, read_masks(part) if masks is None else masks.take(index))
+        yield index, problem.at(part, None if masks is None else masks.take(index))
 
 
 def _angle(motion: Motion) -> Float[ndarray, "T"] | float:

@@ -111,6 +111,32 @@ class HandMask:
 
 
 @dataclass(frozen=True)
+class HandContour:
+    """Points of a hand's contour in N frames, against those of its mask.
+
+    Attributes:
+        value: (N,) pixels in which silhouette and mask differ; infinite for a hand behind the camera.
+        weight: (N, M) length of contour that each point stands for [px]; 0: none.
+        distance: (N, M) signed distance to the mask's contour [px].
+        nearest: (N, M) the vertex that each point goes with.
+        along: (N, M, 3) derivative of how far a point moves outward [px] by that vertex in the camera frame [m].
+    """
+
+    value: Float[ndarray, "N"]
+    weight: Float[ndarray, "N M"]
+    distance: Float[ndarray, "N M"]
+    nearest: Int[ndarray, "N M"]
+    along: Float[ndarray, "N M 3"]
+
+    def quadratic(
+        self, J: Float[ndarray, "N M P"]
+    ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
+        """Value, gradient and Gauss-Newton Hessian, by P numbers that move the points outward by J."""
+        hJ = np.swapaxes(self.weight[..., None] * J, 1, 2)
+        return self.value, (hJ @ self.distance[..., None])[..., 0], hJ @ J
+
+
+@dataclass(frozen=True)
 class HandSilhouette:
     """A hand's errors, and the mask that tells them."""
 
@@ -153,14 +179,17 @@ class HandSilhouette:
     ) -> tuple[Float[ndarray, "N"], Float[ndarray, "N P"], Float[ndarray, "N P P"]]:
         """Pixels of each frame in which silhouette and mask differ, gradient and Gauss-Newton Hessian by the errors."""
         vertices, joints = self.errors.surface(x)
-        in_camera = se3.transform(self.errors.T_cam_hand(x), vertices)
+        contour = self.contour(se3.transform(self.errors.T_cam_hand(x), vertices))
+        return contour.quadratic(self.errors.jacobian(x, vertices, joints, contour.nearest, contour.along))
+
+    def contour(self, in_camera: Float[ndarray, "N V 3"]) -> HandContour:
+        """The contour of the hand's vertices in the camera frame, beside that of its mask."""
         value, points, nearest, _ = _contours(in_camera, self.errors.tracked, self.edges, self.mask)
         z, (fx, fy, cx, cy) = np.maximum(points[:, Z], 1e-6), self.mask.K.T[..., None]
         nx, ny = points[:, NX] / z, points[:, NY] / z
         depth = -(nx * (points[:, U] - cx) + ny * (points[:, V] - cy))
-        J = self.errors.jacobian(x, vertices, joints, nearest, np.stack([nx * fx, ny * fy, depth], axis=-1))
-        hJ = np.swapaxes(points[:, WEIGHT, :, None] * J, 1, 2)
-        return value, (hJ @ points[:, DISTANCE, :, None])[..., 0], hJ @ J
+        along = np.stack([nx * fx, ny * fy, depth], axis=-1)
+        return HandContour(value, points[:, WEIGHT], points[:, DISTANCE], nearest, along)
 
 
 def _contours(

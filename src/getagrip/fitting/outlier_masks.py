@@ -43,7 +43,7 @@ def fit_without_outliers(problem: Problem, fit: Callable[[Problem], MethodResult
         if np.array_equal(believed, used):
             break
         used = believed
-        some = problem.at(problem.clip.take(used), problem.input_masks.take(used))
+        some = problem.at(problem.clip.take(used))
         found = fit(some)
     names = tuple(name for n, name in enumerate(problem.clip.frames) if n not in used)
     some = some.warped(found.warp)

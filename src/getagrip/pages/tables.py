@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from getagrip.checks import INPUT_CHECKS, RESULT_CHECKS
+from getagrip.checks import input_checks, result_checks
 from getagrip.checks.of_timeline import JUMP
 from getagrip.evaluation.metric import METRICS, Metric
 from getagrip.evaluation.results import Evaluation
@@ -57,7 +57,8 @@ def unit_of(metric: Metric) -> str:
 
 def _checked(checks: Mapping[str, float]) -> list[list[str]]:
     """What each check has measured, what is usual, and what it says; of an unknown one the value alone."""
-    out, known = [], INPUT_CHECKS.working() | RESULT_CHECKS.working() | {JUMP.name: JUMP}
+    known = {check.name: check for check in (*input_checks(), *result_checks(), JUMP)}
+    out = []
     for name, value in checks.items():
         check = known.get(name)
         if check is None:

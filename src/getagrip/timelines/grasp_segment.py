@@ -13,20 +13,20 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from getagrip.clip import Segment
+from getagrip.clip import Clip, Masks, Segment
 from getagrip.fitting.energy import Energy, Term
 from getagrip.fitting.energy.smoothness import moments
-from getagrip.fitting.every_frame import at_every_frame, at_sampled_frames
+from getagrip.fitting.every_frame import Track, at_every_frame, at_sampled_frames
 from getagrip.fitting.methods.all_frames import result_of, soft_energy, soft_hinges
-from getagrip.fitting.motion import Hinge, Soft
+from getagrip.fitting.motion import Hinge, Soft, moved
 from getagrip.fitting.objective import NOTHING, plus
 from getagrip.fitting.problem import MethodResult, Problem, prepare
 from getagrip.fitting.solve import Solution, evaluate, minimise
 from getagrip.geometry import se3
-from getagrip.result import Axis, FrameKind, Status
+from getagrip.result import Axis, Status
 from getagrip.timelines.following import Paths
-from getagrip.timelines.footage import Footage
-from getagrip.timelines.hypotheses import Hypotheses, in_world
+from getagrip.timelines.footage import Footage, grasp_clip
+from getagrip.timelines.hypotheses import Hypotheses
 from getagrip.timelines.link_term import SLIP, WEIGHT, Expected, LinkTerm
 
 FINEST = 256
@@ -49,13 +49,38 @@ class Neighbour:
 
 
 @dataclass(frozen=True)
+class Grasp:
+    """A grasp as a clip of the hand that holds the object, in the frames in which that hand is known.
+
+    Attributes:
+        rows: these frames, of the timeline.
+        problem: at those that are fitted together.
+        sampled: these frames, of the timeline.
+    """
+
+    segment: Segment
+    clip: Clip
+    masks: Masks
+    rows: Int[ndarray, "n"]
+    problem: Problem
+    sampled: Int[ndarray, "m"]
+
+    @staticmethod
+    def of(footage: Footage, segment: Segment) -> Grasp | None:
+        """None where its hand is not known or fewer than two frames show the object."""
+        of_hand = grasp_clip(footage.clip, footage.masks, segment)
+        if of_hand is None:
+            return None
+        clip, masks, rows = of_hand
+        problem = prepare(clip, masks, footage.source.options)
+        return Grasp(segment, clip, masks, rows, problem, rows[clip.index_of(problem.clip.frames)])
+
+
+@dataclass(frozen=True)
 class GraspSolutions:
     """Solutions of a grasp at the frames of its problem."""
 
-    segment: Segment
-    problem: Problem
-    rows: Int[ndarray, "n"]
-    """The problem's frames in the clip."""
+    grasp: Grasp
     motion: Soft[Hinge]
     energy: Float[ndarray, "K"]
     """Without links."""
@@ -63,18 +88,13 @@ class GraspSolutions:
     @property
     def hypotheses(self) -> Hypotheses:
         """In the world, at the problem's frames."""
-        poses, T = self.motion.poses(), _T_world_hand(self.problem)
-        return in_world(poses.R, poses.centre, poses.scale, self.energy, T)
+        poses = moved(self.motion.poses(), _T_world_hand(self.grasp.problem))
+        return Hypotheses(poses.R, poses.centre, poses.scale, self.energy)
 
 
-def prepared(footage: Footage, segment: Segment) -> Problem | None:
-    """The problem of a grasp; None where its hand is not known or fewer than two frames show the object."""
-    grasp = footage.grasp_clip(segment)
-    return None if grasp is None else prepare(grasp[0], grasp[1], footage.options)
-
-
-def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Sequence[Neighbour]) -> GraspSolutions:
+def solve_grasp(grasp: Grasp, neighbours: Sequence[Neighbour]) -> GraspSolutions:
     """The solutions of a grasp. Raises ``GetagripError`` where nothing can be rendered."""
+    problem = grasp.problem
     found = soft_hinges(problem, lambda _: None)
     motion = found.motion
     if neighbours:
@@ -85,41 +105,38 @@ def solved(footage: Footage, segment: Segment, problem: Problem, neighbours: Seq
     terms, N = soft_energy(problem)(FINEST, np.arange(len(problem.clip))), len(motion.deviation)
     cost = evaluate(motion, terms, problem.clip.hand.T_cam_hand, np.full(N, np.inf)).cost
     order = np.argsort(cost, kind="stable")  # all of them: a box turned by half is the same, but for its links
-    rows = footage.clip.index_of(problem.clip.frames)
-    return GraspSolutions(segment, problem, rows, motion.take(order), cost[order])
+    return GraspSolutions(grasp, motion.take(order), cost[order])
 
 
 @dataclass(frozen=True)
 class GraspTrack:
     """A grasp in all of its frames in which its hand is known."""
 
-    grasp: GraspSolutions
+    solutions: GraspSolutions
     chosen: int
     """Which of its solutions."""
     found: MethodResult
     """That, fitted once more with its links, at the problem's frames."""
-    rows: Int[ndarray, "n"]
-    T_cam_hand: Float[ndarray, "n 4 4"]
-    T_hand_obj: Float[ndarray, "n 4 4"]
-    kind: tuple[FrameKind, ...]
-    axis: Axis | None
-    notes: tuple[str, ...]
+    track: Track
+    """That, in all frames."""
+
+    @property
+    def axis(self) -> Axis | None:
+        """Its axis, with the angles in all frames."""
+        axis, angle = self.found.axis, self.track.angle
+        return None if axis is None or angle is None else replace(axis, angle=angle)
 
 
-def in_all_frames(footage: Footage, grasp: GraspSolutions, k: int, neighbours: Sequence[Neighbour]) -> GraspTrack:
+def fit_in_all_frames(solutions: GraspSolutions, k: int, neighbours: Sequence[Neighbour]) -> GraspTrack:
     """Solution k, fitted once more with its links, in every frame."""
-    motion = grasp.motion.take(np.array([k]))
-    energy = {"total": grasp.energy[[k]]}
-    solution = Solution(motion, grasp.energy[[k]], energy, [Status.FINISHED], 0)
-    problem, found = grasp.problem, result_of(solution, motion.core, soft_energy)
+    motion = solutions.motion.take(np.array([k]))
+    energy = {"total": solutions.energy[[k]]}
+    solution = Solution(motion, solutions.energy[[k]], energy, [Status.FINISHED], 0)
+    grasp, found = solutions.grasp, result_of(solution, motion.core, soft_energy)
     if neighbours:
-        found = _polished(problem, found, neighbours)
-    value = footage.grasp_clip(grasp.segment)
-    assert value is not None
-    clip, masks, rows = value
-    track = at_every_frame(clip, masks, problem, found, at_sampled_frames(problem, found))
-    axis = None if found.axis is None or track.angle is None else replace(found.axis, angle=track.angle)
-    return GraspTrack(grasp, k, found, rows, track.T_cam_hand, track.T_hand_obj[0], track.kind, axis, problem.notes)
+        found = _polished(grasp.problem, found, neighbours)
+    sampled = at_sampled_frames(grasp.problem, found)
+    return GraspTrack(solutions, k, found, at_every_frame(grasp.clip, grasp.masks, grasp.problem, found, sampled))
 
 
 def _polished(problem: Problem, found: MethodResult, neighbours: Sequence[Neighbour]) -> MethodResult:
@@ -145,14 +162,14 @@ def _link(problem: Problem, neighbour: Neighbour) -> Energy:
     """The energy of one link."""
     clip, frames, expected = problem.clip, neighbour.frames, neighbour.paths.found
     assert clip.world is not None
-    R, centre = expected.seen_from(se3.inverse(clip.world.T_world_cam[frames]))
+    seen = moved(expected, se3.inverse(clip.world.T_world_cam[frames]))
     of, size = moments(clip.mesh.vertices - clip.mesh.centre), SLIP * clip.mesh.diameter
     cost = expected.energy - expected.energy.min()
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
         share = len(index) / len(clip)
         here = np.flatnonzero(np.isin(frames, index))
-        known = Expected(np.searchsorted(index, frames[here]), R[:, here], centre[:, here], share * cost)
+        known = Expected(np.searchsorted(index, frames[here]), seen.R[:, here], seen.centre[:, here], share * cost)
         return [LinkTerm(of, known, share * most(problem), size)]
 
     return terms

@@ -21,26 +21,34 @@ class PosesInCamera:
     centre: Float[ndarray, "B N 3"]
     scale: Float[ndarray, "B"]
 
+    @property
+    def size(self) -> int:
+        """Length P of a frame's local vector."""
+        return 7
+
 
 @dataclass(frozen=True)
 class Quadratic:
-    """A term's value [px^2 of the 256-pixel crop] and its derivatives by each frame's local 7-vector."""
+    """A term's value [px^2 of the 256-pixel crop] and its derivatives by each frame's local vector.
+
+    That is the object's 7-vector; where the hand moves as well it may be longer (``hand_term``).
+    """
 
     value: Float[ndarray, "B N"]
-    g: Float[ndarray, "B N 7"]
-    H: Float[ndarray, "B N 7 7"]
-    cross: Float[ndarray, "B N 7 N 7"] | None = None
+    g: Float[ndarray, "B N P"]
+    H: Float[ndarray, "B N P P"]
+    cross: Float[ndarray, "B N P N P"] | None = None
     """The cross-frame Hessian, of terms that tie frames to each other; ``[:, n, :, n]`` is zero, see ``H``."""
 
     @staticmethod
-    def zero(poses: PosesInCamera) -> Quadratic:
+    def zero(poses: PosesInCamera, size: int = 7) -> Quadratic:
         """Zeros, for a term to fill in."""
         B, N = poses.centre.shape[:2]
-        return Quadratic(np.zeros((B, N)), np.zeros((B, N, 7)), np.zeros((B, N, 7, 7)))
+        return Quadratic(np.zeros((B, N)), np.zeros((B, N, size)), np.zeros((B, N, size, size)))
 
     @staticmethod
-    def of_squares(error: Float[ndarray, "B N m"], J: Float[ndarray, "B N m 7"], weight: float) -> Quadratic:
-        """``weight * |error|^2``, for errors with the Jacobian J by the local 7-vector (Gauss-Newton)."""
+    def of_squares(error: Float[ndarray, "B N m"], J: Float[ndarray, "B N m P"], weight: float) -> Quadratic:
+        """``weight * |error|^2``, for errors with the Jacobian J by the local vector (Gauss-Newton)."""
         Jt = np.swapaxes(J, -1, -2)
         value = weight * np.sum(error**2, axis=-1)
         return Quadratic(value, 2.0 * weight * (Jt @ error[..., None])[..., 0], 2.0 * weight * (Jt @ J))
@@ -49,6 +57,26 @@ class Quadratic:
         cross = [a for a in (self.cross, other.cross) if a is not None]
         total = cross[0] + cross[1] if len(cross) == 2 else cross[0] if cross else None
         return Quadratic(self.value + other.value, self.g + other.g, self.H + other.H, total)
+
+    def by(self, J: Float[ndarray, "B N P Q"]) -> Quadratic:
+        """The same by another vector, given the Jacobian of this one's by it (chain rule)."""
+        Jt, cross = np.swapaxes(J, -1, -2), None
+        if self.cross is not None:
+            cross = np.swapaxes(Jt[:, :, None] @ np.swapaxes(self.cross, 2, 3) @ J[:, None], 2, 3)
+        return Quadratic(self.value, (Jt @ self.g[..., None])[..., 0], Jt @ self.H @ J, cross)
+
+    def within(self, size: int, first: int = 0) -> Quadratic:
+        """The same by a longer vector, of which this one's is the part from ``first`` on."""
+        B, N, P = self.g.shape
+        if size == P:
+            return self
+        part, cross = slice(first, first + P), None
+        g, H = np.zeros((B, N, size)), np.zeros((B, N, size, size))
+        g[..., part], H[..., part, part] = self.g, self.H
+        if self.cross is not None:
+            cross = np.zeros((B, N, size, N, size))
+            cross[:, :, part, :, part] = self.cross
+        return Quadratic(self.value, g, H, cross)
 
     def take(self, index: ndarray) -> Quadratic:
         """Some of the hypotheses."""

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from getagrip.annotate.clicked_hands import FEWEST, ClickedHands, hands_from_clicks
 from getagrip.errors import UsageError
 from getagrip.geometry import se3
 from getagrip.geometry.camera import project
 from getagrip.hands import generic
+from getagrip.hands.clicked_hands import FEWEST, ClickedHands, hands_from_clicks
 from getagrip.hands.fit import Chains, joints_and_jacobian
 from getagrip.hands.model import Side
 from getagrip.hands.pose_prior import PosePrior
