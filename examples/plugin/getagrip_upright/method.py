@@ -27,7 +27,7 @@ class UprightTerm:
 
 def fit(problem: Problem, on_stage: OnStage) -> MethodResult:
     """The soft hinge with one term more."""
-    return soft_hinge(problem, on_stage, more=lambda level, frames: [UprightTerm(10.0)])
+    return soft_hinge(problem, on_stage, more=lambda _: lambda level, frames: [UprightTerm(10.0)])
 
 
 UPRIGHT = Method("upright", fit, has_axis=True)
