@@ -68,6 +68,10 @@ def there(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
         return done.stdout + done.stderr
 
     call("import", "plates", "--count", "2", "--frames", "6", "--out", "clips", "--workers", "2")
+    truth = read_clip(folder / "clips" / "plate-1").truth
+    assert truth is not None
+    axes = "".join(f"{n:06d} {x} {y} {z}\n" for n, (x, y, z) in enumerate(truth.T_cam_obj[:, :3, 2]))
+    (folder / "clips" / "plate-1" / "axes.txt").write_text(axes)
     bench = ("bench", "clips", "--methods", "upright", "static", "--out", "bench", "--inits", "2", "--workers", "2")
     assert "plate-1: 2 done" in call(*bench)
     assert "plate-1: 0 done, 2 already done" in call(*bench)
@@ -86,6 +90,15 @@ def test_method_term_dataset_metric_and_checks_are_found_also_by_workers(there: 
     assert "tilt: error of" in " ".join(call("evaluate", "bench/results/upright").split())
 
 
+def test_the_modality_counts_where_a_clip_has_its_file(there: tuple[Path, Call]) -> None:
+    folder, _ = there
+    energies = [
+        json.loads((folder / "bench" / "results" / "static" / clip / "result.json").read_text())["energy"]
+        for clip in ("plate-0", "plate-1")
+    ]
+    assert ["axes" in energy for energy in energies] == [False, True]
+
+
 def test_a_result_says_which_packages_made_it(there: tuple[Path, Call]) -> None:
     folder, _ = there
     by = {}
@@ -94,7 +107,7 @@ def test_a_result_says_which_packages_made_it(there: tuple[Path, Call]) -> None:
         by[method] = record["software"]["plugins"]
         assert "getagrip-upright 0.1 (metrics tilt_deg " in record["software"]["evaluation"]
     assert by["upright"].startswith("getagrip-upright 0.1 (methods upright ")
-    assert by["static"].startswith("getagrip-upright 0.1 (input_checks short ")
+    assert by["static"].startswith("getagrip-upright 0.1 (modalities axes ")
 
 
 def test_the_export_is_found(there: tuple[Path, Call]) -> None:

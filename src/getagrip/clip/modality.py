@@ -2,7 +2,7 @@
 
 A modality is all that is known of one kind: its files in a clip's folder, how they are read at some frames, its checks,
 and the terms that it gives. A new one is a file in ``getagrip/evidence`` and a line in ``MODALITIES``; a script adds
-its own with ``MODALITIES["mine"] = Mine()``.
+its own with ``MODALITIES["mine"] = Mine()``, a package with an entry point.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, cast
 
 from getagrip.clip.data import Clip, PerFrame
+from getagrip.io.plugins import Table
 
 if TYPE_CHECKING:  # the only upward look: what a modality answers with is defined where it is used
     from getagrip.checks import Check
@@ -58,16 +59,20 @@ class Modality(ABC, Generic[D]):
         return cast("D | None", clip.evidence.get(self.name))
 
 
-MODALITIES: dict[str, Modality[Any] | str] = {
+_MODALITIES: dict[str, Modality[Any] | str] = {
     "object-masks": "getagrip.evidence.object_masks:ObjectMasks",
     "hand-masks": "getagrip.evidence.hand_masks:HandMasks",
 }
+MODALITIES = Table(
+    "modalities", _MODALITIES, "a Modality of the same name",
+    lambda name, it: isinstance(it, Modality) and it.name == name,
+)  # fmt: skip
 """Every modality by its name, or where its class is, which is imported when it is first needed."""
 
 
 def modalities() -> tuple[Modality[Any], ...]:
-    """Every modality of the table."""
-    return tuple(_loaded(entry) if isinstance(entry, str) else entry for entry in MODALITIES.values())
+    """Every modality of the table that can be loaded."""
+    return tuple(_loaded(entry) if isinstance(entry, str) else entry for entry in MODALITIES.working().values())
 
 
 @cache

@@ -193,8 +193,8 @@ TABLES: dict[str, Table[Any]] = {}
 def made_with(method: str) -> dict[str, str]:
     """What a result of a method depends on besides this package: an entry of its record, or none."""
     methods = TABLES["methods"].made_of(method) if "methods" in TABLES else ()
-    checks = (part for kind in ("input_checks", "result_checks") if kind in TABLES for part in TABLES[kind].made_of())
-    parts = [*methods, *checks]
+    always = [TABLES[kind] for kind in ("modalities", "input_checks", "result_checks") if kind in TABLES]
+    parts = [*methods, *(part for table in always for part in table.made_of())]
     return {"plugins": "; ".join(parts)} if parts else {}
 
 
