@@ -20,7 +20,7 @@ from numpy import ndarray
 from getagrip import least_squares
 from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
 from getagrip.fitting.motion import Motion, moved
-from getagrip.least_squares import DEFAULT, Ending, Rules, arrow_step, damped
+from getagrip.least_squares import DEFAULT, Arrow, Ending, Rules
 from getagrip.result.status import Status
 
 M = TypeVar("M", bound=Motion)
@@ -176,21 +176,10 @@ def _step(
 ) -> tuple[Float[ndarray, "B S"], Float[ndarray, "B N L"]]:
     """The damped Gauss-Newton step of the motion's shared and per-frame parameters, not longer than ``LONGEST``."""
     J_shared, J_local = motion.jacobian()
-    S = J_shared.shape[-1]
-    prior = motion.prior()
-    J_cam = seen_from_camera(J_shared, J_local, T_cam_hand)
-    Jt = np.swapaxes(J_cam, -1, -2)
-    A = Jt @ (local.H @ J_cam)
-    b = (Jt @ local.g[..., None])[..., 0]
-    H_ss, g_s = A[..., :S, :S].sum(axis=1), b[..., :S].sum(axis=1)
-    H_sl, H_ll, g_l = A[..., :S, S:], A[..., S:, S:], b[..., S:] + prior.g
-    H_ll = H_ll + np.diag(prior.diagonal)
-    cross = None
-    if local.cross is not None:
-        ss, sl, cross = _between_frames(local.cross, J_cam[..., :S], J_cam[..., S:])
-        H_ss, H_sl = H_ss + ss, H_sl + sl
-    H_ss, H_ll = damped(H_ss, damping, FLOOR), damped(H_ll, damping[:, None], FLOOR)
-    shared, per_frame = arrow_step(H_ss, H_sl, H_ll, g_s, g_l, cross)
+    S, prior = J_shared.shape[-1], motion.prior()
+    J = seen_from_camera(J_shared, J_local, T_cam_hand)
+    arrow = Arrow.by(J, S, local.H, local.g, local.cross).plus(H_ll=np.diag(prior.diagonal), g_l=prior.g)
+    shared, per_frame = arrow.step(damping, FLOOR)
     moved = (J_shared @ shared[:, None, :, None] + J_local @ per_frame[..., None])[..., 0]
     turn, shift = np.linalg.norm(moved[..., 3:6], axis=-1), np.linalg.norm(moved[..., :3], axis=-1)
     shrink = np.minimum(1.0, LONGEST / np.maximum(np.maximum(turn, 10.0 * shift).max(axis=1), 1e-12))
@@ -213,20 +202,3 @@ def hessian(motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N
     local = evaluate(motion, terms, T_cam_hand, np.full(len(motion.poses().scale), np.inf)).local
     J = seen_from_camera(*motion.jacobian(), T_cam_hand)
     return np.asarray(np.swapaxes(J, -1, -2) @ (local.H @ J))
-
-
-def _between_frames(
-    cross: Float[ndarray, "B N 7 N 7"], J_s: Float[ndarray, "B N 7 S"], J_l: Float[ndarray, "B N 7 L"]
-) -> tuple[Float[ndarray, "B S S"], Float[ndarray, "B N S L"], Float[ndarray, "B N L N L"]]:
-    """The Hessian between frames by the parameters: ``sum_ij Js_i^T A_ij Js_j``, ``sum_i Js_i^T A_ij Jl_j``,
-    ``Jl_i^T A_ij Jl_j``.
-    """
-    B, N, _, S = J_s.shape
-    L = J_l.shape[-1]
-    flat, tall = cross.reshape(B, N * 7, N * 7), J_s.reshape(B, N * 7, S)
-    right = flat @ tall
-    ss = np.swapaxes(tall, -1, -2) @ right
-    sl = np.swapaxes(right.reshape(B, N, 7, S), -1, -2) @ J_l
-    right = np.swapaxes(flat.reshape(B, N * 7, N, 7), 1, 2) @ J_l  # (B, j, i 7, L)
-    right = np.swapaxes(right, 1, 2).reshape(B, N, 7, N * L)
-    return ss, sl, (np.swapaxes(J_l, -1, -2) @ right).reshape(B, N, L, N, L)
