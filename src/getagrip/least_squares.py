@@ -176,14 +176,18 @@ class Arrow:
         g_s: ndarray | None = None,
         H_ll: ndarray | None = None,
         g_l: ndarray | None = None,
+        cross: ndarray | None = None,
     ) -> Arrow:
         """With priors on the parameters, of shapes that broadcast to those of the fields."""
+        if cross is not None and self.cross is None:
+            cross = np.broadcast_to(cross, (len(self.g_l), *cross.shape))
         return replace(
             self,
             H_ss=self.H_ss if H_ss is None else self.H_ss + H_ss,
             g_s=self.g_s if g_s is None else self.g_s + g_s,
             H_ll=self.H_ll if H_ll is None else self.H_ll + H_ll,
             g_l=self.g_l if g_l is None else self.g_l + g_l,
+            cross=cross if self.cross is None else self.cross if cross is None else self.cross + cross,
         )
 
     def step(

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from getagrip.fitting.contact import HandContacts, spread_points
-from getagrip.fitting.energy import Energy, Term
+from getagrip.fitting.energy import Energy, InHand, Term
 from getagrip.fitting.energy.contact_consistency import ContactConsistencyTerm
 from getagrip.fitting.energy.mask import MaskTerm, SilhouetteMesh
 from getagrip.fitting.energy.pull import PullTerm
@@ -77,13 +77,14 @@ def contact_weights(problem: Problem, push: float, pull: float) -> tuple[Float[n
 def push_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """E_push, our way, by its weight in each frame [px^2 / m]."""
     hands, solid = _contacts(problem), problem.surface.solid
-    return lambda level, index: [PushTerm(solid, hands[level].take(index), weight[index])]
+    return lambda level, index: [InHand(PushTerm(solid, hands[level].take(index), weight[index]))]
 
 
 def pull_of(problem: Problem, weight: Float[ndarray, "N"]) -> Energy:
     """E_pull, likewise."""
     hands, solid = _contacts(problem), problem.surface.solid
-    return lambda level, index: [PullTerm(solid, hands[level].take(index), weight[index], problem.trust.reach)]
+    reach = problem.trust.reach
+    return lambda level, index: [InHand(PullTerm(solid, hands[level].take(index), weight[index], reach))]
 
 
 def _contacts(problem: Problem) -> dict[int, HandContacts]:
@@ -105,7 +106,7 @@ def consistency_of(problem: Problem, weight: float) -> Energy:
     each = weight * observation.area.mean() * observation.K[:, 0]
 
     def terms(level: int, index: Int[ndarray, "n"]) -> Sequence[Term]:
-        return [ContactConsistencyTerm(points, hand.position[index], each[index])]
+        return [InHand(ContactConsistencyTerm(points, hand.position[index], each[index]))]
 
     return terms
 

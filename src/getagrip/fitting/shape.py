@@ -97,7 +97,7 @@ class _State:
         J[..., :7, :S], J[..., 7:, S : S + M], J[..., :7, S + M :] = seen[..., :S], np.eye(M), seen[..., S:]
         Jt = np.swapaxes(J, -1, -2)
         A, b = Jt @ self.H[active] @ J, (Jt @ self.g[active][..., None])[..., 0]
-        arrow = Arrow.of(A, b, slice(S + M), slice(S + M, None)).plus(H_ll=np.diag(prior.diagonal), g_l=prior.g)
+        arrow = Arrow.of(A, b, slice(S + M), slice(S + M, None)).plus(H_ll=prior.H, g_l=prior.g)
         arrow.H_ss[:, S:, S:] += self.stiffness
         arrow.g_s[:, S:] += self.pull[active]
         step, per_frame = arrow.step(damping, FLOOR)

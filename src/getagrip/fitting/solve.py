@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from getagrip import least_squares
-from getagrip.fitting.energy import PosesInCamera, Quadratic, Term
+from getagrip.fitting.energy import HandInCamera, ObjectWithHand, PosesInCamera, Quadratic, Term
 from getagrip.fitting.motion import Motion, moved
 from getagrip.least_squares import DEFAULT, Arrow, Ending, Rules
 from getagrip.result.status import Status
@@ -82,7 +82,12 @@ def in_camera(motion: Motion, T_cam_hand: Float[ndarray, "N 4 4"]) -> PosesInCam
     """The motion's poses as the terms read them."""
     held = moved(motion.poses(), T_cam_hand)
     # Kernels are compiled for one layout; another would compile each of them again.
-    return PosesInCamera(np.ascontiguousarray(held.R), np.ascontiguousarray(held.centre), held.scale)
+    poses = np.ascontiguousarray(held.R), np.ascontiguousarray(held.centre), held.scale
+    if held.hand is None:
+        return PosesInCamera(*poses)
+    R, centre = np.ascontiguousarray(held.hand.R), np.ascontiguousarray(held.hand.centre)
+    middle = held.hand.frame.middle
+    return ObjectWithHand(*poses, HandInCamera(R, centre, held.hand.scale, held.hand.modes, middle, T_cam_hand))
 
 
 @dataclass
@@ -130,7 +135,7 @@ def evaluate(
     total: Quadratic | None = None
     for k, term in enumerate(terms):
         with np.errstate(invalid="ignore"):  # behind the camera: no bound, and nothing of it left
-            local = term(poses, bound - prior - values[:, :k].sum(axis=1))
+            local = term(poses, bound - prior - values[:, :k].sum(axis=1)).within(poses.size)
         values[:, k] = local.value.sum(axis=1)
         total = local if total is None else total + local
     assert total is not None
@@ -178,20 +183,25 @@ def _step(
     J_shared, J_local = motion.jacobian()
     S, prior = J_shared.shape[-1], motion.prior()
     J = seen_from_camera(J_shared, J_local, T_cam_hand)
-    arrow = Arrow.by(J, S, local.H, local.g, local.cross).plus(H_ll=np.diag(prior.diagonal), g_l=prior.g)
+    arrow = Arrow.by(J, S, local.H, local.g, local.cross).plus(H_ll=prior.H, g_l=prior.g, cross=prior.cross)
+    if prior.diagonal_shared is not None:
+        arrow = arrow.plus(H_ss=np.diag(prior.diagonal_shared), g_s=prior.g_shared)
     shared, per_frame = arrow.step(damping, FLOOR)
     moved = (J_shared @ shared[:, None, :, None] + J_local @ per_frame[..., None])[..., 0]
+    if moved.shape[-1] > 7:
+        moved = np.concatenate([moved[..., :7], moved[..., 7:14]], axis=1)
     turn, shift = np.linalg.norm(moved[..., 3:6], axis=-1), np.linalg.norm(moved[..., :3], axis=-1)
     shrink = np.minimum(1.0, LONGEST / np.maximum(np.maximum(turn, 10.0 * shift).max(axis=1), 1e-12))
     return shared * shrink[:, None], per_frame * shrink[:, None, None]
 
 
 def seen_from_camera(
-    J_shared: Float[ndarray, "B N 7 S"], J_local: Float[ndarray, "B N 7 L"], T_cam_hand: Float[ndarray, "N 4 4"]
-) -> Float[ndarray, "B N 7 P"]:
-    """A motion's Jacobians side by side, of local 7-vectors in the camera's frame."""
+    J_shared: Float[ndarray, "B N P S"], J_local: Float[ndarray, "B N P L"], T_cam_hand: Float[ndarray, "N 4 4"]
+) -> Float[ndarray, "B N P Q"]:
+    """A motion's Jacobians side by side, of local vectors in the camera's frame."""
     J, R = np.concatenate([J_shared, J_local], axis=-1), T_cam_hand[:, :3, :3]
-    return np.concatenate([R @ J[..., :3, :], R @ J[..., 3:6, :], J[..., 6:, :]], axis=-2)
+    hand = [] if J.shape[-2] == 7 else [R @ J[..., 7:10, :], R @ J[..., 10:13, :], J[..., 13:, :]]
+    return np.concatenate([R @ J[..., :3, :], R @ J[..., 3:6, :], J[..., 6:7, :], *hand], axis=-2)
 
 
 def hessian(motion: Motion, terms: Sequence[Term], T_cam_hand: Float[ndarray, "N 4 4"]) -> Float[ndarray, "B N P P"]:
